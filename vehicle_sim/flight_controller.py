@@ -213,10 +213,10 @@ class FlightController:
                 self._radio.send(self._parameter_protocol.value(name), link)
 
     def _say(self, text: Text) -> None:
-        needs_ground_station = self.autopilot.profile.texts_need == "ground station"
+        """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
+        is_px4 = self.autopilot.profile.firmware == "px4"
         for link in self._radio.links:
-            heard = self._radio.router.heard(link)
-            if link in self._ground_stations if needs_ground_station else heard:
+            if link in self._ground_stations if is_px4 else self._radio.router.heard(link):
                 self._radio.send(messages.text(text), link)
         self._on_text(text)
 

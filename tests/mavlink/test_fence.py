@@ -29,7 +29,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.world.threats import CircleZone, PolygonZone
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.fence import Fence as ArduPilotFence
-from vehicle_sim.autopilots.px4.fence import Fence as Px4Fence
+from vehicle_sim.autopilots.px4.mission import Fence as Px4Fence
 from vehicle_sim.autopilots.px4.setpoints import Projection
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.plans import PlanKind, Plans

@@ -11,7 +11,7 @@ from rig import Rig
 
 from vehicle_sim.autopilots import Battery
 from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
-from vehicle_sim.autopilots.ardupilot.profile import STREAMABLE
+from vehicle_sim.autopilots.ardupilot.autopilot import STREAMABLE
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import ARDUCOPTER, Gps

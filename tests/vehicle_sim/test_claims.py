@@ -9,7 +9,7 @@ import pytest
 from over_the_wire import KINDS, PLACE, Link, Vector, flying, ready
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots.ardupilot import copter_table, plane_navigation
+from vehicle_sim.autopilots.ardupilot import copter_flight, plane_navigation
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, NAMES, Mode
 
 Kind = tuple[Any, Any]
@@ -204,7 +204,7 @@ def test_what_it_says_that_it_can_do_it_does(kind: Kind) -> None:
 def modes_of(kind: Kind) -> dict[int, str]:
     if kind[0] == "px4":
         return {number: NAMES[mode] for mode, number in CUSTOM_MODES.items()}
-    table = copter_table.MODES if kind[1] == "copter" else plane_navigation.NAMES
+    table = copter_flight.NAMES if kind[1] == "copter" else plane_navigation.NAMES
     return dict(table)
 
 
@@ -214,7 +214,9 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Kind) -> None:
     if client.firmware == "px4":
         back = CUSTOM_MODES[Mode.LOITER]
     else:
-        back = copter_table.GUIDED if client.kind == "copter" else plane_navigation.Mode.GUIDED
+        back = (
+            copter_flight.Mode.GUIDED if client.kind == "copter" else plane_navigation.Mode.GUIDED
+        )
     for number, name in modes_of((client.firmware, client.kind)).items():
         since_s = client.now_s
         result = client.set_mode(number)
@@ -284,7 +286,7 @@ def test_an_attitude_needs_no_position(kind: Kind) -> None:
     client = flying(*kind)
     level = mavlink.MAVLink_set_attitude_target_message(0, *IDS, 7, (1, 0, 0, 0), 0, 0, 0, 0.5)
     if client.firmware == "ardupilot":
-        assert client.set_mode(copter_table.GUIDED_NOGPS) == ACCEPTED
+        assert client.set_mode(copter_flight.Mode.GUIDED_NOGPS) == ACCEPTED
     stream(client, lambda: level, 1.0)
     before = mode(client)
     client.simulation.add_fault("gps_off")

@@ -53,7 +53,7 @@ class Vehicle:
             status=lambda: self.status,
             on_plan=self.on_plan,
             on_command=self.on_command,
-            profile=SimpleNamespace(firmware=firmware, requests_mission_int=firmware == "px4"),
+            profile=SimpleNamespace(firmware=firmware),
         )
         kind = Px4Missions if firmware == "px4" else ArduPilotMissions
         self.protocol = kind(cast(Autopilot, autopilot))

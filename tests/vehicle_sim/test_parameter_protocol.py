@@ -41,7 +41,7 @@ class Vehicle:
                 for row in rows
             )
         self.parameters = Parameters(rows, {})
-        profile = SimpleNamespace(firmware=firmware, bytewise_parameters=firmware == "px4")
+        profile = SimpleNamespace(firmware=firmware)
         autopilot = SimpleNamespace(
             parameters=self.parameters, profile=profile, on_parameter=self.on_parameter
         )

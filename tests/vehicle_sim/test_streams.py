@@ -42,12 +42,6 @@ def profile(firmware: Literal["ardupilot", "px4"], **rates_hz: float) -> Firmwar
         rates_hz={HEARTBEAT: 1.0, **{int(name[1:]): rate for name, rate in rates_hz.items()}},
         streamable=known if is_px4 else known | {HEARTBEAT},
         requestable=known | {49},
-        not_streamable=Result.FAILED if is_px4 else Result.DENIED,
-        text_when_not_streamable=None if is_px4 else "No ap_message for mavlink id ({number})",
-        bytewise_parameters=is_px4,
-        requests_mission_int=is_px4,
-        texts_need="anybody",
-        signs=not is_px4,
         data_streams={} if is_px4 else {6: (POSITION, LOCAL), 10: (ATTITUDE,)},
     )
 

@@ -11,7 +11,7 @@ from recordings import recording
 from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Battery, Event, Report
-from vehicle_sim.autopilots.px4.profile import FIXED_WING_RATES_HZ
+from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.dialect import layout_of, message_class
 from vehicle_sim.wire.frames import Packer
@@ -73,7 +73,7 @@ def test_everything_it_streams_can_be_made_and_packed(flying: Rig) -> None:
     fresh.step()
     for rig in (fresh, flying):
         report = _report(rig)
-        for number in (*FIXED_WING_RATES_HZ, 49, 148, 300):
+        for number in (*Px4FixedWing.profile.rates_hz, 49, 148, 300):
             said = MESSAGES[number](report)
             if said is not None:
                 frame = Packer(1, 1).frame(said)

@@ -137,7 +137,7 @@ class Ack:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Text:
-    """A STATUSTEXT, to every link that gets texts (Style.texts_need)."""
+    """A STATUSTEXT, to every link that gets texts."""
 
     severity: int
     """MAV_SEVERITY."""
@@ -397,18 +397,6 @@ class FirmwareProfile:
     """What SET_MESSAGE_INTERVAL accepts."""
     requestable: frozenset[int]
     """What REQUEST_MESSAGE accepts."""
-    not_streamable: Result
-    """The answer for the others."""
-    text_when_not_streamable: str | None = None
-    """With {number}."""
-    bytewise_parameters: bool
-    """Integers are bit-cast into the float field (PX4), or converted (ArduPilot)."""
-    requests_mission_int: bool
-    """Asks for items by MISSION_REQUEST_INT (PX4) or MISSION_REQUEST (ArduPilot)."""
-    texts_need: Literal["anybody", "ground station"]
-    """Sender that must have been heard on a link before STATUSTEXT is sent there."""
-    signs: bool
-    """Supports MAVLink 2 signing."""
     data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
     """REQUEST_DATA_STREAM: group -> message numbers."""
 

@@ -239,7 +239,7 @@ class ArduPilotMissions(MissionProtocol):
 
     def _whole(self, upload: Upload) -> bool:
         del upload
-        return self._autopilot.profile.requests_mission_int
+        return False
 
     def _gave_up(self, upload: Upload) -> list[Reply]:
         kind = upload.kind

@@ -43,7 +43,6 @@ class ParameterProtocol:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._parameters = autopilot, autopilot.parameters
-        self._bytewise = autopilot.profile.bytewise_parameters
         self._is_px4 = autopilot.profile.firmware == "px4"
         self._listings: dict[int, _Listing] = {}
         self._rows = self._parameters.rows
@@ -94,7 +93,7 @@ class ParameterProtocol:
         if index is None:
             index = self._indices[name] if self._is_px4 else _UNASKED
         row, value = self._parameters.row(name), self._parameters[name]
-        if self._bytewise and row.kind is not Kind.REAL32:
+        if self._is_px4 and row.kind is not Kind.REAL32:  # bit by bit; ArduPilot converts
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
         return self._message(name, value, row.kind, index)
 
@@ -152,7 +151,7 @@ class ParameterProtocol:
     def _asked(self, message: Any, kind: Kind) -> float | None:
         """The value that a PARAM_SET means; None for one of the wrong type (PX4 only)."""
         value: float = message.param_value
-        if not self._bytewise:
+        if not self._is_px4:
             return _as_ardupilot_rounds(value, kind)
         if message.param_type != kind:
             return None

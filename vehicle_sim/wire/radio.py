@@ -47,7 +47,7 @@ class Radio:
         rng: np.random.Generator,
     ) -> None:
         self.links = range(links)
-        self.signing = Signing(links=links) if profile.signs else None
+        self.signing = None if profile.firmware == "px4" else Signing(links=links)
         self.router = Router(
             system=system,
             radar=radar_component,

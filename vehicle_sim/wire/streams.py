@@ -112,9 +112,10 @@ class Streams:
         if self._uses_reserved(rest):
             result = Result.FAILED if self._is_px4 else Result.DENIED
         elif known not in self._style.streamable:
-            result = self._style.not_streamable
-            if words := self._style.text_when_not_streamable:
-                answers.append(Text(severity=6, text=words.format(number=known)))
+            result = Result.FAILED if self._is_px4 else Result.DENIED
+            if not self._is_px4:
+                text = f"No ap_message for mavlink id ({known})"
+                answers.append(Text(severity=6, text=text))
         else:
             wanted_us = self._wanted_us(known, interval_us)
             result = Result.FAILED if wanted_us is None else Result.ACCEPTED

@@ -23,9 +23,23 @@ from vehicle_sim.autopilots import (
     Text,
     Waypoint,
 )
-from vehicle_sim.autopilots.ardupilot import copter_table as modes
-from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due
-from vehicle_sim.autopilots.ardupilot.copter_flight import FAILSAFE_PAUSE_US, Flight
+from vehicle_sim.autopilots.ardupilot.autopilot import (
+    HEARTBEAT,
+    TIMESYNC,
+    ArduPilot,
+    Due,
+    boot_of,
+    profile,
+)
+from vehicle_sim.autopilots.ardupilot.copter_flight import (
+    FAILSAFE_PAUSE_US,
+    NAMES,
+    NEED_POSITION,
+    NOT_ARMABLE,
+    RETURNS,
+    Flight,
+    Mode,
+)
 from vehicle_sim.autopilots.ardupilot.copter_guided import (
     IGNORE_ACCELERATION,
     IGNORE_POSITION,
@@ -39,13 +53,13 @@ from vehicle_sim.autopilots.ardupilot.copter_guided import (
     Target,
     read_setpoint,
 )
+from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
 from vehicle_sim.autopilots.ardupilot.flat_earth import (
     bearing_rad,
     distance_m,
     flat_earth_ned_m,
     offset,
 )
-from vehicle_sim.autopilots.ardupilot.profile import HEARTBEAT, TIMESYNC, profile
 from vehicle_sim.autopilots.attitude import (
     IGNORE_RATES,
     IGNORE_THRUST,
@@ -54,6 +68,8 @@ from vehicle_sim.autopilots.attitude import (
     finite,
 )
 from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.faults.conditions import SIM_PARAMETERS
+from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix
 
@@ -86,9 +102,15 @@ class ArduCopter(ArduPilot):
     profile: FirmwareProfile = profile(
         vehicle_type=2, capabilities=64495, rates_hz={HEARTBEAT: 1.0, TIMESYNC: 0.1}
     )
-    MODES: ClassVar[Mapping[int, str]] = modes.MODES
-    TABLE = modes.TABLE
-    TIMING = modes.TIMING
+    MODES: ClassVar[Mapping[int, str]] = NAMES
+    TABLE = (*table("ardupilot/shared", "ardupilot/copter"), *SIM_PARAMETERS)
+    TIMING = Timing(
+        initialised_us=4_460_000,
+        attitude_us=5_900_000,
+        origin_after_fix_us=10_000_000,
+        using_after_fix_us=31_620_000,
+        origin_texts=((193_000, "EKF3 IMU1 origin set"),),
+    )
     PREARM_US: ClassVar[int] = 23_300_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = False
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
@@ -96,12 +118,13 @@ class ArduCopter(ArduPilot):
     def boot(self) -> Sequence[Due]:
         """With the pressure of the ground."""
         pressure_pa = 101325.0 * (1.0 - 2.25577e-5 * self.vehicle.altitude_amsl_m) ** 5.25588
-        return modes.boot(pressure_pa)
+        pressures = (("BARO1_GND_PRESS", pressure_pa), ("BARO2_GND_PRESS", pressure_pa - 0.29))
+        return [*((1_930_000, row) for row in pressures), *boot_of("copter")]
 
     def _set_up(self) -> None:
         self.flight = Flight(self, self.vehicle)
         self.fly = self.flight.step
-        self.mode = modes.STABILIZE
+        self.mode = Mode.STABILIZE
         self._refused_text: str | None = None
         self._ekf_failures = 0
         self._was_glitching = False
@@ -148,11 +171,11 @@ class ArduCopter(ArduPilot):
 
     def enter_mode(self, mode: int) -> str | None:
         """Checks are only made in flight, as the real one does."""
-        if self.armed and mode in modes.NEED_POSITION and not self.ekf.position_ok:
+        if self.armed and mode in NEED_POSITION and not self.ekf.position_ok:
             return "requires position"
-        if mode == modes.AUTO and self.armed and not self.flight.auto.can_begin():
+        if mode == Mode.AUTO and self.armed and not self.flight.auto.can_begin():
             return "init failed"
-        if mode in (modes.RTL, modes.SMART_RTL) and self.armed and self.home is None:
+        if mode in RETURNS and self.armed and self.home is None:
             return "init failed"
         self.mode = mode
         self.flight.begin(mode)
@@ -177,8 +200,8 @@ class ArduCopter(ArduPilot):
 
     def _on_ekf_failsafe(self) -> None:
         """FS_EKF_ACTION 1: land, wherever it is."""
-        if self.mode in (*modes.NEED_POSITION, modes.LAND) and self.parameters["FS_EKF_ACTION"]:
-            self.set_mode(modes.LAND)
+        if self.mode in (*NEED_POSITION, Mode.LAND) and self.parameters["FS_EKF_ACTION"]:
+            self.set_mode(Mode.LAND)
             self.flight.motion.lands_with_position = False
             self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
             self.send_text(2, "EKF Failsafe: changed to LAND Mode")
@@ -205,22 +228,22 @@ class ArduCopter(ArduPilot):
     def _go_home_or_land(self, *, land: bool) -> None:
         if self.landed:
             self.disarm()
-        elif land or not self.set_mode(modes.RTL):
-            self.set_mode(modes.LAND)
+        elif land or not self.set_mode(Mode.RTL):
+            self.set_mode(Mode.LAND)
             self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: LOITER."""
-        self.set_mode(modes.LOITER)
+        self.set_mode(Mode.LOITER)
         return self._taken()
 
     # --- arming -----------------------------------------------------------------------------------
 
     def arming_refusal(self) -> str | None:
         """Why it may not be armed now."""
-        if self.mode in modes.NOT_ARMABLE:
+        if self.mode in NOT_ARMABLE:
             return f"{self.mode_name} mode not armable"
-        if self.mode in modes.NEED_POSITION and not self.ekf.position_ok:
+        if self.mode in NEED_POSITION and not self.ekf.position_ok:
             return "Need Position Estimate"
         if self.now_us < self.PREARM_US:
             return "AHRS: waiting for home"
@@ -245,9 +268,9 @@ class ArduCopter(ArduPilot):
         """What ArduCopter answers besides."""
         return {
             **super().handlers(),
-            17: lambda _: self._by_mode(modes.LOITER),
-            20: lambda _: self._by_mode(modes.RTL),
-            21: lambda _: self._by_mode(modes.LAND),
+            17: lambda _: self._by_mode(Mode.LOITER),
+            20: lambda _: self._by_mode(Mode.RTL),
+            21: lambda _: self._by_mode(Mode.LAND),
             22: self._take_off,
             115: self._condition_yaw,
             178: self._change_speed,
@@ -267,7 +290,7 @@ class ArduCopter(ArduPilot):
         if command.frame not in (None, ABOVE_HOME_FRAME):
             return Result.DENIED
         flight, home = self.flight, self.home
-        ready = self.armed and self.landed and self.mode == modes.GUIDED and home is not None
+        ready = self.armed and self.landed and self.mode == Mode.GUIDED and home is not None
         if not ready or flight.motion.takeoff_us is not None or not self.ekf.position_ok:
             return Result.FAILED
         assert home is not None
@@ -311,12 +334,12 @@ class ArduCopter(ArduPilot):
             return Result.UNSUPPORTED
         flags = command.parameters[1]
         changes = math.isfinite(flags) and bool(int(flags) & 1)
-        if self.mode != modes.GUIDED and not changes:
+        if self.mode != Mode.GUIDED and not changes:
             return Result.DENIED
         place = self.place_of(command)
         if isinstance(place, Result):
             return Result.DENIED
-        if self.mode != modes.GUIDED and not self.set_mode(modes.GUIDED):
+        if self.mode != Mode.GUIDED and not self.set_mode(Mode.GUIDED):
             return Result.FAILED
         target = Target(place=place, velocity_neu_m_s=None, acceleration_neu_m_s2=NOTHING)
         return Result.ACCEPTED if self._take(target) else Result.FAILED
@@ -327,10 +350,10 @@ class ArduCopter(ArduPilot):
         if wanted not in (0.0, 1.0):
             return Result.DENIED
         flight, pause = self.flight, wanted == 0.0
-        if self.mode == modes.GUIDED:
+        if self.mode == Mode.GUIDED:
             flight.guided.stop()
             flight.guided.paused = pause
-        elif self.mode == modes.AUTO:
+        elif self.mode == Mode.AUTO:
             flight.auto.paused = pause
         else:
             return Result.FAILED
@@ -349,14 +372,14 @@ class ArduCopter(ArduPilot):
         del command
         if not self.armed:
             return Result.FAILED
-        if self.mode == modes.AUTO:
+        if self.mode == Mode.AUTO:
             self.flight.auto.paused = False
             return Result.ACCEPTED
-        return self._by_mode(modes.AUTO)
+        return self._by_mode(Mode.AUTO)
 
     def fly_item(self, number: int) -> None:
         """Of the mission, in AUTO."""
-        if self.mode == modes.AUTO and number > 0:
+        if self.mode == Mode.AUTO and number > 0:
             self.flight.auto.jump_to(number)
 
     # --- setpoints ----------------------------------------------------------------------------
@@ -364,7 +387,7 @@ class ArduCopter(ArduPilot):
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Steer for this from now on; outside GUIDED it is not even read."""
         origin, home, flight = self.ekf.origin, self.home, self.flight
-        if self.mode != modes.GUIDED or home is None or origin is None or flight.guided.paused:
+        if self.mode != Mode.GUIDED or home is None or origin is None or flight.guided.paused:
             return ()
         bearings = SetpointFrames(
             vehicle=self.estimate.place,
@@ -385,7 +408,7 @@ class ArduCopter(ArduPilot):
         Source: GCS_MAVLINK_Copter::handle_message_set_attitude_target; not measured.
         """
         flight, mask = self.flight, target.type_mask
-        wanted = self.mode in (modes.GUIDED, modes.GUIDED_NOGPS) and not flight.guided.paused
+        wanted = self.mode in (Mode.GUIDED, Mode.GUIDED_NOGPS) and not flight.guided.paused
         given = sum(not mask & bit for bit in IGNORE_RATES)
         known = finite(target) and not mask & IGNORE_THRUST and given in (0, len(IGNORE_RATES))
         if target.by_attitude:
@@ -454,12 +477,12 @@ class ArduCopter(ArduPilot):
         mode, armed = self.mode, self.armed
         if self.now_us < READY_US:
             holds = True
-        elif mode == modes.LAND:
+        elif mode == Mode.LAND:
             holds = self.flight.motion.lands_with_position
-        elif mode in (modes.RTL, modes.SMART_RTL):
+        elif mode in RETURNS:
             holds = armed
         else:
-            holds = mode in modes.NEED_POSITION
+            holds = mode in NEED_POSITION
         return 0x51 | (0x08 if holds else 0) | (0x80 if armed else 0)
 
     def system_status(self) -> State:
@@ -481,7 +504,7 @@ class ArduCopter(ArduPilot):
     def target_echo(self) -> TargetEcho | None:
         """What GUIDED steers for; in other modes, and for an attitude, nothing is sent."""
         origin, guided = self.ekf.origin, self.flight.guided
-        if self.mode != modes.GUIDED or origin is None or guided.submode is Submode.ANGLE:
+        if self.mode != Mode.GUIDED or origin is None or guided.submode is Submode.ANGLE:
             return None
         position: tuple[float, float, float] | None
         if guided.submode is Submode.TAKEOFF:
@@ -504,11 +527,11 @@ class ArduCopter(ArduPilot):
         """While it flies to a place that does not move."""
         flight = self.flight
         place: Place | None = None
-        if self.mode == modes.GUIDED and flight.guided.submode is Submode.POSITION:
+        if self.mode == Mode.GUIDED and flight.guided.submode is Submode.POSITION:
             place = flight.guided.place
-        elif self.mode == modes.AUTO and flight.auto.goal is not None:
+        elif self.mode == Mode.AUTO and flight.auto.goal is not None:
             place = flight.auto.goal.place
-        elif self.mode in (modes.RTL, modes.SMART_RTL):
+        elif self.mode in RETURNS:
             place = flight.motion.return_place
         if place is None:
             return None
@@ -525,7 +548,7 @@ class ArduCopter(ArduPilot):
         if len(self.plans[PlanKind.MISSION]) < 2:
             return 1
         auto = self.flight.auto
-        if self.mode != modes.AUTO:
+        if self.mode != Mode.AUTO:
             return 5 if auto.complete else 2
         return 4 if auto.paused else 5 if auto.complete else 3
 

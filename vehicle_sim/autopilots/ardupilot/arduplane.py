@@ -20,7 +20,14 @@ from vehicle_sim.autopilots import (
     Waypoint,
     height_amsl_m,
 )
-from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due, boot_of
+from vehicle_sim.autopilots.ardupilot.autopilot import (
+    GPS_GLOBAL_ORIGIN,
+    HOME_POSITION,
+    ArduPilot,
+    Due,
+    boot_of,
+    profile,
+)
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
 from vehicle_sim.autopilots.ardupilot.plane_mission import Forced
@@ -29,11 +36,6 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     BY_ITSELF,
     NAMES,
     Mode,
-)
-from vehicle_sim.autopilots.ardupilot.profile import (
-    GPS_GLOBAL_ORIGIN,
-    HOME_POSITION,
-    profile,
 )
 from vehicle_sim.autopilots.attitude import (
     IGNORE_RATES,
@@ -48,19 +50,10 @@ from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix
 
-TABLE = (*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS)
-CAPABILITIES = 62319
 ORIGIN_SAID_US = 2_261_000
 """From setting the origin to saying it and home."""
 HOME_SET_US = 850_000
 """From the first fix to home."""
-TIMING = Timing(
-    initialised_us=11_100_000,
-    attitude_us=12_300_000,
-    origin_after_fix_us=10_220_000,
-    using_after_fix_us=11_240_000,
-    origin_texts=((1, "EKF3 IMU1 origin set"),),
-)
 _STREAMED = """
 0 1 2 24 27 29 30 32 33 36 42 62 65 74 87 116 125 129 133 136 137 147 152 162 163 164 168 241 295
 11020 11030
@@ -74,10 +67,16 @@ class ArduPlane(ArduPilot):
     """One vehicle's autopilot; steers the plane that it is given."""
 
     vehicle: Plane
-    profile = profile(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
+    profile = profile(vehicle_type=1, capabilities=62319, rates_hz=_RATES_HZ)
     MODES: ClassVar[Mapping[int, str]] = NAMES
-    TABLE = TABLE
-    TIMING = TIMING
+    TABLE = (*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS)
+    TIMING = Timing(
+        initialised_us=11_100_000,
+        attitude_us=12_300_000,
+        origin_after_fix_us=10_220_000,
+        using_after_fix_us=11_240_000,
+        origin_texts=((1, "EKF3 IMU1 origin set"),),
+    )
     PREARM_US: ClassVar[int] = 22_800_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = True
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")

@@ -4,17 +4,43 @@ Source: ardupilot.md 2 and the recorded flights.  The autopilot steers by its es
 ground itself, and the height above it that a rangefinder would measure for landing, are true.
 """
 
+import enum
 import math
 from collections.abc import Callable
 from typing import final
 
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot import copter_table as modes
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_auto import Auto, Motion, Yaw, tuning_of
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, Submode
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, offset
 from vehicle_sim.dynamics.copter import Copter
+
+
+class Mode(enum.IntEnum):
+    """custom_mode of the heartbeat."""
+
+    STABILIZE = 0
+    ACRO = 1
+    ALT_HOLD = 2
+    AUTO = 3
+    GUIDED = 4
+    LOITER = 5
+    RTL = 6
+    CIRCLE = 7
+    LAND = 9
+    POSHOLD = 16
+    BRAKE = 17
+    GUIDED_NOGPS = 20
+    SMARTRTL = 21
+
+
+NAMES: dict[int, str] = {mode.value: mode.name for mode in Mode}
+RETURNS = (Mode.RTL, Mode.SMARTRTL)
+NEED_POSITION = frozenset(
+    {Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.CIRCLE, Mode.POSHOLD, Mode.BRAKE, *RETURNS}
+)
+NOT_ARMABLE = frozenset({Mode.AUTO, Mode.CIRCLE, Mode.LAND, Mode.BRAKE, *RETURNS})
 
 LIFTS_AFTER_ARMING_US = 3_430_000
 LIFTS_AFTER_COMMAND_US = 1_450_000
@@ -52,19 +78,19 @@ class Flight:
         self._circle_centre: Place | None = None
         self._looks_ahead = False
         self._runs: dict[int, Callable[[float], Vector]] = {
-            modes.GUIDED: self._run_guided,
-            modes.GUIDED_NOGPS: self._run_angle,
-            modes.AUTO: self.auto.run,
-            modes.RTL: motion.run_return,
-            modes.SMART_RTL: motion.run_return,
-            modes.LAND: motion.run_landing,
-            modes.BRAKE: self._run_brake,
-            modes.CIRCLE: self._run_circle,
-            modes.LOITER: self._run_loiter,
-            modes.POSHOLD: self._run_loiter,
-            modes.ALT_HOLD: self._run_altitude_hold,
-            modes.STABILIZE: self._fall,
-            modes.ACRO: self._fall,
+            Mode.GUIDED: self._run_guided,
+            Mode.GUIDED_NOGPS: self._run_angle,
+            Mode.AUTO: self.auto.run,
+            Mode.RTL: motion.run_return,
+            Mode.SMARTRTL: motion.run_return,
+            Mode.LAND: motion.run_landing,
+            Mode.BRAKE: self._run_brake,
+            Mode.CIRCLE: self._run_circle,
+            Mode.LOITER: self._run_loiter,
+            Mode.POSHOLD: self._run_loiter,
+            Mode.ALT_HOLD: self._run_altitude_hold,
+            Mode.STABILIZE: self._fall,
+            Mode.ACRO: self._fall,
         }
 
     def read_parameters(self) -> None:
@@ -82,13 +108,13 @@ class Flight:
         self._set_looks_ahead()
         self.yaw.look_ahead()
         self.guided.stop()
-        if mode == modes.LAND:
+        if mode == Mode.LAND:
             self.motion.lands_with_position = self.host.ekf.position_ok
-        elif mode in (modes.RTL, modes.SMART_RTL):
-            self.motion.begin_return(climb=mode == modes.RTL)
-        elif mode == modes.CIRCLE:
+        elif mode in RETURNS:
+            self.motion.begin_return(climb=mode == Mode.RTL)
+        elif mode == Mode.CIRCLE:
             self._begin_circle()
-        elif mode == modes.AUTO:
+        elif mode == Mode.AUTO:
             self.auto.begin()
 
     def take_off(self, altitude_amsl_m: float) -> None:
@@ -105,9 +131,9 @@ class Flight:
     def landing(self) -> bool:
         """Whether it comes down to land."""
         mode = self.host.mode
-        if mode in (modes.RTL, modes.SMART_RTL):
+        if mode in RETURNS:
             return self.motion.returned
-        return mode == modes.LAND or (mode == modes.AUTO and self.auto.landing)
+        return mode == Mode.LAND or (mode == Mode.AUTO and self.auto.landing)
 
     # --- each step ----------------------------------------------------------------------------
 
@@ -115,7 +141,7 @@ class Flight:
         """Fly on, over ground of this height."""
         host, copter, guided = self.host, self.copter, self.guided
         self.motion.ground_amsl_m = ground_amsl_m
-        if host.mode == modes.GUIDED and not guided.paused:
+        if host.mode == Mode.GUIDED and not guided.paused:
             guided.run(host.now_us, dt_s)
         if self.on_ground:
             self._stand(ground_amsl_m)
@@ -139,18 +165,18 @@ class Flight:
     def _set_looks_ahead(self) -> None:
         """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
         behaviour, mode = int(self.host.parameters["WP_YAW_BEHAVIOR"]), self.host.mode
-        if mode in (modes.RTL, modes.SMART_RTL):
+        if mode in RETURNS:
             self._looks_ahead = behaviour in (1, 3)
         else:
-            self._looks_ahead = behaviour != 0 and mode in (modes.GUIDED, modes.AUTO)
+            self._looks_ahead = behaviour != 0 and mode in (Mode.GUIDED, Mode.AUTO)
 
     def _stand(self, ground_amsl_m: float) -> None:
         """On the ground: lift off when a take-off has spooled up, disarm after a landing."""
         host, now_us = self.host, self.host.now_us
         self.copter.altitude_amsl_m = ground_amsl_m
-        if host.mode == modes.AUTO and host.armed:
+        if host.mode == Mode.AUTO and host.armed:
             self.auto.on_ground()
-        by_angle = host.mode in (modes.GUIDED, modes.GUIDED_NOGPS) and self.guided.climbs()
+        by_angle = host.mode in (Mode.GUIDED, Mode.GUIDED_NOGPS) and self.guided.climbs()
         spun_up = now_us - self.armed_us >= LIFTS_AFTER_ARMING_US
         if host.armed and by_angle and spun_up and not self.guided.lapsed(now_us):
             self._lift_off()
@@ -284,7 +310,7 @@ class Flight:
     @property
     def taking_off(self) -> bool:
         """Whether a take-off is going on, in GUIDED or AUTO."""
-        in_auto = self.host.mode == modes.AUTO and self.auto.taking_off
+        in_auto = self.host.mode == Mode.AUTO and self.auto.taking_off
         return self.motion.takeoff_us is not None or in_auto
 
     @property

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import final
 
 from vehicle_sim.autopilots import Landed, Place, Waypoint
-from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
+from vehicle_sim.autopilots.ardupilot.autopilot import HEARTBEAT, ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, offset
 from vehicle_sim.autopilots.ardupilot.plane_mission import NOT_FORCED, Forced, Guided, Mission
 from vehicle_sim.autopilots.ardupilot.plane_navigation import (
@@ -23,7 +23,6 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
-from vehicle_sim.autopilots.ardupilot.profile import HEARTBEAT
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane
 from vehicle_sim.parameters import Parameters
 

@@ -33,9 +33,8 @@ from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
 from vehicle_sim.autopilots.px4 import failsafe, health
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
 from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Pilot
-from vehicle_sim.autopilots.px4.fence import Fence
 from vehicle_sim.autopilots.px4.health import Gimbal, LoggerState, text
-from vehicle_sim.autopilots.px4.mission import Mission, Surroundings
+from vehicle_sim.autopilots.px4.mission import Fence, Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
     CUSTOM_MODES,
     MANUAL_MODES,
@@ -58,6 +57,44 @@ from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Parameter, Parameters, table
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
+
+CAPABILITIES: Final = 0xE8FF
+SOFTWARE_VERSION: Final = 0x01110040
+CUSTOM_VERSION: Final = bytes((0, 0, 0, 178, 57, 165, 123, 187))
+
+_ON_EVENT: Final = (42, 46, 49, 77, 148, 300, 410, 411)
+_BY_RATE: Final = {
+    0.33: (411,),
+    0.5: (147, 241, 242, 380, 436),
+    1.0: (0, 2, 4, 8, 29, 42, 230, 441, 12901, 12904),
+    5.0: (1, 245),
+    8.0: (24,),
+    10.0: (36, 74, 83, 85, 87, 111, 132, 141),
+    30.0: (32, 331),
+    50.0: (31, 33, 105),
+    100.0: (30,),
+}
+RATES_HZ: Final = dict(sorted((n, hz) for hz, ns in _BY_RATE.items() for n in ns))
+"""What a fresh onboard link gets, by message number, in Hz of vehicle time."""
+_NOT_STREAMABLE: Final = frozenset({0, 42})
+"""Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
+
+
+def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile:
+    """PX4 on its onboard link (px4.md 2), for a vehicle of this MAV_TYPE."""
+    every = frozenset(rates_hz) | {40, 62, 65, 77, 148, 230, 231, 300}
+    return FirmwareProfile(
+        firmware="px4",
+        vehicle_type=vehicle_type,
+        autopilot=12,
+        capabilities=CAPABILITIES,
+        software_version=SOFTWARE_VERSION,
+        custom_version=CUSTOM_VERSION,
+        rates_hz=rates_hz,
+        streamable=(every | {49, 410}) - _NOT_STREAMABLE - {148, 300},
+        requestable=every | frozenset(_ON_EVENT),
+    )
+
 
 ARMABLE_US: Final = 3_500_000
 """Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
@@ -652,7 +689,7 @@ class Px4(abc.ABC):
         self._still = False
         self._armed_us, self._landed_us, self._contact_us = now_us, None, None
         if self.estimate.position_ok:
-            self.set_home(self.estimate.place)
+            self.home = self.estimate.place
         self.pilot.at_arming = self.pilot.present(now_us, self.parameters["COM_RC_LOSS_T"])
         arguments = bytes((health.ARMED_BY_COMMAND,))
         self.emit(
@@ -733,16 +770,12 @@ class Px4(abc.ABC):
         """With the first GPS that is fused: origin and home, and the origin is told once."""
         if self.estimate.position_ok:
             self._set_origin(self.estimate.place)
-            self.set_home(self.estimate.place)
+            self.home = self.estimate.place
 
     def _set_origin(self, place: Place) -> None:
         self.origin = place
         self.projection = Projection(place.latitude_deg, place.longitude_deg)
         self.emit(SendTelemetry(message=49))
-
-    def set_home(self, place: Place) -> None:
-        """Home is here."""
-        self.home = place
 
 
 Handler = Callable[[Px4, Command], Result]

@@ -176,14 +176,14 @@ def _set_home(px4: Px4, command: Command) -> Result:
     if command.parameters[0] == 1.0:
         if not px4.estimate.position_ok:
             return Result.TEMPORARILY_REJECTED
-        px4.set_home(px4.estimate.place)
+        px4.home = px4.estimate.place
     else:
         latitude_deg, longitude_deg, altitude_m = _place(px4, command)
         if not all(map(math.isfinite, (latitude_deg, longitude_deg, altitude_m))):
             return Result.DENIED
         if abs(altitude_m) > HIGHEST_HOME_M:
             return Result.DENIED
-        px4.set_home(Place(latitude_deg, longitude_deg, altitude_m))
+        px4.home = Place(latitude_deg, longitude_deg, altitude_m)
     px4.emit(SendTelemetry(message=242))
     return Result.ACCEPTED
 

@@ -16,11 +16,10 @@ from typing import Final, final
 from vehicle_sim.autopilots import Event, TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
-from vehicle_sim.autopilots.px4.autopilot import Px4
+from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits, size, true_airspeed_m_s
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
-from vehicle_sim.autopilots.px4.profile import FIXED_WING_RATES_HZ, profile
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
 
@@ -122,7 +121,8 @@ class Px4FixedWing(Px4):
     vehicle: Plane
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/fixed_wing")
-    profile = profile(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ)
+    profile = profile(vehicle_type=_AEROPLANE, rates_hz=RATES_HZ | {231: 10.0, 360: 5.0})
+    """WIND_COV as well, and ORBIT_EXECUTION_STATUS while it circles."""
     measures_airspeed = True
 
     def _set_up(self) -> None:

@@ -1,4 +1,4 @@
-"""PX4's missions: the list of items as legs to fly, one after the other (px4.md 7)."""
+"""PX4's missions, as legs to fly one after the other, and its geofence (px4.md 7)."""
 
 import math
 from collections.abc import Callable
@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Place, Reply, SendMessage, height_amsl_m
 from vehicle_sim.autopilots.px4.modes import Mode
-from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Plans
+from vehicle_sim.autopilots.px4.setpoints import Projection
+from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Plans, Zone, forbidden, zones_of
 
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
 _LEGS: Final = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, 31})
@@ -175,3 +176,39 @@ class Mission:
             turns=first if item.command == LOITER_TURNS else 0.0,
             yaw_rad=math.radians(fourth) if math.isfinite(fourth) else math.nan,
         )
+
+
+@final
+class Fence:
+    """Polygons and circles, noticed after crossing.
+
+    Setpoints are never checked against it; the targets of DO_REPOSITION are.
+    """
+
+    def __init__(self, plans: Plans) -> None:
+        self._plans = plans
+        self._version = -1
+        self._projection: Projection | None = None
+        self._zones: tuple[Zone, ...] = ()
+        self.breached = False
+        self.breaches = 0
+
+    def note(self, *, breached: bool) -> None:
+        """Whether the vehicle is outside of what is allowed now."""
+        if breached and not self.breached:
+            self.breaches += 1
+        self.breached = breached
+
+    def allows(self, projection: Projection, north_m: float, east_m: float) -> bool:
+        """Whether a place is inside any zone that keeps in, and outside all that keep out."""
+        if self._version != self._plans.version or self._projection is not projection:
+            self._version, self._projection = self._plans.version, projection
+            self._zones = zones_of(self._plans[PlanKind.FENCE], projection.to_local)
+
+        def inside(zone: Zone) -> bool:
+            if zone.radius_m > 0.0:
+                centre_n, centre_e = zone.corners[0]
+                return math.hypot(north_m - centre_n, east_m - centre_e) <= zone.radius_m
+            return zone.surrounds((north_m, east_m))
+
+        return not forbidden(self._zones, inside, union=True)

@@ -7,7 +7,7 @@ from typing import Final, final
 from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
-from vehicle_sim.autopilots.px4.autopilot import Px4
+from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
 from vehicle_sim.autopilots.px4.position_control import (
@@ -18,7 +18,6 @@ from vehicle_sim.autopilots.px4.position_control import (
     Wanted,
     beyond,
 )
-from vehicle_sim.autopilots.px4.profile import RATES_HZ, profile
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 
