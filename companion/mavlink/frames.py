@@ -172,15 +172,14 @@ def decoded(frame: bytes, kind: Any) -> Message:
     size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
     payload = frame[head : head + frame[1]].ljust(size, b"\0")
     message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
-    message._msgbuf = bytearray(frame)
-    message._payload = message._msgbuf[6:-2]
+    message._msgbuf = frame
     (message._crc,) = _CRC.unpack_from(frame, len(frame) - 2)
     header = message._header
     if frame[0] == V2:
-        _, header.mlen, header.incompat_flags, header.compat_flags = frame[:4]
+        header.mlen, header.incompat_flags, header.compat_flags = frame[1:4]
         header.seq, header.srcSystem, header.srcComponent = frame[4:7]
     else:
-        _, header.mlen, header.seq, header.srcSystem, header.srcComponent = frame[:5]
+        header.mlen, header.seq, header.srcSystem, header.srcComponent = frame[1:5]
     return message
 
 

@@ -46,6 +46,7 @@ from companion.mission.events import (
     StatusText,
     StopAsked,
     TakeOffTaken,
+    Tick,
     VehicleFound,
     VehicleStatus,
 )
@@ -123,6 +124,8 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
     """Update vehicle and terrain by an event, except for positions."""
     vehicle, flight = state.vehicle, state.flight
     match event:
+        case Tick():
+            return state
         case VehicleFound(traits=traits):
             vehicle = replace(vehicle, traits=traits or UNKNOWN)
         case VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):

@@ -130,7 +130,8 @@ class ControlLoop:
 
     def _take(self, timeout_s: float) -> None:
         """Feed new events to the session; wait up to a time for the first."""
-        self.part.beat(self.gate.stall_limit_s())
+        if not self.lockstep:  # where nobody watches for how long a worker stalls
+            self.part.beat(self.gate.stall_limit_s())
         items = self.event_queue.take(timeout_s)
         now_s = self.clock()
         self._arrived_s, self._turned_s = None, now_s

@@ -19,7 +19,9 @@ class Histogram:
 
     def add(self, duration_s: float) -> None:
         """One more."""
-        place = math.ceil(_PER_DECADE * math.log10(max(duration_s, _MIN_S) / _MIN_S))
+        place = 0
+        if duration_s > _MIN_S:
+            place = math.ceil(_PER_DECADE * math.log10(duration_s / _MIN_S))
         self._counts[min(place, len(self._counts) - 1)] += 1
         self.count += 1
         self.longest_s = max(self.longest_s, duration_s)

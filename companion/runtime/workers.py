@@ -4,13 +4,12 @@ Each does one thing that may block, and reports to the control loop through a qu
 the control loop reads and writes by itself, as the vehicle waits.
 """
 
-import contextlib
 import queue
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 from companion.mavlink.link import VEHICLE_LINK
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -31,8 +30,7 @@ _PLANNER_SLACK_S = 5.0  # on top of T: the plan is late long before, and dead on
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Datagram:
+class Datagram(NamedTuple):
     """Received bytes, with sender and time."""
 
     data: bytes
@@ -77,11 +75,12 @@ class EventQueue:
 
     def take(self, timeout_s: float, most: int = 64) -> list[Item]:
         """Take the queued items; if there is none, wait for the next."""
-        items: list[Item] = []
-        with contextlib.suppress(queue.Empty):
-            items.append(self._items.get(block=timeout_s > 0.0, timeout=timeout_s or None))
-            while len(items) < most:
-                items.append(self._items.get_nowait())
+        try:
+            items = [self._items.get(block=timeout_s > 0.0, timeout=timeout_s or None)]
+        except queue.Empty:
+            return []
+        while len(items) < most and not self._items.empty():  # nobody else takes any
+            items.append(self._items.get_nowait())
         return items
 
 
@@ -97,11 +96,11 @@ class LinkReader:
     def run(self) -> None:
         """Receive until stopped; an exception of the link ends it."""
         while not self._leaving.is_set():
+            self.part.beat(self._gate.stall_limit_s())
             self.once(POLL_S)
 
     def once(self, timeout_s: float) -> None:
         """Wait so long for one datagram."""
-        self.part.beat(self._gate.stall_limit_s())
         data = self._link.receive(timeout_s)
         if data is not None:
             self._event_queue.put(Datagram(data, self._link.sender, self._clock()))

@@ -74,7 +74,7 @@ class Pilot(Rig):
         return self
 
     def target(self) -> Any:
-        return self.autopilot.status().target
+        return self.autopilot.target_echo()
 
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4

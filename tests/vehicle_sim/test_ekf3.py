@@ -124,7 +124,7 @@ def test_without_gps_it_lands_and_stops_aiding_as_recorded(hovering: Recorded) -
         assert said == pytest.approx([start_s + 15.1], abs=0.2)
     status = it.autopilot.status()
     assert (status.mode, status.system_status) == (LAND, CRITICAL)
-    assert status.local_ned_m is None
+    assert it.autopilot.local_ned_m() is None
     before = (it.autopilot.estimate.latitude_deg, it.autopilot.estimate.longitude_deg)
     it.fly_on(7.0)
     assert (it.autopilot.estimate.latitude_deg, it.autopilot.estimate.longitude_deg) == before
@@ -136,7 +136,7 @@ def test_without_gps_it_lands_and_stops_aiding_as_recorded(hovering: Recorded) -
     assert it.when("EKF Failsafe Cleared") == pytest.approx([back_s + 1.2], abs=0.2)
     status = it.autopilot.status()
     assert (status.mode, status.system_status) == (LAND, ACTIVE)  # until somebody commands it
-    assert status.local_ned_m is not None
+    assert it.autopilot.local_ned_m() is not None
 
 
 def test_a_failsafe_landing_waits_four_seconds_before_it_goes_down(hovering: Recorded) -> None:

@@ -90,8 +90,7 @@ class Command:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setpoint:
+class Setpoint(NamedTuple):
     """A SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED, as sent: nothing is checked yet.
 
     One that is not addressed to the autopilot never comes here: wire/routing.py.
@@ -193,8 +192,7 @@ Reply = Ack | Text | Event | SendTelemetry | SendMessage | SendParameter | Reboo
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(NamedTuple):
     """A point on or above the earth."""
 
     latitude_deg: float
@@ -259,8 +257,7 @@ class Estimate:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TargetEcho:
+class TargetEcho(NamedTuple):
     """The autopilot's target in the estimator's local frame: POSITION_TARGET_LOCAL_NED."""
 
     position_ned_m: tuple[float, float, float] | None
@@ -301,9 +298,6 @@ class Status(NamedTuple):
     """The PREARM_CHECK bit of SYS_STATUS."""
     origin: Place | None = None
     """Of the estimator; its local frame is the autopilot's own flat earth about this point."""
-    local_ned_m: tuple[float, float, float] | None = None
-    """Position in that frame; None while LOCAL_POSITION_NED is not sent."""
-    target: TargetEcho | None = None
     waypoint: Waypoint | None = None
     intended_mode: int | None = None
     """CURRENT_MODE of PX4; None: the mode itself."""
@@ -469,5 +463,11 @@ class Autopilot(Protocol):
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
         """Fault: the estimator's origin moves by this much."""
 
+    def local_ned_m(self) -> tuple[float, float, float] | None:
+        """Position in the estimator's frame; None while LOCAL_POSITION_NED is not sent."""
+
+    def target_echo(self) -> TargetEcho | None:
+        """Its target, if that is told."""
+
     def status(self) -> Status:
-        """The status for telemetry."""
+        """What else there is to tell."""

@@ -1,8 +1,7 @@
 """Position and velocity samples at the GPS antenna, and a jammer."""
 
 import math
-from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -15,8 +14,7 @@ _WILD_M = 200.0
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """Where the antenna was."""
 
     time_us: int

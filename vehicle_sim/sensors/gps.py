@@ -7,7 +7,7 @@ SensorGpsSim.cpp), with the times and accuracies that the recorded flights show.
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from vehicle_sim.sensors.antenna import EARTH_DEG_M, Jamming, Sample, between
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fix:
+class Fix(NamedTuple):
     """One solution of the receiver: GPS_RAW_INT.  The newest one is handed to every step."""
 
     time_us: int = 0

@@ -100,6 +100,7 @@ class Layout:
         self.number: int = kind.id
         self.crc_extra = bytes([kind.crc_extra])
         self.size: int = kind.unpacker.size
+        self._names: Sequence[str] = kind.ordered_fieldnames
         self._pack = _packing(kind)
         self._unpack: Callable[[bytes], tuple[Any, ...]] = kind.unpacker.unpack_from
         self._make: Callable[..., Any] = kind
@@ -110,9 +111,6 @@ class Layout:
                 f"_{name}_raw" if length and types[name] == "char" else name  # as bytes
                 for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True)
             ],
-        )
-        self._in_order = _getting(
-            itemgetter, [*map(kind.fieldnames.index, kind.ordered_fieldnames)]
         )
         order, lengths = getattr(kind, "orders", ()), kind.lengths
         starts = [sum(lengths[:k]) for k in range(len(lengths))]
@@ -138,9 +136,15 @@ class Layout:
         """All of the payload of a message; zeros at its end may be left off."""
         return self._pack(self._attributes(message))
 
-    def prepared(self, values: Sequence[Any]) -> "Prepared":
-        """A message to be sent, from its fields in the order of its constructor; texts as bytes."""
-        return Prepared(self, self._pack(self._in_order(values)))
+    def preparing(self, names: Sequence[str]) -> Callable[[Sequence[Any]], "Prepared"]:
+        """What makes messages to be sent, of values by these names of fields; texts as bytes.
+
+        Of a name that comes twice the later value counts.
+        """
+        places = {name: place for place, name in enumerate(names)}
+        in_order = _getting(itemgetter, [places[name] for name in self._names])
+        pack = self._pack
+        return lambda values: Prepared(self, pack(in_order(values)))
 
 
 @final

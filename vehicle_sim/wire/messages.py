@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilots import Ack, Command, Event, ManualControl, Sender, Setpoint, Text
 from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.dialect import message_class
+from vehicle_sim.wire.dialect import Prepared, layout_of, message_class
 
 AUTOPILOT_COMPONENT = 1
 DO_SET_MODE = 176
@@ -23,7 +23,9 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
 _sender = lru_cache(maxsize=64)(Sender)
 """The same few speak all the time."""
-_TimeSync: Final = message_class("TIMESYNC")
+_time_sync: Final = layout_of(message_class("TIMESYNC")).preparing(
+    ["tc1", "ts1", "target_system", "target_component"]
+)
 _Event: Final = message_class("EVENT")
 _DEFLECTION = 1000.0
 _NO_DEFLECTION = 0x7FFF
@@ -155,14 +157,9 @@ def event(value: Event, sequence: int, boot_ms: int) -> Any:
     )
 
 
-def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Any:
+def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Prepared:
     """TIMESYNC: a request with tc1 = 0, else an answer to its sender."""
-    return _TimeSync(
-        tc1=tc1_ns,
-        ts1=ts1_ns,
-        target_system=to.system if to else 0,
-        target_component=to.component if to else 0,
-    )
+    return _time_sync((tc1_ns, ts1_ns, to.system if to else 0, to.component if to else 0))
 
 
 def pong(question: Any, to: Sender) -> Any:

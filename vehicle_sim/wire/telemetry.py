@@ -19,6 +19,7 @@ PLANE: Final = 1
 """MAV_TYPE_FIXED_WING."""
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 _IGNORE_YAW_RATE = 0x800
+_ZERO = (0.0, 0.0, 0.0)
 
 Builder = Callable[[Report], Prepared | None]
 Value = int | float | bytes | Sequence[int | float]
@@ -47,49 +48,37 @@ def builders(firmware: Table) -> dict[int, Builder]:
 def _builder(kind: Any, form: Form) -> Builder:
     times = {"time_boot_ms": boot_ms, "time_usec": time_us}
     form = {name: take for name, take in times.items() if name in kind.fieldnames} | dict(form)
-    places = {name: place for place, name in enumerate(kind.fieldnames)}
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
-    blank: list[Any] = [
-        b"" if code == "char" else [0] * lengths[name] if lengths[name] else 0
+    constants: dict[str, Any] = {
+        name: b"" if code == "char" else [0] * lengths[name] if lengths[name] else 0
         for name, code in zip(kind.fieldnames, kind.fieldtypes, strict=True)
-    ]
-    singles = list[tuple[int, Callable[[Report], Any]]]()
-    groups = list[tuple[slice, Callable[[Report], Any]]]()
-    scattered = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
+    }
+    taken, names = list[tuple[Callable[[Report], Any], bool]](), list[str]()
     for key, value in form.items():
-        fields = tuple(places[name] for name in key.split())
+        fields = key.split()
         if callable(value):
-            if len(fields) == 1:
-                singles.append((fields[0], value))
-            elif fields == tuple(range(fields[0], fields[0] + len(fields))):
-                groups.append((slice(fields[0], fields[-1] + 1), value))
-            else:
-                scattered.append((fields, value))
+            taken.append((value, len(fields) == 1))
+            names += fields
         elif len(fields) == 1:
-            blank[fields[0]] = value
+            constants[key] = value
         else:
             assert isinstance(value, Sequence)
-            for place, each in zip(fields, value, strict=True):
-                blank[place] = each
+            constants |= zip(fields, value, strict=True)
+    names = [*constants, *names]  # what is taken comes later, and counts
+    prepared = layout_of(kind).preparing(names)
+    given = list(constants.values())
 
     def build(report: Report) -> Prepared | None:
-        values = blank.copy()
-        for place, take in singles:
-            value = values[place] = take(report)
+        values = given.copy()
+        for take, is_single in taken:
+            value = take(report)
             if value is None:
                 return None
-        for neighbours, take in groups:
-            several = take(report)
-            if several is None:
-                return None
-            values[neighbours] = several
-        for fields, take in scattered:
-            several = take(report)
-            if several is None:
-                return None
-            for place, each in zip(fields, several, strict=True):
-                values[place] = each
-        return layout_of(kind).prepared(values)
+            if is_single:
+                values.append(value)
+            else:
+                values += value
+        return prepared(values)
 
     return build
 
@@ -187,7 +176,8 @@ def _above_home_mm(report: Report) -> int:
 
 
 def _velocity_cm_s(report: Report) -> tuple[int, ...]:
-    return tuple(bounded(v * 100.0, INT16) for v in velocity_ned_m_s(report))
+    north, east, down = velocity_ned_m_s(report)
+    return bounded(north * 100.0, INT16), bounded(east * 100.0, INT16), bounded(down * 100.0, INT16)
 
 
 GPS_FIELDS: Final = "fix_type lat lon alt eph epv vel cog"
@@ -218,17 +208,18 @@ TARGET_FIELDS: Final = "type_mask x y z vx vy vz afx afy afz yaw yaw_rate"
 
 
 def _target(report: Report) -> tuple[float, ...] | None:
-    target = report.status.target
+    target = report.autopilot.target_echo()
     if target is None:
         return None
-    vectors = (target.position_ned_m, target.velocity_ned_m_s, target.acceleration_ned_m_s2)
+    position, velocity, acceleration = target[:3]
     mask = target.type_mask
     if mask is None:
         mask = _IGNORE_YAW_RATE
-        ignored = (_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION)
-        mask |= sum(bits for bits, vector in zip(ignored, vectors, strict=True) if not vector)
-    numbers = (each for vector in vectors for each in vector or (0.0, 0.0, 0.0))
-    return (mask, *numbers, target.yaw_rad, target.yaw_rate_rad_s)
+        mask |= 0 if position else _IGNORE_POSITION
+        mask |= 0 if velocity else _IGNORE_VELOCITY
+        mask |= 0 if acceleration else _IGNORE_ACCELERATION
+    vectors = (*(position or _ZERO), *(velocity or _ZERO), *(acceleration or _ZERO))
+    return (mask, *vectors, target.yaw_rad, target.yaw_rate_rad_s)
 
 
 # --- the table ------------------------------------------------------------------------------------
@@ -276,7 +267,7 @@ COMMON: Final[Table] = {
     },
     "SYSTEM_TIME": {"time_unix_usec": lambda r: r.unix_us},
     "LOCAL_POSITION_NED": {
-        "x y z": lambda r: r.status.local_ned_m,
+        "x y z": lambda r: r.autopilot.local_ned_m(),
         "vx vy vz": velocity_ned_m_s,
     },
     "GPS_GLOBAL_ORIGIN": {"latitude longitude altitude": lambda r: place_e7_mm(r.status.origin)},

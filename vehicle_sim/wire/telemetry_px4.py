@@ -102,7 +102,7 @@ def _waypoint(report: Report) -> tuple[float, ...] | None:
 
 def _aim(report: Report) -> tuple[float, ...]:
     """Velocity, acceleration, yaw and its rate: the controller's."""
-    target = report.status.target
+    target = report.autopilot.target_echo()
     if target is None:
         return (*_UNKNOWN, *_UNKNOWN, _NAN, _NAN)
     velocity, acceleration = target.velocity_ned_m_s, target.acceleration_ned_m_s2
@@ -126,7 +126,7 @@ def _home_down_m(report: Report) -> float | None:
 
 def _return_s(report: Report) -> int:
     """RTL_TIME_MARGIN and a rough way home; 0 on the ground."""
-    home, local_ned_m = report.autopilot.home, report.status.local_ned_m
+    home, local_ned_m = report.autopilot.home, report.autopilot.local_ned_m()
     if _on_ground(report) or home is None or local_ned_m is None:
         return 0
     way_s = math.hypot(local_ned_m[0], local_ned_m[1]) / 5.0
@@ -331,7 +331,7 @@ MESSAGES: Final = telemetry.builders(
         "VIBRATION": {"vibration_x vibration_y vibration_z": _vibration},
         "ODOMETRY": {
             "frame_id child_frame_id": (mavlink.MAV_FRAME_LOCAL_NED,) * 2,
-            "x y z": lambda r: r.status.local_ned_m,
+            "x y z": lambda r: r.autopilot.local_ned_m(),
             "q": quaternion,
             "vx vy vz": velocity_ned_m_s,
             "rollspeed pitchspeed yawspeed": rates_rad_s,

@@ -6,7 +6,6 @@ copter_guided.py and copter_control.py; what it shares with ArduPlane is in auto
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar, final
 
 from vehicle_sim.autopilots import (
@@ -468,7 +467,7 @@ class ArduCopter(ArduPilot):
         slow_m_s = math.sqrt(self.flight.control.tuning.acceleration_m_s2 * left_m)
         share = min(slow_m_s / speed, AVOIDANCE_1_S * left_m / speed, 1.0)
         slowed = (north * share, east * share, up)
-        return replace(target, velocity_neu_m_s=slowed, acceleration_neu_m_s2=NOTHING)
+        return target._replace(velocity_neu_m_s=slowed, acceleration_neu_m_s2=NOTHING)
 
     # --- telling --------------------------------------------------------------------------------
 
@@ -558,7 +557,6 @@ class ArduCopter(ArduPilot):
             base_mode=self.base_mode(),
             system_status=self.system_status(),
             landed_state=self.landed_state(),
-            target=self.target_echo(),
             waypoint=self.waypoint(),
             mission_state=self.mission_state(),
         )

@@ -403,6 +403,9 @@ class ArduPlane(ArduPilot):
             return 0.0, 0.0, self.home.altitude_amsl_m - self.estimate.altitude_amsl_m
         return local
 
+    def target_echo(self) -> None:
+        """It has none: it is steered by waypoints."""
+
     def mission_state(self) -> int:
         """MISSION_STATE: 1 no mission, 2 not started, 3 active, 5 complete."""
         if len(self.plans[PlanKind.MISSION]) < 2:

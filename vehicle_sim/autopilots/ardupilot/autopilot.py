@@ -630,7 +630,6 @@ class ArduPilot(abc.ABC):
             mode=self.mode,
             prearm_ok=self.now_us >= self.PREARM_US,
             origin=self.ekf.origin,
-            local_ned_m=self.local_ned_m(),
             mission_current=self.mission_current,
             mission_total=max(len(self.plans[PlanKind.MISSION]) - 1, 0),
             fence_breached=bool(self.fence.breached),

@@ -6,7 +6,7 @@ Source: ardupilot.md 3 and the recorded flights; submodes and their changes as m
 import enum
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 from vehicle_sim.autopilots import (
     FRAMES_ABOVE_TERRAIN,
@@ -35,8 +35,7 @@ _FASTEST_M_S = 1000.0
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class Target(NamedTuple):
     """A decoded setpoint; missing parts are None.  Vectors north, east, up."""
 
     place: Place | None
@@ -55,8 +54,7 @@ class Stop:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetpointFrames:
+class SetpointFrames(NamedTuple):
     """Reference frames of setpoints."""
 
     vehicle: Place

@@ -226,7 +226,7 @@ class Px4(abc.ABC):
         """One step: steer by self.estimate, advance self.vehicle; on the ground too."""
 
     @abc.abstractmethod
-    def _echo(self) -> TargetEcho | None:
+    def target_echo(self) -> TargetEcho | None:
         """POSITION_TARGET_LOCAL_NED."""
 
     @abc.abstractmethod
@@ -402,6 +402,10 @@ class Px4(abc.ABC):
         self._set_origin(self.projection.place(north_m, east_m, altitude_m))
         return ()
 
+    def local_ned_m(self) -> Vector:
+        """Position in the estimator's frame."""
+        return self.local_m
+
     def status(self) -> Status:
         """The status for telemetry."""
         mode, armed = self.mode, self.armed
@@ -413,8 +417,6 @@ class Px4(abc.ABC):
             prearm_ok=self.now_us >= ARMABLE_US
             and self._can_arm(self._checks.reported_position_ok, self._checks.reported_signal),
             origin=self.origin,
-            local_ned_m=self.local_m,
-            target=self._echo(),
             waypoint=self._waypoint() if armed and mode in NAVIGATED else None,
             intended_mode=CUSTOM_MODES[self.intended],
             mission_current=self.mission.current,

@@ -547,7 +547,7 @@ class Px4FixedWing(Px4):
 
     # --- to tell ------------------------------------------------------------------------------
 
-    def _echo(self) -> TargetEcho | None:
+    def target_echo(self) -> TargetEcho | None:
         """The nearest point of the path, as PX4 publishes it; nothing while it follows one."""
         mode = self.mode
         if mode in MANUAL_MODES or mode is Mode.DESCEND:

@@ -1,6 +1,5 @@
 """PX4 1.17 flying a multicopter: OFFBOARD without look-ahead, and AUTO modes (px4.md 3 to 8)."""
 
-import dataclasses
 import math
 from typing import Final, final
 
@@ -500,12 +499,12 @@ class Px4Multicopter(Px4):
 
     # --- to tell ------------------------------------------------------------------------------
 
-    def _echo(self) -> TargetEcho | None:
+    def target_echo(self) -> TargetEcho | None:
         """What the controller steers for: its own velocity and acceleration, not those sent."""
         contact_us = self._contact_us
         lies = contact_us is not None and self.now_us - contact_us > _LIES_US
         if lies or not self._flying or (self.landed and self._ramp_us is None):
-            return dataclasses.replace(_IDLE, yaw_rad=self.vehicle.heading_rad)
+            return _IDLE._replace(yaw_rad=self.vehicle.heading_rad)
         position, velocity = self._asked[0], self._control.velocity
         mask = 0
         for bit, value in enumerate((*position, *velocity)):
