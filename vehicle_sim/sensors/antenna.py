@@ -5,8 +5,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-EARTH_DEG_M = 111_318.84502145034
-"""Metres to a degree as ArduPilot has them: drifts and wanders of its receiver are made with it."""
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
+
 _FORGOTTEN_US = 1_000_000
 _MIN_SATELLITES = 4
 _WILD_M_S = 400.0
@@ -78,7 +78,7 @@ class Jamming:
             if self._changes(2, now_us):
                 north, east = rng.uniform(-_WILD_M_S, _WILD_M_S, 2).tolist()
             if self._changes(3, now_us):
-                step_deg = (rng.uniform(-_WILD_M, _WILD_M, 2) / EARTH_DEG_M).tolist()
+                step_deg = (rng.uniform(-_WILD_M, _WILD_M, 2) / ARDUPILOT_M_PER_DEG).tolist()
                 self._place_deg = (
                     min(max(self._place_deg[0] + step_deg[0], -90.0), 90.0),
                     min(max(self._place_deg[1] + step_deg[1], -180.0), 180.0),

@@ -12,8 +12,8 @@ from typing import NamedTuple, final
 import numpy as np
 
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import metres_per_degree
-from vehicle_sim.sensors.antenna import EARTH_DEG_M, Jamming, Sample, between
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, metres_per_degree
+from vehicle_sim.sensors.antenna import Jamming, Sample, between
 
 
 @final
@@ -272,8 +272,8 @@ class Gps:
         if accuracies is None:
             accuracies = (conditions.accuracy_m, conditions.accuracy_m, 0.0)
         fix_type = min(conditions.fix_type, receiver.fix_type)
-        north_deg = conditions.glitch_latitude_deg + north_m / EARTH_DEG_M
-        east_deg = conditions.glitch_longitude_deg + east_m / EARTH_DEG_M / cosine
+        north_deg = conditions.glitch_latitude_deg + north_m / ARDUPILOT_M_PER_DEG
+        east_deg = conditions.glitch_longitude_deg + east_m / ARDUPILOT_M_PER_DEG / cosine
         return Fix(
             time_us=self._locked_us,
             fix_type=fix_type if locked else receiver.fix_type_lost,

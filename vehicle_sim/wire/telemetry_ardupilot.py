@@ -10,6 +10,8 @@ from typing import Final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Report
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded, degrees_e7
 from vehicle_sim.wire.telemetry import (
@@ -39,8 +41,6 @@ _WIND_ERROR_M_S = 0.77
 """A plane's estimator sees wind where there is none: the recorded one this much, from the south."""
 _NAN = float("nan")
 _NO_CELL = 65535
-_METRES_PER_DEG = 111318.84502145034
-_GRAVITY_M_S2 = 9.80665
 _ESC_US = 5_500_000
 _FIELD_MGAUSS: Final = (232, 52, -528)
 """The magnetic field in milligauss."""
@@ -128,8 +128,8 @@ def _home_ned_m(report: Report) -> tuple[float, float, float]:
     north_deg = home.latitude_deg - origin.latitude_deg
     east_deg = home.longitude_deg - origin.longitude_deg
     return (
-        north_deg * _METRES_PER_DEG,
-        east_deg * _METRES_PER_DEG * math.cos(math.radians(origin.latitude_deg)),
+        north_deg * ARDUPILOT_M_PER_DEG,
+        east_deg * ARDUPILOT_M_PER_DEG * math.cos(math.radians(origin.latitude_deg)),
         origin.altitude_amsl_m - home.altitude_amsl_m,
     )
 
@@ -196,12 +196,12 @@ def _dynamic_pressure(report: Report, factor: float) -> float | None:
 def _specific_force(report: Report) -> tuple[float, float, float]:
     """What accelerometers measure at rest at this attitude: forward, right, down in m/s2."""
     vehicle = report.vehicle
-    lift = _GRAVITY_M_S2 + vehicle.acceleration_up_m_s2
+    lift = GRAVITY_M_S2 + vehicle.acceleration_up_m_s2
     return 0.0, 0.0, -lift / max(math.cos(vehicle.roll_rad) * math.cos(vehicle.pitch_rad), 0.1)
 
 
 def _milli_g(report: Report) -> tuple[int, ...]:
-    scale = 1000.0 / _GRAVITY_M_S2
+    scale = 1000.0 / GRAVITY_M_S2
     return tuple(bounded(each * scale, INT16) for each in _specific_force(report))
 
 

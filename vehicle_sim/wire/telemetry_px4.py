@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Landed, Report
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, standard_mode
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded
 from vehicle_sim.wire.telemetry import (
@@ -44,7 +45,6 @@ _BY_MODE: Final = {
 }
 _DRONE_ID_TIME: Final = 2748666496
 """As recorded: PX4 fills it with something that is no time."""
-_G: Final = 9.80665
 _SPEED_COVARIANCE: Final = [{0: 0.0147, 6: 0.0124, 11: 0.0099}.get(k, _NAN) for k in range(21)]
 
 
@@ -172,7 +172,7 @@ def _body(report: Report, north: float, east: float, down: float) -> tuple[float
 def _specific_force(report: Report) -> tuple[float, float, float]:
     vehicle = report.vehicle
     level = (vehicle.acceleration_north_m_s2, vehicle.acceleration_east_m_s2)
-    return _body(report, *level, -vehicle.acceleration_up_m_s2 - _G)
+    return _body(report, *level, -vehicle.acceleration_up_m_s2 - GRAVITY_M_S2)
 
 
 def _range_cm(report: Report) -> int | None:

@@ -10,7 +10,7 @@ import functools
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from conformance.log import Place, Recording, TimedFrame, decoded, heard
+from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.sensors.lidar import LidarTable
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import Tree, World, flat_world
@@ -156,65 +157,52 @@ _POST_M = 1000.0
 _ATTITUDE, _GLOBAL = 30, 33
 
 
-@final
-class Player:
-    """Plays one recording.
+def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
+    """Everything that the simulated vehicle says while the recorded client flies it."""
+    return played(simulation_of(recording, flight, seed=seed), recording, flight)
+
+
+def played(flying: Simulation, recording: Recording, flight: Flight) -> list[TimedFrame]:
+    """Everything that this one says then.
 
     A frame goes in at the first step that is not before its time.  Before the recording begins
     the vehicle boots alone, and what it says then was not recorded either.
     """
+    begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
+    waiting = [(round(h.time_s * 1e6), h.frame) for h in reversed(recording.sent)]
+    placed_us = [round(recording.clock.vehicle_s(p.at_s) * 1e6) for p in flight.placements]
+    back = list[TimedFrame]()
 
-    def __init__(self, flying: Simulation, recording: Recording, flight: Flight) -> None:
-        self._flying = flying
-        self._recording = recording
-        self._flight = flight
+    def take() -> None:
+        for link, frame in flying.take_frames():
+            if link == _LINK and flying.now_us >= begin_us:
+                back.append(heard(flying.now_us * 1e-6, frame))
 
-    def run(self) -> Iterator[TimedFrame]:
-        """Fly the whole recording; yields what comes back."""
-        flying, recording = self._flying, self._recording
-        begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
-        waiting = [(round(h.time_s * 1e6), h.frame) for h in reversed(recording.sent)]
-        placed_us = [
-            round(recording.clock.vehicle_s(p.at_s) * 1e6) for p in self._flight.placements
-        ]
-        while flying.now_us <= end_us:
-            if placed_us and placed_us[0] <= flying.now_us:
-                self._place(placed_us.pop(0) * 1e-6)
-            while waiting and waiting[-1][0] <= flying.now_us:
-                flying.receive(_LINK, waiting.pop()[1])
-                yield from self._out(begin_us)
-            flying.step()
-            yield from self._out(begin_us)
+    while flying.now_us <= end_us:
+        if placed_us and placed_us[0] <= flying.now_us:
+            _place(flying.vehicle, recording, flight, placed_us.pop(0) * 1e-6)
+        while waiting and waiting[-1][0] <= flying.now_us:
+            flying.receive(_LINK, waiting.pop()[1])
+            take()
+        flying.step()
+        take()
+    return back
 
-    def _place(self, at_s: float) -> None:
-        """Put the vehicle where the real one was at this vehicle time."""
-        newest = {h.number: h for h in self._recording.said if h.time_s <= at_s}
-        position, attitude = decoded(newest[_GLOBAL]), decoded(newest[_ATTITUDE])
-        vehicle = self._flying.vehicle
-        vehicle.latitude_deg = position.lat / 1e7
-        vehicle.longitude_deg = position.lon / 1e7
-        vehicle.altitude_amsl_m = self._flight.home.altitude_amsl_m + position.relative_alt / 1e3
-        vehicle.velocity_north_m_s = position.vx / 1e2
-        vehicle.velocity_east_m_s = position.vy / 1e2
-        vehicle.velocity_up_m_s = -position.vz / 1e2
-        vehicle.airspeed_m_s = math.hypot(position.vx, position.vy) / 1e2
-        vehicle.heading_rad = math.atan2(position.vy, position.vx) % math.tau
-        vehicle.roll_rad = attitude.roll
 
-    def _out(self, begin_us: int) -> Iterator[TimedFrame]:
-        now_us = self._flying.now_us
-        for link, frame in self._flying.take_frames():
-            if link == _LINK and now_us >= begin_us:
-                yield heard(now_us * 1e-6, frame)
+def _place(vehicle: Vehicle, recording: Recording, flight: Flight, at_s: float) -> None:
+    """Put the vehicle where the real one was at this vehicle time."""
+    newest = {h.number: h for h in recording.said if h.time_s <= at_s}
+    position, attitude = decoded(newest[_GLOBAL]), decoded(newest[_ATTITUDE])
+    vehicle.latitude_deg, vehicle.longitude_deg = position.lat / 1e7, position.lon / 1e7
+    vehicle.altitude_amsl_m = flight.home.altitude_amsl_m + position.relative_alt / 1e3
+    vehicle.velocity_north_m_s, vehicle.velocity_east_m_s = position.vx / 1e2, position.vy / 1e2
+    vehicle.velocity_up_m_s = -position.vz / 1e2
+    vehicle.airspeed_m_s = math.hypot(position.vx, position.vy) / 1e2
+    vehicle.heading_rad = math.atan2(position.vy, position.vx) % math.tau
+    vehicle.roll_rad = attitude.roll
 
 
 # --- The simulated vehicle that takes the place of the recorded one -------------------------------
-
-
-def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
-    """Everything that the simulated vehicle says while the recorded client flies it."""
-    simulation = simulation_of(recording, flight, seed=seed)
-    return list(Player(simulation, recording, flight).run())
 
 
 def simulation_of(recording: Recording, flight: Flight, *, seed: int = 0) -> Simulation:

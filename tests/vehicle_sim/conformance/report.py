@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, final
 
 from rich.console import Group, RenderableType
@@ -50,16 +50,11 @@ def as_json(recording: Recording, rows: Sequence[Row]) -> dict[str, Any]:
         "agree": summary.agree,
         "unexplained": summary.unexplained,
         "compared": [
-            {
-                "kind": row.kind,
-                "name": row.name,
+            asdict(row)
+            | {
                 "at_s": None if row.at_s is None else round(row.at_s, 3),
-                "real": row.real,
-                "simulated": row.simulated,
-                "tolerance": row.tolerance,
                 "difference": round(row.difference, 3) if math.isfinite(row.difference) else None,
                 "agrees": row.agrees,
-                "reason": row.reason,
             }
             for row in rows
         ],

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from conformance.flights import Fault, Player, flight_of, timeline, world_of
+from conformance.flights import Fault, flight_of, played, timeline, world_of
 from conformance.log import Recording, decoded
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults.timeline import Timeline
@@ -50,7 +50,7 @@ def test_each_frame_goes_in_at_the_first_step_that_is_not_before_it(
     recorded: Recorded, name_of: str
 ) -> None:
     flight, notebook = recorded(name_of), Notebook()
-    list(Player(cast(Any, notebook), flight, flight_of(flight)).run())
+    played(cast(Any, notebook), flight, flight_of(flight))
     assert [(link, data) for _, link, data in notebook.received] == [
         (0, h.frame) for h in flight.sent
     ]
@@ -60,7 +60,7 @@ def test_each_frame_goes_in_at_the_first_step_that_is_not_before_it(
 
 def test_what_comes_back_has_the_time_at_which_it_came(recorded: Recorded) -> None:
     flight, notebook = recorded(LATE), Notebook()
-    back = list(Player(cast(Any, notebook), flight, flight_of(flight)).run())
+    back = played(cast(Any, notebook), flight, flight_of(flight))
     answers = [h for h in back if h.number == 77]
     assert [h.time_s for h in answers] == [t * 1e-6 for t, _, _ in notebook.received]
     steps = [h.time_s for h in back if h.number == 2]
@@ -105,7 +105,7 @@ def test_faults_become_lines_of_a_timeline_in_vehicle_time(recorded: Recorded) -
 def test_the_aeroplane_is_put_where_the_real_one_was_once(recorded: Recorded) -> None:
     flight, notebook = recorded("px4-fixedwing-offboard.tlog"), Notebook()
     known = flight_of(flight)
-    list(Player(cast(Any, notebook), flight, known).run())
+    played(cast(Any, notebook), flight, known)
     at_s = flight.clock.vehicle_s(known.placements[0].at_s)
     there = [decoded(h) for h in flight.said if h.number == 33 and abs(h.time_s - at_s) < 0.2]
     vehicle = notebook.vehicle

@@ -8,11 +8,8 @@ import math
 from typing import final
 
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.flat_earth import (
-    FLAT_EARTH_M_PER_DEG,
-    distance_m,
-    longitude_scale,
-)
+from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, longitude_scale
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans, Point, Zone, forbidden, zones_of
 
@@ -37,8 +34,8 @@ def edge_m(zone: Zone, place: Place) -> float:
     scale = longitude_scale(place.latitude_deg)
     points = [
         (
-            (lat - place.latitude_deg) * FLAT_EARTH_M_PER_DEG,
-            (lon - place.longitude_deg) * FLAT_EARTH_M_PER_DEG * scale,
+            (lat - place.latitude_deg) * ARDUPILOT_M_PER_DEG,
+            (lon - place.longitude_deg) * ARDUPILOT_M_PER_DEG * scale,
         )
         for lat, lon in zone.corners
     ]

@@ -3,11 +3,9 @@
 import math
 
 from vehicle_sim.autopilots import Place
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
 
 Vector = tuple[float, float, float]
-
-FLAT_EARTH_M_PER_DEG = 111318.84502145034
-"""ArduPilot's scale: a sphere's, along the meridian, and times cos(latitude) across it."""
 
 
 def longitude_scale(latitude_deg: float) -> float:
@@ -18,9 +16,9 @@ def longitude_scale(latitude_deg: float) -> float:
 def flat_earth_ned_m(origin: Place, place: Place) -> Vector:
     """Position in the estimator's local frame, as ArduPilot computes it."""
     middle_deg = 0.5 * (origin.latitude_deg + place.latitude_deg)
-    east_m = (place.longitude_deg - origin.longitude_deg) * FLAT_EARTH_M_PER_DEG
+    east_m = (place.longitude_deg - origin.longitude_deg) * ARDUPILOT_M_PER_DEG
     return (
-        (place.latitude_deg - origin.latitude_deg) * FLAT_EARTH_M_PER_DEG,
+        (place.latitude_deg - origin.latitude_deg) * ARDUPILOT_M_PER_DEG,
         east_m * longitude_scale(middle_deg),
         origin.altitude_amsl_m - place.altitude_amsl_m,
     )
@@ -28,11 +26,11 @@ def flat_earth_ned_m(origin: Place, place: Place) -> Vector:
 
 def flat_earth_place(origin: Place, ned_m: Vector) -> Place:
     """The inverse of flat_earth_ned_m."""
-    north_deg = ned_m[0] / FLAT_EARTH_M_PER_DEG
+    north_deg = ned_m[0] / ARDUPILOT_M_PER_DEG
     scale = longitude_scale(origin.latitude_deg + 0.5 * north_deg)
     return Place(
         origin.latitude_deg + north_deg,
-        origin.longitude_deg + ned_m[1] / (FLAT_EARTH_M_PER_DEG * scale),
+        origin.longitude_deg + ned_m[1] / (ARDUPILOT_M_PER_DEG * scale),
         origin.altitude_amsl_m - ned_m[2],
     )
 

@@ -9,9 +9,10 @@ import math
 from typing import final
 
 from vehicle_sim.autopilots import Estimate, Place, Waypoint
-from vehicle_sim.autopilots.ardupilot.flat_earth import FLAT_EARTH_M_PER_DEG, longitude_scale
+from vehicle_sim.autopilots.ardupilot.flat_earth import longitude_scale
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
 from vehicle_sim.parameters import Parameters
 
 # --- ArduPlane's modes: numbers, names, and which of them do what by themselves -------------------
@@ -386,8 +387,8 @@ class Navigation:
         scale = longitude_scale(0.5 * (origin.latitude_deg + e.latitude_deg))
         east_deg = math.remainder(e.longitude_deg - origin.longitude_deg, 360.0)
         return (
-            (e.latitude_deg - origin.latitude_deg) * FLAT_EARTH_M_PER_DEG,
-            east_deg * FLAT_EARTH_M_PER_DEG * scale,
+            (e.latitude_deg - origin.latitude_deg) * ARDUPILOT_M_PER_DEG,
+            east_deg * ARDUPILOT_M_PER_DEG * scale,
         )
 
     def measure(self) -> None:
