@@ -37,6 +37,7 @@ _Ring = tuple[float, float, float]
 """Least and greatest north and east, and half the side of the hollow square about the origin."""
 _SQUARE: _Ring = (0.0, 100_000.0, 0.0)
 _DENSITY_1_KM2 = 0.004
+_MOST_EDGE_M = 620_000.0
 _STREAMS = {"dense": 1, "sparse": 2, "growth": 3}
 
 
@@ -126,7 +127,8 @@ def spread_out(count: int, variant: int = 0) -> DrawnWorld:
 
     Worlds of one variant lie in each other: that of 100 holds that of 10 in its middle, so that
     what is in sight there is the same and only the world's size differs. Start and target are
-    57 km apart about the middle; the task's map covers everything.  No way through is promised.
+    57 km apart about the middle; the task's map covers everything, or as much as a mission may
+    have (2.5e7 cells).  No way through is promised.
     """
     base, half = bundled("environment-2"), 20_000.0
     room = [(-half, -half, 6_000.0), (half, half, 6_000.0)]
@@ -143,7 +145,7 @@ def spread_out(count: int, variant: int = 0) -> DrawnWorld:
         peaks += _peaks(rng, mountains, ring, room)
         radars += _radars(rng, more - mountains, (6_000.0, 11_000.0), ring, room)
         inner_m, size = outer_m, 10 * size
-    edge_m = max(inner_m + 5_000.0, 60_000.0)
+    edge_m = min(max(inner_m + 5_000.0, 60_000.0), _MOST_EDGE_M)
     limits = replace(base.task.limits, north_m=(-edge_m, edge_m), east_m=(-edge_m, edge_m))
     return DrawnWorld(
         name=f"growth-{count}",

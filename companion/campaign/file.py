@@ -16,6 +16,7 @@ from pydantic import Field
 
 from companion.campaign import bundled_campaigns
 from companion.campaign.families import FAMILIES
+from companion.campaign.rivals.flight import Knowledge
 from companion.campaign.rivals.registry import PLANNERS
 from companion.config import bundled
 from companion.errors import InputError
@@ -55,6 +56,10 @@ class PlaceTable(Table):
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     indices: list[_Index] | None = None
     """In place of `first` and `count`."""
+    over: Over | None = None
+    """In place of the campaign's."""
+    vehicles: list[Annotated[int, Field(ge=1, le=100)]] | None = None
+    """So many copters in one airspace: a run for each number; left out: one, as the mission is."""
 
 
 _Budget = keys_of(PlannerSettings, "evaluations").model_fields["evaluations"]
@@ -68,7 +73,7 @@ class FactorsTable(Table):
     optimiser: _Choices | None = None
     budget: list[Annotated[int, Field(ge=60, le=200_000)]] | None = None
     planner: _Choices | None = None
-    knowledge: list[Literal["scans", "full"]] | None = None
+    knowledge: list[Knowledge] | None = None
     sensor: _Choices | None = None
     faults: _Choices | None = None
     wind: _Choices | None = None
@@ -114,6 +119,8 @@ class Place:
     family: str | None = None
     family_seed: int | None = None
     family_index: int | None = None
+    over: Over | None = None
+    vehicles: int | None = None
 
 
 @final
@@ -185,13 +192,21 @@ def _check(campaign: CampaignTable, where: str) -> None:
 
 def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
     """InputError if its factors do not go with how it is flown."""
+    ways = {place.over or over for place in campaign.places}
+    for k, place in enumerate(campaign.places):
+        if place.vehicles and (place.over or over) != "process":
+            rule, remedy = "several vehicles fly in one process", 'Write over = "process".'
+            raise InputError(f"{where}: places[{k}].vehicles", place.over or over, rule, remedy)
+    if "elevation" in (campaign.factors.knowledge or ()) and campaign.factors.planner:
+        rule, remedy = "only ours reads an elevation file", "Leave out factors.planner."
+        raise InputError(f"{where}: factors.knowledge", "elevation", rule, remedy)
     for factor in _OF_VEHICLES:
-        if over == "planner" and getattr(campaign.factors, factor):
+        if "planner" in ways and getattr(campaign.factors, factor):
             rule = "the planner alone has no vehicle"
             remedy = 'Leave it out, or fly: over = "process".'
             raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
     for factor, ours in (("planner", [_OURS]), ("knowledge", ["scans"])):
-        if over != "planner" and (getattr(campaign.factors, factor) or ours) != ours:
+        if ways != {"planner"} and (getattr(campaign.factors, factor) or ours) != ours:
             rule = "rivals and full knowledge are of the planner alone"
             raise InputError(f"{where}: factors.{factor}", over, rule, 'Write over = "planner".')
 
@@ -219,10 +234,12 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
             found.append(
                 Run(
                     number=len(found),
-                    key="/".join([place.label, *map(str, given.values()), f"seed-{seed}"]),
+                    key="/".join(
+                        [place.label, *_several(place), *map(str, given.values()), f"seed-{seed}"]
+                    ),
                     seed=seed,
                     place=place,
-                    over=over,
+                    over=place.over or over,
                     keep=keep,
                     limit_s=campaign.limit_s,
                     timeline="\n".join(each.faults.strip() for each in chosen if each.faults),
@@ -232,6 +249,10 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
                 )
             )
     return found
+
+
+def _several(place: Place) -> list[str]:
+    return [] if place.vehicles is None else [f"{place.vehicles}-vehicles"]
 
 
 def _joined(lists: Iterable[list[str]]) -> tuple[str, ...]:
@@ -248,8 +269,11 @@ def _places(table: PlaceTable, folder: Path) -> Sequence[Place]:
                 family=table.family,
                 family_seed=table.seed,
                 family_index=index,
+                over=table.over,
+                vehicles=vehicles,
             )
             for index in indices
+            for vehicles in table.vehicles or (None,)
         ]
     world, mission = str(table.world), table.mission
     if world not in bundled():
@@ -258,4 +282,9 @@ def _places(table: PlaceTable, folder: Path) -> Sequence[Place]:
     if mission is not None and mission not in bundled():
         mission = str(folder / mission)
     label = world if world in bundled() else Path(world).parent.name or Path(world).stem
-    return [Place(label=label, world=world, mission=mission or world)]
+    return [
+        Place(
+            label=label, world=world, mission=mission or world, over=table.over, vehicles=vehicles
+        )
+        for vehicles in table.vehicles or (None,)
+    ]

@@ -12,18 +12,19 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol, final
 
 import numpy as np
 
 from companion.config import load_mission, mission_text
+from companion.entry_points import Parts
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 from companion.runtime.compiler import Planner
-from companion.runtime.in_process import SimulatedVehicle, fly_in_process
+from companion.runtime.in_process import SimulatedVehicle, loop_in_process
 from companion.runtime.recorder import Batch, InlineWriter, Recorder
 from companion.session import Session
 from companion.telemetry.run_folder import RunFolder, journal_line
@@ -71,28 +72,42 @@ class Flight:
 
 @final
 class _Listener:
-    """A writer that remembers the journal, and hands all on to the one that writes it."""
+    """A writer that remembers journal and frames, and hands all on to one that writes."""
 
-    def __init__(self, journal: list[dict[str, Any]], inner: InlineWriter | None) -> None:
-        self._journal, self._inner = journal, inner
+    def __init__(self, shared: frozenset[int], system: int | None) -> None:
+        self.journal: list[dict[str, Any]] = []
+        self.said: list[bytes] = []
+        """Frames of MAVLink 2 by this system with these numbers."""
+        self.inner: InlineWriter | None = None
+        self._shared, self._system = shared, system
 
     def put(self, batch: Batch) -> None:
-        self._journal += [json.loads(journal_line(entry)) for entry in batch.journal]
-        if self._inner is not None:
-            self._inner.put(batch)
+        self.journal += [json.loads(journal_line(entry)) for entry in batch.journal]
+        if self._shared:
+            said = (frame for _, frame in batch.record if frame[5] == self._system)
+            self.said += [f for f in said if int.from_bytes(f[7:10], "little") in self._shared]
+        if self.inner is not None:
+            self.inner.put(batch)
 
     def close(self) -> None:
-        if self._inner is not None:
-            self._inner.close()
+        if self.inner is not None:
+            self.inner.close()
 
 
-@cache
+def _wrong_with(maker: Callable[..., Vehicle]) -> str | None:
+    return None if callable(maker) else "it cannot be called"
+
+
+_VEHICLES: Parts[Callable[..., Vehicle]] = Parts(
+    "companion.vehicles", {}, what="vehicle", check=_wrong_with
+)
+
+
 def _maker() -> Callable[..., Vehicle]:
-    found = list(entry_points(group="companion.vehicles"))
-    if not found:
-        rule, remedy = "no package brings one", "Install the project again: pip install ."
-        raise InputError("companion.vehicles", None, rule, remedy)
-    return found[0].load()
+    for name in _VEHICLES:
+        return _VEHICLES[name]
+    rule, remedy = "no package brings one", "Install the project again: pip install ."
+    raise InputError("companion.vehicles", None, rule, remedy)
 
 
 @cache
@@ -107,42 +122,84 @@ def check(files: FlightFiles) -> None:
     _maker()(files.world, seed=0, faults=files.faults)
 
 
-def fly_here(files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -> Flight:
-    """Both in this process, in lockstep."""
-    mission, journal = load_mission(str(files.mission)), list[dict[str, Any]]()
-    vehicle = _maker()(files.world, seed=seed, faults=files.faults)
-    session = Session(mission, seed=seed, lockstep=True, version=version("companion"))
+@final
+class Flying:
+    """A vehicle and its companion in this process, in lockstep, flown on turn by turn."""
 
-    def clock() -> float:
-        return vehicle.now_us * 1e-6
-
-    def give_up() -> None:
-        if clock() > 2.0 * limit_s:
-            raise TimeoutError(f"the flight did not end when it was stopped after {limit_s:g} s")
-
-    inner, folder = None, None
-    if recorded:
-        text = mission_text(str(files.mission))
-        folder = RunFolder(files.folder, mission_toml=text, epoch_us=_EPOCH_US, durable=False)
-        facts = {"mission": mission.name, "seed": seed, "profile": _profile(mission)}
-        folder.header(facts | {"lockstep": True})
-        inner = InlineWriter(Recorder(folder, clock, persist=None), lambda _: None)
-    try:
-        flown = fly_in_process(
-            session,
-            vehicle,
-            planner=_planner(),
-            writer=_Listener(journal, inner),
-            stop_asked=lambda: clock() >= limit_s,
-            on_step=give_up,
+    def __init__(
+        self,
+        files: FlightFiles,
+        *,
+        seed: int,
+        limit_s: float,
+        recorded: bool,
+        shared: frozenset[int] = frozenset(),
+    ) -> None:
+        """shared: numbers of the messages of its own that `take_said` gives."""
+        self._files, self._mission = files, load_mission(str(files.mission))
+        self._vehicle = vehicle = _maker()(files.world, seed=seed, faults=files.faults)
+        session = Session(self._mission, seed=seed, lockstep=True, version=version("companion"))
+        self._limit_s, self._folder = limit_s, None
+        self.loop = loop_in_process(
+            session, vehicle, planner=_planner(), stop_asked=lambda: self.loop.clock() >= limit_s
         )
+        self.loop.writer = self._listener = _Listener(shared, self._mission.system_id)
+        if recorded:
+            text = mission_text(str(files.mission))
+            folder = RunFolder(files.folder, mission_toml=text, epoch_us=_EPOCH_US, durable=False)
+            facts = {
+                "mission": self._mission.name,
+                "seed": seed,
+                "profile": _profile(self._mission),
+            }
+            folder.header(facts | {"lockstep": True})
+            recorder = Recorder(folder, self.loop.clock, persist=None)
+            self._listener.inner, self._folder = InlineWriter(recorder, lambda _: None), folder
+        self._turns = self.loop.turns()
+        self.flies = True
+        """Whether its mission has not ended."""
+        self._truth: list[str] = []
+
+    def fly_on(self, until_us: float) -> None:
+        """To a time of the vehicle, or to the mission's end."""
+        while self.flies and self._vehicle.now_us < until_us:
+            self.flies = next(self._turns, self) is not self
+            if self.loop.clock() > 2.0 * self._limit_s:
+                text = f"the flight did not end when it was stopped after {self._limit_s:g} s"
+                raise TimeoutError(text)
+
+    def take_said(self) -> list[bytes]:
+        """The frames to share since the last call."""
+        said, self._listener.said = self._listener.said, []
+        return said
+
+    def close(self) -> None:
+        """Write what is left."""
+        self.loop.writer.close()
+        self._truth = self._vehicle.take_truth()
+        if self._folder is not None:
+            self._folder.close()
+            text = "".join(f"{line}\n" for line in self._truth)
+            (self._files.folder / "truth.jsonl").write_text(text, encoding="utf-8")
+
+    def flight(self) -> Flight:
+        """What it left, once closed."""
+        return Flight(
+            mission=self._mission,
+            journal=self._listener.journal,
+            truth=_rows(self._truth),
+            plans_s=self.loop.flown.plans_s,
+        )
+
+
+def fly_here(files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -> Flight:
+    """Both in this process."""
+    flying = Flying(files, seed=seed, limit_s=limit_s, recorded=recorded)
+    try:
+        flying.fly_on(math.inf)
     finally:
-        truth = vehicle.take_truth()
-        if folder is not None:
-            folder.close()
-            text = "".join(f"{line}\n" for line in truth)
-            (files.folder / "truth.jsonl").write_text(text, encoding="utf-8")
-    return Flight(mission=mission, journal=journal, truth=_rows(truth), plans_s=flown.plans_s)
+        flying.close()
+    return flying.flight()
 
 
 def _profile(mission: Mission) -> str:

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 import shlex
 from collections.abc import Iterable, Sequence
@@ -17,6 +16,7 @@ from markupsafe import Markup
 from rich.table import Table
 from rich.text import Text
 
+from companion.campaign.file import SPREAD
 from companion.campaign.row import TIMING, Row
 from companion.campaign.statistics import (
     FACTORS,
@@ -35,6 +35,7 @@ from companion.campaign.statistics import (
     split,
     varying,
 )
+from companion.campaign.store import facts_of, read_rows
 from companion.errors import InputError
 from companion.extras import need
 
@@ -42,6 +43,13 @@ _MOST_VALUES: Final = 24
 """Of a factor that has a table without being asked for."""
 _WORST: Final = 10
 _FEW: Final = 20
+_IN_SHORT: Final = ("cost", "detour", "clearance_least_m", "separation_kept", "plan_ms_median")
+"""Sizes of the terminal's tables."""
+_DIGITS: Final = {
+    **dict.fromkeys(("plan_ms_median", "clearance_least_m"), 1),
+    **dict.fromkeys(("cost", "separation_kept"), 2),
+    "detour": 3,
+}
 _DRAWN_BY: Final = ("family_seed", "family_index")
 
 
@@ -107,19 +115,16 @@ def read_campaign(folder: Path) -> Campaign:
     """The data set of a campaign.  Raises InputError."""
     need("campaign", "FOLDER", str(folder))
     import pyarrow as pa
-    import pyarrow.dataset as ds
 
-    columns = [field.name for field in fields(Row)]
-    parts = [str(part) for part in sorted((folder / "rows").glob("*.parquet"))]
     remedy = "Give the folder that companion campaign has written."
     try:
-        found = ds.dataset(parts).to_table(columns=columns).to_pylist() if parts else []
+        found = read_rows(folder, [field.name for field in fields(Row)])
     except (OSError, pa.ArrowException) as error:
         rule = f"its rows cannot be read ({str(error).splitlines()[0]})"
         raise InputError("FOLDER", str(folder), rule, remedy) from error
-    facts = _facts(folder)
+    facts = facts_of(folder)
     expected = facts.get("runs")
-    if not parts and expected is None:
+    if not found and expected is None:
         raise InputError("FOLDER", str(folder), "it holds no campaign", remedy)
     rows = {row["run"]: Row(**row) for row in reversed(found)}
     return Campaign(
@@ -129,15 +134,6 @@ def read_campaign(folder: Path) -> Campaign:
         repeated=len(found) - len(rows),
         source=tuple(map(str, facts.get("source") or [folder / "campaign.toml"])),
     )
-
-
-def _facts(folder: Path) -> dict[str, Any]:
-    """What runs.json says; nothing, if it cannot be read."""
-    try:
-        facts = json.loads((folder / "runs.json").read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return facts if isinstance(facts, dict) else {}
 
 
 # --- what there is to say
@@ -153,9 +149,11 @@ def report_of(campaign: Campaign, by: Sequence[str] = ()) -> CampaignReport:
     chosen = [tuple(dict.fromkeys(by))] if by else []
     notes = _notes(campaign)
     for factor, count in counts.items() if not by else ():
-        if count <= _MOST_VALUES and factor not in _DRAWN_BY:
+        if factor in _DRAWN_BY and any(row.family != SPREAD for row in rows if row.family):
+            continue
+        if count <= _MOST_VALUES:
             chosen.append((factor,))
-        elif factor not in _DRAWN_BY:
+        else:
             notes.append(f"{factor} has {count} values; a table by it: --by {factor}.")
     return CampaignReport(
         campaign=campaign,
@@ -265,7 +263,10 @@ def _dearness(rows: Iterable[Row]) -> list[tuple[Row, float, str]]:
 def replay_command(campaign: Campaign, row: Row) -> str:
     """The command that shows a run again: its folder replayed, or the run flown again."""
     if row.folder:
-        return shlex.join(["companion", "replay", str(campaign.folder / row.folder)])
+        folder = campaign.folder / row.folder
+        if row.vehicles:
+            folder /= "vehicle-001"
+        return shlex.join(["companion", "replay", str(folder)])
     again = f"{campaign.folder}-run-{row.run}"
     asked = ["--only", str(row.run), "--over", row.over, "--keep", "all", "--out", again]
     return shlex.join(["companion", "campaign", "run", *campaign.source, *asked])
@@ -293,9 +294,7 @@ def interval_text(found: Interval | None, digits: int = 2, scale: float = 1.0) -
 
 def digits_of(measure: Measure) -> int:
     """Decimals to show."""
-    return {"detour": 3, "cost": 2, "plan_ms_median": 1, "clearance_least_m": 1}.get(
-        measure.name, 0
-    )
+    return _DIGITS.get(measure.name, 0)
 
 
 def verdict(difference: Difference, comparison: Comparison) -> str:
@@ -369,7 +368,7 @@ def terminal_tables(report: CampaignReport) -> list[Table]:
 
 
 def _table(by: str, groups: Sequence[Group]) -> Table:
-    sizes = [m for m in shown_sizes(groups) if m.name in ("cost", "detour", "clearance_least_m")]
+    sizes = [m for m in shown_sizes(groups) if m.name in _IN_SHORT]
     table = Table(title=Text(f"by {by}" if by != "all" else "all runs"), title_justify="left")
     table.add_column(Text(by))
     for name in ("runs", *(m.words + ", %" for m in RATES), *(m.words for m in sizes)):

@@ -11,7 +11,7 @@ import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import pairwise
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.campaign import drawn_world, families, flight, truth
+from companion.campaign import airspace, drawn_world, families, flight, truth
 from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.file import SPREAD, Place, Run
@@ -33,7 +33,7 @@ from companion.campaign.row import Row
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.library import fly, route_terms
+from companion.library import route_terms
 from companion.objective.scene import PROFILES
 from companion.planner.settings import Task
 from companion.sources.files import RawTable, toml_table, toml_text, with_settings
@@ -44,6 +44,11 @@ _SPACING_M = 1.0
 _MOST_POINTS = 20_000
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
 _ROOT = "runs"
+_SUMS = (
+    *("plans", "holds", "subpaths", "subpaths_checked", "violations", "straight_m", "length_m"),
+    *("cost", "cost_length", "cost_height", "cost_radar", "radar_m"),
+)
+"""Columns that are added up over several vehicles."""
 
 
 def fly_run(run: Run, out: Path) -> Row:
@@ -95,6 +100,7 @@ def _row(run: Run, found: dict[str, Any], *, folder: str, took_s: float, cpu_s: 
         family=place.family,
         family_seed=place.family_seed,
         family_index=place.family_index,
+        vehicles=place.vehicles,
         over=run.over,
         folder=folder,
         version=version("companion"),
@@ -120,6 +126,12 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
     if run.over == "udp":
         return _judged(flight.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s), files)
     recorded = run.keep != "none"
+    if run.place.vehicles is not None:
+        several = airspace.on_a_circle(files, run.place.vehicles, run.seed)
+        flights = airspace.fly_together(
+            several, seed=run.seed, limit_s=run.limit_s, recorded=recorded
+        )
+        return _judged_together(flights, several)
     flown = flight.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
     return _judged(flown, files)
 
@@ -128,46 +140,15 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
 
 
 def _planned(run: Run, folder: Path) -> dict[str, Any]:
-    drawn = _with_factors(_drawn(run.place), run)
+    drawn = _with_factors(drawn_of(run.place), run)
     if run.keep != "none":
         write(drawn, folder)
-    if run.planner != "ours" or run.knowledge != "scans":
-        return _route(run, drawn)
-    began_s = time.process_time()
-    flown = fly(
-        drawn.terrain,
-        drawn.task,
-        start_nea_m=drawn.start_nea_m,
-        targets_ne_m=drawn.targets_ne_m,
-        seed=run.seed,
-    )
-    took_s = time.process_time() - began_s
-    details = flown.details
-    plans = len(details.plans) + details.holds
-    found = _of_task(drawn.task) | {
-        "outcome": "arrived" if flown.arrived else "failed",
-        "reason": flown.why or None,
-        "arrived": flown.arrived,
-        "plans": plans,
-        "holds": details.holds,
-        "subpaths": len(details.legs),
-        "plan_ms_median": 1e3 * took_s / max(plans, 1),
-        "straight_m": _straight_m(drawn.start_nea_m, drawn.targets_ne_m),
-    }
-    subpaths = [leg.subpath.control_nea_m for leg in details.legs]
-    return found | _of_track(flown.points_nea_m, drawn) | _checked(subpaths, drawn)
-
-
-def _route(run: Run, drawn: DrawnWorld) -> dict[str, Any]:
-    """Of a planner of whole routes, or of ours with full knowledge."""
     knowledge: Any = run.knowledge
     if run.planner == "ours":
         flown = ours.fly(drawn, knowledge=knowledge, seed=run.seed)
     else:
-        budget = run.budget or rivals.EVALUATIONS
-        flown = rivals.fly(
-            drawn, PLANNERS[run.planner], knowledge=knowledge, evaluations=budget, seed=run.seed
-        )
+        planner, most = PLANNERS[run.planner], run.budget
+        flown = rivals.fly(drawn, planner, knowledge=knowledge, evaluations=most, seed=run.seed)
     found = _of_task(drawn.task) | {
         "outcome": "arrived" if flown.arrived else "failed",
         "reason": flown.why or None,
@@ -180,6 +161,10 @@ def _route(run: Run, drawn: DrawnWorld) -> dict[str, Any]:
     }
     if len(flown.points_nea_m) < 2:
         return found
+    found |= _of_track(flown.points_nea_m, drawn)
+    if run.planner == "ours":
+        subpaths = flown.subpaths_nea_m
+        return found | {"subpaths": len(subpaths)} | _checked(subpaths, drawn, joined=True)
     measures = measured(drawn, flown.points_nea_m, flown.stops)
     kept = {
         "clearance": measures.keeps_clearance,
@@ -187,27 +172,23 @@ def _route(run: Run, drawn: DrawnWorld) -> dict[str, Any]:
         "slope": measures.keeps_slopes,
     }
     broken = [name for name, is_kept in kept.items() if not is_kept]
-    return (
-        found
-        | _of_track(flown.points_nea_m, drawn)
-        | {
-            "violations": len(broken),
-            "violated": "; ".join(broken) or None,
-            "clearance_least_m": measures.clearance_m,
-        }
-    )
+    return found | {
+        "violations": len(broken),
+        "violated": "; ".join(broken) or None,
+        "clearance_least_m": measures.clearance_m,
+    }
 
 
-def _drawn(place: Place) -> DrawnWorld:
+def drawn_of(place: Place) -> DrawnWorld:
     """The world and mission of a place."""
     if place.family == SPREAD:
         return drawn_world.spread_out(place.family_index or 0, place.family_seed or 0)
     if place.family is not None:
         return families.world(place.family, place.family_seed or 0, place.family_index or 0)
-    return _as_drawn(place.world, place.mission or place.world)
+    return _asdrawn_of(place.world, place.mission or place.world)
 
 
-def _as_drawn(world: str, mission: str) -> DrawnWorld:
+def _asdrawn_of(world: str, mission: str) -> DrawnWorld:
     """World and mission of files, as the judge takes them."""
     place, read = load_world(world), load_mission(mission)
     return DrawnWorld(
@@ -240,7 +221,7 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     """World and mission of a run, with its factors, as both programs read them."""
     place = run.place
     if place.family is not None:
-        write(_drawn(place), folder)
+        write(drawn_of(place), folder)
         world_name, mission_name = str(folder / "world.toml"), str(folder / "mission.toml")
     else:
         world_name, mission_name = place.world, place.mission or place.world
@@ -294,7 +275,7 @@ def _name_terrain(table: RawTable, name: str) -> None:
 
 def _judged(flown: Flight, files: FlightFiles) -> dict[str, Any]:
     """What a flight came to, from its journal and the truth."""
-    drawn = _as_drawn(str(files.world), str(files.mission))
+    drawn = _asdrawn_of(str(files.world), str(files.mission))
     kinds = [entry["kind"] for entry in flown.journal]
     ends = [entry for entry in flown.journal if entry["kind"] == "end"]
     outcome = ends[-1]["outcome"] if ends else "not ended"
@@ -335,6 +316,27 @@ def _judged(flown: Flight, files: FlightFiles) -> dict[str, Any]:
             "clearance_least_t_s": float(times_s[least]),
         }
     )
+
+
+def _judged_together(flights: Sequence[Flight], several: Sequence[FlightFiles]) -> dict[str, Any]:
+    """Several vehicles as one row: sums, but for what has a worst, a longest or a median."""
+    rows = [_judged(*each) for each in zip(flights, several, strict=True)]
+    arrived = [row for row in rows if row["arrived"]]
+    found: dict[str, Any] = rows[0] | airspace.separation(flights)
+    found |= {"vehicles_arrived": len(arrived), "clearance_least_t_s": None}
+    if left := [row for row in rows if not row["arrived"]]:
+        reason = f"{len(arrived)} of {len(rows)} arrived: {left[0]['reason']}"
+        found |= {"arrived": False, "outcome": left[0]["outcome"], "reason": reason}
+    ways: dict[str, Callable[[list[Any]], Any]] = dict.fromkeys(_SUMS, sum)
+    ways |= {"plan_ms_median": np.median, "plan_ms_p99": max, "flight_s": max}
+    ways |= {"clearance_least_m": min, "violated": "; ".join}
+    for name, way in ways.items():
+        values = [row[name] for row in rows if row.get(name) is not None]
+        found[name] = way(values) if values else None
+    if found["separation_kept"] is not None and found["separation_kept"] < 1.0:
+        found["violations"] = (found["violations"] or 0) + 1
+        found["violated"] = "; ".join(filter(None, [found["violated"], "flown: separation"]))
+    return found
 
 
 def _near(flown: Flight, times_s: FloatArray) -> dict[str, Any]:
@@ -384,8 +386,13 @@ def _clearance_m(points_nea_m: FloatArray, drawn: DrawnWorld) -> FloatArray:
     )
 
 
-def _checked(subpaths: Sequence[FloatArray], drawn: DrawnWorld) -> dict[str, Any]:
-    """Every metre of every subpath, its tail included, against the true world."""
+def _checked(
+    subpaths: Sequence[FloatArray], drawn: DrawnWorld, *, joined: bool = False
+) -> dict[str, Any]:
+    """Every metre of every subpath, its tail included, against the true world.
+
+    joined: each begins on the one before, or at its end, from rest.
+    """
     task = drawn.task
     violated, least_m = list[str](), math.inf
     bad = 0
@@ -401,6 +408,8 @@ def _checked(subpaths: Sequence[FloatArray], drawn: DrawnWorld) -> dict[str, Any
             required_clearance_m=task.required_clearance_m,
         )
         broken = measures.violations(task.limits, task.required_clearance_m, task.error_m)
+        if joined and number > 1 and not truth.goes_over(subpaths[number - 2], control_nea_m, task):
+            broken = (*broken, "join")
         bad += bool(broken)
         violated += [f"leg {number}: {name}" for name in broken]
         least_m = min(least_m, measures.clearance_m)
@@ -431,7 +440,7 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
                 if run.over != "planner":
                     flight.check(_files(run, Path(folder)))
                 elif run.place.family is None:
-                    _drawn(run.place)
+                    drawn_of(run.place)
         except Exception as error:  # noqa: BLE001 - of either program, in its words
             text = " ".join(str(error).split())
             rule = f"it cannot be flown: {text.rstrip('.')}"

@@ -21,7 +21,7 @@ CONFIDENCE: Final = 0.95
 ALPHA: Final = 1.0 - CONFIDENCE
 FEWEST: Final = 6
 """Values for an interval: the range of five holds the median in 93.75 % of draws only."""
-TASK: Final = ("world", "family", "family_seed", "family_index", "mission")
+TASK: Final = ("world", "family", "family_seed", "family_index", "mission", "vehicles")
 """The factors that say what is to be flown; the others say how."""
 FACTORS: Final = (
     *(*TASK, "planner", "knowledge", "optimiser", "profile", "budget", "vehicle", "sensor"),
@@ -108,6 +108,13 @@ MEASURES: Final = (
         words="least clearance",
         unit="m",
         of=attrgetter("clearance_least_m"),
+        better="more",
+    ),
+    Measure(
+        name="separation_kept",
+        words="separation kept",
+        unit="",
+        of=attrgetter("separation_kept"),
         better="more",
     ),
     Measure(

@@ -54,7 +54,7 @@ class Store:
             self._lock.close()
             raise
         self._remove_unfinished()
-        self.done = _numbers(folder)
+        self.done = {row["run"] for row in read_rows(folder, ["run"])}
         """The runs whose rows are there."""
         self._parts = len(list((folder / ROWS).glob("*.parquet")))
 
@@ -126,10 +126,22 @@ def _write(path: Path, content: bytes) -> None:
         os.close(folder)
 
 
-def _numbers(folder: Path) -> set[int]:
-    import pyarrow.parquet as pq
+def read_rows(folder: Path, columns: Sequence[str]) -> list[dict[str, Any]]:
+    """These columns of all rows that are there, part by part.
 
-    found: set[int] = set()
-    for part in (folder / ROWS).glob("*.parquet"):
-        found |= set(pq.read_table(part, columns=["run"])["run"].to_pylist())
-    return found
+    Raises OSError or pyarrow.ArrowException.
+    """
+    import pyarrow.dataset as ds
+
+    parts = [str(part) for part in sorted((folder / ROWS).glob("*.parquet"))]
+    found = ds.dataset(parts, schema=schema()).to_table(columns=[*columns]) if parts else None
+    return [] if found is None else list(found.to_pylist())
+
+
+def facts_of(folder: Path) -> dict[str, Any]:
+    """What `runs.json` says; nothing, if it cannot be read."""
+    try:
+        facts = json.loads((folder / _RUNS).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return facts if isinstance(facts, dict) else {}

@@ -18,6 +18,7 @@ from scipy.ndimage import map_coordinates, maximum_filter
 from scipy.spatial import cKDTree
 
 from companion.path.limits import Limits
+from companion.planner.settings import Task
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.threats import CircleZone, Radar, Zone
 
@@ -26,6 +27,8 @@ FloatArray = NDArray[np.float64]
 _STEEPEST = math.sqrt(2.0) * math.exp(-0.5)  # of exp(-x^2), times height over spread: 0.858
 _NEWTON_STEPS = 25
 _CONVERGED_M = 1e-3
+_STOPPED_M = 1.0
+_JUMP = 1e-6
 _PART = 4_000
 """Points that are looked at together."""
 
@@ -77,6 +80,49 @@ def sampled(control_nea_m: FloatArray, spacing_m: float) -> Curve:
         first=curve.derivative()(u),
         second=curve.derivative(2)(u),
     )
+
+
+# --- joins
+
+
+def jumps(
+    before_nea_m: FloatArray, after_nea_m: FloatArray, task: Task
+) -> tuple[float, float, float] | None:
+    """What jumps where one curve goes over to the next, from the control points alone.
+
+    -> place by R, unit tangent, curvature by that of the tightest turn; None: the next one begins
+    where the one before ends, from rest.  Its start is projected onto the curve before (Newton from
+    the nearest of 2,000 points).
+    """
+    before, after = spline(before_nea_m), spline(after_nea_m)
+    there, table = after(0.0), np.linspace(0.0, 1.0, 2001)
+    if math.dist(before(1.0), there) < _STOPPED_M:
+        return None
+    u = float(table[np.argmin(np.linalg.norm(before(table) - there, axis=-1))])
+    for _ in range(20):
+        gap, v, a = before(u) - there, before(u, 1), before(u, 2)
+        slope = float(v @ v + gap @ a)
+        u = min(max(u - float(gap @ v) / max(slope, 1e-12), 0.0), 1.0)
+    (t0, k0), (t1, k1) = _tangent_curvature(before, u), _tangent_curvature(after, 0.0)
+    return (
+        float(np.linalg.norm(before(u) - there)) / task.settings.scan_range_m,
+        float(np.linalg.norm(t1 - t0)),
+        float(np.linalg.norm(k1 - k0)) * task.limits.turn_radius_m,
+    )
+
+
+def goes_over(before_nea_m: FloatArray, after_nea_m: FloatArray, task: Task) -> bool:
+    """Whether place, tangent and curvature go on without a jump."""
+    found = jumps(before_nea_m, after_nea_m, task)
+    return found is None or max(found) <= _JUMP
+
+
+def _tangent_curvature(curve: BSpline, u: float) -> tuple[FloatArray, FloatArray]:
+    """Unit tangent and curvature vector dt/ds; (3,) each."""
+    v, a = curve(u, 1), curve(u, 2)
+    speed2 = max(float(v @ v), 1e-18)
+    tangent = v / math.sqrt(speed2)
+    return tangent, (a - float(a @ tangent) * tangent) / speed2
 
 
 # --- terrain

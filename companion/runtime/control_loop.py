@@ -4,7 +4,7 @@ import contextlib
 import math
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol, final
 
@@ -88,13 +88,21 @@ class ControlLoop:
 
     def run(self) -> None:
         """Run until the mission ends, or until stopped."""
+        for _ in self.turns():
+            pass
+
+    def turns(self) -> Iterator[None]:
+        """The same, turn by turn."""
         self._began_s = self._heard_s = self.clock()
         try:
             if not self.lockstep:
                 self.session.silence(0.0)  # the first heartbeat waits for nobody
             while self.flown.end is None and not self._leaving.is_set():
                 self._iterate()
+                yield
             self._carry_out(self.session.farewell())
+        except GeneratorExit:  # the caller has seen enough
+            raise
         except BaseException as error:
             with contextlib.suppress(Exception):  # the error itself is what counts
                 self._record_the_end(error)

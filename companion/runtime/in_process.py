@@ -170,45 +170,61 @@ def fly_in_process(
     folder: where it is recorded; or any writer in its place.  stop_asked: ends the mission, as
     Ctrl-C does.  on_step: called after each step of the vehicle, to look at it or to change it.
     """
+    began_s = time.perf_counter()
+    loop = loop_in_process(
+        session, vehicle, planner=planner, writer=writer, stop_asked=stop_asked, on_step=on_step
+    )
+    if folder is not None:
+        recorder = Recorder(folder, loop.clock, persist=None)
+        loop.writer = _PortionWriter(InlineWriter(recorder, _telling(loop.event_queue)))
+    try:
+        loop.run()
+    finally:
+        loop.writer.close()
+    loop.flown.elapsed_s = time.perf_counter() - began_s
+    return loop.flown
+
+
+def loop_in_process(
+    session: Session,
+    vehicle: SimulatedVehicle,
+    *,
+    planner: PlanFunction,
+    writer: Writer | None = None,
+    stop_asked: Callable[[], bool] = lambda: False,
+    on_step: Callable[[], None] | None = None,
+) -> ControlLoop:
+    """The loop of such a flight, for callers that fly it turn by turn and close the writer."""
 
     def clock() -> float:
         return vehicle.now_us * 1e-6
 
-    def on_loss(failure: Failure) -> None:
-        event_queue.put(WorkerLost(failure, vital=False))
-
-    began_s = time.perf_counter()
-    event_queue, ground, flown = EventQueue(), GroundLinks([]), FlightSummary(session=session)
-    link = VehicleLink(vehicle, on_step)
+    event_queue, link = EventQueue(), VehicleLink(vehicle, on_step)
     gate = Gate(link, clock)
-    if folder is not None:
-        writer = _PortionWriter(InlineWriter(Recorder(folder, clock, persist=None), on_loss))
-    writer = writer or _NoWriter()
-    loop = ControlLoop(
+    return ControlLoop(
         session=session,
-        flown=flown,
+        flown=FlightSummary(session=session),
         link=link,
-        ground=ground,
+        ground=GroundLinks([]),
         gate=gate,
         event_queue=event_queue,
         reader=LinkReader(link, event_queue, gate, clock),
         planning=_Planning(planner, event_queue),
-        writer=writer,
+        writer=writer or _NoWriter(),
         watchdog=Watchdog(
             gate,
             clock=clock,
             hold_frames=session.hold_frames,
             on_failure=lambda *_: None,
-            on_loss=on_loss,
+            on_loss=_telling(event_queue),
         ),
         times=StreamTimes(),
         lockstep=True,
         stop_asked=stop_asked,
         clock=clock,
     )
-    try:
-        loop.run()
-    finally:
-        writer.close()
-    flown.elapsed_s = time.perf_counter() - began_s
-    return flown
+
+
+def _telling(event_queue: EventQueue) -> Callable[[Failure], None]:
+    """Tells the loop of the end of a worker."""
+    return lambda failure: event_queue.put(WorkerLost(failure, vital=False))

@@ -1,5 +1,10 @@
 """The best route of a mission when everything is known, by a method that is not companion's.
 
+    companion campaign run safety --out FOLDER && scripts/bench optimum --campaign FOLDER [--jobs 2]
+
+Of a campaign of the planner alone: J of each run against J*, the cost of the best route in its
+world.  How it is found:
+
 1. `lattice`: Dijkstra over a 500 m grid with 48 directions, with the cost of the route (its length,
    its height where only height keeps the clearance, radar exposure). Routes found are made dearer
    and the search is run again, so that other ways round the obstacles come up too; with going
@@ -12,7 +17,7 @@
    upper bound of the optimum's. How close: effort 2 (finer curves, more starts) and the grid's
    cost, which leaves turn radius and climb limit out.
 
-`best_of` looks for it where it was found before.
+`best_of` looks for it where it was found before.  1 if a bar of design 10 is missed.
 """
 
 import functools
@@ -20,6 +25,8 @@ import hashlib
 import json
 import math
 import os
+import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -27,6 +34,7 @@ from typing import Any, final
 import descent
 import lattice
 import numpy as np
+import running
 from descent import Margins, Problem, Smooth
 from lattice import GRID_M, SURFACE_M, Lattice
 from numpy.typing import NDArray
@@ -34,7 +42,11 @@ from platformdirs import user_cache_dir
 
 from companion.campaign import drawn_world, route_cost, truth
 from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.file import Place
+from companion.campaign.report import read_campaign
 from companion.campaign.route_cost import Rates, curve_cost
+from companion.campaign.row import Row
+from companion.campaign.run import drawn_of
 from companion.world.threats import Radar
 
 FloatArray = NDArray[np.float64]
@@ -346,3 +358,62 @@ def _store() -> Path:
     for path in _SOLVER:
         digest.update(Path(path).read_bytes())
     return Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"
+
+
+# --- beside a campaign
+
+_BARS = {"scans": (1.01, 1.05, 1.10), "elevation": (1.015, 1.03, 1.06)}
+_FIGURES = np.median, np.mean, lambda found: np.quantile(found, 0.9), np.max
+
+
+def best_of_place(place: Place) -> Optimum | None:
+    """The optimum of a campaign's world."""
+    return best_of(drawn_of(place))
+
+
+def place_of(row: Row) -> Place:
+    """Where a run was flown."""
+    return Place(
+        label="", world=row.world, mission=row.mission, family=row.family,
+        family_seed=row.family_seed, family_index=row.family_index,
+    )  # fmt: skip
+
+
+def ratios(rows: Sequence[Row], known: dict[Place, Optimum | None]) -> FloatArray:
+    """J / J* of the runs that arrived, where J* is known."""
+    found = [(row.cost, known[place_of(row)]) for row in rows if row.arrived]
+    return np.array([cost / best.cost for cost, best in found if cost and best])
+
+
+def main() -> int:
+    """Find the optima of a campaign's worlds, and print J against them."""
+    options, console = running.begin(__doc__, campaign={"type": Path, "required": True}, jobs=2)
+    rows = [row for row in read_campaign(options.campaign).rows if row.over == "planner"]
+    places = list(dict.fromkeys(map(place_of, rows)))
+    todo = [(place,) for place in places]
+    asked = running.in_processes(best_of_place, todo, options.jobs, "optima", console)
+    known = {place: future.result() for (place,), future in asked}
+    figures = ("runs", "arrived", "without J*", "J / J*: median", "mean", "90 %", "worst", "bars")
+    table = running.figures("J against the full-knowledge optimum", "", *figures)
+    kept = True
+    groups: dict[tuple[str, str, str, str], list[Row]] = {}
+    for row in rows:
+        key = row.family or row.world, row.planner, row.knowledge, row.optimiser
+        groups.setdefault(key, []).append(row)
+    for key, mine in groups.items():
+        found, bars = ratios(mine, known), _BARS.get(key[2], ()) if key[1] == "ours" else ()
+        spread = [f(found) for f in _FIGURES] if len(found) else []
+        kept &= all(value <= bar for value, bar in zip(spread, bars, strict=False))
+        table.add_row(
+            ", ".join(key), str(len(mine)), str(sum(row.arrived for row in mine)),
+            str(sum(known[place_of(row)] is None for row in mine)),
+            *(f"{value:.4f}" for value in spread), *([""] * (4 - len(spread))),
+            ", ".join(map(str, bars)),
+        )  # fmt: skip
+    console.print(table)
+    running.store(options.json, {"/".join(k): ratios(v, known).tolist() for k, v in groups.items()})
+    return running.ended(console, kept=kept)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import optimum
 import pytest
+from campaign_rows import row
 from descent import Margins, Problem
 from lattice import Lattice
 
@@ -70,13 +71,13 @@ def test_gradients_are_those_of_finite_differences() -> None:
     ramp = np.linspace(1.0, 2.0, len(r))
     pulled = [(*problem.cost(r, v, 40e3)[1:], 0.0)]
     pulled += [pull(ramp) for _, pull in problem.bounds(r, v, a)]
-    for row, axis in ((2, 0), (5, 1), (6, 2), (9, 1)):
+    for control_point, axis in ((2, 0), (5, 1), (6, 2), (9, 1)):
         step = np.zeros_like(control)
-        step[row, axis] = 0.01
+        step[control_point, axis] = 0.01
         above, below = parts(control + step), parts(control - step)
         for number, (by_r, by_v, by_a) in enumerate(pulled):
             slope = sum(
-                float(basis[:, row] @ (np.zeros_like(r) + by)[:, axis])
+                float(basis[:, control_point] @ (np.zeros_like(r) + by)[:, axis])
                 for basis, by in ((problem.b0, by_r), (problem.b1, by_v), (problem.b2, by_a))
             )
             wanted = (above[number] - below[number]) / 0.02
@@ -128,3 +129,14 @@ def test_stored_optima_are_feasible_and_cost_what_is_said(name: str) -> None:
     assert curve_cost(curve, world) == pytest.approx(found.cost, rel=1e-4)
     np.testing.assert_allclose(found.control_nea_m[0], world.start_nea_m)
     np.testing.assert_allclose(found.control_nea_m[-1][:2], world.targets_ne_m[0])
+
+
+def test_costs_are_set_beside_the_optimum_of_their_own_world() -> None:
+    dear, cheap, lost = row(0, cost=33.0), row(1, cost=60.0, world="b"), row(2, arrived=False)
+    base = optimum.load()[drawn_world.by_name("dense-0").fingerprint]
+    known = {
+        optimum.place_of(dear): replace(base, cost=30.0),
+        optimum.place_of(cheap): replace(base, cost=60.0),
+    }
+    assert optimum.ratios([dear, cheap, lost], known) == pytest.approx([1.1, 1.0])
+    assert len(optimum.ratios([dear], {optimum.place_of(dear): None})) == 0

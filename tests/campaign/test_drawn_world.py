@@ -108,3 +108,9 @@ def test_a_growing_world_holds_the_smaller_one_unchanged() -> None:
     near = [place for place in places(large) if max(map(abs, place)) < 24_990.0]
     assert sorted(near) == sorted(places(small))
     assert set(places(drawn_world.spread_out(10, variant=1))).isdisjoint(places(small))
+
+
+def test_no_map_has_more_cells_than_a_mission_may_have() -> None:
+    task = drawn_world.spread_out(100_000).task
+    cells = (task.limits.north_m[1] - task.limits.north_m[0]) / task.cell_m
+    assert 4_900 < cells <= 5_000

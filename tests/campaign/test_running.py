@@ -232,6 +232,8 @@ def test_a_run_that_raises_is_a_row(tmp_path: Path) -> None:
         ('keep = "failures"', 'over = "planner"', "the planner alone has no vehicle"),
         ("[factors]", '[factors]\noptimiser = ["luck"]', "refined-de"),
         ("[factors]", "[factors]\nbudget = [1]", "budget"),
+        ("[factors]", 'over = "udp"\nvehicles = [2]\n[factors]', "in one process"),
+        ("[factors]", '[factors]\nknowledge = ["elevation"]', "of the planner alone"),
         ("schema = 1", "schema = [", "not TOML"),
     ],
 )

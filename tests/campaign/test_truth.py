@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from companion.campaign import truth
+from companion.campaign import drawn_world, truth
 from companion.path.limits import Limits
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import CircleZone, PolygonZone, Radar
@@ -154,3 +154,51 @@ def test_each_broken_bound_is_named(control: FloatArray, names: tuple[str, ...])
         required_clearance_m=515.0,
     )
     assert found.violations(LIMITS, 515.0, 15.0) == names
+
+
+CURVE = np.array([[0.0, 0, 3_100], [6e3, 0, 3_100], [9e3, 4e3, 3_400], [12e3, 11e3, 3_300]])
+LINE = np.array([[n, 0.0, 3_100.0] for n in (0.0, 3e3, 6e3, 9e3)])
+TASK = drawn_world.bundled("environment-2").task
+
+
+def rest_of(control: FloatArray, at: float) -> FloatArray:
+    """De Casteljau: a cubic Bezier curve from there on."""
+    rows = [control]
+    while len(rows[-1]) > 1:
+        rows.append((1 - at) * rows[-1][:-1] + at * rows[-1][1:])
+    return np.array([row[-1] for row in rows[::-1]])
+
+
+def test_a_curve_goes_over_into_its_own_rest_without_a_jump() -> None:
+    found = truth.jumps(CURVE, rest_of(CURVE, 0.6), TASK)
+    assert found is not None
+    assert max(found) < 1e-9
+    assert truth.goes_over(CURVE, rest_of(CURVE, 0.6), TASK)
+
+
+def test_a_join_that_turns_jumps_by_the_angle() -> None:
+    rest, angle = rest_of(CURVE, 0.6), 0.01
+    turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0]])
+    turned = rest[0] + (rest - rest[0]) @ np.vstack([turn, [0.0, 0.0, 1.0]]).T
+    position, tangent, _ = truth.jumps(CURVE, turned, TASK) or (1.0, 1.0, 1.0)
+    assert position < 1e-12
+    along = rest[1] - rest[0]
+    level = np.linalg.norm(along[:2]) / np.linalg.norm(along)
+    assert tangent == pytest.approx(2.0 * math.sin(0.5 * angle) * level, rel=1e-6)
+    assert not truth.goes_over(CURVE, turned, TASK)
+
+
+def test_a_join_from_a_straight_line_jumps_by_the_curvature_of_the_next() -> None:
+    h, r2 = 700.0, 2_000.0
+    bent = np.array([[8e3, 0, 3_100], [8e3 + r2, 0, 3_100], [14e3, h, 3_100], [18e3, 4e3, 3_100]])
+    position, tangent, curvature = truth.jumps(LINE, bent, TASK) or (1.0, 1.0, 1.0)
+    assert max(position, tangent) < 1e-12
+    assert curvature == pytest.approx(2_500.0 * 2.0 / 3.0 * h / r2**2, rel=1e-9)
+
+
+def test_a_join_beside_the_curve_jumps_in_position_and_a_stop_does_not() -> None:
+    beside = LINE + np.array([7e3, 2.0, 0.0])
+    assert truth.jumps(LINE, beside, TASK)[0] == pytest.approx(2.0 / 20_000.0)
+    from_rest = LINE[-1] + (LINE - LINE[0])[:, [1, 0, 2]]  # a right angle, where the first ends
+    assert truth.jumps(LINE, from_rest, TASK) is None
+    assert truth.goes_over(LINE, from_rest, TASK)

@@ -5,7 +5,7 @@ must.  With full knowledge it plans once.  With scans it sees, at each look, the
 that nothing hides, takes what it has not seen as free, plans to the target, flies 0.375 R of that,
 never over ground that it has not seen, and looks and plans again.  All rivals have this driver in
 common; it shares the measure of cost and the surface of safe altitudes with the optimum of
-`scripts/bench missions`, and nothing with our planner.
+`scripts/bench optimum`, and nothing with our planner.
 """
 
 import math
@@ -27,8 +27,9 @@ from companion.campaign.rivals.problem import (
 )
 from companion.campaign.route_cost import Rates
 
-Knowledge = Literal["scans", "full"]
-EVALUATIONS = 20_000
+Knowledge = Literal["scans", "elevation", "full"]
+"""Of the ground before the flight: none; a poor elevation file, for guidance; all of it."""
+EVALUATIONS = {"scans": 20_000, "full": 100_000}
 """Lines that a planner by sampling may cost for one plan: seconds, where ours takes 10 ms."""
 
 _FINE_PER_RANGE, _FINE_PER_CLEARANCE = 160, 0.4
@@ -54,6 +55,8 @@ class RouteFlight:
     """Processor time of each plan."""
     stops: tuple[int, ...] = ()
     """Points at which it stood still, and may have turned on the spot."""
+    subpaths_nea_m: tuple[FloatArray, ...] = ()
+    """Control points (N, 3) of each, tail included, of who plans by subpaths."""
 
 
 def fly(
@@ -61,10 +64,14 @@ def fly(
     planner: RoutePlanner,
     *,
     knowledge: Knowledge = "scans",
-    evaluations: int = EVALUATIONS,
+    evaluations: int | None = None,
     seed: int = 1,
 ) -> RouteFlight:
-    """Fly a world's mission, target by target.  Deterministic but for the times."""
+    """Fly a world's mission, target by target.  Deterministic but for the times.
+
+    evaluations: for one plan; None: `EVALUATIONS`.
+    """
+    evaluations = evaluations or EVALUATIONS[knowledge]
     explorer, rng = Explorer(world, everything=knowledge == "full"), np.random.default_rng(seed)
     flown, plan_s, why = [np.array(world.start_nea_m)], list[float](), ""
     for target in world.targets_ne_m:
