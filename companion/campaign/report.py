@@ -415,13 +415,18 @@ def report_html(report: CampaignReport) -> str:
         rates=RATES,
         figures=[Markup(_figure(at, each)) for at, each in enumerate(report.sections)],
         label=label_text,
-        interval=interval_text,
+        interval=_unbroken,
         shown_sizes=shown_sizes,
         digits_of=digits_of,
         verdict=verdict,
         caveats=caveats,
         timing=TIMING,
     )
+
+
+def _unbroken(*asked: Any) -> str:
+    """An interval whose brackets stay on one line."""
+    return interval_text(*asked).replace(", ", ",\u00a0")
 
 
 def _figure(at: int, section: Section) -> str:
