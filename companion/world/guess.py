@@ -35,16 +35,17 @@ def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -
     firm = known.firm
     if firm.all():
         return known.upper_m
-    told = np.zeros_like(firm) if known.guess_m is None else ~np.isnan(known.guess_m)
-    guess = np.full(firm.shape, -np.inf)
-    if not (firm | told).all():
+    believed = np.where(firm, known.upper_m, -np.inf)  # the one pass over all of a large map
+    if known.guess_m is None or np.isnan(known.guess_m[~firm]).any():
         near = _within(_REACH * range_m, known, here_ne_m)
         part = known.part(*near)
         if part.firm.any():
-            guess[near] = continued_m(part, range_m, here_ne_m)
+            guess = np.minimum(continued_m(part, range_m, here_ne_m), part.upper_m)
+            np.copyto(believed[near], guess, where=~part.firm)
     if known.guess_m is not None:
-        np.copyto(guess, known.guess_m, where=told)
-    return np.where(firm, known.upper_m, np.minimum(guess, known.upper_m))
+        told = ~(firm | np.isnan(known.guess_m))
+        np.copyto(believed, np.minimum(known.guess_m, known.upper_m), where=told)
+    return believed
 
 
 def _within(reach_m: float, known: KnownMap, here_ne_m: tuple[float, float]) -> tuple[slice, slice]:
