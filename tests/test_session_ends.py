@@ -132,7 +132,9 @@ def test_a_return_that_cannot_be_flown() -> None:
     must_be_said(it)
 
 
-@pytest.mark.parametrize("kind", [wire.MAV_TYPE_FIXED_WING, wire.MAV_TYPE_GROUND_ROVER])
+@pytest.mark.parametrize(
+    "kind", [wire.MAV_TYPE_FIXED_WING, wire.MAV_TYPE_VTOL_QUADROTOR, wire.MAV_TYPE_GROUND_ROVER]
+)
 def test_a_vehicle_that_the_mission_is_not_for(kind: int) -> None:
     it, codec = pair(), wire.MAVLink(None, srcSystem=1, srcComponent=1)
     for _ in range(3):

@@ -133,19 +133,6 @@ def test_garbage_there_is_passed_over_and_cuts_no_message_of_the_vehicle() -> No
     assert it.frames == quiet.frames
 
 
-def test_told_again_a_flight_with_orders_from_there_sends_the_same() -> None:
-    it = flying()
-    it.order(wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
-    it.run_until(lambda it: it.session.state.phase is Phase.HOLDING)
-    it.order(wire.MAV_CMD_DO_PAUSE_CONTINUE, 1.0, link=2)
-    it.run_until(lambda it: it.out.end is not None)
-    start, *others = it.inputs
-    session = session_of(start_of(start), lambda _start: MISSION)
-    outs = [out for told in others if (out := feed(session, told)) is not None]
-    assert [frame for out in outs for frame in out.frames] == it.frames
-    assert [frame for out in outs for frame in out.to_ground] == it.to_ground
-
-
 def test_a_keep_out_on_the_way_and_a_landing_are_obeyed_and_told_again() -> None:
     """The same again from what was recorded: every frame, the answers too."""
     it = flying()

@@ -33,7 +33,7 @@ schema = 1
 name = "planned"
 over = "planner"
 keep = "none"
-seeds = 2
+seeds = 1
 [[places]]
 family = "copter"
 count = 2
@@ -91,19 +91,14 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return same(fly_run(run, folder) for run in runs(folder, PLANNED))
 
 
-def test_on_all_cores_it_is_the_same(planned: Any, tmp_path: Path) -> None:
-    rows = list(fly_locally(runs(tmp_path, PLANNED), tmp_path, 2))
-    assert same(rows) == planned
-    assert len({row.worker for row in rows}) == 2
-    assert all(row.arrived and row.violations == 0 for row in rows)
-
-
 def test_a_local_worker_that_is_killed_takes_no_run_with_it(planned: Any, tmp_path: Path) -> None:
     flying = fly_locally(runs(tmp_path, PLANNED), tmp_path, 2)
     rows = [next(flying)]
     os.kill(int(rows[0].worker.rpartition("/")[2]), signal.SIGKILL)
     rows += flying
     assert same(rows) == planned
+    assert len({row.worker for row in rows}) > 1
+    assert all(row.arrived and row.violations == 0 for row in rows)
 
 
 @pytest.fixture

@@ -72,6 +72,7 @@ def test_it_says_and_decides_what_it_does_over_udp(flown: Any, here: Path) -> No
     assert log_of(here) == log_of(over_udp)
 
 
+@pytest.mark.nightly  # its log and journal are those of the flight over UDP
 def test_it_is_the_same_again_with_all_that_the_session_was_told(
     here: Path, tmp_path: Path
 ) -> None:

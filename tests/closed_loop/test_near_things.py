@@ -180,6 +180,7 @@ OF_DRIVER = ("component = 196\n", "")
 TREE = "[[trees]]\nnorth_m = 30.0\neast_m = 1.0\nradius_m = 0.3\nheight_m = 15.0\n"
 
 
+@pytest.mark.nightly  # without a flight: `tests/mavlink/test_near_sensing.py`
 def test_eight_wide_sectors_of_an_autopilot_that_is_silent_in_the_open_lead_past_a_tree(
     tmp_path: Path,
 ) -> None:
@@ -207,6 +208,7 @@ RNGFND1_MAX = 12.0
 LOOKS_DOWN = ('kind = "copter"', 'kind = "copter"\nrangefinder_error_m = 1.0')
 
 
+@pytest.mark.nightly  # without a flight: `tests/mission/test_low_ground.py`
 def test_ground_that_is_higher_than_stated_stops_it_until_it_is_given_up(tmp_path: Path) -> None:
     """2.2 m below its path, where the mission states 4 and its lidar looks over it."""
     mission(tmp_path, LOOKS_DOWN)
@@ -232,6 +234,7 @@ ROWS = "kind = 'sectors'\noutput = 'points'\nwidth_deg = 96.0\n"
 ROWS += f"rows_deg = {[-3.0 * k for k in range(10)]}\n"
 
 
+@pytest.mark.nightly  # without a flight: `tests/mavlink/test_near_points.py`
 def test_the_points_of_a_depth_camera_lead_through_the_gap(tmp_path: Path) -> None:
     """Where they end on the ground, it sees what is free: there are no points in the open."""
     mission(tmp_path, *CAMERA)

@@ -2,25 +2,11 @@
 
 import math
 import struct
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pyproj
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from pymavlink.dialects.v20 import all as wire
-
-from companion.config import load_mission
-from companion.geodesy import LocalFrame
-from companion.mavlink.addressing import Reply
-from companion.mavlink.commands import CommandServer, from_float32, speed_bounds_m_s
-from companion.mavlink.own_messages import OwnMessages
-from companion.mission.events import Order, OrderKind
-
-sys.path.insert(0, str(Path(__file__).parent))
 from by_hand import (
     OURS,
     PERSON,
@@ -31,6 +17,16 @@ from by_hand import (
     command_long,
     payload_of,
 )
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as wire
+
+from companion.config import load_mission
+from companion.geodesy import LocalFrame
+from companion.mavlink.addressing import Reply
+from companion.mavlink.commands import CommandServer, from_float32, speed_bounds_m_s
+from companion.mavlink.own_messages import OwnMessages
+from companion.mission.events import Order, OrderKind
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, SPEED, RETURN = 300, 193, 192, 178, 20

@@ -2,14 +2,11 @@
 
 import random
 import re
-import sys
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "runtime"))
 from scripted_vehicle import MISSION, pair
 
 from companion.mavlink.autopilots import Autopilot

@@ -3,12 +3,21 @@
 import itertools
 import math
 import struct
-import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
+from by_hand import (
+    OURS,
+    PERSON,
+    Value,
+    any_message,
+    param_list,
+    param_read,
+    param_set,
+    param_value,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
@@ -26,18 +35,6 @@ from companion.planner.rules import check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.sources.mission_schema import MissionVehicleTable, PlannerTable, WeightsTable
 from companion.world.threats import CircleZone
-
-sys.path.insert(0, str(Path(__file__).parent))
-from by_hand import (
-    OURS,
-    PERSON,
-    Value,
-    any_message,
-    param_list,
-    param_read,
-    param_set,
-    param_value,
-)
 
 MISSION = load_mission("valley")
 TASK = MISSION.task

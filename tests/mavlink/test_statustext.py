@@ -1,16 +1,11 @@
 """Texts as a ground station puts them together again."""
 
-import sys
-from pathlib import Path
-
 import pytest
+from by_hand import Text, statustext
 from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.statustext import StatusTexts, shortened, to_ascii
-
-sys.path.insert(0, str(Path(__file__).parent))
-from by_hand import Text, statustext
 
 EMERGENCY, CRITICAL, WARNING, INFO = 0, 2, 4, 6
 

@@ -46,7 +46,14 @@ from companion.mission.state import Phase, State
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import (
+    Backtrack,
+    NotPlanned,
+    Planned,
+    PlanOutcome,
+    PlanRequest,
+    Refusal,
+)
 from companion.planner.settings import Task
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
 
@@ -134,6 +141,19 @@ def planned(request: PlanRequest, length_m: float = LEG_M, climb_m: float = 0.0)
         evaluations=60,
         rank=0,
         tries=1,
+    )
+
+
+def home_or_on(request: PlanRequest) -> PlanOutcome:
+    """A planner that finds every way, the way back too."""
+    if request.flown is None:
+        return planned(request)
+    here = request.scan_nea_m
+    return Backtrack(
+        plan_id=request.plan_id,
+        subpaths=(straight(here, (0.0, 0.0, here[2])),),
+        through=(False,),
+        reaches_start=True,
     )
 
 

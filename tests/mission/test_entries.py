@@ -2,15 +2,11 @@
 
 import json
 import math
-import sys
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION, certificate, fresh, not_planned, planned, position, scan_done, status
 
 from companion.mission import entries, journal

@@ -1,12 +1,8 @@
 """The autopilot's own failsafe takes the vehicle: it is called that, and not taken back unasked."""
 
 import json
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import LAND, TICK_S, Craft, arrived, flying, status, two_legs_away
 from renewed import replace
 

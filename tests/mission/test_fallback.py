@@ -1,13 +1,9 @@
 """How a flight ends that cannot go on: never in the air, unless the mission or a person says so."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import (
     Craft,
     flying,
@@ -19,7 +15,7 @@ from made_up import (
 )
 
 from companion.config import load_mission
-from companion.mission.events import Mode, Outcome, SetMode, StatusText, StopAsked
+from companion.mission.events import Mode, Outcome, SetMode, StatusText
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -162,10 +158,3 @@ def test_a_vehicle_that_somebody_else_has_is_told_nothing() -> None:
     craft.run_for(700.0)
     assert [c for c in craft.commands[begun:] if isinstance(c, SetMode)] == []
     assert craft.phase is Phase.HOLDING
-
-
-def test_a_person_who_ends_the_mission_has_the_vehicle() -> None:
-    craft = flying(AWAY)
-    craft.obey(craft.take(StopAsked(time_s=craft.now_s)))
-    assert craft.mode is Mode.HOLD
-    assert craft.end().outcome is Outcome.STOPPED

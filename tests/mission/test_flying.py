@@ -1,13 +1,9 @@
 import functools
 import math
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import (
     LEG_M,
     MISSION,

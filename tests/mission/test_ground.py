@@ -1,11 +1,6 @@
 """Two companions of one vehicle: the one that came second takes no command of it."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION, Craft, flying, preparing, two_legs_away
 from wild import Wild
 

@@ -4,14 +4,10 @@ Over a short time a jump is also what the speeds that were told cannot have made
 """
 
 import math
-import sys
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION, position
 from renewed import replace
 

@@ -1,16 +1,12 @@
 """A plane without a leg, and fences about it: it looks, goes elsewhere, or stays and says so."""
 
 import math
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION
+from numpy.typing import NDArray
 from renewed import replace
 
 from companion.mavlink.autopilots import ARDUPLANE, PX4_FIXED_WING, PX4_MULTICOPTER

@@ -1,11 +1,6 @@
 """What the mission does when the ground is nearer than its map says."""
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))
-from made_up import Craft, flying, mission, two_legs_away
-from test_orders import home_or_on
+from made_up import Craft, flying, home_or_on, mission, two_legs_away
 
 from companion.mission.events import GroundSeen, StatusText
 from companion.mission.mission import Fallback

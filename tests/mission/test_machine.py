@@ -1,15 +1,10 @@
 """The mission machine, case by case (`test_never` has the laws over random events)."""
 
 import math
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-from renewed import replace
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import (
     HOME_AMSL_M,
     MISSION,
@@ -31,6 +26,7 @@ from made_up import (
     status,
     two_legs_away,
 )
+from renewed import replace
 
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot
 from companion.mission.events import (

@@ -1,15 +1,9 @@
 """What the mission does when its sensor of near things sees something, or does not see."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from made_up import Craft, flying, home_or_on, mission, two_legs_away
 from msgspec.structs import replace
-
-sys.path.insert(0, str(Path(__file__).parent))
-from made_up import Craft, flying, mission, two_legs_away
-from test_orders import home_or_on
 
 from companion.mission import changes, following
 from companion.mission.events import NearSeen, Setpoint, StatusText

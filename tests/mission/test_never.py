@@ -11,14 +11,10 @@ one, an order is not overruled by an older plan, and no target is flown to below
 """
 
 import math
-import sys
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION
 from watch import Watch
 from wild import Wild

@@ -2,12 +2,8 @@
 
 import json
 import operator
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import (
     HOME_AMSL_M,
     MISSION,
@@ -16,6 +12,7 @@ from made_up import (
     flying,
     holding_without_fix,
     holding_without_plan,
+    home_or_on,
     not_planned,
     planned,
     straight,
@@ -73,19 +70,6 @@ def give(craft: Craft, order: Order) -> OrderResult:
     if verdict is OrderResult.ACCEPTED:
         craft.obey(craft.take(order))
     return verdict
-
-
-def home_or_on(request: PlanRequest) -> PlanOutcome:
-    """A planner that finds every way, the way back too."""
-    if request.flown is None:
-        return planned(request)
-    here = request.scan_nea_m
-    return Backtrack(
-        plan_id=request.plan_id,
-        subpaths=(straight(here, (0.0, 0.0, here[2])),),
-        through=(False,),
-        reaches_start=True,
-    )
 
 
 def under_way(of: Mission | None = None) -> Craft:

@@ -1,11 +1,6 @@
 """The autopilot's own fence stops the vehicle: the true reason for a person, and what to do."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import Craft, flying, position, status
 from renewed import replace
 

@@ -8,17 +8,13 @@ after the first record; those of the faults are the recordings' own (their READM
 
 import functools
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from held import recorded
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import not_planned, planned
 from renewed import replace
 

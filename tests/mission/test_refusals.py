@@ -1,13 +1,9 @@
 """Why there is no plan reaches the person in the planner's own words, with its own remedy."""
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import (
     Craft,
     flying,

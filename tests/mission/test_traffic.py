@@ -1,16 +1,12 @@
 """Right of way of one vehicle: what it enters it has claimed, and every wait has an end."""
 
 import math
-import sys
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from made_up import planned
 from renewed import replace
 from wild import Wild

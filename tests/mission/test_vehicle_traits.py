@@ -1,13 +1,9 @@
 """Every kind of autopilot and vehicle: take-off, take-over in the air, the flight, its end."""
 
 import math
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from renewed import replace
 from wild import HOME_AMSL_M, Wild
 

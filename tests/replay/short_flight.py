@@ -1,15 +1,12 @@
 """Short flights with the scripted vehicle, recorded as real ones are."""
 
 import io
-import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "runtime"))
 from scripted_vehicle import Vehicle, straight_plan
 from test_loop import ScriptedLink
 

@@ -2,15 +2,12 @@ import contextlib
 import copy
 import functools
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spoiled import refusal, replace_somewhere
 
 from companion.errors import InputError

@@ -3,7 +3,6 @@ import itertools
 import json
 import math
 import re
-import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import fields
@@ -20,8 +19,6 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from rasterio.transform import Affine
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spoiled import replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text

@@ -3,7 +3,6 @@ import copy
 import functools
 import json
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,6 @@ import pyproj
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spoiled import refusal, replace_somewhere
 
 from companion.config import load_mission, mission_text

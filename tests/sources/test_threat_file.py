@@ -1,15 +1,12 @@
 """Zones from KML and fence lists, against the KML reader of other projects."""
 
 import contextlib
-import sys
 from pathlib import Path
 
 import geopandas
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spoiled import refusal
 
 from companion.config import load_mission

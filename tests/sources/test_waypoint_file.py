@@ -4,7 +4,6 @@ import contextlib
 import functools
 import json
 import math
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink import mavwp
 from pymavlink.dialects.v20 import all as mavlink
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spoiled import JUNK, refusal
 
 from companion.config import load_mission, mission_text

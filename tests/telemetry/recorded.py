@@ -1,10 +1,8 @@
 """A short flight, recorded as `companion fly` does it: paused once, past zones, to its target."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "runtime"))
 from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
 

@@ -2,17 +2,13 @@
 
 import math
 import random
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
-from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "replay"))
 from golden import GOLDENS
+from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.mission.state import Phase

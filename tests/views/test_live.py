@@ -2,17 +2,12 @@
 
 import io
 import json
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from renewed import replace
 from rich.console import Console
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "telemetry"))
 from test_flight_status import flights
 from test_output import written
 

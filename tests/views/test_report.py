@@ -17,8 +17,6 @@ import lxml.etree
 import numpy as np
 import pyproj
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "telemetry"))
 from pymavlink.dialects.v20 import all as wire
 from recorded import EPOCH_US, run_folder
 from short_flight import fly_short

@@ -1,21 +1,15 @@
 """What the table and the file say, for rows that are made up."""
 
-import io
-import json
 import math
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from conformance.flights import Reason, flight_of
 from conformance.log import Recording
 from conformance.report import (
-    Summary,
-    as_json,
-    as_table,
     markdown_reasons,
     markdown_row,
     with_tables,
@@ -44,35 +38,6 @@ ROWS = [
     row("text", math.inf, "because", name="known"),
     row("text", 2.0, name="unknown"),
 ]
-
-
-def printed(recording: Recording, *, everything: bool) -> str:
-    console = Console(file=io.StringIO(), width=160)
-    console.print(as_table(recording, ROWS, everything=everything))
-    return console.file.getvalue()  # type: ignore[attr-defined]
-
-
-def test_the_summary_counts() -> None:
-    summary = Summary.of(ROWS)
-    assert (summary.rows, summary.agree, summary.unexplained) == (4, 2, 1)
-    assert summary.share == 0.5
-    assert Summary.of([]).share == 1.0
-
-
-def test_the_table_shows_what_does_not_agree_with_its_reason(recorded: Recorded) -> None:
-    text = printed(recorded("px4-offboard-short.tlog"), everything=False)
-    assert "2 of 4 rows agree (50.0 %), 1 without a reason" in text
-    assert "because" in text
-    assert "none is known" in text
-    assert text.count("│ y") == 1  # only as the worst of its kind
-    assert printed(recorded("px4-offboard-short.tlog"), everything=True).count("│ y") == 2
-
-
-def test_the_file_has_every_row_and_is_plain_json(recorded: Recorded) -> None:
-    text = json.dumps(as_json(recorded("px4-offboard-short.tlog"), ROWS), allow_nan=False)
-    told = json.loads(text)
-    assert (told["rows"], told["agree"], told["unexplained"]) == (4, 2, 1)
-    assert [r["difference"] for r in told["compared"]] == [0.0, 0.7, None, 2.0]
 
 
 @pytest.mark.parametrize(
