@@ -129,6 +129,7 @@ def test_that_flight_is_replayed_as_it_was(by_lidar: Flight) -> None:
     assert replay.found.unrecorded == 0
 
 
+@pytest.mark.nightly  # without a flight: `tests/mission/test_near_things.py`
 def test_a_lidar_that_is_dead_for_a_while_is_waited_for_in_a_hold(tmp_path: Path) -> None:
     mission(tmp_path)
     flight = flown_through(tmp_path, garden(tmp_path), "at 58 s for 8 s: lidar_dead")

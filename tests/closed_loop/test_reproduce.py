@@ -74,6 +74,7 @@ def test_the_same_settings_give_the_plans_that_were_flown_on_this_processor(run_
         assert each.now == each.flown
 
 
+@pytest.mark.nightly  # of shorter flights: `test_golden`, in other arithmetic too
 def test_with_another_kernel_decisions_are_the_same_and_plans_are_reported(run_dir: Path) -> None:
     found = replayed(run_dir, NUMPY)
     assert found.is_identical
