@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from programs import free_port
 from pymavlink.dialects.v20 import all as wire
 
 from companion.errors import InputError
@@ -37,12 +38,6 @@ def frames(count: int, *, period_s: float = 0.1, version_1: bool = False) -> lis
         codec.seq = (codec.seq + 1) % 256
         found.append(Record(EPOCH_US + round(number * period_s * 1e6), frame))
     return found
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def tlog(path: Path, records: list[Record]) -> Path:
