@@ -22,6 +22,7 @@ from vehicle_sim.autopilots import (
     Text,
 )
 from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
 from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
@@ -221,6 +222,11 @@ class FlightController:
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
+
+    def add_to_fence(self, item: PlanItem) -> None:
+        """As if somebody had uploaded the fence with this item added."""
+        items = (*self.autopilot.plans[PlanKind.FENCE], item)
+        self.answer(self._mission_protocol.store(PlanKind.FENCE, items))
 
     def receive(self, message: Any, sender: Sender, now_us: int) -> None:
         """Handle a message that is for the autopilot."""

@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from vehicle_sim import truth
+from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
 from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
@@ -352,6 +352,24 @@ class Simulation:
                     controller.answer(controller.autopilot.pilot_takes())
                 case "reboot":
                     self._go_down()
+                case "ground_fence":
+                    controller.add_to_fence(ground_station.new_fence(self._vehicle, *values))
+                case "ground_command" | "ground_target":
+                    self._ground_station_says(name, values)
+
+    def _ground_station_says(self, name: str, values: tuple[float, ...]) -> None:
+        component = 0 if self.companion is None else self.companion.component
+        if name == "ground_target":
+            to = (self.system_id, component, self._vehicle)
+            to_autopilot, message = False, ground_station.new_target(*to, values)
+        else:
+            to_autopilot, message = ground_station.command(self.system_id, component, values)
+        if to_autopilot:
+            self._controller.receive(message, ground_station.STATION, self.now_us)
+        else:
+            self._radio.send_as(
+                message, ground_station.STATION.system, ground_station.STATION.component
+            )
 
     # --- time ---------------------------------------------------------------------------------
 

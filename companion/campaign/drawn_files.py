@@ -126,7 +126,8 @@ def _world_table(drawn: DrawnWorld, autopilot: Autopilot) -> dict[str, Any]:
     """The truth, and a vehicle that can do what the mission asks of it."""
     task, terrain = drawn.task, drawn.terrain
     start, target = np.array(drawn.start_nea_m[:2]), np.array(drawn.targets_ne_m[0])
-    ahead = target - start
+    ahead = target - start if task.limits.hovers else start - target
+    """A plane climbs out over ground on which nothing stands."""
     ground: dict[str, Any] = {}
     if not isinstance(terrain, ArrayTerrain):
         ground = {

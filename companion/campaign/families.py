@@ -237,6 +237,44 @@ def _plane(rng: np.random.Generator, name: str) -> DrawnWorld:
                   safety_m=float(rng.uniform(30.0, 50.0)), times_s=(3.0, 4.0))  # fmt: skip
 
 
+def _short_copter(rng: np.random.Generator, name: str) -> DrawnWorld:
+    """A flight of one to two minutes for a copter of 8 m/s that sees 280 m."""
+    limits = replace(
+        _limits(8.0, 25.0, 12.0),
+        acceleration_m_s2=2.0, climb_rate_m_s=1.5, dive_angle_rad=math.radians(10.0),
+        tracking_error_m=4.0, navigation_error_m=3.0,
+    )  # fmt: skip
+    drawn = _small(rng, name, limits, 280.0, 560.0, band_m=(16.0, 75.0), tops_m=(30.0, 120.0),
+                   towers=(5.0, 15.0), safety_m=12.0, times_s=(1.0, 4.0))  # fmt: skip
+    return _of_the_map(drawn)
+
+
+def _short_plane(rng: np.random.Generator, name: str) -> DrawnWorld:
+    """A flight of two to three minutes for a plane of 15 m/s that sees 1,400 m."""
+    limits = replace(
+        _limits(15.0, 100.0, 6.0),
+        acceleration_m_s2=2.0, climb_rate_m_s=3.0, tracking_error_m=15.0, navigation_error_m=4.0,
+        loiter_radius_m=100.0,
+    )  # fmt: skip
+    drawn = _small(rng, name, limits, 1_400.0, 2_400.0, band_m=(70.0, 190.0),
+                   tops_m=(100.0, 260.0), towers=(30.0, 60.0), safety_m=30.0,
+                   times_s=(1.0, 4.0))  # fmt: skip
+    return _of_the_map(drawn)
+
+
+def _of_the_map(drawn: DrawnWorld) -> DrawnWorld:
+    """Without keep-outs that lie off the map: a mission file drops them."""
+    limits = drawn.task.limits
+    zones = tuple(
+        zone
+        for zone in drawn.task.zones
+        if isinstance(zone, CircleZone)
+        and limits.north_m[0] - zone.radius_m < zone.north_m < limits.north_m[1] + zone.radius_m
+        and limits.east_m[0] - zone.radius_m < zone.east_m < limits.east_m[1] + zone.radius_m
+    )
+    return replace(drawn, task=replace(drawn.task, zones=zones))
+
+
 def _small(
     rng: np.random.Generator,
     name: str,
@@ -393,5 +431,7 @@ _FAMILIES: dict[str, tuple[int, _Draw]] = {
     "relief": (13, _relief),
     "copter": (14, _copter),
     "plane": (15, _plane),
+    "short-copter": (16, _short_copter),
+    "short-plane": (17, _short_plane),
 }
 FAMILIES = ("dense", "sparse", *_FAMILIES)

@@ -10,11 +10,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, final
+from typing import Annotated, Any, Literal, final
 
 from pydantic import Field
 
-from companion.campaign import bundled_campaigns
+from companion.campaign import bundled_campaigns, drawn_faults
+from companion.campaign.drawn_faults import FaultScript
 from companion.campaign.families import FAMILIES
 from companion.campaign.rivals.flight import Knowledge
 from companion.campaign.rivals.registry import PLANNERS
@@ -60,6 +61,10 @@ class PlaceTable(Table):
     """In place of the campaign's."""
     vehicles: list[Annotated[int, Field(ge=1, le=100)]] | None = None
     """So many copters in one airspace: a run for each number; left out: one, as the mission is."""
+    vehicle: Vehicle | None = None
+    """The only one that flies there, where there is no factor `vehicle`."""
+    laps: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    """Back and forth between targets and start, so often in place of once there."""
 
 
 _Budget = keys_of(PlannerSettings, "evaluations").model_fields["evaluations"]
@@ -78,6 +83,15 @@ class FactorsTable(Table):
     faults: _Choices | None = None
     wind: _Choices | None = None
     noise: _Choices | None = None
+
+
+class FaultsTable(Table):
+    """Fault scripts of a random family; each is one more value of the factor `faults`."""
+
+    family: Literal[drawn_faults.FAMILIES]  # type: ignore[valid-type]
+    seed: _Seed = 0
+    first: _Index = 0
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = 1
 
 
 class ChoiceTable(Table):
@@ -104,6 +118,7 @@ class CampaignTable(Table):
     """Of vehicle time: a flight that is longer is stopped."""
     places: Annotated[list[PlaceTable], Field(min_length=1)]
     factors: FactorsTable = FactorsTable()
+    faults: list[FaultsTable] = Field(default=[])
     choices: list[ChoiceTable] = Field(default=[])
 
 
@@ -121,6 +136,8 @@ class Place:
     family_index: int | None = None
     over: Over | None = None
     vehicles: int | None = None
+    vehicle: str | None = None
+    laps: int | None = None
 
 
 @final
@@ -146,8 +163,15 @@ class Run:
     wind: str | None = None
     noise: str | None = None
     timeline: str = ""
+    script: FaultScript | None = None
+    """Drawn when vehicle and mission are known, and added to the timeline."""
     world_settings: tuple[str, ...] = ()
     mission_settings: tuple[str, ...] = ()
+
+    @property
+    def with_faults(self) -> bool:
+        """Whether something may go wrong in it."""
+        return self.script is not None or bool(self.timeline)
 
 
 def load_campaign(name_or_path: str) -> tuple[CampaignTable, str, Path]:
@@ -201,10 +225,14 @@ def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
         rule, remedy = "only ours reads an elevation file", "Leave out factors.planner."
         raise InputError(f"{where}: factors.knowledge", "elevation", rule, remedy)
     for factor in _OF_VEHICLES:
-        if "planner" in ways and getattr(campaign.factors, factor):
+        asked = getattr(campaign.factors, factor) or (factor == "faults" and campaign.faults)
+        if "planner" in ways and asked:
             rule = "the planner alone has no vehicle"
             remedy = 'Leave it out, or fly: over = "process".'
             raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
+    if over != "udp" and any(table.family == "programs" for table in campaign.faults):
+        rule = "faults of two processes need two"
+        raise InputError(f"{where}: faults", "programs", rule, "Fly them with --over udp.")
     for factor, ours in (("planner", [_OURS]), ("knowledge", ["scans"])):
         if ways != {"planner"} and (getattr(campaign.factors, factor) or ours) != ours:
             rule = "rivals and full knowledge are of the planner alone"
@@ -221,6 +249,13 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
     factors = {
         name: getattr(campaign.factors, name) or [None] for name in FactorsTable.model_fields
     }
+    scripts = [
+        FaultScript(family=table.family, seed=table.seed, index=index)
+        for table in campaign.faults
+        for index in range(table.first, table.first + table.count)
+    ]
+    if scripts:
+        factors["faults"] = [*(campaign.factors.faults or ()), *scripts]
     combinations = list(itertools.product(places, *factors.values()))
     if campaign.seeds * len(combinations) > _MOST_RUNS:
         rule = f"that makes more than {_MOST_RUNS:,} runs"
@@ -229,8 +264,11 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
     found: list[Run] = []
     for seed in range(campaign.first_seed, campaign.first_seed + campaign.seeds):
         for place, *values in combinations:
-            given = {k: v for k, v in zip(factors, values, strict=True) if v is not None}
-            chosen = [choices[v] for k, v in given.items() if k in _CHOSEN and v != _NONE]
+            given: dict[str, Any] = {k: str(v) if isinstance(v, FaultScript) else v
+                     for k, v in zip(factors, values, strict=True) if v is not None}  # fmt: skip
+            chosen = [choices[v] for k, v in given.items() if k in _CHOSEN and v in choices]
+            if place.vehicle is not None:
+                given.setdefault("vehicle", place.vehicle)
             found.append(
                 Run(
                     number=len(found),
@@ -244,6 +282,7 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
                     limit_s=campaign.limit_s,
                     timeline="\n".join(each.faults.strip() for each in chosen if each.faults),
                     world_settings=_joined(each.world for each in chosen),
+                    script=next((v for v in values if isinstance(v, FaultScript)), None),
                     mission_settings=_joined(each.mission for each in chosen),
                     **given,
                 )
@@ -260,6 +299,7 @@ def _joined(lists: Iterable[list[str]]) -> tuple[str, ...]:
 
 
 def _places(table: PlaceTable, folder: Path) -> Sequence[Place]:
+    how: Any = {"over": table.over, "vehicle": table.vehicle, "laps": table.laps}
     if table.family is not None:
         indices = table.indices or range(table.first, table.first + table.count)
         return [
@@ -269,8 +309,8 @@ def _places(table: PlaceTable, folder: Path) -> Sequence[Place]:
                 family=table.family,
                 family_seed=table.seed,
                 family_index=index,
-                over=table.over,
                 vehicles=vehicles,
+                **how,
             )
             for index in indices
             for vehicles in table.vehicles or (None,)
@@ -283,8 +323,6 @@ def _places(table: PlaceTable, folder: Path) -> Sequence[Place]:
         mission = str(folder / mission)
     label = world if world in bundled() else Path(world).parent.name or Path(world).stem
     return [
-        Place(
-            label=label, world=world, mission=mission or world, over=table.over, vehicles=vehicles
-        )
+        Place(label=label, world=world, mission=mission or world, vehicles=vehicles, **how)
         for vehicles in table.vehicles or (None,)
     ]

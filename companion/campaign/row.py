@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any, final
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TIMING = ("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker")
+TIMING = (
+    *("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker"),
+    *("memory_mb", "memory_grown_mb"),
+)
 """Columns that differ from machine to machine; all others are a function of the run."""
 
 
@@ -57,9 +60,26 @@ class Row:
     """Why it did not arrive."""
     arrived: bool
     violations: int | None = None
-    """Subpaths that break a bound in the dense check against the true world."""
+    """Subpaths that break a bound in the dense check against the true world; with faults, all that
+    the companion could know of, and endings that nobody explains (`judge`)."""
     violated: str | None = None
-    """Which bounds: `leg 3: terrain clearance; ...`."""
+    """Which: `leg 3: terrain clearance; ...`."""
+    timeline: str | None = None
+    """What went wrong."""
+    ending: str | None = None
+    """With faults: `arrived`, `held and resumed`, `held for good`, `landed`, `returned`, `let go`,
+    `refused`, `fell`, or `unexplained: ...`."""
+    excused: str | None = None
+    """With faults: what was too near, and why it could not know."""
+    position_off_m: float | None = None
+    """With faults: the largest error of the position that it was told."""
+    silent_s: float | None = None
+    """With faults: longest time without a command in guided mode, while somebody could send one."""
+    memory_mb: float | None = None
+    """Of a flight of hours in one process: in use at its end."""
+    memory_grown_mb: float | None = None
+    """More than after its first hour."""
+    handles_more: int | None = None
     length_m: float | None = None
     """Of what was flown."""
     straight_m: float | None = None

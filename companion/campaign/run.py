@@ -11,7 +11,7 @@ import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import pairwise
@@ -20,7 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from companion.campaign import airspace, drawn_world, families, flight, truth
+from companion.campaign import (
+    airspace,
+    drawn_faults,
+    drawn_world,
+    families,
+    flight,
+    judge,
+    truth,
+)  # fmt: skip
 from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.file import SPREAD, Place, Run
@@ -42,6 +50,9 @@ from companion.world.terrain import PeakTerrain, Terrain
 _SPACING_M = 1.0
 """Between the points of a subpath at which it is checked, as far as that makes a few thousand."""
 _MOST_POINTS = 20_000
+_OF_SHAPE = ("turn radius", "climb angle", "dive angle")
+_MOST_GROWTH_MB = 10.0
+"""In use, from the first hour of a flight to its end."""
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
 _ROOT = "runs"
 _SUMS = (
@@ -107,8 +118,7 @@ def _row(run: Run, found: dict[str, Any], *, folder: str, took_s: float, cpu_s: 
         took_s=took_s,
         cpu_s=cpu_s,
         worker=f"{platform.node()}/{os.getpid()}",
-        **{factor: getattr(run, factor) for factor in _FACTORS},
-        **(asked | found),
+        **({factor: getattr(run, factor) for factor in _FACTORS} | asked | found),
     )
 
 
@@ -123,17 +133,19 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
     if run.over == "planner":
         return _planned(run, folder)
     files = _files(run, folder)
+    recorded = run.keep != "none" or run.with_faults
     if run.over == "udp":
-        return _judged(flight.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s), files)
-    recorded = run.keep != "none"
-    if run.place.vehicles is not None:
+        flown = flight.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
+    elif run.place.vehicles is not None:
         several = airspace.on_a_circle(files, run.place.vehicles, run.seed)
         flights = airspace.fly_together(
             several, seed=run.seed, limit_s=run.limit_s, recorded=recorded
         )
         return _judged_together(flights, several)
-    flown = flight.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
-    return _judged(flown, files)
+    else:
+        flown = flight.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
+    found = _judged(flown, files, with_faults=run.with_faults) | {"timeline": files.faults or None}
+    return found | ({"faults": files.drawn} if run.script is not None else {})
 
 
 # --- the planner alone
@@ -221,7 +233,8 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     """World and mission of a run, with its factors, as both programs read them."""
     place = run.place
     if place.family is not None:
-        write(drawn_of(place), folder)
+        autopilot: Any = (run.vehicle or "ardupilot").partition("-")[0]
+        write(drawn_of(place), folder, autopilot)
         world_name, mission_name = str(folder / "world.toml"), str(folder / "mission.toml")
     else:
         world_name, mission_name = place.world, place.mission or place.world
@@ -237,6 +250,18 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     mission["planner"] = mission.get("planner", {}) | given
     world = with_settings(world, run.world_settings)
     mission = with_settings(mission, run.mission_settings)
+    if place.laps is not None:
+        start = {name: world["vehicle"].get(name, 0.0) for name in ("north_m", "east_m")}
+        mission["targets"] = [*mission["targets"], start] * place.laps
+    name, timeline = "", run.timeline
+    if run.script is not None:
+        of = mission["vehicle"]
+        autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
+        subject = drawn_faults.Subject(
+            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"], limit_s=run.limit_s
+        )
+        name, more = drawn_faults.drawn(run.script, subject)
+        timeline = "\n".join(filter(None, (timeline, more)))
     asked = folder / "asked"  # mission.toml of a run folder is written by who flies
     asked.mkdir()
     (folder / "mission.toml").unlink(missing_ok=True)
@@ -245,8 +270,9 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     return FlightFiles(
         world=folder / "world.toml",
         mission=asked / "mission.toml",
-        faults=run.timeline,
+        faults=timeline,
         folder=folder,
+        drawn=name,
     )
 
 
@@ -273,7 +299,7 @@ def _name_terrain(table: RawTable, name: str) -> None:
         table["terrain"] = terrain | {"file": str(_folder_of(name, "world") / terrain["file"])}
 
 
-def _judged(flown: Flight, files: FlightFiles) -> dict[str, Any]:
+def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str, Any]:
     """What a flight came to, from its journal and the truth."""
     drawn = _asdrawn_of(str(files.world), str(files.mission))
     kinds = [entry["kind"] for entry in flown.journal]
@@ -296,11 +322,14 @@ def _judged(flown: Flight, files: FlightFiles) -> dict[str, Any]:
         "plan_ms_median": float(np.median(plans_ms)) if len(plans_ms) else None,
         "plan_ms_p99": float(np.quantile(plans_ms, 0.99)) if len(plans_ms) else None,
     }
+    if len(track) >= 2:
+        found |= _of_track(track, drawn) | {"flight_s": float(times_s[-1] - times_s[0])}
+        if flown.mission.near is not None:
+            return found | _near(flown, times_s)
+    if with_faults:
+        return found | _with_faults(flown, drawn, files.faults)
     if len(track) < 2:
         return found
-    found |= _of_track(track, drawn) | {"flight_s": float(times_s[-1] - times_s[0])}
-    if flown.mission.near is not None:
-        return found | _near(flown, times_s)
     subpaths = [np.array(e["control_nea_m"]) for e in flown.journal if e["kind"] == "plan ready"]
     clearance_m = _clearance_m(track, drawn)
     least = int(np.argmin(clearance_m))
@@ -320,7 +349,7 @@ def _judged(flown: Flight, files: FlightFiles) -> dict[str, Any]:
 
 def _judged_together(flights: Sequence[Flight], several: Sequence[FlightFiles]) -> dict[str, Any]:
     """Several vehicles as one row: sums, but for what has a worst, a longest or a median."""
-    rows = [_judged(*each) for each in zip(flights, several, strict=True)]
+    rows = [_judged(*each, with_faults=False) for each in zip(flights, several, strict=True)]
     arrived = [row for row in rows if row["arrived"]]
     found: dict[str, Any] = rows[0] | airspace.separation(flights)
     found |= {"vehicles_arrived": len(arrived), "clearance_least_t_s": None}
@@ -337,6 +366,28 @@ def _judged_together(flights: Sequence[Flight], several: Sequence[FlightFiles]) 
         found["violations"] = (found["violations"] or 0) + 1
         found["violated"] = "; ".join(filter(None, [found["violated"], "flown: separation"]))
     return found
+
+
+def _with_faults(flown: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
+    """By the judge of faults; of subpaths planned in a wrong place only the shape is looked at."""
+    verdict = judge.judged(flown, drawn, timeline)
+    bounds = _OF_SHAPE if verdict.pop("is_distorted") else None
+    subpaths = [np.array(e["control_nea_m"]) for e in flown.journal if e["kind"] == "plan ready"]
+    checked = _checked(subpaths, drawn, bounds=bounds)
+    known = [*verdict.pop("violated"), *filter(None, [checked["violated"]])]
+    checked["violations"] += len(known) - bool(checked["violated"])
+    if (growth := flown.growth) is not None:
+        if growth.grown_mb > _MOST_GROWTH_MB or growth.more_handles > 0:
+            known.append(f"grew by {growth.grown_mb:.1f} MB, {growth.more_handles} handles")
+            checked["violations"] += 1
+        verdict |= {
+            "memory_mb": growth.now_mb,
+            "memory_grown_mb": growth.grown_mb,
+            "handles_more": growth.more_handles,
+        }
+    if verdict["ending"] == "arrived":
+        verdict["reason"] = None
+    return checked | verdict | {"violated": "; ".join(known) or None}
 
 
 def _near(flown: Flight, times_s: FloatArray) -> dict[str, Any]:
@@ -387,11 +438,15 @@ def _clearance_m(points_nea_m: FloatArray, drawn: DrawnWorld) -> FloatArray:
 
 
 def _checked(
-    subpaths: Sequence[FloatArray], drawn: DrawnWorld, *, joined: bool = False
+    subpaths: Sequence[FloatArray],
+    drawn: DrawnWorld,
+    *,
+    joined: bool = False,
+    bounds: Container[str] | None = None,
 ) -> dict[str, Any]:
     """Every metre of every subpath, its tail included, against the true world.
 
-    joined: each begins on the one before, or at its end, from rest.
+    joined: each begins on the one before, or at its end, from rest.  bounds: only these.
     """
     task = drawn.task
     violated, least_m = list[str](), math.inf
@@ -410,6 +465,7 @@ def _checked(
         broken = measures.violations(task.limits, task.required_clearance_m, task.error_m)
         if joined and number > 1 and not truth.goes_over(subpaths[number - 2], control_nea_m, task):
             broken = (*broken, "join")
+        broken = tuple(name for name in broken if bounds is None or name in bounds)
         bad += bool(broken)
         violated += [f"leg {number}: {name}" for name in broken]
         least_m = min(least_m, measures.clearance_m)

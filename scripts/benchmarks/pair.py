@@ -6,7 +6,7 @@ The companion's `Session` and the simulator's `Simulation` exchange bytes and no
 a link without delay; a ground station on a link of its own can upload a fence, change the mode and
 command the companion.  The session is run as it is in flight, not in its own lockstep: its silence,
 its plans' lateness and its time-outs are those of vehicle time, which here is the only time.  Plans
-are computed when they are asked for, and are handed over `plan_s` later.
+are computed when they are asked for, and are handed over 20 ms later.
 """
 
 import json
@@ -28,7 +28,7 @@ from companion.mavlink.link import Input, Output
 from companion.mission.state import Phase
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
-from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planner.request import PlanOutcome
 from companion.session import Session
 from vehicle_sim.simulation import Simulation
 
@@ -36,17 +36,16 @@ FloatArray = NDArray[np.float64]
 
 COMPANION_LINK, STATION_LINK = 0, 1
 _POLL_S = 0.2
+_PLAN_S = 0.02
+"""How long a plan takes, in vehicle time."""
 _SETTLE_S = 3.0
 _AFTER_S = 5.0
 """What is flown on after the companion has ended, to see what it left behind."""
 _BOOT_S = 90.0
 _PATIENCE_S = 90.0
 """Who has held for so long, and nothing more is going to happen, holds for good."""
-_SAMPLE_US, _MINUTE_US = 100_000, 60_000_000
+_SAMPLE_US = 100_000
 _DO_REPOSITION = 192
-SETPOINTS = frozenset(
-    {"SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED", "COMMAND_INT"}
-)
 
 
 @final
@@ -84,8 +83,6 @@ class Flown:
     truth: list[dict[str, Any]] = field(default_factory=list)
     samples: list[Sample] = field(default_factory=list)
     sent: list[Sent] = field(default_factory=list)
-    received_s: list[float] = field(default_factory=list)
-    """When setpoints reached the autopilot."""
     journal: list[dict[str, Any]] = field(default_factory=list)
     outcome: str = ""
     """How the companion says that it ended; empty if it did not."""
@@ -101,8 +98,6 @@ class Flown:
     """What was made to happen, and when."""
     texts: list[tuple[int, str]] = field(default_factory=list)
     """What the ground station read: component and text."""
-    target_ne_m: tuple[float, float] | None = None
-    """Where it was told to go in flight, if it was."""
     inputs: list[Input] | None = None
     """All that the companion was told, if a list is there for it."""
 
@@ -123,9 +118,6 @@ class Brain:
 
     def __init__(self, session: Session, kernel: Kernel) -> None:
         self.session = session
-        self.plan_s = 0.02
-        """How long a plan takes, in vehicle time."""
-        self.planner_dies = False
         self.out_frames: list[bytes] = []
         self.ended_s: float | None = None
         self.over = False
@@ -134,7 +126,7 @@ class Brain:
         self.known: Any = None
         self._kernel = kernel
         self._heard_s = self._polled_s = 0.0
-        self._answers: list[tuple[float, PlanOutcome | Exception]] = []
+        self._answers: list[tuple[float, PlanOutcome]] = []
 
     def begin(self, now_s: float) -> None:
         self._heard_s = self._polled_s = now_s
@@ -157,11 +149,7 @@ class Brain:
 
     def _run(self, now_s: float, flown: Flown) -> None:
         while self._answers and self._answers[0][0] <= now_s:
-            _, answer = self._answers.pop(0)
-            if isinstance(answer, Exception):
-                self.session.part_died("planner", repr(answer))
-            else:
-                self.session.deliver(answer)
+            self.session.deliver(self._answers.pop(0)[1])
         self._carry_out(self.session.run(), now_s, flown)
         if self.ended_s is not None and not self.over:
             settled = now_s - self.ended_s > _SETTLE_S
@@ -182,15 +170,10 @@ class Brain:
         if out.known is not None:
             self.known = out.known
         if out.plan is not None:
-            self._answers.append((now_s + self.plan_s, self._answer(out.plan)))
+            self._answers.append((now_s + _PLAN_S, plan(out.plan, lambda: False, self._kernel)))
         if out.end is not None and self.ended_s is None:
             self.ended_s = now_s
             flown.outcome, flown.reason = out.end.outcome.value, out.end.reason
-
-    def _answer(self, request: PlanRequest) -> PlanOutcome | Exception:
-        if self.planner_dies:
-            return RuntimeError("the planner was made to die")
-        return plan(request, lambda: False, self._kernel)
 
 
 @final
@@ -200,12 +183,9 @@ class Pair:
     def __init__(self, scene: Scene, *, seed: int, kernel: Kernel, faults: str = "") -> None:
         self.scene, self.seed = scene, seed
         self.simulation = Simulation(scene.world, seed=seed, links=2, faults=faults)
-        self.simulation.on_message = self._on_message
         self.station = Station(scene.world.frame)
         self.brain: Brain | None = None
         self.flown = Flown(scene=scene)
-        self.each_minute: Callable[[], None] | None = None
-        """For flights that are too long to be kept whole."""
         self._kernel = kernel
         self._due: list[tuple[float, Happening]] = []
         """Seconds after the companion began to fly, and what then."""
@@ -250,27 +230,16 @@ class Pair:
 
     # --- time
 
-    def fly(self, *, limit_s: float = 300.0, patient: bool = False) -> Flown:
-        """From the boot to what the companion leaves behind.
-
-        patient: at the limit a vehicle that is still on its way gets another minute, and one more
-        each time that it has come nearer to its last target meanwhile.
-        """
+    def fly(self, *, limit_s: float = 300.0) -> Flown:
+        """From the boot to what the companion leaves behind."""
         self._boot()
         self.brain = self.new_brain()
         self.brain.begin(self.now_s)
-        until_s, left_m = self.now_s + limit_s, math.inf
+        until_s = self.now_s + limit_s
         try:
-            while True:
-                if self.now_s >= until_s:
-                    was_m, left_m = left_m, self._left_m()
-                    if not patient or left_m >= was_m:
-                        break
-                    until_s += 60.0
+            while self.now_s < until_s:
                 self._step()
                 self._happen()
-                if self.each_minute is not None and self.simulation.now_us % _MINUTE_US == 0:
-                    self.each_minute()
                 if (self.brain is not None and self.brain.over) or self._waits_in_vain():
                     break
             self._see_what_is_left()
@@ -295,10 +264,6 @@ class Pair:
                 self._step()
         self.simulation.take_truth()
         self.simulation.take_notices()
-
-    def _left_m(self) -> float:
-        """Straight on to the last target."""
-        return math.dist(self.where()[:2], self.scene.mission.targets_ne_m[-1])
 
     def _waits_in_vain(self) -> bool:
         """Whether it has held for so long, with nothing to come, that it will go on holding."""
@@ -369,10 +334,6 @@ class Pair:
         )
 
     # --- what goes over the links
-
-    def _on_message(self, kind: str) -> None:
-        if kind in SETPOINTS:
-            self.flown.received_s.append(self.now_s)
 
     def _note_setpoint(self, frame: bytes, now_s: float) -> None:
         match number_of(frame):

@@ -89,20 +89,6 @@ class Station:
         values = [*parameters, *[0.0] * (7 - len(parameters))]
         self._send(wire.MAVLink_command_long_message(self._system, component, command, 0, *values))
 
-    def reposition(self, target_ne_m: tuple[float, float], altitude_amsl_m: float) -> None:
-        """Give the companion a new target."""
-        latitude, longitude = self._frame.to_geographic(*target_ne_m)
-        self._send(
-            wire.MAVLink_command_int_message(
-                self._system, PLANNER_COMPONENT, 5, 192, 0, 0, -1.0, 0.0, 0.0, math.nan,
-                round(latitude * 1e7), round(longitude * 1e7), altitude_amsl_m,
-            )
-        )  # fmt: skip
-
-    def set_mode(self, main: float, sub: float = 0.0) -> None:
-        """The vehicle's flight mode."""
-        self.command(176, 1.0, main, sub, component=1)
-
     def be_left_alone(self) -> None:
         """Stop all streams of this link but heartbeats and texts."""
         for number in (*CHATTER, *_TELEMETRY):

@@ -25,18 +25,6 @@ def test_a_pair_flies_and_the_same_seed_flies_the_same_flight() -> None:
     assert once.truth != another.truth
 
 
-@pytest.mark.nightly  # of the benchmarks alone
-def test_a_flight_that_comes_nearer_is_not_cut_short_and_one_that_does_not_is() -> None:
-    pair = Pair(pair_worlds.scene("px4", "copter", 2), seed=1, kernel=NUMPY)
-    slow = pair.fly(limit_s=20.0, patient=True)
-    assert slow.outcome == "arrived"
-    hindered = Pair(pair_worlds.scene("px4", "copter", 2), seed=1, kernel=NUMPY)
-    hindered.simulation.receive = lambda *_: None  # type: ignore[method-assign]
-    stuck = hindered.fly(limit_s=20.0, patient=True)
-    assert not stuck.outcome
-    assert stuck.ended_s < slow.ended_s
-
-
 @pytest.mark.parametrize("kind", ["copter", "plane"])
 def test_a_world_is_the_same_for_both_autopilots_and_another_for_another_number(kind: str) -> None:
     one, other = (pair_worlds.scene(autopilot, kind, 3) for autopilot in ("ardupilot", "px4"))  # type: ignore[arg-type]

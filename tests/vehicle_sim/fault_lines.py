@@ -30,5 +30,8 @@ LINES = {
     "origin_move": "origin_move 20 m north 3 m up",
     "pilot": "pilot",
     "reboot": "reboot",
+    "ground_command": "ground_command 176 1 2 to_autopilot",
+    "ground_target": "ground_target 50 m north 20 m west",
+    "ground_fence": "ground_fence 20 m 60 m ahead",
     "set": "set SIM_GPS1_ALT_OFS 30",
 }

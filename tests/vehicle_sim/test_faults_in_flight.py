@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.faults.catalogue import FAULTS as ALL_FAULTS
 from vehicle_sim.parameters import Firmware
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.world import VehicleKind
 
 FloatArray = NDArray[np.float64]
@@ -157,6 +158,7 @@ class Heard:
                 self.broken += 1
         self.numbers = [frame.frame[4] for frame in self.frames if frame.source == (1, 1)]
         self.truth = list(flight.simulation.take_truth())
+        self.fence = flight.simulation.plans[PlanKind.FENCE]
 
     def timed(self, kind: str, component: int = 1) -> list[Frame]:
         return [f for f in self.frames if f.kind == kind and f.source[1] == component]
@@ -270,6 +272,11 @@ SEES: dict[str, Sees] = {
     ),
     "pilot": lambda a, b: _mode(a) != _mode(b),
     "reboot": lambda a, b: min(_times_s(a)) > 30.0 and min(_times_s(b)) < 10.0,
+    "ground_command": lambda a, b: _mode(a) != _mode(b),
+    "ground_target": lambda a, b: (
+        not a.of("COMMAND_INT", 190) and [m.command for m in b.of("COMMAND_INT", 190)] == [192]
+    ),
+    "ground_fence": lambda a, b: len(b.fence) == 1 > len(a.fence),
     "set": lambda a, b: (b.gps_m() - a.gps_m())[6, 2] == pytest.approx(30.0, abs=2.0),
 }
 

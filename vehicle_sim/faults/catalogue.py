@@ -39,6 +39,11 @@ _LIMITS = {
     "FRAME": (0.0, 255.0),
     "LINK": (0.0, 23.0),
     "VALUE": (-1e9, 1e9),
+    "RADIUS": (0.1, 100_000.0),
+    "COMMAND": (1.0, 65_535.0),
+    "P1": (-1e9, 1e9),
+    "P2": (-1e9, 1e9),
+    "P3": (-1e9, 1e9),
 }
 _FOUR = "north|east|south|west"
 _WORDS = {
@@ -48,6 +53,7 @@ _WORDS = {
     "WHERE2": f"{_FOUR}|up|down",
     "WAY": "to_vehicle|from_vehicle",
     "SIGN": "either_way",
+    "TO": "to_autopilot",
     "NAME": r"\w+",
 }
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
@@ -186,6 +192,7 @@ _MADE: Mapping[str, Make] = {
     "way": _way,
     # not named: all links
     "mask": lambda n, _words, _to: float(1 << round(n["LINK"])) if "LINK" in n else 0.0,
+    "to_autopilot": lambda _n, words, _to: float("TO" in words),
     "either_way": lambda n, words, _to: -n["SIGMA"] if "SIGN" in words else n["SIGMA"],
 }
 """The names of catalogue.table."""

@@ -143,15 +143,25 @@ def value_of(parameters: Readable, name: str, otherwise: float = 0.0) -> float:
 
 # --- what happens once ----------------------------------------------------------------------------
 
-OneShot = Literal["estimator_reset", "origin_move", "pilot", "reboot"]
+OneShot = Literal[
+    "estimator_reset", "origin_move", "pilot", "reboot",
+    "ground_command", "ground_target", "ground_fence",
+]  # fmt: skip
 """The faults that happen at a moment: jumps of the estimate (north, east) and of its origin (north,
-east, up; all in metres), the pilot takes over, the autopilot loses power."""
+east, up; all in metres), the pilot takes over, the autopilot loses power, a ground station sends a
+command (number, three parameters, whether to the autopilot), a target (north, east, metres), a
+fence (radius, how far ahead, metres)."""
 _TRIGGERS: Final[Mapping[OneShot, Sequence[str]]] = {
     "estimator_reset": ("SIM_EKF_RST_N", "SIM_EKF_RST_E"),
     "origin_move": ("SIM_ORG_MOV_N", "SIM_ORG_MOV_E", "SIM_ORG_MOV_U"),
     "pilot": ("SIM_PILOT",),
     "reboot": ("SIM_REBOOT",),
+    "ground_command": ("SIM_GCS_CMD", "SIM_GCS_P1", "SIM_GCS_P2", "SIM_GCS_P3", "SIM_GCS_TO"),
+    "ground_target": ("SIM_GCS_TGT_N", "SIM_GCS_TGT_E"),
+    "ground_fence": ("SIM_GCS_FNC_R", "SIM_GCS_FNC_A"),
 }
+_BY_THE_FIRST: Final = ("ground_command", "ground_fence")
+"""Their first trigger alone makes them happen: the others may be set before it."""
 
 
 def take_one_shots(
@@ -161,7 +171,7 @@ def take_one_shots(
     taken = list[tuple[OneShot, tuple[float, ...]]]()
     for name, triggers in _TRIGGERS.items():
         values = tuple(value_of(parameters, trigger) for trigger in triggers)
-        if any(values):
+        if any(values[:1] if name in _BY_THE_FIRST else values):
             taken.append((name, values))
             for trigger, value in zip(triggers, values, strict=True):
                 if value:

@@ -231,7 +231,8 @@ _PAGE = """# Faults
 
 Made from `vehicle_sim/faults/catalogue.table` by `scripts/docs`. A line of a timeline reads
 `at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`).
-`estimator_reset`, `origin_move`, `pilot` and `reboot` happen once and take no `for`.
+`estimator_reset`, `origin_move`, `pilot`, `reboot` and what a ground station does happen once and
+take no `for`.
 Of overlapping faults the latest counts.
 `SIM_GPS_USED` is PX4's only, `SIM_BATT_VOLTAGE` and `battery_voltage` are ArduPilot's only.
 

@@ -234,7 +234,7 @@ class ArduPilotMissions(MissionProtocol):
         answers = list[Reply]()
         if self._erase_fence_us is not None and now_us >= self._erase_fence_us:
             self._erase_fence_us = None
-            answers += self._store(PlanKind.FENCE, ())
+            answers += self.store(PlanKind.FENCE, ())
         return answers + self._repeat(now_us)
 
     def _whole(self, upload: Upload) -> bool:
@@ -308,7 +308,7 @@ class ArduPilotMissions(MissionProtocol):
                 return [fault, ack(MissionResult.ERROR, kind, sender)]
             if only_circles_after_polygons(items, self._plans[kind]):
                 self._erase_fence_us = now_us + ERASED_AFTER_US
-        answers = self._store(kind, items)
+        answers = self.store(kind, items)
         if kind in _RECEIVED:
             answers.append(Text(severity=_INFO, text=_RECEIVED[kind]))
         answers.append(ack(MissionResult.ACCEPTED, kind, sender))
@@ -317,7 +317,7 @@ class ArduPilotMissions(MissionProtocol):
     def _on_clear(self, kind: PlanKind, sender: Sender) -> list[Reply]:
         if kind in self._uploads:
             return [ack(MissionResult.ERROR, kind, sender)]
-        return [*self._store(kind, ()), ack(MissionResult.ACCEPTED, kind, sender)]
+        return [*self.store(kind, ()), ack(MissionResult.ACCEPTED, kind, sender)]
 
     # --- download -----------------------------------------------------------------------------
 

@@ -197,8 +197,8 @@ class MissionProtocol(ABC):
             message=make(to.system, to.component, upload.next, int(upload.kind)), to=to
         )
 
-    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
-        """The list is replaced, and the autopilot told."""
+    def store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
+        """Replace a list, and tell the autopilot."""
         self._plans[kind] = items
         return list(self._autopilot.on_plan(kind))
 

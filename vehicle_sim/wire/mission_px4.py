@@ -170,7 +170,7 @@ class Px4Missions(MissionProtocol):
             return [ack(MissionResult.NO_SPACE, asked, sender)]
         link.partner, link.kind, link.next, link.count = source, kind, 0, message.count
         if message.count == 0:
-            return [*self._store(kind, ()), ack(MissionResult.ACCEPTED, asked, sender)]
+            return [*self.store(kind, ()), ack(MissionResult.ACCEPTED, asked, sender)]
         upload = Upload(sender=sender, kind=kind, last=message.count - 1, heard_us=now_us)
         return self._begin(sender.link, upload, now_us)
 
@@ -208,17 +208,18 @@ class Px4Missions(MissionProtocol):
         items = tuple(upload.items)
         link.last_id = opaque_id(items)
         # the same list again changes nothing
-        answers = self._store(link.kind, items) if link.last_id != self._ids[link.kind] else []
+        answers = self.store(link.kind, items) if link.last_id != self._ids[link.kind] else []
         return [*answers, ack(MissionResult.ACCEPTED, link.kind, sender, link.last_id)]
 
-    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
+    def store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
+        """Replace the list, and its opaque id."""
         self._ids[kind] = opaque_id(items)
-        return super()._store(kind, items)
+        return super().store(kind, items)
 
     def _on_clear(self, message: Any, sender: Sender) -> list[Reply]:
         asked, kind = message.mission_type, wire.kind_of(message)
         kinds = list(PlanKind) if asked == _ALL_KINDS else [kind] if kind is not None else []
-        answers = [answer for each in kinds for answer in self._store(each, ())]
+        answers = [answer for each in kinds for answer in self.store(each, ())]
         return [*answers, ack(MissionResult.ACCEPTED, asked, sender)]
 
     # --- download -----------------------------------------------------------------------------

@@ -1,0 +1,282 @@
+"""Fault scripts drawn at random: what goes wrong, when, how badly and for how long.
+
+A script is a function of (family, seed, index) and of the vehicle.  It is a timeline of the
+simulator's (docs/reference/faults.md), with lines that the simulator does not know, as they are of
+the programs (`split`): `companion_off` kills the companion, which is started again afterwards;
+`planner_off` kills the process that plans, `planner_stopped` stops it for a time.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+Rng = np.random.Generator
+
+FAMILIES: Final = ("single", "combined", "steady", "programs")
+"""One thing after the other from a list; two or three of them; small ones, one every two minutes;
+those of two processes."""
+PROGRAM_FAULTS: Final = ("companion_off", "planner_off", "planner_stopped")
+ONLY_TWO_PROCESSES: Final = ("planner_off", "planner_stopped")
+_STEADY_EVERY_S: Final = 120.0
+_STEADY_LASTS_S: Final = 60.0
+_STEADY: Final = (
+    *("gps_noise", "gps_delay", "wind", "link_loss", "link_delay", "link_duplication"),
+    *("link_corruption", "radar_off", "radar_loss", "radar_delay", "setpoints_ignored"),
+)
+"""None that alone ends a flight."""
+_FROM_S: Final = 35.0
+"""About when vehicles are in the air."""
+_UNTIL_S: Final = {"copter": 110.0, "plane": 140.0}
+_RETURN: Final = {"ardupilot-copter": "6", "ardupilot-plane": "11"}
+_GUIDED: Final = {"ardupilot-copter": "4", "ardupilot-plane": "15"}
+_PX4_RETURN: Final = "4 5"
+_CONTINUE: Final = "ground_command 193 1"
+_SIDES: Final = ("north", "east", "south", "west")
+_LINE: Final = re.compile(r"at ([\d.]+) s(?: for ([\d.]+) s)?: *(\S.*)")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultScript:
+    """Which one of a family."""
+
+    family: str
+    seed: int
+    index: int
+
+    def __str__(self) -> str:
+        return f"{self.family}-{self.seed}/{self.index}"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Subject:
+    """What a script is drawn for."""
+
+    vehicle: str
+    """`ardupilot-copter`, ..."""
+    speed_m_s: float
+    limit_s: float
+
+    @property
+    def size(self) -> float:
+        """Of fences and distances: planes need more room."""
+        return 3.5 if self.vehicle.endswith("plane") else 1.0
+
+
+Draw = Callable[[Rng, Subject, float], list[str]]
+"""Lines for something that begins at a time."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Happening:
+    """One line of a timeline."""
+
+    at_s: float
+    until_s: float
+    """Infinite: it stays, or it happens once."""
+    what: str
+
+
+def happenings(timeline: str) -> list[Happening]:
+    """The lines whose times are in seconds."""
+    found = [_LINE.fullmatch(line.strip()) for line in timeline.splitlines()]
+    return [
+        Happening(
+            at_s=float(match[1]),
+            until_s=float(match[1]) + float(match[2]) if match[2] else float("inf"),
+            what=match[3],
+        )
+        for match in found
+        if match is not None
+    ]
+
+
+def split(timeline: str) -> tuple[str, list[Happening]]:
+    """The simulator's part of a timeline, and what happens to the programs."""
+    lines = timeline.splitlines()
+    ours = [line for line in lines if line.rpartition(":")[2].strip() in PROGRAM_FAULTS]
+    rest = "\n".join(line for line in lines if line not in ours)
+    return rest, sorted(happenings("\n".join(ours)), key=lambda each: each.at_s)
+
+
+def drawn(script: FaultScript, subject: Subject) -> tuple[str, str]:
+    """What it is called, and its timeline."""
+    rows = {name: draw for name, draw in ROWS.items() if _applies(name, subject.vehicle)}
+    names = list(PROGRAM_ROWS if script.family == "programs" else rows)
+    rng = np.random.default_rng((FAMILIES.index(script.family), script.seed, script.index))
+    if script.family == "steady":
+        times = np.arange(_STEADY_EVERY_S, subject.limit_s, _STEADY_EVERY_S)
+        lasts = f" for {_STEADY_LASTS_S} s: "
+        chosen = [str(rng.choice(_STEADY)) for _ in times]
+        lines = [
+            line if " for " in line else line.replace(": ", lasts, 1)
+            for name, at_s in zip(chosen, times.tolist(), strict=True)
+            for line in rows[name](rng, subject, at_s)
+        ]
+        return "small ones", "\n".join(lines)
+    chosen = [names[script.index % len(names)]]
+    if script.family == "combined":
+        chosen = list(rng.choice(names, int(rng.integers(2, 4)), replace=False))
+    draws = {**rows, **PROGRAM_ROWS}
+    until_s = _UNTIL_S[subject.vehicle.partition("-")[2]]
+    lines = [
+        line
+        for name in chosen
+        for line in draws[name](rng, subject, round(rng.uniform(_FROM_S, until_s), 1))
+    ]
+    return " + ".join(chosen), "\n".join(lines)
+
+
+def _applies(name: str, vehicle: str) -> bool:
+    """Where it cannot happen: PX4 has no such fault; ArduCopter's fence is a cylinder as well."""
+    if name == "battery_voltage":
+        return vehicle.startswith("ardupilot")
+    return name != "stopped by its own fence, and back" or vehicle != "ardupilot-copter"
+
+
+def _fault(form: Callable[[Rng, Subject], str], lasts_s: tuple[float, float] | None = None) -> Draw:
+    """One of the simulator's, for so long; None: for good, or once."""
+
+    def draw(rng: Rng, subject: Subject, at_s: float) -> list[str]:
+        what = form(rng, subject)
+        lasts = "" if lasts_s is None else f" for {rng.uniform(*lasts_s):.2f} s"
+        return [f"at {at_s} s{lasts}: {what}"]
+
+    return draw
+
+
+def _then(first: str, second: str, after_s: tuple[float, float]) -> Draw:
+    return lambda rng, _, at_s: [
+        f"at {at_s} s: {first}",
+        f"at {at_s + rng.uniform(*after_s):.1f} s: {second}",
+    ]
+
+
+def _side(rng: Rng) -> str:
+    return str(rng.choice(_SIDES))
+
+
+def _way(rng: Rng) -> str:
+    return str(rng.choice(("", " to_vehicle", " from_vehicle")))
+
+
+def _wind(rng: Rng, subject: Subject) -> str:
+    speed = rng.uniform(3.0, 9.0 if subject.size == 1.0 else 7.0)
+    return (
+        f"wind {speed:.1f} m/s from {rng.uniform(0, 360):.0f} deg "
+        f"turbulence {rng.uniform(0, 1.5):.1f} m/s rising {rng.uniform(-5, 5):.0f} deg"
+    )
+
+
+def _mode(subject: Subject, modes: dict[str, str], px4: str) -> str:
+    return f"ground_command 176 1 {modes.get(subject.vehicle, px4)} to_autopilot"
+
+
+def _pilot_and_back(rng: Rng, subject: Subject, at_s: float) -> list[str]:
+    by_mode = subject.vehicle in _GUIDED and rng.random() < 0.5
+    back = _mode(subject, _GUIDED, "") if by_mode else _CONTINUE
+    return [f"at {at_s} s: pilot", f"at {at_s + rng.uniform(2.0, 6.0):.1f} s: {back}"]
+
+
+def _fence(rng: Rng, subject: Subject) -> str:
+    radius_m = subject.size * rng.uniform(15.0, 35.0)
+    return f"ground_fence {radius_m:.1f} m {rng.uniform(0.0, 0.7) * radius_m:.1f} m ahead"
+
+
+def _fence_ahead(rng: Rng, subject: Subject) -> str:
+    radius_m, ahead_m = (subject.size * rng.uniform(*ends) for ends in ((15, 35), (60, 180)))
+    return f"ground_fence {radius_m:.1f} m {ahead_m:.1f} m ahead"
+
+
+def _own_fence_and_back(rng: Rng, subject: Subject, at_s: float) -> list[str]:
+    """The autopilot itself stops at the new fence; a person leaves it to the companion again."""
+    enables = [f"at {at_s} s: ground_command 207 1 to_autopilot"]
+    return [
+        *(enables if subject.vehicle.startswith("ardupilot") else []),
+        f"at {at_s} s: {_fence(rng, subject)}",
+        f"at {at_s + rng.uniform(8.0, 30.0):.1f} s: {_CONTINUE}",
+    ]
+
+
+def _new_target(rng: Rng, subject: Subject) -> str:
+    north_m, east_m = subject.size * rng.uniform(30.0, 200.0, 2)
+    sides = str(rng.choice(("north", "south"))), str(rng.choice(("east", "west")))
+    return f"ground_target {north_m:.1f} m {sides[0]} {east_m:.1f} m {sides[1]}"
+
+
+def _moves_origin(rng: Rng, _: Subject) -> str:
+    way = rng.choice(("up", "down"))
+    return f"origin_move {rng.uniform(2, 60):.0f} m {_side(rng)} {rng.uniform(1, 15):.0f} m {way}"
+
+
+def _noisy_radar(rng: Rng, _: Subject) -> str:
+    return f"radar_noise {rng.uniform(0.5, 8):.1f} m{rng.choice(('', ' either_way'))}"
+
+
+def _late_link(rng: Rng, _: Subject) -> str:
+    return (
+        f"link_delay {rng.uniform(20, 700):.0f} ms jitter {rng.uniform(0, 200):.0f} ms{_way(rng)}"
+    )
+
+
+ROWS: Final[dict[str, Draw]] = {
+    "gps_off": _fault(lambda *_: "gps_off", (0.5, 25.0)),
+    "gps_glitch": _fault(
+        lambda r, _: f"gps_glitch {r.uniform(3, 90):.0f} m {_side(r)}", (1.0, 30.0)
+    ),
+    "gps_drift": _fault(
+        lambda r, _: f"gps_drift {r.uniform(0.3, 4):.1f} m/s {_side(r)}", (5.0, 30.0)
+    ),
+    "gps_jam": _fault(lambda *_: "gps_jam", (1.0, 15.0)),
+    "gps_noise": _fault(lambda r, _: f"gps_noise {r.uniform(0.3, 3):.1f} m", (10.0, 60.0)),
+    "gps_delay": _fault(lambda r, _: f"gps_delay {r.uniform(100, 600):.0f} ms", (10.0, 60.0)),
+    "gps_satellites": _fault(lambda r, _: f"gps_satellites {r.integers(0, 9)}", (1.0, 25.0)),
+    "wind": _fault(_wind),
+    "turbulence": _fault(lambda r, _: f"turbulence {r.uniform(0.5, 2.5):.1f} m/s"),
+    "battery": _fault(lambda r, _: f"battery {r.uniform(3, 40):.0f} %"),
+    "battery_voltage": _fault(lambda r, _: f"battery_voltage {r.uniform(9.5, 12):.1f} V"),
+    "link_off": _fault(lambda r, _: f"link_off{_way(r)}", (0.2, 25.0)),
+    "link_loss": _fault(lambda r, _: f"link_loss {r.uniform(3, 60):.0f} %{_way(r)}", (10.0, 60.0)),
+    "link_delay": _fault(_late_link, (5.0, 60.0)),
+    "link_duplication": _fault(lambda r, _: f"link_duplication {r.uniform(5, 80):.0f} %"),
+    "link_reordering": _fault(lambda r, _: f"link_reordering {r.uniform(5, 60):.0f} %"),
+    "link_corruption": _fault(lambda r, _: f"link_corruption {r.uniform(1, 40):.0f} %{_way(r)}"),
+    "radar_off": _fault(lambda *_: "radar_off", (2.0, 40.0)),
+    "radar_blind": _fault(lambda *_: "radar_blind", (2.0, 40.0)),
+    "radar_drop": _fault(lambda r, _: f"radar_drop {r.uniform(2, 50):.0f} %"),
+    "radar_loss": _fault(lambda r, _: f"radar_loss {r.uniform(2, 70):.0f} %"),
+    "radar_noise": _fault(_noisy_radar),
+    "radar_delay": _fault(lambda r, _: f"radar_delay {r.uniform(50, 1500):.0f} ms", (5.0, 60.0)),
+    "radar_rate": _fault(lambda r, _: f"radar_rate {r.uniform(0.5, 8):.1f} Hz", (5.0, 60.0)),
+    "setpoints_ignored": _fault(lambda *_: "setpoints_ignored", (0.5, 15.0)),
+    "estimator_reset": _fault(lambda r, _: f"estimator_reset {r.uniform(1, 50):.0f} m {_side(r)}"),
+    "origin_move": _fault(_moves_origin),
+    "pilot": _fault(lambda *_: "pilot"),
+    "reboot": _fault(lambda *_: "reboot"),
+    "set": _fault(lambda r, _: f"set SIM_GPS1_NUMSATS {r.integers(3, 9)}", (2.0, 25.0)),
+    "nothing": lambda *_: [],
+    "pilot, and back": _pilot_and_back,
+    "station selects return": _fault(lambda _, s: _mode(s, _RETURN, _PX4_RETURN)),
+    "told to return": _fault(lambda *_: "ground_command 20"),
+    "told to land": _fault(lambda *_: "ground_command 21"),
+    "new fence ahead": _fault(_fence_ahead),
+    "new fence around it": _fault(_fence),
+    "stopped by its own fence, and back": _own_fence_and_back,
+    "pause and continue": _then("ground_command 193 0", _CONTINUE, (1.0, 15.0)),
+    "new target": _fault(_new_target),
+    "change of speed": _fault(
+        lambda r, s: f"ground_command 178 1 {r.uniform(0.4, 1.3) * s.speed_m_s:.1f}"
+    ),
+    "link lost for long": _fault(lambda *_: "link_off", (30.0, 60.0)),
+    "companion killed, restarted": _fault(lambda *_: "companion_off", (0.3, 8.0)),
+}
+PROGRAM_ROWS: Final[dict[str, Draw]] = {
+    "companion killed, restarted": ROWS["companion killed, restarted"],
+    "planner killed": _fault(lambda *_: "planner_off"),
+    "plans late": _fault(lambda *_: "planner_stopped", (1.0, 12.0)),
+}

@@ -1,0 +1,57 @@
+"""What a timeline has a person at a ground station do: orders to companion or autopilot, a fence.
+
+The station is system 255, and on a link of its own: what it is answered is not heard by anybody.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Sender
+from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.plans import PlanItem
+
+STATION: Final = Sender(system=255, component=190)
+_REPOSITION, _CIRCLE_OUT = 192, 5004
+_GLOBAL_INT = 5
+_AUTOPILOT = 1
+
+
+def command(system: int, companion: int, values: Sequence[float]) -> tuple[bool, Any]:
+    """Whether it is for the autopilot, and COMMAND_LONG: its number and first three parameters."""
+    number, first, second, third, to_autopilot = values
+    component = _AUTOPILOT if to_autopilot else companion
+    parameters = (first, second, third, 0.0, 0.0, 0.0, 0.0)
+    message = mavlink.MAVLink_command_long_message(system, component, round(number), 0, *parameters)
+    return bool(to_autopilot), message
+
+
+def new_target(
+    system: int, companion: int, vehicle: Copter | Plane, offset_m: Sequence[float]
+) -> Any:
+    """COMMAND_INT DO_REPOSITION to so far north and east of where the vehicle is."""
+    latitude, longitude = _beside(vehicle, offset_m[0], offset_m[1])
+    return mavlink.MAVLink_command_int_message(
+        system, companion, _GLOBAL_INT, _REPOSITION, 0, 0, -1.0, 0.0, 0.0, math.nan,
+        latitude, longitude, vehicle.altitude_amsl_m,
+    )  # fmt: skip
+
+
+def new_fence(vehicle: Copter | Plane, radius_m: float, ahead_m: float) -> PlanItem:
+    """A circle to stay out of, so far ahead of the vehicle (true course) or about it."""
+    north, east = vehicle.velocity_north_m_s, vehicle.velocity_east_m_s
+    share = ahead_m / max(math.hypot(north, east), 1e-6)
+    x, y = _beside(vehicle, share * north, share * east)
+    return PlanItem(frame=0, command=_CIRCLE_OUT, parameters=(radius_m, 0.0, 0.0, 0.0), x=x, y=y)
+
+
+def _beside(vehicle: Copter | Plane, north_m: float, east_m: float) -> tuple[int, int]:
+    """Latitude and longitude, 1e-7 degrees."""
+    north, east = metres_per_degree(vehicle.latitude_deg)
+    latitude_deg = vehicle.latitude_deg + north_m / north
+    longitude_deg = vehicle.longitude_deg + east_m / east
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
