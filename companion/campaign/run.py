@@ -197,10 +197,10 @@ def drawn_of(place: Place) -> DrawnWorld:
         return drawn_world.spread_out(place.family_index or 0, place.family_seed or 0)
     if place.family is not None:
         return families.world(place.family, place.family_seed or 0, place.family_index or 0)
-    return _asdrawn_of(place.world, place.mission or place.world)
+    return _as_drawn(place.world, place.mission or place.world)
 
 
-def _asdrawn_of(world: str, mission: str) -> DrawnWorld:
+def _as_drawn(world: str, mission: str) -> DrawnWorld:
     """World and mission of files, as the judge takes them."""
     place, read = load_world(world), load_mission(mission)
     return DrawnWorld(
@@ -301,7 +301,7 @@ def _name_terrain(table: RawTable, name: str) -> None:
 
 def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str, Any]:
     """What a flight came to, from its journal and the truth."""
-    drawn = _asdrawn_of(str(files.world), str(files.mission))
+    drawn = _as_drawn(str(files.world), str(files.mission))
     kinds = [entry["kind"] for entry in flown.journal]
     ends = [entry for entry in flown.journal if entry["kind"] == "end"]
     outcome = ends[-1]["outcome"] if ends else "not ended"
