@@ -679,10 +679,9 @@ class Session:
             if type(command) is not events.Setpoint:
                 self._carry_out(command)
             elif self.vehicle is not None and not self.context.shadow:
-                frame, system = self.mission.frame, self.vehicle.system_id
                 circle_m = self.state.task.limits.loiter_radius_m
                 messages = self.vehicle.autopilot.setpoint(
-                    command, frame, system, loiter_radius_m=circle_m
+                    command, self.mission.frame, self.vehicle.system_id, circle_m
                 )
                 if messages is None:
                     self._note("setpoint refused", setpoint=repr(command))

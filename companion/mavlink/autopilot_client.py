@@ -18,7 +18,7 @@ from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.parameter_checks import ParameterIssue, Severity, check_parameters, names_of
 from companion.mavlink.parameter_client import ParameterClient, is_bytewise
-from companion.mavlink.plan_client import FENCE, MISSION, RALLY, PlanClient
+from companion.mavlink.plan_client import FENCE, MISSION, PlanClient
 from companion.mavlink.streams import StreamRequests
 from companion.mission.decisions import Context
 from companion.mission.events import (
@@ -462,8 +462,7 @@ class AutopilotClient:
             here_ne_m=self.here_ne_m,
         )
         self.fence = whole
-        rally = fence.rally_of(self.plans.plans[RALLY].items, mission.frame)
-        event = whole.changed(now_s, rally)
+        event = whole.changed(now_s)
         is_new = self._fence_told is None or replace(event, time_s=0.0) != self._fence_told
         if is_new and not whole.needs_home:
             self._fence_told = replace(event, time_s=0.0)

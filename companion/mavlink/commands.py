@@ -11,8 +11,10 @@ import enum
 import math
 import struct
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from typing import Final, final
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+from msgspec.structs import replace
 
 from companion.geodesy import LocalFrame, deg
 from companion.mavlink.addressing import (
@@ -26,6 +28,7 @@ from companion.mavlink.addressing import (
 )
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.own_messages import AUTOPILOT_VERSION, OwnMessages
+from companion.mission.changes import OrderResult
 from companion.mission.events import Order, OrderKind
 from companion.path.limits import Limits
 
@@ -58,6 +61,13 @@ class Result(enum.IntEnum):
     """Newer than the dialect."""
 
 
+_OF_ORDERS: Final = {
+    OrderResult.ACCEPTED: Result.ACCEPTED,
+    OrderResult.INVALID: Result.DENIED,
+    OrderResult.NOT_NOW: Result.TEMPORARILY_REJECTED,
+}
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class _CommandOutcome:
@@ -65,11 +75,17 @@ class _CommandOutcome:
 
     result: Result
     text: str = ""
-    order: OrderKind | None = None
-    target_ne_m: tuple[float, float] | None = None
-    speed_m_s: float | None = None
-    radius_m: float | None = None
+    order: Order | None = None
+    """Without its time and sender."""
     replies: tuple[Message, ...] = ()
+
+
+def _outcome(accepted: bool) -> _CommandOutcome:
+    return _CommandOutcome(Result.ACCEPTED if accepted else Result.DENIED)
+
+
+def _order(kind: OrderKind, **values: Any) -> _CommandOutcome:
+    return _CommandOutcome(Result.ACCEPTED, order=Order(time_s=0.0, kind=kind, **values))
 
 
 @final
@@ -77,7 +93,6 @@ class _CommandOutcome:
 class _PendingOrder:
     """An order that is waiting for its ACK."""
 
-    sender: Ids
     message: Message
     order: Order
     result: Result = Result.IN_PROGRESS
@@ -89,7 +104,7 @@ class CommandServer:
 
         reply = server.on_message(message, now_s)
         if reply.order is not None:            # give it to the machine, then
-            send(server.order_done(reply.order, accepted))
+            send(server.order_done(reply.order, result))
 
     ours: our ids; commanders: who may give orders (0: any id); frame: the mission's; limits: its
     own, before anybody changed them; presence: what can be asked for.
@@ -121,18 +136,14 @@ class CommandServer:
             case Address.OTHERS:
                 return Reply()
 
-    def order_done(
-        self, order: Order, accepted: bool, *, invalid: bool = False
-    ) -> tuple[Message, ...]:
+    def order_done(self, order: Order, result: OrderResult) -> tuple[Message, ...]:
         """The ACK of an order that the mission machine has accepted or rejected.
 
-        invalid: the order itself is wrong (DENIED); otherwise it may be repeated later.  Empty if
-        the order is not waiting for an ACK.
+        Empty if the order is not waiting for an ACK.
         """
         for given in self._last.values():
             if given.order is order and given.result is Result.IN_PROGRESS:
-                refused = Result.DENIED if invalid else Result.TEMPORARILY_REJECTED
-                given.result = Result.ACCEPTED if accepted else refused
+                given.result = _OF_ORDERS[result]
                 return (_ack(given.message, given.result),)
         return ()
 
@@ -147,16 +158,9 @@ class CommandServer:
             note |= {"result": meaning.result.name.lower(), "why": meaning.text}
             replies = (_ack(message, meaning.result), *meaning.replies)
             return Reply(replies=replies, note=note, text=meaning.text)
-        order = Order(
-            time_s=now_s,
-            kind=meaning.order,
-            target_ne_m=meaning.target_ne_m,
-            speed_m_s=meaning.speed_m_s,
-            radius_m=meaning.radius_m,
-            sender=ids_text(sender),
-        )
+        order = replace(meaning.order, time_s=now_s, sender=ids_text(sender))
         self._last.pop(sender, None)
-        self._last[sender] = _PendingOrder(sender=sender, message=message, order=order)
+        self._last[sender] = _PendingOrder(message=message, order=order)
         if len(self._last) > _MAX_SENDERS:
             del self._last[next(iter(self._last))]
         return Reply(order=order, note={**note, "order": order.kind.name.lower()})
@@ -183,12 +187,10 @@ class CommandServer:
 
     def _request_message(self, message: Message) -> _CommandOutcome:
         number = _whole(message.param1)
-        asked = number is not None and self._presence.ask(number)
-        return _CommandOutcome(Result.ACCEPTED if asked else Result.DENIED)
+        return _outcome(number is not None and self._presence.ask(number))
 
     def _capabilities(self, message: Message) -> _CommandOutcome:
-        asked = message.param1 == 1.0 and self._presence.ask(AUTOPILOT_VERSION)
-        return _CommandOutcome(Result.ACCEPTED if asked else Result.DENIED)
+        return _outcome(message.param1 == 1.0 and self._presence.ask(AUTOPILOT_VERSION))
 
     def _get_interval(self, message: Message) -> _CommandOutcome:
         number = _whole(message.param1)
@@ -201,32 +203,29 @@ class CommandServer:
     # --- orders
 
     def _set_interval(self, message: Message) -> _CommandOutcome:
-        number, interval_us = _whole(message.param1), message.param2
-        if number is None or not math.isfinite(interval_us):
-            return _CommandOutcome(Result.DENIED)
-        accepted = self._presence.set_interval(number, interval_us)
-        return _CommandOutcome(Result.ACCEPTED if accepted else Result.DENIED)
+        number = _whole(message.param1)
+        return _outcome(number is not None and self._presence.set_interval(number, message.param2))
 
     def _start(self, message: Message) -> _CommandOutcome:
         if not (math.isnan(message.param1) or message.param1 == 0.0):
             return _CommandOutcome(Result.DENIED, "start: only from the first item, param1 = 0")
-        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.START)
+        return _order(OrderKind.START)
 
     def _pause_or_continue(self, message: Message) -> _CommandOutcome:
         kind = {0.0: OrderKind.PAUSE, 1.0: OrderKind.CONTINUE}.get(message.param1)
         if kind is None:
             return _CommandOutcome(Result.DENIED, "pause: param1 must be 0 (pause) or 1 (continue)")
-        return _CommandOutcome(Result.ACCEPTED, order=kind)
+        return _order(kind)
 
     def _return(self, _message: Message) -> _CommandOutcome:
-        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.RETURN)
+        return _order(OrderKind.RETURN)
 
     def _land(self, message: Message) -> _CommandOutcome:
         """Land where it is."""
         if any(value not in (0.0, _NOT_GIVEN_E7) and value == value for value in _place(message)):
             text = "land: it lands where it is; first DO_REPOSITION there"
             return _CommandOutcome(Result.DENIED, text)
-        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.LAND)
+        return _order(OrderKind.LAND)
 
     def _keep_out(self, message: Message) -> _CommandOutcome:
         """A circle to keep out of, at any altitude."""
@@ -236,8 +235,7 @@ class CommandServer:
         if not 0.0 < radius_m <= largest_m:
             text = f"keep-out: radius {radius_m:g} m: must be more than 0, at most {largest_m:.0f}"
             return _CommandOutcome(Result.DENIED, text)
-        meaning = self._at_place(message, OrderKind.KEEP_OUT)
-        return replace(meaning, radius_m=radius_m) if meaning.order is not None else meaning
+        return self._at_place(message, OrderKind.KEEP_OUT, radius_m=radius_m)
 
     def _change_speed(self, message: Message) -> _CommandOutcome:
         speed = from_float32(message.param2)
@@ -248,7 +246,7 @@ class CommandServer:
         speed = self._limits.speed_m_s if speed == -2.0 else speed  # the default
         if refusal := self._too_fast_or_slow(speed):
             return _CommandOutcome(Result.DENIED, refusal)
-        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.SPEED, speed_m_s=speed)
+        return _order(OrderKind.SPEED, speed_m_s=speed)
 
     def _reposition(self, message: Message) -> _CommandOutcome:
         """A new target; the planner chooses the altitude, so the one given is ignored."""
@@ -257,9 +255,9 @@ class CommandServer:
             return meaning
         if refusal := self._too_fast_or_slow(speed):
             return _CommandOutcome(Result.DENIED, refusal)
-        return replace(meaning, speed_m_s=speed)
+        return self._at_place(message, OrderKind.REPOSITION, speed_m_s=speed)
 
-    def _at_place(self, message: Message, kind: OrderKind) -> _CommandOutcome:
+    def _at_place(self, message: Message, kind: OrderKind, **others: float) -> _CommandOutcome:
         """An order with a place on the map; refused without."""
         name = kind.name.lower()
         if message.get_type() == "COMMAND_INT" and message.frame not in _FRAMES:
@@ -268,7 +266,7 @@ class CommandServer:
         place = self._place_ne_m(message)
         if place is None:
             return _CommandOutcome(Result.DENIED, f"{name}: give a place on the mission's map")
-        return _CommandOutcome(Result.ACCEPTED, order=kind, target_ne_m=place)
+        return _order(kind, target_ne_m=place, **others)
 
     def _too_fast_or_slow(self, speed_m_s: float) -> str:
         low, high = speed_bounds_m_s(self._limits)

@@ -60,11 +60,7 @@ class Component:
 
     def order_done(self, order: Order, verdict: OrderResult) -> Sequence[Message]:
         """The acknowledgement of an order, once its result is known."""
-        return self._commands.order_done(
-            order,
-            accepted=verdict is OrderResult.ACCEPTED,
-            invalid=verdict is OrderResult.INVALID,
-        )
+        return self._commands.order_done(order, verdict)
 
     @property
     def due_s(self) -> float:

@@ -1,4 +1,4 @@
-"""Decodes the autopilot's lists for a mission: fence to zones, rally points, targets.
+"""Decodes the autopilot's lists for a mission: fence to zones, mission to targets.
 
 Sources: ardupilot.md 4, px4.md 7, MAV_CMD 5000 to 5004 and 5100.  Where autopilots differ or a
 fence is ambiguous, the more restrictive reading is taken and noted.
@@ -26,7 +26,6 @@ POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 POLYGON_OUT: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 CIRCLE_IN: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
 CIRCLE_OUT: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
-RALLY_POINT: Final = wire.MAV_CMD_NAV_RALLY_POINT
 _ALT_MAX, _CIRCLE, _ALT_MIN = 1, 2, 8
 """Bits of FENCE_TYPE."""
 _FRAMES: Final = frozenset(
@@ -65,14 +64,13 @@ class Fence:
     needs_home: bool = False
     """Whether a part is missing until home is known."""
 
-    def changed(self, time_s: float, rally_ne_m: tuple[Point, ...] = ()) -> FenceChanged:
+    def changed(self, time_s: float) -> FenceChanged:
         """The event that tells the mission."""
         return FenceChanged(
             time_s=time_s,
             zones=self.zones,
             floor_amsl_m=self.floor_amsl_m,
             ceiling_amsl_m=self.ceiling_amsl_m,
-            rally_ne_m=rally_ne_m,
         )
 
 
@@ -407,13 +405,7 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     return tuple(found)
 
 
-# --- rally points and targets ---------------------------------------------------------------------
-
-
-def rally_of(items: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...]:
-    """The rally points."""
-    points = (_places((item,), frame) for item in items if item.command == RALLY_POINT)
-    return tuple(place[0] for place in points if place is not None)
+# --- targets --------------------------------------------------------------------------------------
 
 
 _GO_THERE: Final = frozenset(

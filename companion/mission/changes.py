@@ -2,12 +2,13 @@
 
 import enum
 import math
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, loiter, low_ground
+from companion.mission import following, loiter
 from companion.mission.decisions import Context, Step, give_up, with_hold_reason
 from companion.mission.events import (
     Command,
@@ -126,62 +127,10 @@ def _accepts_orders(state: State) -> bool:
     return isinstance(state.hold, OnSetpoints) and state.reason is not Reason.BATTERY_LOW
 
 
-EVENTS: Final = (
-    NearSeen,
-    GroundSeen,
-    ScanDone,
-    FenceChanged,
-    FenceBreach,
-    SettingsChanged,
-    TargetsChanged,
-    Order,
-    Rebooted,
-    Prepared,
-)
-"""What `changed` has a say in."""
-
-
-def changed(state: State, event: Event, _context: Context) -> Step | None:
-    """Handle an event that is independent of the phase; None: left to the phase."""
-    match event:
-        case NearSeen():
-            return _with_near_things(state, event)
-        case GroundSeen():
-            return low_ground.on_ground_seen(state, event)
-        case ScanDone():
-            return loiter.on_loiter_scan(state, event)
-        case FenceChanged():
-            return _with_fence(state, event)
-        case FenceBreach(time_s=time_s):
-            state = replace(state, vehicle=replace(state.vehicle, fence_breached_at_s=time_s))
-            return fence_breached(state) or (state, [], None)
-        case SettingsChanged(task=task, what=what):
-            if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
-                known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-                state = replace(state, flight=replace(state.flight, known=known))
-            if state.airborne:
-                flown_under = loosest(state.flown_under or state.given, task)
-                state = replace(state, flown_under=flown_under)
-            state = state.with_rules(task, state.fence)
-            return state, [StatusText(text=f"set {what}")], None
-        case TargetsChanged(targets_ne_m=targets):
-            return _with_targets(state, targets, _OF_VEHICLE)
-        case Order():
-            return _ordered(state, event)
-        case Rebooted() if state.phase is not Phase.WAITING:
-            return _rebooted(state)
-        case Prepared(refusal=refusal, remedy=remedy) if refusal and state.phase is Phase.ARMING:
-            return give_up(state, Reason.REFUSED, f": {refusal}", remedy)
-        case Prepared(refusal=refusal) if refusal and state.phase is not Phase.PREPARING:
-            return state, [StatusText(text=refusal, warning=True)], None
-        case _:
-            return None
-
-
 # --- threats
 
 
-def _with_fence(state: State, event: FenceChanged) -> Step:
+def _with_fence(state: State, event: FenceChanged, _context: Context) -> Step:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
     state = state.with_rules(state.given, event)
@@ -222,7 +171,7 @@ def _with_zones(state: State, *said: Command) -> Step:
     return state, [*says, *commands], trigger
 
 
-def _with_near_things(state: State, event: NearSeen) -> Step:
+def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
     if event.sight is not state.vehicle.sight:
         state = replace(state, vehicle=replace(state.vehicle, sight=event.sight))
@@ -244,6 +193,23 @@ def _with_near_things(state: State, event: NearSeen) -> Step:
     return state, [], None
 
 
+def _on_ground_seen(state: State, event: GroundSeen, _context: Context) -> Step:
+    """The ground is nearer than the map says: stop, and wait for the two to agree.
+
+    Not on the way back: what was flown before is flown again.
+    """
+    state = replace(state, vehicle=replace(state.vehicle, ground_above_m=event.above_m))
+    flight = state.flight
+    goes_back = flight.returning or flight.homeward
+    if not event.above_m or state.phase is not Phase.FLYING or goes_back or flight.leg is None:
+        return state, [], None
+    if flight.stop is not None:
+        return state, [], None  # `stopped` waits for it, too
+    state, commands, trigger = following.stop(state, Reason.GROUND_NEARER)
+    text = f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m"
+    return state, [StatusText(text=text, warning=True), *commands], trigger
+
+
 def _is_touched(state: State) -> bool:
     """Whether the rest of the path conflicts with a new rule."""
     flight = state.flight
@@ -261,7 +227,21 @@ def _inside(state: State) -> str:
     return zone.name if zone is not None and gap_m < 0.0 else ""
 
 
-# --- targets and orders
+# --- settings, targets and orders
+
+
+def _with_settings(state: State, event: SettingsChanged, _context: Context) -> Step:
+    task = event.task
+    if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
+        known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+        state = replace(state, flight=replace(state.flight, known=known))
+    if state.airborne:
+        state = replace(state, flown_under=loosest(state.flown_under or state.given, task))
+    return state.with_rules(task, state.fence), [StatusText(text=f"set {event.what}")], None
+
+
+def _with_vehicles_targets(state: State, event: TargetsChanged, _context: Context) -> Step:
+    return _with_targets(state, event.targets_ne_m, _OF_VEHICLE)
 
 
 def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
@@ -306,7 +286,7 @@ def _flies_there(state: State) -> bool:
     return outward and state.orders.active is None and not state.flight.homeward
 
 
-def _ordered(state: State, order: Order) -> Step:
+def _ordered(state: State, order: Order, _context: Context) -> Step:
     match order.kind:
         case OrderKind.START | OrderKind.CONTINUE:
             return _go_on(state)
@@ -410,8 +390,23 @@ def _stop_for(state: State, order: Reason) -> Step:
 # --- the vehicle itself
 
 
-def _rebooted(state: State) -> Step:
+def _fence_breach(state: State, event: FenceBreach, _context: Context) -> Step:
+    state = replace(state, vehicle=replace(state.vehicle, fence_breached_at_s=event.time_s))
+    return fence_breached(state) or (state, [], None)
+
+
+def _prepared(state: State, event: Prepared, _context: Context) -> Step | None:
+    if not event.refusal or state.phase is Phase.PREPARING:
+        return None
+    if state.phase is Phase.ARMING:
+        return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
+    return state, [StatusText(text=event.refusal, warning=True)], None
+
+
+def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
     """The autopilot has rebooted: prepare again; the known terrain is kept."""
+    if state.phase is Phase.WAITING:
+        return None
     flight = state.flight
     blank = Flight(
         known=flight.known,
@@ -435,3 +430,18 @@ def _rebooted(state: State) -> Step:
         prepared=frozenset(),
     )
     return state, [StatusText(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN
+
+
+HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
+    NearSeen: _with_near_things,
+    GroundSeen: _on_ground_seen,
+    ScanDone: loiter.on_loiter_scan,
+    FenceChanged: _with_fence,
+    FenceBreach: _fence_breach,
+    SettingsChanged: _with_settings,
+    TargetsChanged: _with_vehicles_targets,
+    Order: _ordered,
+    Rebooted: _rebooted,
+    Prepared: _prepared,
+}
+"""Handlers of events that are independent of the phase; None: also left to the phase."""

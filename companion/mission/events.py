@@ -1,4 +1,4 @@
-"""The events of a mission and its commands: two closed unions.
+"""The events of a mission, derived from `Event`, and its commands, a closed union.
 
 Times are the vehicle's (seconds since its boot); positions and velocities are north, east,
 up in the local frame, altitudes AMSL.
@@ -43,19 +43,19 @@ class Landed(enum.Enum):
     LANDING = "landing"
 
 
-class Timed(Struct, frozen=True, kw_only=True):
+class Event(Struct, frozen=True, kw_only=True):
     """What happened, and when."""
 
     time_s: float
 
 
 @final
-class Tick(Timed, frozen=True, kw_only=True):
+class Tick(Event, frozen=True, kw_only=True):
     """The vehicle's clock moved on."""
 
 
 @final
-class VehicleStatus(Timed, frozen=True, kw_only=True):
+class VehicleStatus(Event, frozen=True, kw_only=True):
     """A heartbeat of the autopilot."""
 
     mode: Mode
@@ -65,7 +65,7 @@ class VehicleStatus(Timed, frozen=True, kw_only=True):
 
 
 @final
-class VehicleFound(Timed, frozen=True, kw_only=True):
+class VehicleFound(Event, frozen=True, kw_only=True):
     """The autopilot is identified: its traits, or None if it is not supported."""
 
     system_id: int
@@ -75,7 +75,7 @@ class VehicleFound(Timed, frozen=True, kw_only=True):
 
 
 @final
-class Position(Timed, frozen=True, kw_only=True):
+class Position(Event, frozen=True, kw_only=True):
     """The vehicle's reported position."""
 
     position_nea_m: Vector
@@ -85,26 +85,26 @@ class Position(Timed, frozen=True, kw_only=True):
 
 
 @final
-class LandedState(Timed, frozen=True, kw_only=True):
+class LandedState(Event, frozen=True, kw_only=True):
     """On the ground or in the air."""
 
     landed: Landed
 
 
 @final
-class TakeOffTaken(Timed, frozen=True, kw_only=True):
+class TakeOffTaken(Event, frozen=True, kw_only=True):
     """The autopilot has accepted a take-off: it will begin."""
 
 
 @final
-class GpsFix(Timed, frozen=True, kw_only=True):
+class GpsFix(Event, frozen=True, kw_only=True):
     """Whether the receiver has a three-dimensional fix."""
 
     good: bool
 
 
 @final
-class Estimator(Timed, frozen=True, kw_only=True):
+class Estimator(Event, frozen=True, kw_only=True):
     """Whether the autopilot's estimator reports a valid horizontal position."""
 
     good: bool
@@ -113,21 +113,21 @@ class Estimator(Timed, frozen=True, kw_only=True):
 
 
 @final
-class Home(Timed, frozen=True, kw_only=True):
+class Home(Event, frozen=True, kw_only=True):
     """The vehicle's home, whose altitude take-off heights are measured from."""
 
     position_nea_m: Vector
 
 
 @final
-class Origin(Timed, frozen=True, kw_only=True):
+class Origin(Event, frozen=True, kw_only=True):
     """Where the autopilot's own local frame begins (GPS_GLOBAL_ORIGIN)."""
 
     position_nea_m: Vector
 
 
 @final
-class Echo(Timed, frozen=True, kw_only=True):
+class Echo(Event, frozen=True, kw_only=True):
     """The autopilot's reported target (POSITION_TARGET_*)."""
 
     position_nea_m: Vector
@@ -136,7 +136,7 @@ class Echo(Timed, frozen=True, kw_only=True):
 
 
 @final
-class Battery(Timed, frozen=True, kw_only=True):
+class Battery(Event, frozen=True, kw_only=True):
     """What is left in the battery."""
 
     remaining: float
@@ -144,7 +144,7 @@ class Battery(Timed, frozen=True, kw_only=True):
 
 
 @final
-class LinkDelay(Timed, frozen=True, kw_only=True):
+class LinkDelay(Event, frozen=True, kw_only=True):
     """How long a message takes to the vehicle and back (TIMESYNC)."""
 
     round_trip_s: float
@@ -160,7 +160,7 @@ class Item(enum.Enum):
 
 
 @final
-class Prepared(Timed, frozen=True, kw_only=True):
+class Prepared(Event, frozen=True, kw_only=True):
     """One of the things to prepare is done, or refused."""
 
     item: Item
@@ -170,24 +170,23 @@ class Prepared(Timed, frozen=True, kw_only=True):
 
 
 @final
-class FenceChanged(Timed, frozen=True, kw_only=True):
+class FenceChanged(Event, frozen=True, kw_only=True):
     """The vehicle's complete fence, as of now."""
 
     zones: tuple[Zone, ...]
     floor_amsl_m: float | None = None
     ceiling_amsl_m: float | None = None
-    rally_ne_m: tuple[tuple[float, float], ...] = ()
 
 
 @final
-class TargetsChanged(Timed, frozen=True, kw_only=True):
+class TargetsChanged(Event, frozen=True, kw_only=True):
     """The targets of the vehicle's mission, if ours takes them from there."""
 
     targets_ne_m: tuple[tuple[float, float], ...]
 
 
 @final
-class SettingsChanged(Timed, frozen=True, kw_only=True):
+class SettingsChanged(Event, frozen=True, kw_only=True):
     """Planner parameters were set: they apply from the next plan on."""
 
     task: Task
@@ -210,7 +209,7 @@ class OrderKind(enum.Enum):
 
 
 @final
-class Order(Timed, frozen=True, kw_only=True):
+class Order(Event, frozen=True, kw_only=True):
     """A command to the companion from an authorised sender."""
 
     kind: OrderKind
@@ -224,12 +223,12 @@ class Order(Timed, frozen=True, kw_only=True):
 
 
 @final
-class Rebooted(Timed, frozen=True, kw_only=True):
+class Rebooted(Event, frozen=True, kw_only=True):
     """The autopilot's clock has begun again."""
 
 
 @final
-class NearSeen(Timed, frozen=True, kw_only=True):
+class NearSeen(Event, frozen=True, kw_only=True):
     """The sensor of near things has looked around, or its silence means something else now."""
 
     sight: Sight
@@ -238,7 +237,7 @@ class NearSeen(Timed, frozen=True, kw_only=True):
 
 
 @final
-class GroundSeen(Timed, frozen=True, kw_only=True):
+class GroundSeen(Event, frozen=True, kw_only=True):
     """The downward rangefinder does not agree with the known map, or does again."""
 
     above_m: float
@@ -246,7 +245,7 @@ class GroundSeen(Timed, frozen=True, kw_only=True):
 
 
 @final
-class ScanDone(Timed, frozen=True, kw_only=True):
+class ScanDone(Event, frozen=True, kw_only=True):
     """The radar has answered as far as it will; cells answered of cells asked for."""
 
     scan: Scan
@@ -260,40 +259,40 @@ class ScanDone(Timed, frozen=True, kw_only=True):
 
 
 @final
-class PlanReady(Timed, frozen=True, kw_only=True):
+class PlanReady(Event, frozen=True, kw_only=True):
     """The answer to a plan request, at the time when it was due or later."""
 
     outcome: PlanOutcome
 
 
 @final
-class PlanLate(Timed, frozen=True, kw_only=True):
+class PlanLate(Event, frozen=True, kw_only=True):
     """A plan was due and is still being computed (real time only)."""
 
     plan_id: int
 
 
 @final
-class PlannerDied(Timed, frozen=True, kw_only=True):
+class PlannerDied(Event, frozen=True, kw_only=True):
     """A part of the companion (planner, reader, writer) has died: nothing is sent any more."""
 
     error: str
 
 
 @final
-class LinkLost(Timed, frozen=True, kw_only=True):
+class LinkLost(Event, frozen=True, kw_only=True):
     """Nothing has been heard of the vehicle for a while."""
 
     silent_s: float
 
 
 @final
-class FenceBreach(Timed, frozen=True, kw_only=True):
+class FenceBreach(Event, frozen=True, kw_only=True):
     """The autopilot says that the vehicle is where its own fence forbids it to be."""
 
 
 @final
-class DuplicateId(Timed, frozen=True, kw_only=True):
+class DuplicateId(Event, frozen=True, kw_only=True):
     """Another sender with the companion's ids was heard."""
 
     certain: bool
@@ -303,7 +302,7 @@ class DuplicateId(Timed, frozen=True, kw_only=True):
 
 
 @final
-class OthersHeard(Timed, frozen=True, kw_only=True):
+class OthersHeard(Event, frozen=True, kw_only=True):
     """All that is known of others in the air, before a position."""
 
     ours: int
@@ -313,42 +312,8 @@ class OthersHeard(Timed, frozen=True, kw_only=True):
 
 
 @final
-class StopAsked(Timed, frozen=True, kw_only=True):
+class StopAsked(Event, frozen=True, kw_only=True):
     """The operator ends the mission now."""
-
-
-Event = (
-    Tick
-    | VehicleFound
-    | VehicleStatus
-    | Position
-    | LandedState
-    | TakeOffTaken
-    | GpsFix
-    | Estimator
-    | Home
-    | Origin
-    | Echo
-    | Battery
-    | LinkDelay
-    | Prepared
-    | FenceChanged
-    | TargetsChanged
-    | SettingsChanged
-    | Order
-    | Rebooted
-    | ScanDone
-    | NearSeen
-    | GroundSeen
-    | PlanReady
-    | PlanLate
-    | PlannerDied
-    | LinkLost
-    | FenceBreach
-    | DuplicateId
-    | OthersHeard
-    | StopAsked
-)
 
 
 class Outcome(enum.Enum):

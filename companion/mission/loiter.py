@@ -9,7 +9,7 @@ place is known.  It never flies to unknown ground, and otherwise stays.
 from msgspec.structs import replace
 
 from companion.mission import following
-from companion.mission.decisions import Step, cannot_fly
+from companion.mission.decisions import Context, Step, cannot_fly
 from companion.mission.events import Command, Position, ScanDone, StartScan, StatusText, Vector
 from companion.mission.state import LoiterScan, Phase, Scanning, State
 from companion.planner.loiter_search import LoiterQuery, loiter_point
@@ -68,9 +68,8 @@ def _scan_for_loiter(state: State, hover: Vector, zone: str) -> Step:
     return replace(state, flight=flight), commands, None
 
 
-def on_loiter_scan(state: State, event: ScanDone) -> Step | None:
+def on_loiter_scan(state: State, _event: ScanDone, _context: Context) -> Step | None:
     """End a loiter scan: recheck at the next position.  None: it was another scan."""
-    del event  # the map has it already
     flight = state.flight
     if not isinstance(flight.search, LoiterScan):
         return None

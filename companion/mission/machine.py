@@ -188,7 +188,7 @@ _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | No
     StopAsked: _stop,
     PlannerDied: _died,
     DuplicateId: ground.on_duplicate_id,
-    **dict.fromkeys(changes.EVENTS, changes.changed),
+    **changes.HANDLERS,
 }
 """Handlers of events in any phase; None: also left to the phase."""
 

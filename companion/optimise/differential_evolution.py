@@ -80,20 +80,10 @@ class Settings:
 
 
 @final
-class ClassicalDE(Generations):
+class ClassicalDE(Generations[Settings]):
     """Differential evolution with constant parameters and binomial crossover."""
 
-    def __init__(
-        self,
-        dimensions: int,
-        _evaluations: int,
-        rng: np.random.Generator,
-        seeds: FloatArray | None = None,
-        settings: Settings | None = None,
-    ) -> None:
-        """seeds: candidates to start from, (K, D) in the unit cube."""
-        self._settings = settings = settings or Settings()
-        super().__init__(dimensions, settings.population, rng, seeds)
+    _usual = Settings
 
     def _next(self) -> FloatArray:
         x, mutation = self.population, self._settings.mutation

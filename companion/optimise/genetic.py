@@ -36,20 +36,10 @@ class Settings:
 
 
 @final
-class Genetic(Generations):
+class Genetic(Generations[Settings]):
     """Generations of children; the best member so far takes the place of the worst child."""
 
-    def __init__(
-        self,
-        dimensions: int,
-        _evaluations: int,
-        rng: np.random.Generator,
-        seeds: FloatArray | None = None,
-        settings: Settings | None = None,
-    ) -> None:
-        """seeds: candidates to start from, (K, D) in the unit cube."""
-        self._settings = settings = settings or Settings()
-        super().__init__(dimensions, settings.population, rng, seeds)
+    _usual = Settings
 
     def _next(self) -> FloatArray:
         return np.clip(self._mutated(self._crossed(self._parents())), 0.0, 1.0)

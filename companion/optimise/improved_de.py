@@ -33,33 +33,23 @@ class Settings:
 
 
 @final
-class ImprovedDE(Generations):
+class ImprovedDE(Generations[Settings]):
     """Mutation between a random member and the best (eq. 17), with adaptive a and Cr.
 
     a and Cr are clipped to [0, 1], Cr starts about 0.5, and the means stay when no trial succeeded
     (part A, row 4).
     """
 
-    def __init__(
-        self,
-        dimensions: int,
-        evaluations: int,
-        rng: np.random.Generator,
-        seeds: FloatArray | None = None,
-        settings: Settings | None = None,
-    ) -> None:
-        """evaluations: they pay for N generations of eq. 18; seeds: to start from, (K, D)."""
-        self._settings = settings = settings or Settings()
-        super().__init__(dimensions, settings.population, rng, seeds)
-        self._generations = max(evaluations // settings.population, 1)
-        self._generation = 0
-        self._a_mean, self._cr_mean = 1.0, 0.5
-        self._a = self._cr = np.empty(0)
+    _usual = Settings
+    _generation = 0
+    _a_mean, _cr_mean = 1.0, 0.5
+    _a = _cr = np.empty(0)
 
     def _next(self) -> FloatArray:
         """Eq. 17: eq. 15 with F1 = k1 (1 - a), F2 = k2 a (eq. 16) and k1, k2 of eq. 18."""
         x, size, settings = self.population, len(self.population), self._settings
-        progress = (self._generation / self._generations) ** 2
+        generations = max(self._evaluations // size, 1)
+        progress = (self._generation / generations) ** 2
         k1, k2 = (k[0] + (k[1] - k[0]) * progress for k in (settings.k1, settings.k2))
         self._a = np.clip(self._rng.normal(self._a_mean, _SPREAD, size), 0.0, 1.0)
         a = self._a[:, None]

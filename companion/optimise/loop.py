@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import ClassVar, Generic, Protocol, TypeVar, final
 
 import numpy as np
 
@@ -62,18 +62,38 @@ def minimise(
     return Ranked(x=optimiser.population[order], costs=optimiser.costs[order], evaluations=spent)
 
 
-class Generations(ABC):
+class Sized(Protocol):
+    """The parameters of an optimiser."""
+
+    @property
+    def population(self) -> int:
+        """NP."""
+
+
+S = TypeVar("S", bound=Sized)
+
+
+class Generations(ABC, Generic[S]):
     """An optimiser that asks for a whole generation at a time, the first one seeds and chance.
 
     `population` and `costs` are its members; before the first tell() there are none.
     """
 
+    _usual: ClassVar[type]
+    """Makes the settings if none are given."""
+
     def __init__(
-        self, dimensions: int, size: int, rng: np.random.Generator, seeds: FloatArray | None
+        self,
+        dimensions: int,
+        evaluations: int,
+        rng: np.random.Generator,
+        seeds: FloatArray | None = None,
+        settings: S | None = None,
     ) -> None:
-        """size: NP; seeds: candidates to start from, (K, D) in the unit cube."""
-        self._rng = rng
-        self._asked = first_members(size, dimensions, rng, seeds)
+        """evaluations: the budget; seeds: candidates to start from, (K, D) in the unit cube."""
+        self._settings: S = settings or self._usual()
+        self._evaluations, self._rng = evaluations, rng
+        self._asked = first_members(self._settings.population, dimensions, rng, seeds)
         self.population: FloatArray = np.empty((0, dimensions))
         self.costs: FloatArray = np.empty(0)
 

@@ -40,24 +40,14 @@ class Settings:
 
 
 @final
-class ParticleSwarm(Generations):
+class ParticleSwarm(Generations[Settings]):
     """Particles that remember where each, and where all together, found the least cost.
 
     `population` and `costs` are the best places of the particles, not where they are now.
     """
 
-    def __init__(
-        self,
-        dimensions: int,
-        _evaluations: int,
-        rng: np.random.Generator,
-        seeds: FloatArray | None = None,
-        settings: Settings | None = None,
-    ) -> None:
-        """seeds: candidates to start from, (K, D) in the unit cube."""
-        self._settings = settings = settings or Settings()
-        super().__init__(dimensions, settings.population, rng, seeds)
-        self._velocity = np.zeros_like(self._asked)
+    _usual = Settings
+    _velocity: FloatArray | float = 0.0
 
     def _next(self) -> FloatArray:
         """Where the particles go next."""

@@ -103,14 +103,19 @@ class Lattice:
         return np.add.outer(near[0] * self.shape[1], near[1]).ravel().astype(np.int32)
 
 
+def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> FloatArray:
+    """Points so far apart along a route, from its start on.  (K, 2) -> (N, 2)."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route_ne_m, axis=0).T)))
+    at = np.arange(0.0, min(along[-1], most_m), step_m)
+    return np.stack([np.interp(at, along, route_ne_m[:, axis]) for axis in (0, 1)], axis=-1)
+
+
 def bars(lattices: Sequence[Lattice], route_ne_m: FloatArray) -> bool:
     """Whether a route comes to a sample where nothing may fly.  (K, 2), north and east.
 
     lattices: the first that holds a point counts there.  It is looked at twice a sample.
     """
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route_ne_m, axis=0).T)))
-    at = np.arange(0.0, along[-1], 0.5 * lattices[0].step_m)
-    left = np.stack([np.interp(at, along, route_ne_m[:, k]) for k in (0, 1)], axis=-1)
+    left = sampled(route_ne_m, 0.5 * lattices[0].step_m)
     for lattice in lattices:
         samples = np.rint(lattice.sample_of(left)).astype(np.intp)
         inside = ((samples >= 0) & (samples < lattice.cost.shape)).all(axis=1)

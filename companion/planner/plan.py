@@ -20,7 +20,7 @@ from companion.path.certificate import certify, pack_surroundings
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner.backtrack import backtrack
-from companion.planner.cost_lattice import descent_m
+from companion.planner.cost_lattice import descent_m, sampled
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.escape import StartViolation, escape_path, start_violation
 from companion.planner.kernels import NUMPY, Kernel
@@ -291,10 +291,8 @@ class _Plan:
         Beyond L; a vehicle at rest may also fly less, and stop again.
         """
         scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
-        route = np.array(self._field.route_ne_m)
-        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
-        at = np.arange(0.0, min(along[-1], 2.0 * scene.end_radius_m), self._request.known.cell_m)
-        points = np.stack([np.interp(at, along, route[:, k]) for k in (0, 1)], axis=-1)
+        route, cell_m = np.array(self._field.route_ne_m), self._request.known.cell_m
+        points = sampled(route, cell_m, 2.0 * scene.end_radius_m)
         lowest = scene.surface.altitude_m(points[:, 0], points[:, 1])
         barred = np.flatnonzero(lowest > scene.band_amsl_m[1])
         away = np.hypot(*(points[: barred[0] if len(barred) else None] - scan).T)

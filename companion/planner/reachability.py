@@ -7,7 +7,7 @@ import numpy as np
 import scipy.ndimage
 
 from companion.geodesy import BoolArray
-from companion.planner.cost_lattice import IndexArray, Place
+from companion.planner.cost_lattice import IndexArray, Place, sampled
 from companion.planner.cost_to_go import CostToGo
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -35,10 +35,7 @@ def blocked_at(
     here, target = (int(_at(known, regions, place)) for place in (here_ne_m, target_ne_m))
     if 0 in (here, target) or here == target:
         return None
-    route = np.array(field.route_ne_m)
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
-    at = np.arange(0.0, along[-1], 0.5 * known.cell_m)
-    points = np.stack([np.interp(at, along, route[:, axis]) for axis in (0, 1)], axis=-1)
+    points = sampled(np.array(field.route_ne_m), 0.5 * known.cell_m)
     leaves = np.array([int(_at(known, regions, point)) != here for point in points])
     north, east = points[int(leaves.argmax())]
     return float(north), float(east)

@@ -287,7 +287,7 @@ class Watch:
             mode = int.from_bytes(payload[_MODE], "little")
             if mode != self._mode:
                 self._mode = mode
-                name = self._autopilot.mode_name(mode)
+                name = self._autopilot.modes.name_of(mode)
                 self._notes.say(VehicleReport(at_s=at_s, what="mode", text=name))
             armed = bool(payload[_BASE_MODE_AT] & wire.MAV_MODE_FLAG_SAFETY_ARMED)
             if armed is not self._armed:

@@ -119,7 +119,7 @@ def test_a_mode_is_asked_for_and_recognised_by_the_autopilots_number(
     autopilot: Autopilot, mode: Mode, number: int
 ) -> None:
     assert mode_number(autopilot, mode) == number
-    assert autopilot.mode_of(number) is mode
+    assert autopilot.modes.mode_of(number) is mode
 
 
 @pytest.mark.parametrize(
@@ -159,8 +159,8 @@ def test_what_lands_has_a_mode_for_it(autopilot: Autopilot) -> None:
 def test_every_other_number_is_another_mode_and_has_a_name(
     autopilot: Autopilot, number: int, name: str, mode: Mode
 ) -> None:
-    assert autopilot.mode_name(number) == name
-    assert autopilot.mode_of(number) is mode
+    assert autopilot.modes.name_of(number) == name
+    assert autopilot.modes.mode_of(number) is mode
 
 
 def test_px4s_plane_holds_about_a_point_if_there_is_one() -> None:

@@ -63,7 +63,7 @@ def mode_names(name: str) -> set[str]:
     ]
     autopilot = autopilot_of(heard[0])
     assert autopilot is not None
-    return {autopilot.mode_name(message.custom_mode) for message in heard}
+    return {autopilot.modes.name_of(message.custom_mode) for message in heard}
 
 
 def doubted(name: str) -> list[tuple[float, float]]:

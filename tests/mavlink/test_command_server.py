@@ -26,6 +26,7 @@ from companion.geodesy import LocalFrame
 from companion.mavlink.addressing import Reply
 from companion.mavlink.commands import CommandServer, from_float32, speed_bounds_m_s
 from companion.mavlink.own_messages import OwnMessages
+from companion.mission.changes import OrderResult
 from companion.mission.events import Order, OrderKind
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
@@ -59,7 +60,7 @@ def answered(server: CommandServer, message: Any, now_s: float = 10.0) -> tuple[
     answer = server.on_message(message, now_s)
     replies = [*answer.replies]
     if answer.order is not None:
-        replies += server.order_done(answer.order, accepted=True)
+        replies += server.order_done(answer.order, OrderResult.ACCEPTED)
     return answer, [ack(reply) for reply in replies if reply.get_type() == "COMMAND_ACK"]
 
 
@@ -95,17 +96,17 @@ def test_an_order_is_passed_on_and_acknowledged_when_it_was_taken(
         assert answer.order == Order(time_s=12.5, kind=kind, sender="255/190")
         assert answer.replies == ()
         assert answer.note is not None
-        [done] = server.order_done(answer.order, accepted=True)
+        [done] = server.order_done(answer.order, OrderResult.ACCEPTED)
         assert ack(done) == Ack(command, ACCEPTED, PERSON)
-        assert server.order_done(answer.order, accepted=True) == ()
+        assert server.order_done(answer.order, OrderResult.ACCEPTED) == ()
 
 
 def test_an_order_that_the_machine_refuses_is_refused() -> None:
     server = made()
-    for invalid, result in ((False, REJECTED), (True, DENIED)):
+    for verdict, result in ((OrderResult.NOT_NOW, REJECTED), (OrderResult.INVALID, DENIED)):
         answer = server.on_message(command_long(START), 1.0)
         assert answer.order is not None
-        [done] = server.order_done(answer.order, accepted=False, invalid=invalid)
+        [done] = server.order_done(answer.order, verdict)
         assert ack(done).result == result
 
 
@@ -358,7 +359,7 @@ def test_a_refused_one_may_be_tried_again() -> None:
     message = command_int(START)
     first = server.on_message(message, 1.0)
     assert first.order is not None
-    server.order_done(first.order, accepted=False)
+    server.order_done(first.order, OrderResult.NOT_NOW)
     assert server.on_message(message, 1.5).order is not None
 
 
@@ -456,7 +457,7 @@ def test_one_ack_answers_each_command_for_us_and_none_any_other(data: st.DataObj
         if answer.order is not None:
             assert target == OURS
             assert sender[0] == 255
-            done = server.order_done(answer.order, data.draw(st.booleans()))
+            done = server.order_done(answer.order, data.draw(st.sampled_from(OrderResult)))
             assert len(done) == 1
             replies += done
         acks = [ack(reply) for reply in replies if reply.get_type() == "COMMAND_ACK"]

@@ -19,7 +19,6 @@ from companion.mavlink.fence import (
     conflicts,
     in_force,
     margin_m,
-    rally_of,
     targets_of,
 )
 from companion.mavlink.plan_client import PlanItem
@@ -292,8 +291,8 @@ def test_px4s_cylinder() -> None:
     assert (fence.floor_amsl_m, fence.ceiling_amsl_m) == (None, None)
     high = zones_of((), FRAME, {"GF_MAX_VER_DIST": 120.0}, home_nea_m=HOME)
     assert (high.zones, high.ceiling_amsl_m) == ((), HOME_M + 120.0)
-    event = high.changed(7.0, ((1.0, 2.0),))
-    assert (event.time_s, event.ceiling_amsl_m, event.rally_ne_m) == (7.0, 608.0, ((1.0, 2.0),))
+    event = high.changed(7.0)
+    assert (event.time_s, event.ceiling_amsl_m) == (7.0, 608.0)
 
 
 # --- against the mission --------------------------------------------------------------------------
@@ -330,12 +329,7 @@ def test_a_mission_that_leaves_the_fence_is_refused_with_words() -> None:
     assert "leaves 500 to 508 m AMSL" in thin
 
 
-# --- rally points and targets ---------------------------------------------------------------------
-
-
-def test_rally_points_are_where_they_were_put() -> None:
-    (place,) = rally_of([item(5100, 300.0, -200.0, 0.0), item(16, 0.0, 0.0, 0.0)], FRAME)
-    assert math.dist(place, (300.0, -200.0)) < 0.02
+# --- targets --------------------------------------------------------------------------------------
 
 
 def test_targets_are_the_places_between_take_off_and_the_end() -> None:

@@ -83,7 +83,7 @@ def test_setpoint_and_position_are_inverse_to_each_other(bearing: float, speed: 
     setpoint = Setpoint(
         time_s=12.3, position_nea_m=CORNER, velocity_nea_m_s=velocity, yaw_rad=bearing
     )
-    messages = ARDUCOPTER.setpoint(setpoint, FRAME, SYSTEM)
+    messages = ARDUCOPTER.setpoint(setpoint, FRAME, SYSTEM, 0.0)
     assert messages is not None
     sent = over_the_wire(messages[0])
     speeds = (round(100 * sent.vx), round(100 * sent.vy), round(100 * sent.vz))

@@ -55,8 +55,8 @@ def made(**changes: Any) -> Setpoint:
     return Setpoint(**{**values, **changes})
 
 
-def sent(autopilot: Autopilot, setpoint: Setpoint, **options: float) -> Any:
-    messages = autopilot.setpoint(setpoint, FRAME, SYSTEM, **options)
+def sent(autopilot: Autopilot, setpoint: Setpoint, loiter_radius_m: float = 0.0) -> Any:
+    messages = autopilot.setpoint(setpoint, FRAME, SYSTEM, loiter_radius_m)
     assert messages is not None
     [message] = messages
     return over_the_wire(message)
@@ -163,7 +163,7 @@ def test_a_plane_of_ardupilot_follows_with_a_small_circle_and_stays_on_a_wide_on
 
 @pytest.mark.parametrize("radius_m", [math.nan, math.inf])
 def test_a_circle_without_a_size_is_refused(radius_m: float) -> None:
-    assert ARDUPLANE.setpoint(made(stay=True), FRAME, SYSTEM, loiter_radius_m=radius_m) is None
+    assert ARDUPLANE.setpoint(made(stay=True), FRAME, SYSTEM, radius_m) is None
 
 
 # --- what is refused
@@ -201,7 +201,7 @@ def test_nothing_that_is_not_finite_and_in_range_is_ever_sent(
     setpoint = Setpoint(
         time_s=time_s, position_nea_m=place, velocity_nea_m_s=velocity, yaw_rad=yaw, stay=stay
     )
-    messages = autopilot.setpoint(setpoint, frame, SYSTEM, loiter_radius_m=radius_m)
+    messages = autopilot.setpoint(setpoint, frame, SYSTEM, radius_m)
     if messages is None:
         return
     [message] = messages
@@ -253,7 +253,7 @@ def test_what_is_in_range_is_sent_to_where_it_is(place: tuple[float, float, floa
 def test_a_setpoint_with_one_bad_value_is_refused(
     autopilot: Autopilot, stay: bool, changes: dict[str, Any]
 ) -> None:
-    assert autopilot.setpoint(made(stay=stay, **changes), FRAME, SYSTEM) is None
+    assert autopilot.setpoint(made(stay=stay, **changes), FRAME, SYSTEM, 0.0) is None
 
 
 @each
@@ -262,4 +262,4 @@ def test_a_setpoint_about_latitude_and_longitude_0_is_refused(
     autopilot: Autopilot, off_m: float
 ) -> None:
     gulf = LocalFrame(latitude_deg=0.0, longitude_deg=0.0)
-    assert autopilot.setpoint(made(position_nea_m=(off_m, off_m, 100.0)), gulf, SYSTEM) is None
+    assert autopilot.setpoint(made(position_nea_m=(off_m, off_m, 100.0)), gulf, SYSTEM, 0.0) is None

@@ -174,6 +174,6 @@ def test_what_stands_between_a_copter_and_its_reference_stops_it() -> None:
     for at_m, stops in ((0.0, True), (ahead_of_it.length_m, False)):
         there = replace(vehicle, position_nea_m=leg.subpath.pose(at_m).point_nea_m)
         state = replace(craft.state, vehicle=there, flight=replace(flight, reference=ahead_of_it))
-        step = changes.changed(state, thing, craft.context)
+        step = changes.HANDLERS[type(thing)](state, thing, craft.context)
         assert step is not None
         assert (step[0].flight.stop is not None) == stops

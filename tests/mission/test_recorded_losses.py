@@ -227,7 +227,7 @@ def _mode_asked(message: Any, autopilot: Autopilot) -> Mode | None:
     number = int(message.param2)
     if autopilot.name.startswith("PX4"):
         number = number << 16 | int(message.param3) << 24
-    return autopilot.mode_of(number)
+    return autopilot.modes.mode_of(number)
 
 
 def _in_mode(message: Any, mode: Mode, autopilot: Autopilot) -> bytes | None:
@@ -235,7 +235,7 @@ def _in_mode(message: Any, mode: Mode, autopilot: Autopilot) -> bytes | None:
     ours = (message.get_srcSystem(), message.get_srcComponent()) == (1, 1)
     if not ours or message.get_type() != "HEARTBEAT":
         return None
-    if autopilot.mode_of(message.custom_mode) is not Mode.GUIDED:
+    if autopilot.modes.mode_of(message.custom_mode) is not Mode.GUIDED:
         return None
     numbers = {Mode.GUIDED: 4, Mode.HOLD: 17, Mode.LAND: 9}
     if autopilot.name.startswith("PX4"):
@@ -345,7 +345,7 @@ def not_guided(name: str) -> list[tuple[float, float]]:
             continue
         autopilot = autopilot or autopilot_of(message)
         assert autopilot is not None
-        guided = autopilot.mode_of(message.custom_mode) is Mode.GUIDED
+        guided = autopilot.modes.mode_of(message.custom_mode) is Mode.GUIDED
         began = began or guided
         if began and not guided and since_s is None:
             since_s = at_s

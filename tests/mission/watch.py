@@ -275,7 +275,7 @@ class Watch:
         speed = math.hypot(*sent.velocity_nea_m_s)
         assert speed <= self.limits.speed_m_s + self._joining(after, 1), f"{speed} m/s"
         if self.setpoints % 7 == 0:
-            told = self.autopilot.setpoint(sent, self.mission.frame, 1, loiter_radius_m=80.0)
+            told = self.autopilot.setpoint(sent, self.mission.frame, 1, 80.0)
             assert told, "out of range"
         at = sent.position_nea_m
         assert self.position is not None

@@ -254,6 +254,7 @@ def test_an_order_to_hold_is_sent_whatever_setpoint_comes_after_it(autopilot: Au
         Setpoint(time_s=1.0, position_nea_m=here, velocity_nea_m_s=(1.0, 0.0, 0.0), yaw_rad=0.0),
         MISSION.frame,
         1,
+        0.0,
     )
     assert setpoints
     frames = [packed(message) for message in (*setpoints, *hold, *setpoints)]

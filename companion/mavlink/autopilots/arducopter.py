@@ -38,7 +38,7 @@ ARDUCOPTER = Autopilot(
         turn_lag_s2=0.5,  # of its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; 0.6 to 0.8 was measured
     ),
     rules=ARDUCOPTER_RULES,
-    modes=ardupilot.ArduPilotModes(
+    modes=ardupilot.modes_of(
         "COPTER_MODE",
         {
             Mode.GUIDED: (wire.COPTER_MODE_GUIDED,),

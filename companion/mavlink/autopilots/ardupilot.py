@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from typing import final
 
 from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots.common import Modes
 from companion.mavlink.autopilots.messages import echo_at
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Echo, Estimator, Mode, Vector
@@ -43,38 +43,23 @@ def streams_hz(echo: int, echo_hz: float) -> Mapping[int, float]:
     }
 
 
-@final
-class ArduPilotModes:
-    """One number each; see `common.Modes`."""
+def modes_of(enum: str, numbers: Mapping[Mode, tuple[int, ...]]) -> Modes:
+    """One number each, named as in the dialect.
 
-    def __init__(self, enum: str, numbers: Mapping[Mode, tuple[int, ...]]) -> None:
-        """
-        From the dialect's names and the modes that the companion knows.
-
-        Parameters
-        ----------
-        enum: COPTER_MODE or PLANE_MODE.
-        numbers: what each mode may be reported as; the first is the one that is asked for.
-        """
-        self._names = {
-            number: entry.name.removeprefix(f"{enum}_").replace("_", " ")
-            for number, entry in wire.enums[enum].items()
-            if not entry.name.endswith("ENUM_END")
-        }
-        self._asked = {mode: reported[:1] for mode, reported in numbers.items()}
-        self._modes = {number: mode for mode, reported in numbers.items() for number in reported}
-
-    def mode_of(self, custom_mode: int) -> Mode:
-        """The mode that a heartbeat reports."""
-        return self._modes.get(custom_mode, Mode.OTHER)
-
-    def name_of(self, custom_mode: int) -> str:
-        """As ArduPilot calls it."""
-        return self._names.get(custom_mode, f"mode {custom_mode}")
-
-    def numbers_of(self, mode: Mode) -> tuple[int, ...] | None:
-        """The number to ask for."""
-        return self._asked.get(mode)
+    enum: COPTER_MODE or PLANE_MODE.  numbers: what each mode may be reported as; the first is the
+    one that is asked for.
+    """
+    names = {
+        number: entry.name.removeprefix(f"{enum}_").replace("_", " ")
+        for number, entry in wire.enums[enum].items()
+        if not entry.name.endswith("ENUM_END")
+    }
+    modes = {number: mode for mode, reported in numbers.items() for number in reported}
+    return Modes(
+        mode_of=lambda custom_mode: modes.get(custom_mode, Mode.OTHER),
+        asked={mode: reported[:1] for mode, reported in numbers.items()},
+        name_of=lambda custom_mode: names.get(custom_mode, f"mode {custom_mode}"),
+    )
 
 
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:

@@ -46,7 +46,7 @@ def _set_speed(speed_m_s: float, system_id: int) -> list[Message]:
 
 
 def _setpoint(
-    setpoint: Setpoint, frame: LocalFrame, system_id: int, *, loiter_radius_m: float = 0.0
+    setpoint: Setpoint, frame: LocalFrame, system_id: int, loiter_radius_m: float
 ) -> list[Message] | None:
     """DO_REPOSITION without the change to GUIDED: a pilot who took over keeps control."""
     aimed = messages.aim(setpoint, frame)
@@ -93,7 +93,7 @@ ARDUPLANE = Autopilot(
         lands=False,
     ),
     rules=ARDUPLANE_RULES,
-    modes=ardupilot.ArduPilotModes(
+    modes=ardupilot.modes_of(
         "PLANE_MODE",
         {
             Mode.GUIDED: (wire.PLANE_MODE_GUIDED,),

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import DECODERS, Decoder, command_long, set_mode
@@ -47,39 +47,24 @@ class LaunchPose:
     """Where its nose points, clockwise from true north (`heading_rad` of GLOBAL_POSITION_INT)."""
 
 
-class Modes(Protocol):
-    """Mode numbers of a firmware, or of a vehicle type where they differ within it."""
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Modes:
+    """Modes of a firmware, or of a vehicle type where they differ within it."""
 
-    def mode_of(self, custom_mode: int) -> Mode:
-        """The mode that a heartbeat reports."""
-        ...
-
-    def name_of(self, custom_mode: int) -> str:
-        """The autopilot's own name of the mode."""
-        ...
-
-    def numbers_of(self, mode: Mode) -> tuple[int, ...] | None:
-        """Parameters of DO_SET_MODE: mode, or main and sub mode; None: not supported."""
-        ...
+    mode_of: Callable[[int], Mode]
+    """The mode that a heartbeat reports as custom_mode."""
+    name_of: Callable[[int], str]
+    """The autopilot's own name of it."""
+    asked: Mapping[Mode, tuple[int, ...]]
+    """Parameters of DO_SET_MODE: mode, or main and sub mode; the others are not supported."""
 
 
-class SetpointEncoder(Protocol):
-    """Encodes a setpoint as messages."""
+SetpointEncoder = Callable[[Setpoint, LocalFrame, int, float], list[Message] | None]
+"""(setpoint, frame, system_id, the largest circle that a plane may hold on, metres) -> messages.
 
-    def __call__(
-        self,
-        setpoint: Setpoint,
-        frame: LocalFrame,
-        system_id: int,
-        *,
-        loiter_radius_m: float = 0.0,
-    ) -> list[Message] | None:
-        """None if any value is not finite or out of range.
-
-        A NaN would abort ArduPilot's process, and 0, 0 would be flown to.  `loiter_radius_m` is
-        the largest circle for a plane that holds (`Limits.loiter_radius_m`).
-        """
-        ...
+None if any value is not finite or out of range: a NaN would abort ArduPilot's process, and 0, 0
+would be flown to."""
 
 
 def _no_messages(*_: object) -> list[Message]:
@@ -135,21 +120,13 @@ class Autopilot:
         """Display name: ArduCopter, ArduPlane, PX4 multicopter, PX4 fixed wing."""
         return self.traits.name
 
-    def mode_of(self, custom_mode: int) -> Mode:
-        """The mode that a heartbeat reports."""
-        return self.modes.mode_of(custom_mode)
-
-    def mode_name(self, custom_mode: int) -> str:
-        """The autopilot's own name of the mode."""
-        return self.modes.name_of(custom_mode)
-
     def set_mode(self, command: SetMode, frame: LocalFrame, system_id: int) -> list[Message]:
         """Request a mode; empty if unsupported.  Only the heartbeat confirms it."""
         if command.mode is Mode.HOLD and command.at_nea_m is not None:
             about = self.hold_about(command.at_nea_m, frame, system_id)
             if about:
                 return about
-        numbers = self.modes.numbers_of(command.mode)
+        numbers = self.modes.asked.get(command.mode)
         return [] if numbers is None else [set_mode(system_id, *numbers)]
 
     def arm(self, system_id: int) -> list[Message]:

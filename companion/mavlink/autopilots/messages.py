@@ -205,15 +205,13 @@ def position_target(
     setpoint: Setpoint,
     frame: LocalFrame,
     system_id: int,
-    *,
-    loiter_radius_m: float = 0.0,
+    _loiter_radius_m: float = 0.0,
     type_mask: int = POSITION_VELOCITY_YAW,
 ) -> list[Message] | None:
     """SET_POSITION_TARGET_GLOBAL_INT in frame 5: AMSL, which all autopilots get right.
 
     By default position, velocity and yaw, for multicopters: to hold is a velocity of zero.
     """
-    del loiter_radius_m
     aimed = aim(setpoint, frame)
     if aimed is None:
         return None

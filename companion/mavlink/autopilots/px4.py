@@ -7,10 +7,11 @@ streaming before requesting any other mode.  Measured: px4.md.
 
 import math
 from collections.abc import Mapping
-from typing import final
+from typing import Final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import messages
+from companion.mavlink.autopilots.common import Modes
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
@@ -73,28 +74,23 @@ INTERMITTENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION})  # until there is 
 REQUESTED_ONCE = (wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, wire.MAVLINK_MSG_ID_HOME_POSITION)
 
 
-@final
-class Px4Modes:
-    """A main mode, and a sub mode of the automatic one; see `common.Modes`."""
-
-    def mode_of(self, custom_mode: int) -> Mode:
-        """The mode that a heartbeat reports; the failsafe DESCEND is told as LAND."""
-        return _BY_NUMBER.get(_numbers(custom_mode), Mode.OTHER)
-
-    def name_of(self, custom_mode: int) -> str:
-        """As PX4's ground stations call it."""
-        main, sub = _numbers(custom_mode)
-        name = _AUTO_NAMES.get(sub) if main == _AUTO else _MAIN_NAMES.get(main)
-        return name or f"mode {main}.{sub}"
-
-    def numbers_of(self, mode: Mode) -> tuple[int, ...] | None:
-        """Main and sub mode."""
-        return _MODES.get(mode)
-
-
 def _numbers(custom_mode: int) -> tuple[int, int]:
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     return main, sub if main == _AUTO else 0
+
+
+def _name_of(custom_mode: int) -> str:
+    """As PX4's ground stations call it."""
+    main, sub = _numbers(custom_mode)
+    name = _AUTO_NAMES.get(sub) if main == _AUTO else _MAIN_NAMES.get(main)
+    return name or f"mode {main}.{sub}"
+
+
+MODES: Final = Modes(  # the failsafe DESCEND is told as LAND
+    mode_of=lambda custom_mode: _BY_NUMBER.get(_numbers(custom_mode), Mode.OTHER),
+    name_of=_name_of,
+    asked=_MODES,
+)
 
 
 def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:

@@ -55,13 +55,12 @@ def _take_off(
 
 
 def _setpoint(
-    setpoint: Setpoint, frame: LocalFrame, system_id: int, *, loiter_radius_m: float = 0.0
+    setpoint: Setpoint, frame: LocalFrame, system_id: int, _loiter_radius_m: float
 ) -> list[Message] | None:
     """A point of the path and the tangent there; to stay, the point alone, to be circled.
 
     Never an acceleration: its sign is wrong there (px4.md 1, item 7).
     """
-    del loiter_radius_m
     mask = messages.POSITION if setpoint.stay else messages.POSITION_VELOCITY
     return messages.position_target(setpoint, frame, system_id, type_mask=mask)
 
@@ -75,7 +74,7 @@ PX4_FIXED_WING = Autopilot(
         needs_setpoints_before_offboard=True,
     ),
     rules=PX4_FIXED_WING_RULES,
-    modes=px4.Px4Modes(),
+    modes=px4.MODES,
     streams_hz=px4.STREAMS_HZ,
     intermittent=px4.INTERMITTENT,
     requested_once=px4.REQUESTED_ONCE,

@@ -28,7 +28,7 @@ PX4_MULTICOPTER = Autopilot(
         needs_setpoints_before_offboard=True,
     ),
     rules=PX4_MULTICOPTER_RULES,
-    modes=px4.Px4Modes(),
+    modes=px4.MODES,
     streams_hz={**px4.STREAMS_HZ, wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0},
     intermittent=px4.INTERMITTENT,
     requested_once=px4.REQUESTED_ONCE,
