@@ -11,6 +11,7 @@ from typing import NamedTuple, final
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.mission.mission import Mission
+from companion.planner.rules import check_area
 from companion.sources.elevation import read_terrain
 from companion.sources.files import (
     answer,
@@ -132,22 +133,16 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
             sum_of_peaks=model.terrain.combine == "sum",
         )
     origin, area = model.origin, model.area
-    _check_area(area.north_min_m, area.north_max_m, "north", name_or_path)
-    _check_area(area.east_min_m, area.east_max_m, "east", name_or_path)
+    sides_m = (area.north_min_m, area.north_max_m), (area.east_min_m, area.east_max_m)
+    check_area(*sides_m, f"{name_or_path}: ")
     return read_terrain(
         _folder(name_or_path) / model.terrain.file,
         LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg),
-        ((area.north_min_m, area.north_max_m), (area.east_min_m, area.east_max_m)),
+        sides_m,
         vertical_datum=model.terrain.vertical_datum,
         nodata=model.terrain.nodata,
         field=f"{name_or_path}: terrain.file",
     )
-
-
-def _check_area(low_m: float, high_m: float, axis: str, where: str) -> None:
-    if low_m >= high_m:
-        rule = f"it must be more than area.{axis}_min_m = {low_m:g}"
-        raise InputError(f"{where}: area.{axis}_max_m", high_m, rule, "Swap or widen them.")
 
 
 # --- files

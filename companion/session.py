@@ -369,14 +369,11 @@ class Session:
             found = events.VehicleFound(time_s=self.now_s, system_id=0, traits=None, name=name)
             self._handle(found)
 
-    def _on_scan(self, heard: Incoming) -> None:
-        """A scan answer of the radar."""
-        assert isinstance(self._scanning, ScanClient)
-        self._scanning.on_message(heard.message, self.state.vehicle.position_nea_m)
-        self._scan_on()
-
-    def _on_radar(self, _heard: Incoming) -> None:
-        """Any other message of the radar."""
+    def _on_radar(self, heard: Incoming) -> None:
+        """A message of the radar: its answers to a scan, and when to look whether it is over."""
+        if heard.number in TERRAIN:
+            assert isinstance(self._scanning, ScanClient)
+            self._scanning.on_message(heard.message, self.state.vehicle.position_nea_m)
         self._scan_on()
 
     def _on_near(self, heard: Incoming) -> None:
@@ -775,7 +772,6 @@ _HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]]
     (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND): Session._on_wind,
     (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND_COV): Session._on_wind,
     **{(Role.AUTOPILOT, number): Session._after_time_only for number in TIME_ONLY_MESSAGES},
-    **{(Role.RADAR, number): Session._on_scan for number in TERRAIN},
 }
 _OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {
     Role.AUTOPILOT: Session._on_autopilot,

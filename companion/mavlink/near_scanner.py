@@ -160,8 +160,6 @@ class NearScanner:
             heights_m=heights,
             radar_nea_m=np.zeros((1, 1, 3)),
             range_m=0.0,
-            drift_m=0.0,
-            registration_m=0.0,
             complete=False,
             supersedes=supersedes,
         )

@@ -174,7 +174,9 @@ def _checked(
     verdict = next((each for each in said if each is not None), None)
     if verdict is None:
         return None
-    set_to = None if verdict.set_to is None else _as_written(verdict.set_to / alias.scale)
+    set_to = verdict.set_to
+    if set_to is not None:  # without the noise of the conversion between units
+        set_to = float(f"{set_to / alias.scale:.6g}")
     severity, remedy = verdict.severity, verdict.remedy
     if set_to is not None:
         remedy = f"It is set to {set_to:g}"
@@ -196,11 +198,6 @@ def _missing(rule: ParameterRule) -> ParameterIssue | None:
         remedy="Fly a firmware that has it" if refused else "See to it by hand",
         severity=rule.if_missing,
     )
-
-
-def _as_written(value: float) -> float:
-    """Without the noise of the conversion between units."""
-    return float(f"{value:.6g}")
 
 
 # --- verdicts -------------------------------------------------------------------------------------

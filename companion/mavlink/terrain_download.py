@@ -325,6 +325,4 @@ def _no_scan() -> Scan:
         heights_m=np.full((1, 1), NO_ANSWER),
         radar_nea_m=np.zeros((1, 1, 3)),
         range_m=0.0,
-        drift_m=0.0,
-        registration_m=0.0,
     )

@@ -3,7 +3,15 @@
 from msgspec.structs import replace
 
 from companion.mission import flying, following, joining
-from companion.mission.decisions import Context, Step, cannot_fly, fault, give_up, is_gone
+from companion.mission.decisions import (
+    Context,
+    Step,
+    cannot_fly,
+    fault,
+    give_up,
+    is_gone,
+    preceded,
+)
 from companion.mission.events import Event, Plan, PlanReady, Position
 from companion.mission.state import (
     Backtracking,
@@ -119,8 +127,7 @@ def returning(state: State, event: Event, context: Context) -> Step:
     if not isinstance(event, Position):
         return state, [], None
     state, warning = flying.battery_warning(state, context)
-    state, commands, trigger = _on_position(state, event, context)
-    return state, [*warning, *commands], trigger
+    return preceded(warning, _on_position(state, event, context))
 
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
@@ -145,8 +152,7 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     if flight.back and flight.leg is not None:
         went_on = start_backtrack(state)
         if went_on is None:
-            state, more, trigger = flying.on_departure(state, _stopped(state).flight)
-            return state, [*commands, *more], trigger
+            return preceded(commands, flying.on_departure(state, _stopped(state).flight))
         return replace(state, flight=went_on), commands, None
     there = flight.leg is not None and flight.leg.reaches_target
     state = replace(state, flight=following.at_rest_at_end(flight))

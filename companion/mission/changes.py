@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import following, loiter
-from companion.mission.decisions import Context, Step, give_up, with_hold_reason
+from companion.mission.decisions import Context, Step, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
     Event,
@@ -167,8 +167,7 @@ def _with_zones(state: State, *said: Command) -> Step:
     if state.phase not in _ON_PATH:  # a path that was to be gone on with
         flight = following.at_rest(state.flight, state.flight.hover_nea_m)
         return replace(state, flight=flight), says, None
-    state, commands, trigger = following.stop(state, Reason.NEW_THREAT)
-    return state, [*says, *commands], trigger
+    return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
 def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
@@ -182,8 +181,10 @@ def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
     if event.sight.is_blind:
         if flight.returning or stops_for is not None:
             return state, [], None  # what was flown before is flown again
-        state, commands, trigger = following.stop(state, Reason.SENSOR_SILENT)
-        return state, [StatusText(text=Reason.SENSOR_SILENT.text, warning=True), *commands], trigger
+        return preceded(
+            [StatusText(text=Reason.SENSOR_SILENT.text, warning=True)],
+            following.stop(state, Reason.SENSOR_SILENT),
+        )
     if stops_for is Reason.NEW_THREAT:
         return state, [], None
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
@@ -269,8 +270,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         state = replace(state, orders=Orders())
     says: list[Command] = [StatusText(text=why)]
     if state.phase in _ON_PATH and targets_ne_m:
-        state, commands, trigger = following.stop(state, Reason.NEW_TARGET)
-        return state, [*says, *commands], trigger
+        return preceded(says, following.stop(state, Reason.NEW_TARGET))
     if state.phase is Phase.ARRIVED:
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
@@ -297,8 +297,7 @@ def _ordered(state: State, order: Order, _context: Context) -> Step:
             says: list[Command] = []
             if order.speed_m_s is not None:
                 state, says, _ = _with_speed(state, order.speed_m_s)
-            state, commands, trigger = _with_targets(state, (order.target_ne_m,), "new target")
-            return state, [*says, *commands], trigger
+            return preceded(says, _with_targets(state, (order.target_ne_m,), "new target"))
         case OrderKind.SPEED:
             return _with_speed(state, order.speed_m_s)
         case OrderKind.RETURN:
@@ -317,8 +316,7 @@ def _go_on(state: State) -> Step:
         flight = replace(flight, stop=replace(stop, reason=wanted or Reason.CONTINUED))
         return replace(state, flight=flight), [StatusText(text="going on")], None
     if isinstance(state.hold, Paused):
-        state, commands, trigger = resumed(state)
-        return state, [StatusText(text="going on"), *commands], trigger
+        return preceded([StatusText(text="going on")], resumed(state))
     if isinstance(state.hold, TakenOver):
         return replace(state, hold=replace(state.hold, released_at_s=state.now_s)), [], None
     return state, [], None

@@ -50,6 +50,12 @@ def ask(state: State, *commands: Command) -> Step:
     return replace(state, asked_at_s=state.now_s, asks=state.asks + 1), list(commands), None
 
 
+def preceded(says: list[Command], step: Step) -> Step:
+    """A step whose commands come after these."""
+    state, commands, trigger = step
+    return state, [*says, *commands], trigger
+
+
 def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     """Detail and remedy of a reason; for plans the planner's own."""
     if reason is Reason.POSITION_ELSEWHERE:

@@ -295,7 +295,8 @@ def on_plan(state: State, event: PlanReady) -> Step:
             commands = [*_closed(outcome), *commands]
         return state, commands, trigger
     leg, at_m = flight.leg, flight.reference.length_m
-    soonest_m = max(following.sent_at_m(state), at_m + traffic.settled_m(state))
+    sent_ahead_m = following.lead_m(state, flight.reference)
+    soonest_m = at_m + max(sent_ahead_m, traffic.settled_m(state))
     if leg is not None and soonest_m > leg.successor_at_m(state.task):
         return _no_successor(state, Reason.PLAN_LATE)
     if flight.stop is not None:
@@ -335,7 +336,8 @@ def _hover(state: State, event: Position, context: Context) -> Step:
         return replace(state, flight=flight), [], Trigger.TARGET_REACHED
     commands: list[Command] = []
     if flight.search is None and not _is_there(state, event, here):
-        flight = replace(flight, progress_at_s=_later(state, event, flight))
+        if abs(event.velocity_nea_m_s[2]) > 0.1:  # on its way up or down
+            flight = replace(flight, progress_at_s=state.now_s)
     elif flight.search is None:
         flight, commands = start_scan(replace(flight, progress_at_s=state.now_s), here)
     flight, stay = hold_setpoint(replace(state, flight=flight), event.time_s, context)
@@ -386,11 +388,6 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
     near = is_on_circle(here, event.position_nea_m, state.task.limits)
     return near and level and abs(here[2] - event.position_nea_m[2]) <= error_m
-
-
-def _later(state: State, event: Position, flight: Flight) -> float:
-    """Time of the last progress of the climb to the hover: now, while the vehicle moves."""
-    return state.now_s if abs(event.velocity_nea_m_s[2]) > 0.1 else flight.progress_at_s
 
 
 def _accepted(state: State, planned: Planned) -> Flight:

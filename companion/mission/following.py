@@ -58,11 +58,6 @@ def lead_m(state: State, reference: Reference) -> float:
     return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
 
 
-def sent_at_m(state: State) -> float:
-    """Length along the leg of the point that is sent."""
-    return state.flight.reference.length_m + lead_m(state, state.flight.reference)
-
-
 def advance_reference(state: State, event: Position) -> Flight:
     """Advance the reference point by one position; at p_prog switch to the next leg."""
     task, flight, vehicle = state.task, state.flight, state.vehicle

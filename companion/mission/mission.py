@@ -1,7 +1,7 @@
 """A mission: targets, task and options, as the mission machine and the protocols need them."""
 
 import enum
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Literal, final
 
 from annotated_types import Ge, Le
@@ -114,7 +114,4 @@ class Mission:
         wanted_m = self.altitudes_amsl_m[target] if target < len(self.altitudes_amsl_m) else None
         if wanted_m is None:
             return task
-        limits, (lowest_m, highest_m) = task.limits, task.band_amsl_m
-        raised_m = max(min(wanted_m, highest_m) - lowest_m, 0.0)
-        limits = replace(limits, floor_amsl_m=limits.floor_amsl_m + raised_m)
-        return replace(task, limits=limits)
+        return task.no_lower_than(min(wanted_m, task.band_amsl_m[1]))

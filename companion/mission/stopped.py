@@ -22,6 +22,7 @@ from companion.mission.decisions import (
     is_silent,
     landing_order,
     longest_silence_s,
+    preceded,
     reason_text,
     takeover_reason,
     with_hold_reason,
@@ -234,7 +235,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
         return (state, commands, None) if moving else _land_here(state, commands)
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
         return state, commands, None
-    on_way_back = _is_backtracking(state)
+    low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
+    on_way_back = state.flight.returning or (low_battery and state.flight.homeward)
     goes_back = on_way_back or state.flight.homeward
     if state.vehicle.ground_above_m and not goes_back and isinstance(hold, Replan):
         if in_phase_s(state) < _SENSOR_S * context.mission.attempts:
@@ -247,8 +249,7 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if on_way_back or tries:
         if state.reason is Reason.NEW_THREAT and state.vehicle.traits.hovers:
             state = _replan_hover(state)  # the band may be another one
-        state, says, trigger = resumed(state)
-        return state, [*commands, *says], trigger
+        return preceded(commands, resumed(state))
     return _other_way(state, context)
 
 
@@ -271,19 +272,15 @@ def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step
     back = backtracking.on_backtrack_plan(state, event)
     whole = back is not None and back.legs[-1].reaches_target
     if not whole and (looser := backtracking.with_looser_rules(state)) is not None:
-        state, asking, trigger = backtracking.request_backtrack(looser[0], context)
-        return state, [StatusText(text=looser[1], warning=True), *asking], trigger
+        return preceded(
+            [StatusText(text=looser[1], warning=True)],
+            backtracking.request_backtrack(looser[0], context),
+        )
     if back is not None:
         after = replace(state, flight=replace(flight, way=back, planning_backtrack=None))
         if backtracking.start_backtrack(after) is not None:
             return after, [], Trigger.BACKTRACK
     return give_up(state, state.reason or Reason.NO_PLAN)
-
-
-def _is_backtracking(state: State) -> bool:
-    """Whether a backtrack is in progress, or was when the battery ended a pause."""
-    low = state.reason is Reason.BATTERY_LOW
-    return state.flight.returning or (low and state.flight.homeward)
 
 
 def _other_way(state: State, context: Context) -> Step:
@@ -311,7 +308,8 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return state, [], Trigger.GIVE_UP
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _elsewhere(state)
-    if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
+    flies_on = vehicle.traits.hovers and mode is Mode.GUIDED  # to a target that is not known
+    if mode is Mode.HOLD or (taking_over and not flies_on):
         state = replace(state, obeyed=True)
     doubted = vehicle.distrust is not None
     is_stationary = not vehicle.traits.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
@@ -369,11 +367,6 @@ def _lead_back(state: State, event: Event, context: Context) -> Step:
 def _replan_hover(state: State) -> State:
     """Choose the waiting place again: the vehicle may have been held too low."""
     return replace(state, flight=following.at_rest(state.flight, None))
-
-
-def _must_stop_first(state: State) -> bool:
-    """Copter in GUIDED with an unknown target."""
-    return state.vehicle.traits.hovers and state.vehicle.mode is Mode.GUIDED
 
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:

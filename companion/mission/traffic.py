@@ -499,9 +499,7 @@ def plan_floor(state: State, task: Task) -> Task:
     traffic, flight = state.traffic, state.flight
     if traffic is None or traffic.floor_m is None or flight.leg is not None or flight.failures:
         return task
-    raised_m = max(traffic.floor_m - _THERE_M - task.band_amsl_m[0], 0.0)
-    floor_m = task.limits.floor_amsl_m + raised_m
-    return dataclasses.replace(task, limits=dataclasses.replace(task.limits, floor_amsl_m=floor_m))
+    return task.no_lower_than(traffic.floor_m - _THERE_M)
 
 
 def hold(state: State) -> tuple[State, list[Command]]:

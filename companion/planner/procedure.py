@@ -192,22 +192,14 @@ def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Li
     """
     ahead_m = max(_WINDOW_S * limits.speed_m_s, limits.turn_radius_m)
     until_m = min(reference.length_m + ahead_m, leg.subpath.length_m)
-    at_m = _nearest_m(leg, vehicle_nea_m, reference.length_m, until_m, _CHORDS)
-    return Reference(length_m=at_m, speed_m_s=limits.speed_m_s)
-
-
-def _nearest_m(
-    leg: Leg, vehicle_nea_m: FloatArray, from_m: float, until_m: float, chords: int
-) -> float:
-    """Length flown at the point of a part of the path that is nearest, seen from above."""
-    lengths = np.linspace(from_m, max(until_m, from_m), chords + 1)
+    lengths = np.linspace(reference.length_m, max(until_m, reference.length_m), _CHORDS + 1)
     points = leg.subpath.points_nea_m(lengths)[:, :2]
     steps, offset = np.diff(points, axis=0), vehicle_nea_m[:2] - points[:-1]
     squared = np.maximum((steps * steps).sum(axis=-1), 1e-12)
     share = np.clip((steps * offset).sum(axis=-1) / squared, 0.0, 1.0)
-    apart = np.linalg.norm(offset - share[:, None] * steps, axis=-1)
-    k = int(np.argmin(apart))
-    return float(lengths[k] + share[k] * (lengths[k + 1] - lengths[k]))
+    k = int(np.argmin(np.linalg.norm(offset - share[:, None] * steps, axis=-1)))
+    at_m = float(lengths[k] + share[k] * (lengths[k + 1] - lengths[k]))
+    return Reference(length_m=at_m, speed_m_s=limits.speed_m_s)
 
 
 def sent_pose(

@@ -85,7 +85,7 @@ def check_target(task: Task, target_ne_m: Place, field: str) -> None:
                 rule = f"it lies nearer than {_least(task)} to the edge of the map"
             raise InputError(f"{field}.{axis}_m", value, rule, "Move it, or widen [area].")
     for zone in zones:
-        gap = float(zone.distance_m(*_as_arrays(target_ne_m)))
+        gap = float(zone.distance_m(*np.array(target_ne_m)))
         if gap < task.zone_search_clearance_m:
             rule = f"it lies {_where(zone, gap, task)} {zone.name!r}"
             raise InputError(field, list(target_ne_m), rule, "Move the target, or remove the zone.")
@@ -150,12 +150,17 @@ def _where(zone: Zone, gap_m: float, task: Task) -> str:
     return "inside keep-out" if gap_m < 0.0 else f"{near} keep-out"
 
 
-def _check_map(task: Task, where: str) -> None:
-    limits = task.limits
-    for axis, (low, high) in (("north", limits.north_m), ("east", limits.east_m)):
+def check_area(north_m: tuple[float, float], east_m: tuple[float, float], where: str = "") -> None:
+    """Hold a map to having an inside.  Raises InputError."""
+    for axis, (low, high) in (("north", north_m), ("east", east_m)):
         if low >= high:
             rule = f"it must be more than area.{axis}_min_m = {low:g}"
             raise InputError(f"{where}area.{axis}_max_m", high, rule, "Swap or widen them.")
+
+
+def _check_map(task: Task, where: str) -> None:
+    limits = task.limits
+    check_area(limits.north_m, limits.east_m, where)
     floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
     if ceiling - floor <= _MIN_BAND_ERRORS * task.error_m:
         rule = (
@@ -258,7 +263,3 @@ def _too_tight(speed_m_s: float, radius_m: float, *, hovers: bool) -> str:
     bank = math.degrees(math.atan(lateral / _GRAVITY_M_S2))
     too_much = bank > _MAX_BANK_DEG
     return f"{at_speed} {bank:.0f} degrees of bank, over {_MAX_BANK_DEG:g}" if too_much else ""
-
-
-def _as_arrays(point: Place) -> tuple[FloatArray, FloatArray]:
-    return np.asarray(point[0]), np.asarray(point[1])

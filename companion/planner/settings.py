@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, final
 
@@ -172,6 +172,12 @@ class Task:
         """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
         inset = 1.1 * self.error_m if self.settings.profile.verified else 0.0
         return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
+
+    def no_lower_than(self, amsl_m: float) -> "Task":
+        """The task with this, if it is higher, as the lowest altitude to plan for."""
+        raised_m = max(amsl_m - self.band_amsl_m[0], 0.0)
+        limits = replace(self.limits, floor_amsl_m=self.limits.floor_amsl_m + raised_m)
+        return replace(self, limits=limits)
 
     @cached_property
     def take_off_amsl_m(self) -> float:

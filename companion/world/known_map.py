@@ -41,9 +41,9 @@ class Scan:
     radar_nea_m: FloatArray  # (rows, columns, 3)
     """Where the radar was when it answered for each cell (it moves during a scan)."""
     range_m: float
-    drift_m: float
+    drift_m: float = 0.0
     """How wrong `radar_nea_m` may be."""
-    registration_m: float
+    registration_m: float = 0.0
     """How far an answered cell may lie from its lattice cell (true north is not grid north)."""
     complete: bool = True
     """Whether the radar shows every cell in range of which any ground is in its line of sight.

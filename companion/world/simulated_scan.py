@@ -87,8 +87,6 @@ def simulated_scan(
         heights_m=np.where(seen, here.upper_m, NOT_SEEN),
         radar_nea_m=np.broadcast_to(np.asarray(radar_nea_m), (*seen.shape, 3)),
         range_m=range_m,
-        drift_m=0.0,
-        registration_m=0.0,
     )
 
 

@@ -71,10 +71,6 @@ def _no_messages(*_: object) -> list[Message]:
     return []
 
 
-def _never(_: Message) -> bool:
-    return False
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Autopilot:
@@ -109,7 +105,7 @@ class Autopilot:
     """Speed command for an autopilot that controls its own speed: (speed_m_s, system_id)."""
     hold_about: Callable[[Vector, LocalFrame, int], list[Message]] = _no_messages
     """Hold at a point, if the autopilot supports it: (at_nea_m, frame, system_id)."""
-    refuses_setpoint: Callable[[Message], bool] = _never
+    refuses_setpoint: Callable[[Message], bool] = lambda _: False
     """Whether a message says that a setpoint was not taken.
 
     Never by default: setpoints are not acknowledged; the position target echo shows it.
