@@ -47,22 +47,11 @@ READS = _READER.format(_OPENS.format("sum(1 for _ in log.records())"))
 DECODES = _READER.format(
     _OPENS.format("sum(len(receiver.feed(each.frame)) for each in log.records())")
 )
-ROWS = _READER.format("""from companion.telemetry.logs import dataflash, ulog
-from companion.telemetry.logs.anomalies import Findings
-from companion.telemetry.logs.window import Window
-class All:
-    __contains__ = lambda self, name: name != "FMT"
-reader = ulog if sys.argv[1].endswith("ulg") else dataflash
-with Window(Path(sys.argv[1])) as window:
-    count = sum(1 for _ in reader.rows(window, Findings(), All()))""")
 PYMAVLINK = _READER.format("""from pymavlink import mavutil
 mavutil.set_dialect("all")
 log, count = mavutil.mavlink_connection(sys.argv[1]), 0
 while log.recv_msg() is not None:
     count += 1""")
-PYULOG = _READER.format("""from pyulog import ULog
-count = sum(len(each.data["timestamp"]) for each in ULog(sys.argv[1]).data_list)""")
-RIVALS = {"bin": ("DFReader", PYMAVLINK), "ulg": ("pyulog", PYULOG)}
 
 
 def tlog_of(path: Path, size: int) -> None:
@@ -153,10 +142,6 @@ def main() -> None:
             results[kind] = measured(READS, path)
             bar = "   (bar 30,000 /s, 300 MB)" if kind == "tlog" else ""
             print(line(f".{kind}, opened and read", results[kind]) + bar, flush=True)
-            if kind in RIVALS:
-                for name, program in (("every row", ROWS), RIVALS[kind]):
-                    results[f"{kind}, {name}"] = measured(program, path)
-                    print(line(f".{kind}, {name}", results[f"{kind}, {name}"]), flush=True)
             path.unlink()
         programs = {"and decoded (Receiver)": DECODES, "pymavlink": PYMAVLINK}
         if wanted.only not in (None, "rivals"):

@@ -91,8 +91,8 @@ TOPICS = (
 def px4(clock_us: int, header_us: int) -> bytes:
     """A PX4 whose clock begins there, and says something else in the header."""
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", header_us)
+    out += b"".join(message(b"F", topic) for topic in TOPICS)
     for k, topic in enumerate(TOPICS):
-        out += message(b"F", topic)
         out += message(b"A", struct.pack("<BH", 0, 3 + k) + topic.split(b":")[0])
     for k in range(FIXES):
         time_us = clock_us + 100_000 * k

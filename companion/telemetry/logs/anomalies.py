@@ -14,6 +14,7 @@ class Anomaly(enum.Enum):
     DAMAGED = "{} entries that cannot be what the log says they are were left out"
     UNKNOWN = "{} messages of kinds that this program does not know: their checksum is not checked"
     CUT_SHORT = "the end is cut short: its last {} bytes are no whole entry"
+    CORRUPT = "parts of it are damaged, and left out"
     UNREADABLE = "the file could not be read on from here"
     SECRET = "{} messages with a key or password were left out"
     SIGNED = "{} messages are signed: no signature was checked"
@@ -46,7 +47,7 @@ class LogAnomaly:
     oddity: Anomaly
     count: int
     first_byte: int
-    """Its first place in the file."""
+    """Its first place in the file; 0: it is of the whole log, or the place is not known."""
     first_time_us: int | None
     """The log's time then, microseconds since 1970; None: before its first time."""
     detail: str = ""
@@ -54,10 +55,10 @@ class LogAnomaly:
 
     def __str__(self) -> str:
         said = self.oddity.value.format(self.detail or f"{self.count:,}")
-        if self.first_byte == 0 and self.first_time_us is None:
-            return said  # of the whole log
-        when = "" if self.first_time_us is None else f", {shown_time(self.first_time_us)}"
-        return f"{said} (first at byte {self.first_byte:,}{when})"
+        where = [f"byte {self.first_byte:,}"] if self.first_byte else []
+        if self.first_time_us is not None:
+            where.append(shown_time(self.first_time_us))
+        return f"{said} (first at {', '.join(where)})" if where else said
 
     def as_json(self) -> dict[str, Any]:
         """For `--json`."""

@@ -7,6 +7,7 @@ beforehand: whose it is, when it was, and what it has.
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -24,7 +25,6 @@ from companion.telemetry.logs.translated import (
     system_time,
     whole,
 )
-from companion.telemetry.logs.window import Window
 
 _GPS_EPOCH_US: Final = 315_964_800_000_000
 """6 January 1980, in microseconds since 1970."""
@@ -101,9 +101,8 @@ _OLD_STATUS: Final = 1 << 16
 def look(path: Path) -> Source:
     """Look through a log once."""
     looked = _Look()
-    with Window(path) as window:
-        for row in dataflash.rows(window, AnomalyCounter(), _TELLING, looked.counts):
-            looked.at_row(row)
+    for row in dataflash.rows(path, AnomalyCounter(), _TELLING, looked.counts):
+        looked.at_row(row)
     return Source(
         kind="bin",
         autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
@@ -112,15 +111,15 @@ def look(path: Path) -> Source:
         epoch_us=looked.epoch_us,
         start_us=earliest(looked.times_us) if looked.times_us else 0,
         substitutes=tuple(_substitutes(looked)),
-        rows=_entries,
+        rows=partial(_entries, path),
         translator=lambda: _Rows(looked).on_row,
     )
 
 
-def _entries(window: Window, findings: AnomalyCounter) -> Iterator[Row]:
+def _entries(path: Path, findings: AnomalyCounter) -> Iterator[Row]:
     """What is translated; what the logger could not write is noted."""
     dropped = 0
-    for row in dataflash.rows(window, findings, ROWS | {_STATISTICS}):
+    for row in dataflash.rows(path, findings, ROWS | {_STATISTICS}):
         if row.name != _STATISTICS:
             yield row
             continue
@@ -364,8 +363,7 @@ class _Rows:
         heading = _NO_HEADING if self._yaw_deg is None else round(self._yaw_deg * 100) % 36000
         yield wire.MAVLink_global_position_int_message(
             boot_ms(boot_us),
-            values["Lat"],
-            values["Lng"],
+            *_degrees_e7(values),
             round(values["Alt"] * 1e3),
             round(above_home_m * 1e3),
             *(round(each * 100) for each in velocity),
@@ -373,7 +371,7 @@ class _Rows:
         )
 
     def _on_origin(self, values: Mapping[str, Any], boot_us: int) -> Iterator[Message]:
-        place = (values["Lat"], values["Lng"], round(values["Alt"] * 1e3))
+        place = (*_degrees_e7(values), round(values["Alt"] * 1e3))
         if values["Type"] == 0:
             yield wire.MAVLink_gps_global_origin_message(*place, boot_us)
         if values["Type"] != 1:
@@ -393,8 +391,7 @@ class _Rows:
         yield wire.MAVLink_gps_raw_int_message(
             boot_us,
             values["Status"],
-            values["Lat"],
-            values["Lng"],
+            *_degrees_e7(values),
             round(values["Alt"] * 1e3),
             whole(values["HDop"] * 100, 0, 65535),
             whole(accuracy["VDop"] * 100, 0, 65535) if "VDop" in accuracy else 65535,
@@ -468,6 +465,11 @@ class _Rows:
 
     def _on_text(self, values: Mapping[str, Any], _: int) -> Iterable[Message]:
         return self._told.text(values["Message"], wire.MAV_SEVERITY_INFO)
+
+
+def _degrees_e7(values: Mapping[str, Any]) -> tuple[int, int]:
+    """Latitude and longitude."""
+    return round(values["Lat"] * 1e7), round(values["Lng"] * 1e7)
 
 
 _HANDLERS: Final[Mapping[str, Callable[[_Rows, Mapping[str, Any], int], Iterable[Message]]]] = {

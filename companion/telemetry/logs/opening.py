@@ -1,21 +1,18 @@
 """Opens a log of any kind, by what is in it."""
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 from companion.errors import InputError
-from companion.mavlink.frames import LONGEST
-from companion.telemetry.logs import ardupilot, dataflash, px4, ulog
-from companion.telemetry.logs.needed import Kind
 from companion.telemetry.logs.record import Log, chosen
-from companion.telemetry.logs.search import first_frame
 from companion.telemetry.logs.tlog import open_tlog
 from companion.telemetry.logs.translated import Source, Translation
-from companion.telemetry.logs.window import Window
 
 _HEAD_BYTES: Final = 4096
+_BIN: Final = b"\xa3\x95\x80"
+_ULG: Final = b"ULog\x01\x12\x35"
+"""What the logs begin with that autopilots write themselves."""
 _KINDS: Final = "a .tlog of MAVLink frames, an ArduPilot .bin or a PX4 .ulg"
 _OTHERS: Final = {
     b"\x1f\x8b": ("it is compressed", "Unpack it with gunzip."),
@@ -52,8 +49,16 @@ def open_log(path: Path, *, system_id: int | None = None) -> Log:
 def _opened(path: Path, size: int, system_id: int | None) -> Log:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    kind = _kind_of(path)
-    log = None if kind is None else _OPENERS[kind](path, size, system_id)
+    log = None
+    if head.startswith(_BIN):
+        from companion.telemetry.logs import ardupilot  # a second, for pymavlink's own dialects
+
+        log = _opened_own(ardupilot.look(path), path, size, system_id)
+    elif head.startswith(_ULG):
+        from companion.telemetry.logs import px4
+
+        log = _opened_own(px4.look(path), path, size, system_id)
+    log = log or open_tlog(path, size, system_id)
     if log is not None:
         return log
     for magic, (rule, remedy) in _OTHERS.items():
@@ -62,24 +67,9 @@ def _opened(path: Path, size: int, system_id: int | None) -> Log:
     raise InputError("log", str(path), "nothing that can be read is in it", f"Give {_KINDS}.")
 
 
-def _kind_of(path: Path) -> Kind | None:
-    """The log type by its first unambiguous content; None: unknown."""
-    with Window(path) as window:
-        while True:
-            data = window.data
-            found = {kind: find(data) for kind, find in _SIGNS.items()}
-            if known := {kind: at for kind, at in found.items() if at is not None}:
-                return min(known, key=lambda kind: known[kind])
-            if not window.more(max(len(data) - _SIGN_BYTES, 0)):
-                return None
-
-
-def _open_own(
-    look: Callable[[Path], Source], path: Path, size: int, system_id: int | None
-) -> Log | None:
-    """A log that an autopilot has written itself."""
-    source = look(path)
-    if not source.entries:
+def _opened_own(source: Source | None, path: Path, size: int, system_id: int | None) -> Log | None:
+    """A log that an autopilot has written itself; None: nothing of use is in it."""
+    if source is None or not source.entries:
         return None
     systems = (source.system_id,)
     return Log(
@@ -89,20 +79,5 @@ def _open_own(
         systems=systems,
         system_id=chosen(path, systems, system_id),
         autopilot=source.autopilot,
-        begin=partial(Translation, source),
+        begin=partial(Translation, source, size),
     )
-
-
-_SIGNS: Final[dict[Kind, Callable[[bytes], int | None]]] = {
-    "ulg": ulog.first_format,
-    "bin": dataflash.first_format,
-    "tlog": first_frame,
-}
-"""Finds the first content that cannot be coincidence: a format description, or a frame with the
-right checksum."""
-_SIGN_BYTES: Final = max(LONGEST, ulog.SIGN_BYTES, dataflash.SIGN_BYTES)
-_OPENERS: Final[dict[Kind, Callable[[Path, int, int | None], Log | None]]] = {
-    "tlog": open_tlog,
-    "bin": partial(_open_own, ardupilot.look),
-    "ulg": partial(_open_own, px4.look),
-}

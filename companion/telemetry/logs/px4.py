@@ -4,17 +4,17 @@ What each message is made of: docs/reference/log-messages.md. The log is looked 
 beforehand: whose it is, when it was, and what it has.
 """
 
+import itertools
 import math
 import re
-import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, final
 
 from pyproj import Proj
+from pyulog import ULog
 
-from companion.errors import InputError
 from companion.mavlink.autopilots.px4 import EARTH_M
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
@@ -32,14 +32,9 @@ from companion.telemetry.logs.translated import (
     system_time,
     whole,
 )
-from companion.telemetry.logs.window import Window
 
-_FLAGS_AT: Final = ulog.HEADER_BYTES + 3
-_APPENDED: Final = b"\x01"
-"""The one flag that changes nothing here: data follows that was written after a crash."""
 _SAMPLE: Final = 200
-_TELLING: Final = frozenset({"sensor_gps", "vehicle_gps_position", "vehicle_status"})
-"""Topics that tell of the whole log, or when it began."""
+_RECEIVERS: Final = ("sensor_gps", "vehicle_gps_position")
 _SECOND_US: Final = 1_000_000
 _FAST_US: Final = 19_000
 _HALF_SECOND_US: Final = 490_000
@@ -78,29 +73,25 @@ _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 # --- the first look
 
 
-def look(path: Path) -> Source:
-    """Look through a log once.  InputError if it is of a later format."""
-    looked = _Look()
-    with Window(path) as window:
-        window.more(0)
-        _check_flags(path, window.data)
-        begun_us = int.from_bytes(window.data[8:16].ljust(8, b"\0"), "little")
-        for row in ulog.rows(window, AnomalyCounter(), _TELLING, looked.counts):
-            looked.at_row(row)
-    times = sorted(looked.times_us)
-    sane = bool(times) and 0 <= times[len(times) // 2] - begun_us < LONGEST_US
-    fallback_us = earliest(looked.times_us) if times else 0
+def look(path: Path) -> Source | None:
+    """Read a log; None: it cannot be read.  InputError if it is of a later format."""
+    log = ulog.read(path, TOPICS)
+    if log is None:
+        return None
+    counts = Counter(row.name for row in ulog.rows(log, AnomalyCounter()))
+    stamps = (row.time_us for row in ulog.rows(log, AnomalyCounter()) if row.time_us is not None)
+    times_us = list(itertools.islice(stamps, _SAMPLE))
+    begun_us = log.start_timestamp
+    sane = bool(times_us) and 0 <= times_us[len(times_us) // 2] - begun_us < LONGEST_US
+    fallback_us = earliest(times_us) if times_us else 0
     start_us = begun_us if sane else fallback_us
     # what the vehicle's clock says at the time that is taken for its boot
     zero_us = start_us if start_us >= YEAR_2000_US else 0
-    epoch_us = looked.epoch_us
-    if zero_us and epoch_us is None:
-        epoch_us = zero_us
-    counts = looked.counts
+    epoch_us = _epoch_us(log) or zero_us or None
 
-    def rows(window: Window, findings: AnomalyCounter) -> Iterator[Row]:
+    def rows(findings: AnomalyCounter) -> Iterator[Row]:
         """What was published before the log began is told at its beginning."""
-        for row in ulog.rows(window, findings, TOPICS):
+        for row in ulog.rows(log, findings):
             if row.time_us is None or not (zero_us or row.time_us < start_us):
                 yield row
             else:
@@ -110,14 +101,32 @@ def look(path: Path) -> Source:
     return Source(
         kind="ulg",
         autopilot=int(wire.MAV_AUTOPILOT_PX4),
-        system_id=looked.system_id,
-        entries=sum(counts[name] for name in TOPICS),
+        system_id=_system_id(log),
+        entries=counts.total(),
         epoch_us=epoch_us,
         start_us=start_us - zero_us,
         substitutes=tuple(_substitutes(counts, has_date=bool(zero_us))),
         rows=rows,
-        translator=lambda: _Rows(looked, epoch_us).on_row,
+        translator=lambda: _Rows(counts, len(ulog.parameters(log)), epoch_us).on_row,
     )
+
+
+def _epoch_us(log: ULog) -> int | None:
+    """When the vehicle booted, microseconds since 1970: by its GPS, or else by its own clock."""
+    dates = [
+        int(date_us) - int(time_us)
+        for each in ulog.first_instances(log)
+        if each.name in _RECEIVERS and "time_utc_usec" in each.data
+        for date_us, time_us in zip(each.data["time_utc_usec"], each.data["timestamp"], strict=True)
+    ]
+    dates.append(log.msg_info_dict.get("boot_time_utc_us", 0))
+    return next((date for date in dates if YEAR_2000_US <= date < YEAR_2100_US), None)
+
+
+def _system_id(log: ULog) -> int:
+    """PX4's default, unless the log says otherwise."""
+    said = ulog.parameters(log).get("MAV_SYS_ID", 1)
+    return int(said) if 1 <= said <= 255 else 1
 
 
 def _substitutes(counts: Counter[str], *, has_date: bool) -> Iterator[str]:
@@ -135,55 +144,6 @@ def _substitutes(counts: Counter[str], *, has_date: bool) -> Iterator[str]:
         yield "GPS_RAW_INT is made of vehicle_gps_position: there is no sensor_gps"
 
 
-def _check_flags(path: Path, head: bytes) -> None:
-    """InputError if the log says that it cannot be read like this."""
-    flags = head[_FLAGS_AT + 8 : _FLAGS_AT + 16]
-    if head[_FLAGS_AT - 1 : _FLAGS_AT] == b"B" and (any(flags[1:]) or flags[:1] > _APPENDED):
-        rule = f"its flags {flags.hex()} say that it must not be read by who does not know them"
-        raise InputError("log", str(path), rule, "Convert it to the present ULog format.")
-
-
-@final
-class _Look:
-    """Results of one pass through the file."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-        self.system_id = 1
-        """PX4's default, until the log says otherwise."""
-        self.epoch_us: int | None = None
-        self.parameters: set[str] = set()
-        self.times_us: list[int] = []
-        self._has_gps_time = False
-
-    def at_row(self, row: Row) -> None:
-        """One more entry."""
-        if row.name in (ulog.PARAMETER, ulog.TEXT):
-            self.counts[row.name] += 1
-        if row.time_us is not None and len(self.times_us) < _SAMPLE:
-            self.times_us.append(row.time_us)
-        try:
-            match row.name:
-                case ulog.PARAMETER:
-                    self.parameters.add(row.values["key"])
-                    if row.values["key"] == "MAV_SYS_ID" and 1 <= row.values["value"] <= 255:
-                        self.system_id = int(row.values["value"])
-                case ulog.INFORMATION:
-                    if row.values["key"] == "boot_time_utc_us" and not self._has_gps_time:
-                        self._take_epoch(row.values["value"])
-                case "sensor_gps" | "vehicle_gps_position" if not self._has_gps_time:
-                    unix_us = row.values["time_utc_usec"]
-                    self._has_gps_time = self._take_epoch(unix_us - row.values["timestamp"])
-        except (KeyError, TypeError, ValueError, OverflowError, struct.error):
-            return  # damaged: the second pass says so
-
-    def _take_epoch(self, epoch_us: float) -> bool:
-        if not YEAR_2000_US <= epoch_us < YEAR_2100_US:
-            return False
-        self.epoch_us = int(epoch_us)
-        return True
-
-
 # --- what it says
 
 
@@ -191,8 +151,9 @@ class _Look:
 class _Rows:
     """Translates the entries of one pass; see `translated.OnRow`."""
 
-    def __init__(self, looked: "_Look", epoch_us: int | None) -> None:
-        self._counts, self._epoch_us = looked.counts, epoch_us
+    def __init__(self, counts: Counter[str], parameters: int, epoch_us: int | None) -> None:
+        """counts: of the rows, by name; parameters: how many there are."""
+        self._counts, self._epoch_us = counts, epoch_us
         self._pace = RateLimiter()
         self._status: Mapping[str, Any] = {}
         self._landed: bool | None = None
@@ -202,7 +163,7 @@ class _Rows:
         self._projection: Proj | None = None
         self._flags: Mapping[str, Any] = {}
         self._rates = (math.nan, math.nan, math.nan)
-        self._told = NumberedMessages(len(looked.parameters))
+        self._told = NumberedMessages(parameters)
 
     def on_row(self, row: Row, boot_us: int) -> Iterator[Message]:
         """Messages of one entry."""
@@ -497,7 +458,6 @@ def _mav_type(status: Mapping[str, Any]) -> int:
 _HANDLERS: Final[Mapping[str, Callable[[_Rows, Mapping[str, Any], int], Iterable[Message]]]] = {
     ulog.PARAMETER: _Rows._on_parameter,
     ulog.TEXT: _Rows._on_text,
-    ulog.INFORMATION: lambda *_: [],  # it tells beforehand
     "battery_status": _Rows._on_battery,
     "estimator_status": _Rows._on_estimator,
     "estimator_status_flags": _Rows._on_flags,

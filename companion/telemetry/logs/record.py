@@ -81,7 +81,7 @@ class Log:
             for record in reading.records(window):
                 self.read_bytes = reading.byte
                 yield record
-            self.read_bytes = byte = window.base + len(window.data)
+            self.read_bytes = byte = reading.byte
             reading.timeline.finish(byte)
             if window.failed:
                 findings.note(Anomaly.UNREADABLE, byte, reading.timeline.now_us)

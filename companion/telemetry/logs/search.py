@@ -1,7 +1,4 @@
-"""Finds the next intact MAVLink frame of a file, or entry of a log."""
-
-import re
-from collections.abc import Callable
+"""Finds the next intact MAVLink frame of a file."""
 
 from companion.mavlink.frames import LONGEST, find_marker, intact_end
 from companion.telemetry.logs.window import Window
@@ -45,28 +42,3 @@ def first_frame(data: bytes) -> int | None:
             return found.start()
         at = found.start() + 1
     return None
-
-
-def find_entry(
-    window: Window,
-    at: int,
-    find_head: Callable[[bytes, int], "re.Match[bytes] | None"],
-    ahead: int,
-    is_one: Callable[[bytes, int], bool],
-) -> int:
-    """Where in the window the next one begins, at or after an index; the end of the file if none.
-
-    find_head: what one may begin with, three bytes at most; is_one: whether one does begin there,
-    with so many bytes `ahead` to look at unless the file ends.  The window moves.
-    """
-    while True:
-        data = window.data
-        found = find_head(data, at)
-        begin = len(data) if found is None else found.start()
-        if begin + ahead > len(data) and not window.ended:
-            if window.more(min(begin, len(data) - 2)):  # a part of a head may stand at the end
-                at = 0
-        elif found is None or is_one(data, begin):
-            return begin
-        else:
-            at = begin + 1

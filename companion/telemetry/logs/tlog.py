@@ -122,6 +122,7 @@ class _TlogReader:
             if record is not None:
                 self.byte = window.base + end
                 yield record
+        self.byte = window.base + len(window.data)
 
     def _record(
         self,

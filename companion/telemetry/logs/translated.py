@@ -26,7 +26,7 @@ class Row(NamedTuple):
     """Microseconds since boot; None: that of the entry before."""
     values: dict[str, Any]
     byte: int
-    """Where in the file it begins."""
+    """Where in the file it begins; 0: not known."""
 
 
 OnRow = Callable[[Row, int], Iterable[Message]]
@@ -53,8 +53,8 @@ class Source:
     """When the log begins, microseconds since boot."""
     substitutes: tuple[str, ...]
     """What is made of something else than usual."""
-    rows: Callable[[Window, AnomalyCounter], Iterator[Row]]
-    """The entries that are translated, in the order of the file."""
+    rows: Callable[[AnomalyCounter], Iterator[Row]]
+    """The entries that are translated, in order."""
     translator: Callable[[], OnRow]
     """A new one, for a pass through the file."""
 
@@ -63,7 +63,11 @@ class Source:
 class Translation:
     """One pass through such a log; see `record.Reading`."""
 
-    def __init__(self, source: Source, findings: AnomalyCounter, heard: set[int]) -> None:
+    def __init__(
+        self, source: Source, size: int, findings: AnomalyCounter, heard: set[int]
+    ) -> None:
+        """size: of the file, in bytes."""
+        self._size = size
         self._source, self._findings, self._heard = source, findings, heard
         for text in source.substitutes:
             findings.note(Anomaly.SUBSTITUTED, 0, None, detail=text)
@@ -84,9 +88,12 @@ class Translation:
 
     def records(self, window: Window) -> Iterator[Record]:
         """What the vehicle would have sent."""
-        for row in self._source.rows(window, self._findings):
-            self.byte = row.byte
+        if window.failed:
+            return
+        for count, row in enumerate(self._source.rows(self._findings)):
+            self.byte = row.byte or min(self._size * count // self._source.entries, self._size)
             yield from self._messages_of(row)
+        self.byte = self._size
 
     def _messages_of(self, row: Row) -> list[Record]:
         """Messages of one entry; none if it is damaged."""
