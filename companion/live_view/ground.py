@@ -84,11 +84,10 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
     kind = np.where(np.isfinite(height_m), np.uint8(GUESSED), np.uint8(UNKNOWN))
     kind[firm] = PROVEN
     step = -(-max(kind.shape) // _MOST_CELLS)
-    if step > 1:  # of each block the surest cells, and of these the highest
-        surest = _highest(kind, step)
-        of_block = surest.repeat(step, 0).repeat(step, 1)[: kind.shape[0], : kind.shape[1]]
-        height_m = _highest(np.where(kind == of_block, height_m, -np.inf), step)
-        kind = surest
+    if (
+        step > 1
+    ):  # of each block the least sure cell, so that no more is proven than is; the highest
+        height_m, kind = _highest(height_m, step), PROVEN - _highest(PROVEN - kind, step)
     return Ground(
         cell_m=known.cell_m * step,
         north_min_m=known.north_min_m,

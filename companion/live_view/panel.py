@@ -19,10 +19,12 @@ from companion.live_view.recording import (
     subpath_of,
 )
 from companion.mission.journal import PlanReady
+from companion.mission.state import Phase
 from companion.views.words import metres
 
 _CHART_POINTS: Final = 600
 _CURVE_POINTS: Final = 200
+_DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
 _BARS: Final = ("length", "height", "guide", "crash", "radar", "constraints")
 _SOUND, _ALARM = "#00705a", "#b3261e"
 _STYLE: Final = (
@@ -213,7 +215,7 @@ def near_ground(
 
 
 def _aside_m(recording: Recording, rows: Any) -> FloatArray:
-    """Distance from the path that was flown, metres; NaN: there was none.  (N,).
+    """Distance from the path that was flown, metres; NaN: there was none, or it lands.  (N,).
 
     The vehicle is behind the point that it is led by, so the subpath before counts too.
     """
@@ -222,7 +224,7 @@ def _aside_m(recording: Recording, rows: Any) -> FloatArray:
     for at, row in enumerate(rows):
         decided = recording.decided_at(float(recording.times_s[row]))
         for plan in (decided.leg, decided.leg_before):
-            if plan is not None:
+            if plan is not None and decided.phase not in _DOWN:
                 of_plan.setdefault(plan.plan_id, (plan, []))[1].append(at)
     for plan, those in of_plan.values():
         away_m = _from_curve_m(plan, recording.places_nea_m[rows[those]])

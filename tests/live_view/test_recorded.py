@@ -81,11 +81,16 @@ def test_the_ground_is_what_the_flight_knew(run_dir: tuple[Path, Session]) -> No
         pass
     known, first, last = session.state.flight.known, replica.ground(0), replica.ground(-1)
     assert (first.kind == UNKNOWN).all()
-    rows, columns = last.kind.shape  # drawn by blocks of 2 x 2 cells
-    firm_m = np.where(known.firm, known.upper_m, -np.inf).reshape(rows, 2, columns, 2).max((1, 3))
-    proven = np.isfinite(firm_m)
-    assert np.array_equal(last.kind == PROVEN, proven)
-    assert last.height_m[proven] == pytest.approx(firm_m[proven])
+    aside = replace(known, upper_m=np.roll(known.upper_m, 1, 0), seen=np.roll(known.seen, 1, 0))
+    drawn_aside = ground_of(aside, (0.0, 0.0), session.mission)
+    for each, drawn in ((known, last), (aside, drawn_aside)):
+        rows, columns = drawn.kind.shape  # drawn by blocks of 2 x 2 cells, by the least sure
+        proven = each.firm.reshape(rows, 2, columns, 2).all((1, 3))
+        assert proven.any()
+        assert np.array_equal(drawn.kind == PROVEN, proven)
+        highest_m = each.upper_m.reshape(rows, 2, columns, 2).max((1, 3))
+        assert drawn.height_m[proven] == pytest.approx(highest_m[proven])
+    assert (drawn_aside.kind == PROVEN).sum() < (last.kind == PROVEN).sum()
 
 
 def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
@@ -111,6 +116,10 @@ def test_charts_tell_the_clearance_and_the_way_off_the_path(
         pass
     with flight.recording:
         charts = charts_of(flight.recording, flight.replica)
+        phases = [flight.recording.decided_at(float(t)).phase for t in charts.times_s]
+    down = np.array([phase in ("landing", "done") for phase in phases])
+    assert down.any()
+    assert np.isnan(charts.aside_m[down]).all()
     told = np.isfinite(charts.clearance_m)
     above_m = (charts.altitude_m - charts.under_m)[told]
     assert told.any()
