@@ -172,7 +172,8 @@ def decoded(frame: bytes, kind: Any) -> Message:
     size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
     payload = frame[head : head + frame[1]].ljust(size, b"\0")
     message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
-    message._msgbuf = frame
+    message._msgbuf = bytearray(frame)
+    message._payload = message._msgbuf[6:-2]
     (message._crc,) = _CRC.unpack_from(frame, len(frame) - 2)
     header = message._header
     if frame[0] == V2:
