@@ -16,7 +16,8 @@ before, it could not know of it or had no say:
 - it was given back to the companion in there, or nearer than d_s: it has the same time.
 
 Everything else counts: wind, a late or dead planner, lost frames, an autopilot that does not obey.
-So does an ending without a reason, or one that leaves the vehicle to nobody (`unexplained: ...`).
+So does an ending without a reason, or one that leaves the vehicle to nobody (`unexplained: ...`),
+unless no command could reach it then: a copter that hears nothing hovers.
 """
 
 import bisect
@@ -428,11 +429,12 @@ def _ending(
         return "unexplained: no reason", f"{phase}, {last['mode']}"
     if last["landed"] or not last["armed"]:
         return ("fell" if any(e.what == "reboot" for e in done) else "landed"), reason
-    hovers = drawn.task.limits.hovers
-    return _in_the_air(last["mode"], reason, is_cut=is_cut, hovers=hovers), reason
+    out_of_reach = any(begin_s <= _end_s(flight) < end_s for begin_s, end_s in _outages_s(done))
+    held = is_cut or out_of_reach or not drawn.task.limits.hovers
+    return _in_the_air(last["mode"], reason, held_in_guided=held), reason
 
 
-def _in_the_air(mode: str, reason: str, *, is_cut: bool, hovers: bool) -> str:
+def _in_the_air(mode: str, reason: str, *, held_in_guided: bool) -> str:
     if mode in LANDS:
         return "landed"
     if mode in RETURNS:
@@ -440,8 +442,7 @@ def _in_the_air(mode: str, reason: str, *, is_cut: bool, hovers: bool) -> str:
     if any(text in reason for text in _LET_GO):
         return "let go"
     if mode in GUIDED:
-        held = is_cut or not hovers
-        return "held for good" if held else "unexplained: left in guided mode"
+        return "held for good" if held_in_guided else "unexplained: left in guided mode"
     return "held for good" if mode in HOLDS else "let go"
 
 

@@ -201,6 +201,17 @@ def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(
     assert len(found["violated"]) == ending.startswith("unexplained")
 
 
+@pytest.mark.parametrize(
+    ("until_s", "ending"), [(0.1, "unexplained: left in guided mode"), (99.0, "held for good")]
+)
+def test_a_copter_that_no_command_could_reach_at_the_end_holds(
+    until_s: float, ending: str, tmp_path: Path
+) -> None:
+    flown = flight(tmp_path, [TARGET] * 3, outcome="failed", reason="the vehicle fell silent")
+    lost = f"at 0.1 s for {until_s} s: link_off"
+    assert judge.judged(flown, DRAWN, lost)["ending"] == ending
+
+
 def test_who_says_that_it_arrived_somewhere_else_is_found_out(tmp_path: Path) -> None:
     flown = flight(tmp_path, [(TARGET[0] - 200.0, TARGET[1])] * 3)
     assert judge.judged(flown, DRAWN, "")["ending"] == "unexplained: arrived elsewhere"
