@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import typer
 from answers import answered
+from pages.mission_pages import mission_states_markdown, troubleshooting_markdown
+from pages.world_page import world_page
 from recorded import run_folder
 from recordings import recording
 
@@ -20,12 +22,10 @@ from companion.mavlink.parameter_rules import (
     PX4_MULTICOPTER_RULES,
 )
 from companion.runtime.connection import parsed
-from companion.views.states import mission_states_markdown, troubleshooting_markdown
 from vehicle_sim.cli import app as simulator_app
 from vehicle_sim.cli import bundled_worlds
 from vehicle_sim.faults.timeline import faults_page
 from vehicle_sim.links import parse_endpoint
-from vehicle_sim.world_page import world_page
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(

@@ -11,13 +11,13 @@ from typing import Any
 
 import msgspec
 import pytest
+from pages.journal_page import fly_json_markdown, journal_markdown, words_of
 
 from companion.errors import InputError
 from companion.mission import journal as noted
 from companion.mission.journal import KINDS, VERSION, Header, PlanAsked, PlanReady
 from companion.mission.state import Reason
 from companion.telemetry.journal import _UPGRADES, Journal
-from companion.telemetry.journal_page import fly_json_markdown, journal_markdown, words_of
 
 ROOT = Path(__file__).parents[2]
 OLD = Path(__file__).parent / "journals"
