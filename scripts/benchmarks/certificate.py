@@ -15,7 +15,7 @@ import running
 
 from companion.campaign.truth import mountain
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
+sys.path[:0] = [str(Path(__file__).parents[2] / "tests" / each) for each in ("", "path")]
 from brute_force import (
     Case,
     FloatArray,

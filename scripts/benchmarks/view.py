@@ -34,7 +34,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "telemetry"))
+sys.path[:0] = [
+    str(Path(__file__).parents[2] / "tests" / each) for each in ("telemetry", "runtime")
+]
 from recorded import record
 from scripted_vehicle import Pair, Vehicle
 
