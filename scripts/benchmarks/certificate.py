@@ -15,7 +15,8 @@ import running
 
 from companion.campaign.truth import mountain
 
-sys.path[:0] = [str(Path(__file__).parents[2] / "tests" / each) for each in ("", "path")]
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 from brute_force import (
     Case,
     FloatArray,

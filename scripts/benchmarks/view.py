@@ -34,9 +34,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-sys.path[:0] = [
-    str(Path(__file__).parents[2] / "tests" / each) for each in ("telemetry", "runtime")
-]
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "telemetry"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "runtime"))
 from recorded import record
 from scripted_vehicle import Pair, Vehicle
 
