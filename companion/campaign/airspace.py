@@ -1,8 +1,9 @@
 """Several copters in one airspace, each with its own companion, in this process.
 
-They stand on a circle about the middle of the mission's area, and each flies to the other side of
-it.  Heartbeats, positions and claims go from each to all others (decision 0023), some of them late,
-some lost.  How far apart they were is judged by where they really were.
+They stand in fours, each four on a circle, and each flies to the other side of its circle; the
+circles fill a square about the middle of the mission's area, always as densely.  Heartbeats,
+positions and claims go from each to all others (decision 0023), some of them late, some lost.
+How far apart they were is judged by where they really were.
 """
 
 import math
@@ -20,14 +21,18 @@ from companion.sources.files import RawTable, toml_table, toml_text
 LOST, _LATE_TICKS = 0.1, 2
 """Share of messages between vehicles that is lost; the others are late by up to so many ticks."""
 _TICK_US = 100_000
-_LEAST_RADIUS_M, _ROOM_M = 150.0, 50.0
-"""Of the circle; along it for each vehicle."""
+_FOUR = 4
+"""More at a time get stuck in the middle (decision 0023, limits)."""
+_RADIUS_M, _APART_M = 150.0, 400.0
+"""Of a circle; of the middles of two."""
 _BEYOND_M = 50.0
 """How much farther than the circle's other side a target lies."""
+_BATTERY = {"ardupilot": {"BATT_CAPACITY": 100_000.0}}
+"""Parameters, in mAh: among many, giving way takes longer than a battery of the default lasts."""
 _SHARED = frozenset({0, 33, 87})  # HEARTBEAT, GLOBAL_POSITION_INT, POSITION_TARGET_GLOBAL_INT
 
 
-def on_a_circle(files: FlightFiles, count: int, seed: int) -> list[FlightFiles]:
+def in_fours(files: FlightFiles, count: int, seed: int) -> list[FlightFiles]:
     """World and mission of each vehicle, systems 1 to count, drawn from a seed."""
     world, mission = (
         toml_table(path.read_text(encoding="utf-8"), path.name)
@@ -35,17 +40,22 @@ def on_a_circle(files: FlightFiles, count: int, seed: int) -> list[FlightFiles]:
     )
     area, rng = mission["area"], np.random.default_rng((count, seed))
     middle = [0.5 * (area[f"{axis}_min_m"] + area[f"{axis}_max_m"]) for axis in ("north", "east")]
-    radius_m = max(_LEAST_RADIUS_M, _ROOM_M * count / math.tau)
+    circles = math.ceil(count / _FOUR)
+    side = math.ceil(math.sqrt(circles))
     turn, found = rng.uniform(0.0, math.tau), list[FlightFiles]()
     for place, system in enumerate(rng.permutation(np.arange(1, count + 1)).tolist()):
-        angle = turn + (math.tau * place + rng.uniform(-0.8, 0.8)) / count
+        circle, among = divmod(place, _FOUR)
+        on_it = min(_FOUR, count - circle * _FOUR)
+        cell = np.array(divmod(circle, side)) - 0.5 * (side - 1)
+        angle = turn + (math.tau * among + rng.uniform(-0.8, 0.8)) / on_it
         along = np.array([math.cos(angle), math.sin(angle)])
-        start, target = middle + radius_m * along, middle - (radius_m + _BEYOND_M) * along
+        about = middle + _APART_M * cell
+        start, target = about + _RADIUS_M * along, about - (_RADIUS_M + _BEYOND_M) * along
         folder = files.folder / f"vehicle-{system:03d}"
         asked = folder / "asked"  # mission.toml of a run folder is written by who flies
         asked.mkdir(parents=True)
         changes: list[tuple[str, RawTable]] = [
-            ("world.toml", world | {"vehicle": world["vehicle"] | _place(start, system)}),
+            ("world.toml", world | {"vehicle": _vehicle(world["vehicle"], start, system)}),
             ("asked/mission.toml", _mission(mission, target, system)),
         ]
         for name, table in changes:
@@ -55,8 +65,13 @@ def on_a_circle(files: FlightFiles, count: int, seed: int) -> list[FlightFiles]:
     return found
 
 
-def _place(at_ne_m: FloatArray, system: int) -> RawTable:
-    return {"north_m": float(at_ne_m[0]), "east_m": float(at_ne_m[1]), "system_id": system}
+def _vehicle(vehicle: RawTable, at_ne_m: FloatArray, system: int) -> RawTable:
+    return vehicle | {
+        "north_m": float(at_ne_m[0]),
+        "east_m": float(at_ne_m[1]),
+        "system_id": system,
+        "parameters": _BATTERY.get(vehicle["autopilot"], {}) | vehicle.get("parameters", {}),
+    }
 
 
 def _mission(mission: RawTable, target_ne_m: FloatArray, system: int) -> RawTable:

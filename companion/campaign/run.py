@@ -137,7 +137,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
     if run.over == "udp":
         flown = flight.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
     elif run.place.vehicles is not None:
-        several = airspace.on_a_circle(files, run.place.vehicles, run.seed)
+        several = airspace.in_fours(files, run.place.vehicles, run.seed)
         flights = airspace.fly_together(
             several, seed=run.seed, limit_s=run.limit_s, recorded=recorded
         )
