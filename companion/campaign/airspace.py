@@ -13,7 +13,8 @@ from typing import Any, final
 
 import numpy as np
 
-from companion.campaign.flight import Flight, FlightFiles, Flying
+from companion.campaign.flight import Flight, FlightFiles
+from companion.campaign.in_process import Flying
 from companion.geodesy import FloatArray
 from companion.runtime.workers import Datagram
 from companion.sources.files import RawTable, toml_table, toml_text

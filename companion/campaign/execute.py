@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from companion.campaign.file import Run
-from companion.campaign.flight import end_programs
+from companion.campaign.over_udp import end_programs
 from companion.campaign.row import Row
 from companion.campaign.run import fly_run, lost_run
 from companion.errors import FlightInterrupted, InputError

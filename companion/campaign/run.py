@@ -25,14 +25,15 @@ from companion.campaign import (
     drawn_faults,
     drawn_world,
     families,
-    flight,
+    in_process,
     judge,
+    over_udp,
     truth,
 )  # fmt: skip
 from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.file import SPREAD, Place, Run
-from companion.campaign.flight import Flight, FlightFiles
+from companion.campaign.flight import Flight, FlightFiles, in_the_air
 from companion.campaign.rivals import flight as rivals
 from companion.campaign.rivals import ours
 from companion.campaign.rivals.measure import measured
@@ -135,7 +136,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
     files = _files(run, folder)
     recorded = run.keep != "none" or run.with_faults
     if run.over == "udp":
-        flown = flight.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
+        flown = over_udp.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
     elif run.place.vehicles is not None:
         several = airspace.in_fours(files, run.place.vehicles, run.seed)
         flights = airspace.fly_together(
@@ -143,7 +144,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
         )
         return _judged_together(flights, several)
     else:
-        flown = flight.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
+        flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
     found = _judged(flown, files, with_faults=run.with_faults) | {"timeline": files.faults or None}
     return found | ({"faults": files.drawn} if run.script is not None else {})
 
@@ -307,7 +308,7 @@ def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str
     outcome = ends[-1]["outcome"] if ends else "not ended"
     reason = ends[-1]["reason"] if ends else "the companion has not said how it ended"
     plans_ms = 1e3 * np.array(flown.plans_s)
-    times_s, track = flight.in_the_air(flown)
+    times_s, track = in_the_air(flown)
     found = _of_task(flown.mission.task) | {
         "outcome": outcome,
         "reason": None if outcome == "arrived" else reason,
@@ -494,7 +495,7 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
         try:
             with tempfile.TemporaryDirectory() as folder:
                 if run.over != "planner":
-                    flight.check(_files(run, Path(folder)))
+                    in_process.check(_files(run, Path(folder)))
                 elif run.place.family is None:
                     drawn_of(run.place)
         except Exception as error:  # noqa: BLE001 - of either program, in its words
