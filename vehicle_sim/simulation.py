@@ -292,11 +292,12 @@ class Simulation:
         self._radio.begin()
 
     def ask_for_sync(self, number: int = 0) -> int:
-        """Queue the question that ends a lockstep tick; the answer carries this time (ns).
+        """Queue the question that ends a lockstep tick; the answer carries its time (ns).
 
-        Of vehicles on the same link each has its own number, so that their questions differ.
+        As all that an autopilot says it counts from the boot.  Of vehicles on the same link each
+        has its own number, so that their questions differ.
         """
-        question_ns = self.now_us * 1000 + number
+        question_ns = max(self.now_us - self._controller.boot_us, 1) * 1000 + number
         self._question_ns = question_ns
         self._radio.send_last(messages.time_sync(0, question_ns), 0)
         return question_ns
