@@ -23,7 +23,7 @@ LOST, _LATE_TICKS = 0.1, 2
 """Share of messages between vehicles that is lost; the others are late by up to so many ticks."""
 _TICK_US = 100_000
 _FOUR = 4
-"""More at a time get stuck in the middle (decision 0023, limits)."""
+"""More at a time are many for the levels of the band: they wait long."""
 _RADIUS_M, _APART_M = 150.0, 400.0
 """Of a circle; of the middles of two."""
 _BEYOND_M = 50.0

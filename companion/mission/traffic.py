@@ -47,10 +47,12 @@ _LAW_STEP_S = 0.5
 _SLACK_S = 0.5  # in which a plane is told to loiter at the end of what it may enter
 _STILL_M_S = 0.05
 _PATIENCE_S, _LAST_PATIENCE_S = 20.0, 40.0
+_KNOT_S = 60.0  # without any way on: then others need this vehicle's level
 _AGAIN_S, _NO_LEVEL_S = 10.0, 5.0
 _THERE_M = 1.0
 _LEVELS = 32  # of the band, that are looked at
 _FREE_M = 5.0  # by more than that a level is free when it is chosen: it stays so for a while
+_GOLDEN = 0.618034  # of a time: any of several, each as often
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
 
 
@@ -383,17 +385,30 @@ def _with_level(state: State, scene: _Scene) -> State:
     forced = math.isfinite(traffic.forced_since_s)
     if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state))):
         return state
-    for level_m in _levels(state, scene):
-        if forced:  # of tracks only those count that are here when it could be there
-            goes = scene.is_claimed() or not _is_clear(state, scene, height_m, level_m)
-        else:
-            there = scene.points.copy()
-            there[:, 2] = level_m
-            goes = bool(scene.free(there)[0].all())
-        if goes and _is_free(state, scene, level_m, _FREE_M):
-            chosen = replace(traffic, level_m=level_m, level_since_s=state.now_s)
-            return replace(state, traffic=chosen)
-    return state
+    level_m = next(
+        (
+            each
+            for each in _levels(state, scene)
+            if _leads_on(state, scene, each, forced=forced)
+            and _is_free(state, scene, each, _FREE_M)
+        ),
+        None,
+    )
+    if level_m is None and state.now_s - traffic.moved_at_s > _KNOT_S:
+        free = [each for each in _levels(state, scene) if _is_free(state, scene, each, _FREE_M)]
+        level_m = free[int(_GOLDEN * state.now_s % 1.0 * len(free))] if free else None
+    if level_m is None:
+        return state
+    return replace(state, traffic=replace(traffic, level_m=level_m, level_since_s=state.now_s))
+
+
+def _leads_on(state: State, scene: _Scene, level_m: float, *, forced: bool) -> bool:
+    """Whether a level is out of the way, or without force one on which the way is free."""
+    if forced:  # of tracks only those count that are here when it could be there
+        return scene.is_claimed() or not _is_clear(state, scene, float(scene.here[2]), level_m)
+    there = scene.points.copy()
+    there[:, 2] = level_m
+    return bool(scene.free(there)[0].all())
 
 
 def _is_stuck(state: State) -> bool:

@@ -376,6 +376,28 @@ def test_a_copter_stays_where_it_is_if_an_aircraft_has_passed_before_it_could_be
     among.fly_to(Phase.ARRIVED)
 
 
+def test_a_copter_whose_way_is_closed_at_every_level_makes_room_at_one_after_the_other() -> None:
+    """Somebody may need the level at which it waits: of four in a knot nobody went on for good."""
+
+    def others(now_s: float) -> Heard:
+        if not closed:
+            return NOBODY
+        foot, top = ((0.3 * FAR[0], 0.3 * FAR[1], height_m) for height_m in (0.0, 9000.0))
+        return (), (Claim(system=1, heard_s=now_s, begin_nea_m=foot, end_nea_m=top),)
+
+    closed = True
+    among = Among(ARDUCOPTER.traits, others=others)
+    wild = among.run_until(lambda w: w.state.flight.reference.speed_m_s > 5.0).wild
+    among.run_until(lambda w: w.state.flight.reference.speed_m_s == 0.0)
+    stood_s = wild.now_s
+    among.run_for(300.0)
+    waits = [(now_s, round(place[2])) for now_s, _, on_leg, place in among.places if on_leg]
+    assert len({height_m for now_s, height_m in waits if 0.0 < now_s - stood_s < 55.0}) == 1
+    assert len({height_m for now_s, height_m in waits if now_s > stood_s}) > 2
+    closed = False
+    among.fly_to(Phase.ARRIVED)
+
+
 def test_who_is_named_is_in_the_way() -> None:
     """Not a nearer one that has agreed on who flies where."""
 
