@@ -29,6 +29,7 @@ from companion.mission.events import (
 )
 from companion.mission.health import battery_is_short
 from companion.mission.state import (
+    ON_PATH,
     OVER,
     Answered,
     Flight,
@@ -57,7 +58,6 @@ from companion.world.known_map import empty_map
 from companion.world.threats import CircleZone
 from companion.world.zone_index import index_of
 
-_ON_PATH = (Phase.FLYING, Phase.RETURNING)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
 
@@ -72,7 +72,7 @@ class OrderResult(enum.Enum):
 
 def order_result(state: State, order: Order) -> OrderResult:
     """The result of an order, for its acknowledgement."""
-    in_air = state.phase in (*_ON_PATH, Phase.HOLDING, Phase.ARRIVED)
+    in_air = state.phase in (*ON_PATH, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
@@ -119,7 +119,7 @@ def _may_pause(state: State) -> bool:
     """Whether a pause is possible: a low battery would end it at once."""
     if _is_short(state):
         return False
-    return _accepts_orders(state) or state.phase in _ON_PATH
+    return _accepts_orders(state) or state.phase in ON_PATH
 
 
 def _accepts_orders(state: State) -> bool:
@@ -160,11 +160,11 @@ def _with_keep_out(state: State, order: Order) -> Step:
 def _with_zones(state: State, *said: Command) -> Step:
     """Zones have changed: stop if the rest of the path conflicts with them."""
     says = list(said)
-    if (inside := _inside(state)) and state.phase not in _ON_PATH:
+    if (inside := _inside(state)) and state.phase not in ON_PATH:
         says.append(StatusText(text=f"inside zone {inside}", warning=True))
     if not _is_touched(state):
         return state, says, None  # `loiter` sees to the place where a plane waits
-    if state.phase not in _ON_PATH:  # a path that was to be gone on with
+    if state.phase not in ON_PATH:  # a path that was to be gone on with
         flight = following.at_rest(state.flight, state.flight.hover_nea_m)
         return replace(state, flight=flight), says, None
     return preceded(says, following.stop(state, Reason.NEW_THREAT))
@@ -175,7 +175,7 @@ def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
     if event.sight is not state.vehicle.sight:
         state = replace(state, vehicle=replace(state.vehicle, sight=event.sight))
     flight = state.flight
-    if state.phase not in _ON_PATH or flight.leg is None:
+    if state.phase not in ON_PATH or flight.leg is None:
         return state, [], None
     stops_for = None if flight.stop is None else flight.stop.reason
     if event.sight.is_blind:
@@ -269,7 +269,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     if why != _OF_VEHICLE:
         state = replace(state, orders=Orders())
     says: list[Command] = [StatusText(text=why)]
-    if state.phase in _ON_PATH and targets_ne_m:
+    if state.phase in ON_PATH and targets_ne_m:
         return preceded(says, following.stop(state, Reason.NEW_TARGET))
     if state.phase is Phase.ARRIVED:
         if state.asks == 0:
@@ -312,7 +312,7 @@ def _go_on(state: State) -> Step:
     """End a pause: the order suspended by it is active again."""
     flight, stop, wanted = state.flight, state.flight.stop, state.orders.suspended
     state = replace(state, orders=state.orders.continued())
-    if state.phase in _ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
+    if state.phase in ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
         flight = replace(flight, stop=replace(stop, reason=wanted or Reason.CONTINUED))
         return replace(state, flight=flight), [StatusText(text="going on")], None
     if isinstance(state.hold, Paused):
@@ -327,7 +327,7 @@ def _pause(state: State) -> Step:
     if not _may_pause(state):
         return state, [], None
     state = replace(state, orders=state.orders.paused())
-    if state.phase in _ON_PATH:
+    if state.phase in ON_PATH:
         return following.stop(state, Reason.PAUSED)
     state = replace(state, flight=replace(state.flight, planning_backtrack=None))
     return with_hold_reason(state, Reason.PAUSED), [StatusText(text=Reason.PAUSED.text)], None
@@ -340,7 +340,7 @@ def _with_speed(state: State, speed_m_s: float | None) -> Step:
     flight = replace(state.flight, speed_limit_m_s=limit)
     speed = min(limit, top_m_s)
     commands: list[Command] = [StatusText(text=f"speed {speed:.1f} m/s")]
-    if state.phase in _ON_PATH:
+    if state.phase in ON_PATH:
         commands.append(SetSpeed(speed_m_s=speed))
     return replace(state, flight=flight), commands, None
 
@@ -377,7 +377,7 @@ def _stop_for(state: State, order: Reason) -> Step:
     state = replace(state, orders=Orders(order))
     if state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
         return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
-    if state.phase in (*_ON_PATH, Phase.ARRIVED):
+    if state.phase in (*ON_PATH, Phase.ARRIVED):
         return following.stop(state, order)
     if isinstance(state.hold, OnSetpoints) and state.reason is not order:
         state = replace(state, flight=replace(state.flight, planning_backtrack=None))

@@ -77,6 +77,7 @@ IN_AIR = (
     Phase.LANDING,
     Phase.HANDING_OVER,
 )
+ON_PATH = (Phase.FLYING, Phase.RETURNING)
 OVER = (Phase.DONE, Phase.FAULTED)
 _FAULTY = (Phase.TAKING_OFF, Phase.FLYING, Phase.RETURNING, Phase.ARRIVED, Phase.LANDING)
 _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)

@@ -16,6 +16,7 @@ from companion.geodesy import FloatArray
 from companion.mission.decisions import Context, with_hold_reason
 from companion.mission.events import ClaimWay, Command, OthersHeard, StatusText, Vector
 from companion.mission.state import (
+    ON_PATH,
     HoldMode,
     OnSetpoints,
     Phase,
@@ -53,7 +54,6 @@ _THERE_M = 1.0
 _LEVELS = 32  # of the band, that are looked at
 _FREE_M = 5.0  # by more than that a level is free when it is chosen: it stays so for a while
 _GOLDEN = 0.618034  # of a time: any of several, each as often
-_ON_PATH = (Phase.FLYING, Phase.RETURNING)
 
 
 @final
@@ -113,7 +113,7 @@ def observe(state: State, context: Context) -> tuple[State, list[Command]]:
     traffic, here = state.traffic, state.vehicle.position_nea_m
     if traffic is None or here is None:
         return state, []
-    if not (state.phase in _ON_PATH or isinstance(state.hold, OnSetpoints)):
+    if not (state.phase in ON_PATH or isinstance(state.hold, OnSetpoints)):
         traffic = Traffic(
             rules=traffic.rules,
             ours=traffic.ours,
@@ -369,7 +369,7 @@ def _with_level(state: State, scene: _Scene) -> State:
     """Choose a level to go to, note that the vehicle is there, or stop on the way to it."""
     traffic, hover, height_m = state.traffic, state.flight.hover_nea_m, float(scene.here[2])
     assert traffic is not None
-    may = state.phase in _ON_PATH or isinstance(state.hold, Replan)
+    may = state.phase in ON_PATH or isinstance(state.hold, Replan)
     if (level_m := traffic.level_m) is not None:
         done = abs(height_m - level_m) < _THERE_M
         if may and not done and _is_free(state, scene, level_m):

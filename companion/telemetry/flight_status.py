@@ -13,7 +13,7 @@ from msgspec import Struct
 from companion.mission.decisions import reason_text
 from companion.mission.events import Outcome, Vector
 from companion.mission.health import way_left_m
-from companion.mission.state import IN_AIR, Phase, Reason, State, TakenOver
+from companion.mission.state import IN_AIR, ON_PATH, Reason, State, TakenOver
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
@@ -147,7 +147,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         wind = None
     left_m = way_left_m(state) if here is not None and state.targets_ne_m else None
     cruise_m_s = min(task.limits.speed_m_s, flight.speed_limit_m_s)
-    flies = state.phase in (Phase.FLYING, Phase.RETURNING) and cruise_m_s > 0.0
+    flies = state.phase in ON_PATH and cruise_m_s > 0.0
     leg, off_m = flight.leg, None
     if leg is not None and here is not None:
         off_m = off_path_m(flight.reference, leg, np.asarray(here))
