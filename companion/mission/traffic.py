@@ -67,7 +67,7 @@ class _Scene:
     points: FloatArray  # (N, 3): here, the reference point, then along the path
     ahead_m: FloatArray  # (N,): from the reference point
     claims: tuple[tuple[Claim, float], ...]
-    """With how far they may have grown since they were heard."""
+    """Those that lie near the way ahead, with how far they may have grown since they were heard."""
     tracks: tuple[Track, ...]
     bent_m: float
     """How far the path may be from the chord that is claimed."""
@@ -220,13 +220,23 @@ def _scene(state: State, traffic: Traffic, here: FloatArray) -> _Scene:
     claims = traffic.claims if rules.claims else ()
     grown = tuple((claim, claim.grown_m(now_s, fastest_m_s, longest_m)) for claim in claims)
     agreed = {claim.system for claim, grown_m in grown if not grown_m}
+    apart = Separation(
+        horizontal_m=rules.separation_m + 2.0 * wide_m + 4.0 * bent_m,
+        vertical_m=rules.vertical_separation_m + 2.0 * error_m + 4.0 * bent_m,
+    )
+    points = np.concatenate([here[None], path])
+    box = points[:, :2].min(axis=0).tolist(), points[:, :2].max(axis=0).tolist()
     return _Scene(
         now_s=now_s,
         ours=traffic.ours,
         here=here,
-        points=np.concatenate([here[None], path]),
+        points=points,
         ahead_m=np.concatenate([[0.0], ahead_m]),
-        claims=grown,
+        claims=tuple(
+            (claim, grown_m)
+            for claim, grown_m in grown
+            if claim.comes_near(*box, apart.horizontal_m + grown_m)
+        ),
         tracks=tuple(
             track
             for track in traffic.tracks
@@ -234,10 +244,7 @@ def _scene(state: State, traffic: Traffic, here: FloatArray) -> _Scene:
             and track.reach_s(here.tolist(), limits.speed_m_s, now_s) < rules.horizon_s
         ),
         bent_m=bent_m,
-        apart=Separation(
-            horizontal_m=rules.separation_m + 2.0 * wide_m + 4.0 * bent_m,
-            vertical_m=rules.vertical_separation_m + 2.0 * error_m + 4.0 * bent_m,
-        ),
+        apart=apart,
         clear=Separation(
             horizontal_m=rules.separation_m + wide_m,
             vertical_m=rules.vertical_separation_m + error_m,

@@ -89,6 +89,16 @@ class Claim:
         silent_s = now_s - self.heard_s
         return longest_m + fastest_m_s * silent_s if silent_s > HEARD_S else 0.0
 
+    def comes_near(
+        self, low_ne_m: Sequence[float], high_ne_m: Sequence[float], kept_m: float
+    ) -> bool:
+        """Whether it may come nearer to a level box; else all in the box is free of it."""
+        ends = zip(self.begin_nea_m, self.end_nea_m, strict=True)
+        return all(
+            low < max(begin, end) + kept_m and high > min(begin, end) - kept_m
+            for low, high, (begin, end) in zip(low_ne_m, high_ne_m, ends, strict=False)
+        )
+
 
 def keeps_apart(
     points_nea_m: FloatArray,

@@ -98,11 +98,14 @@ def claim(begin: np.ndarray, end: np.ndarray, heard_s: float = 0.0) -> Claim:
 def test_a_piece_that_is_free_of_a_claim_is_so_everywhere() -> None:
     rng = np.random.default_rng(2)
     share = np.linspace(0.0, 1.0, 101)[:, None]
-    free_ones = taken_ones = 0
+    free_ones = taken_ones = far_ones = 0
     for _ in range(80):
         begin, end = rng.uniform(-60.0, 60.0, (2, 3)) * (1.0, 1.0, 0.4)
         path = np.cumsum(rng.uniform(-2.0, 3.0, (12, 3)) * (1.0, 1.0, 0.3), axis=0)
         free = free_pieces(path, claim(begin, end), APART)
+        box = path[:, :2].min(axis=0).tolist(), path[:, :2].max(axis=0).tolist()
+        assert free.all() or claim(begin, end).comes_near(*box, APART.horizontal_m)
+        far_ones += not claim(begin, end).comes_near(*box, APART.horizontal_m)
         theirs = begin + share * (end - begin)
         for piece in range(len(path) - 1):
             ours = path[piece] + share * (path[piece + 1] - path[piece])
@@ -115,6 +118,7 @@ def test_a_piece_that_is_free_of_a_claim_is_so_everywhere() -> None:
             else:
                 taken_ones += 1
                 assert kept < 1.6  # half a piece, and an eighth of the claim's height
+    assert far_ones > 5
     assert free_ones > 100
     assert taken_ones > 50
 
