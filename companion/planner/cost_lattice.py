@@ -18,9 +18,9 @@ ways over it are flown high and in short legs, and a way round is rarely dearer.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import final
 
 import numpy as np
@@ -29,6 +29,7 @@ import scipy.ndimage
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.settings import Task
+from companion.world.guess import Guess, taken
 from companion.world.known_map import KnownMap
 from companion.world.threats import Zone, detection_probability, is_near
 
@@ -147,13 +148,10 @@ def _sampled(field: FloatArray, place: FloatArray) -> FloatArray:
     return scipy.ndimage.map_coordinates(field, place, order=1, mode="nearest")
 
 
-def lattice_of(
-    known: KnownMap, believed_m: FloatArray, task: Task, here_ne_m: Place, cells: int
-) -> Lattice:
+def lattice_of(known: KnownMap, guess: Guess, task: Task, here_ne_m: Place, cells: int) -> Lattice:
     """Costs on a lattice of samples `cells` cells of the map apart, aligned with the map.
 
     The whole map, or a window about here if that is more than 160 cells across.
-    believed_m: the terrain of all cells as it is guessed where it was not seen (`world.guess`).
     """
     first, count, whole = [], [], True
     for axis, here in enumerate(known.cell_of(*here_ne_m)):
@@ -164,8 +162,8 @@ def lattice_of(
         count.append(2 * size + 1)
         whole &= size == across
     step = cells * known.cell_m
-    lowest = _lowest_m(known, believed_m, task, first, count, cells)
-    proven = _lowest_m(known, known.upper_m, task, first, count, cells)
+    lowest = _lowest_m(known, guess.at, task, first, count, cells)
+    proven = _lowest_m(known, partial(taken, known.upper_m), task, first, count, cells)
     north_min = known.north_min_m + first[0] * known.cell_m
     east_min = known.east_min_m + first[1] * known.cell_m
     north = north_min + step * np.arange(count[0])[:, None]
@@ -225,7 +223,7 @@ def _seen(known: KnownMap, first: list[int], count: list[int], cells: int) -> Bo
 
 def _lowest_m(
     known: KnownMap,
-    believed_m: FloatArray,
+    believed_m: Callable[[IndexArray, IndexArray], FloatArray],
     task: Task,
     first: list[int],
     count: list[int],
@@ -246,7 +244,7 @@ def _lowest_m(
         _cells_about(first[axis], count[axis], cells, reach, known.upper_m.shape[axis])
         for axis in (0, 1)
     )
-    upper = believed_m.take(rows, axis=0).take(columns, axis=1).astype(np.float32)
+    upper = believed_m(rows, columns).astype(np.float32)
     lowest, part = np.full((2, count[0], count[1]), -np.inf, dtype=np.float32)
     if not (upper > task.limits.floor_amsl_m - clearance).any():
         return lowest.astype(np.float64)
@@ -285,15 +283,29 @@ def _detection(
     total = np.zeros(altitude_m.shape)
     middle = 0.5 * (north[0, 0] + north[-1, 0]), 0.5 * (east[0, 0] + east[0, -1])
     across = math.hypot(north[-1, 0] - north[0, 0], east[0, -1] - east[0, 0])
-    for radar in task.radars_near(middle, 0.5 * across + margin):
-        centre, reach = radar.centre_nea_m, radar.range_m + margin
-        rows = slice(*np.searchsorted(north[:, 0], (centre[0] - reach, centre[0] + reach)))
-        columns = slice(*np.searchsorted(east[0], (centre[1] - reach, centre[1] + reach)))
-        if rows.start < rows.stop and columns.start < columns.stop:
-            squared = (altitude_m[rows, columns] - centre[2]) ** 2
-            squared += (north[rows] - centre[0]) ** 2 + (east[:, columns] - centre[1]) ** 2
-            total[rows, columns] += detection_probability(np.sqrt(squared), radar.range_m, margin)
+    radars = task.radars_near(middle, 0.5 * across + margin)
+    centres = np.array([radar.centre_nea_m for radar in radars]).reshape(-1, 3)
+    ranges_m = np.array([radar.range_m for radar in radars])
+    # the lattice points in the square about each: one row for each radar and row of points
+    reach = (ranges_m + margin)[:, None] * (-1.0, 1.0)
+    south_north = np.searchsorted(north[:, 0], centres[:, :1] + reach)
+    west_east = np.searchsorted(east[0], centres[:, 1:2] + reach)
+    radar, row = _runs(*south_north.T)
+    of, column = _runs(*west_east[radar].T)
+    radar, row = radar[of], row[of]
+    squared = (altitude_m[row, column] - centres[radar, 2]) ** 2
+    squared += (north[row, 0] - centres[radar, 0]) ** 2 + (east[0, column] - centres[radar, 1]) ** 2
+    seen = detection_probability(np.sqrt(squared), ranges_m[radar], margin)
+    np.add.at(total, (row, column), seen)
     return total
+
+
+def _runs(first: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """All of first[k]..end[k] - 1, for each k one after the other -> k, index.  (N,) x2 -> (M,)."""
+    count = end - first
+    k = np.repeat(np.arange(len(count)), count)
+    index = np.arange(len(k)) - np.repeat(np.cumsum(count) - count, count) + first[k]
+    return k, index
 
 
 def _at_edge(known: KnownMap, task: Task, north: FloatArray, east: FloatArray) -> BoolArray:

@@ -31,7 +31,7 @@ from companion.planner.cost_lattice import (
 )
 from companion.planner.settings import Task
 from companion.world.clearance import Surface
-from companion.world.guess import guessed_m
+from companion.world.guess import guess_of
 from companion.world.known_map import KnownMap
 
 SingleArray = npt.NDArray[np.float32]
@@ -111,14 +111,14 @@ def cost_to_go(
         the vehicle change sides.  The discount is left out as long as nobody disputes the
         route: values are then exact, and ends of subpaths are not drawn to the corridor.
     """
-    believed_m = guessed_m(known, here_ne_m, task.settings.scan_range_m)
+    guess = guess_of(known, here_ne_m, task.settings.scan_range_m)
     cells = max(round(task.settings.scan_range_m / (2 * _CELLS_PER_RANGE * known.cell_m)), 1)
-    near = lattice_of(known, believed_m, task, here_ne_m, cells)
+    near = lattice_of(known, guess, task, here_ne_m, cells)
     seeds, far, lattices = _seeds(near, target_ne_m), None, [near]
     if not near.covers_map:
         most = max(known.upper_m.shape)
         wide_cells = max(math.ceil(most / (2 * MAX_CELLS)), 1)
-        wide = lattice_of(known, believed_m, task, here_ne_m, wide_cells)
+        wide = lattice_of(known, guess, task, here_ne_m, wide_cells)
         lattices.append(wide)
         far = _solve(wide, _seeds(wide, target_ne_m))
         border = _border_seeds(near, far)

@@ -7,6 +7,9 @@ is near (Rasmussen and Williams 2006, algorithm 2.1; the peaks of eq. 1 have thi
 A sight line that bounds hidden ground bounds the guess too.  Decision 0021.
 """
 
+from dataclasses import dataclass
+from typing import TypeVar, final
+
 import numpy as np
 import scipy.linalg
 import scipy.ndimage
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
 
+_Any = TypeVar("_Any", bound=np.generic)
 _REACH = 6.0  # of R about here: what lies farther away is as it was seen, or plain
 _FINE = 1.6  # of R about here: farther away the guess is as coarse as its blocks
 _BLOCK = 0.05  # of R: what was seen is averaged over such squares
@@ -26,26 +30,65 @@ _NOISE = 0.02  # of the amplitude: cells are as high as the highest in them, not
 _PLAIN = 0.02  # quantile of what was seen: the plain that mountains stand on
 
 
-def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
-    """The highest terrain of every cell: as seen, or as guessed.  (rows, columns), metres AMSL.
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Guess:
+    """The highest terrain of every cell, as seen, or as guessed; made only where it is read."""
 
-    -inf where nothing is guessed.  range_m is R: seen terrain is continued within 6 R of here.  A
-    mountain that was forgotten from afar would be an open way, until one comes near.
+    known: KnownMap
+    near: tuple[slice, slice] | None
+    """The rows and columns in which what was seen is continued; None: nowhere."""
+    continued_m: FloatArray
+    """(rows, columns) of these."""
+
+    def at(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> FloatArray:
+        """Metres AMSL, -inf where nothing is guessed.  (N,), (M,), each rising -> (N, M)."""
+        known = self.known
+        upper, firm = taken(known.upper_m, rows, columns), taken(known.seen, rows, columns)
+        if known.given is not None:
+            firm |= taken(known.given, rows, columns)
+        believed = np.where(firm, upper, -np.inf)
+        if self.near is not None:
+            (south, north), (west, east) = (
+                np.searchsorted(index, (part.start, part.stop))
+                for index, part in zip((rows, columns), self.near, strict=True)
+            )
+            here = slice(south, north), slice(west, east)
+            first = self.near[0].start, self.near[1].start
+            guess = taken(self.continued_m, rows[here[0]] - first[0], columns[here[1]] - first[1])
+            np.copyto(believed[here], np.minimum(guess, upper[here]), where=~firm[here])
+        if known.guess_m is not None:
+            told = taken(known.guess_m, rows, columns)
+            np.copyto(believed, np.minimum(told, upper), where=~(firm | np.isnan(told)))
+        return believed
+
+
+def taken(
+    cells: NDArray[_Any], rows: NDArray[np.integer], columns: NDArray[np.integer]
+) -> NDArray[_Any]:
+    """The cells of these rows and columns.  -> (N, M)."""
+    return cells.take(rows, axis=0).take(columns, axis=1)
+
+
+def guess_of(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> Guess:
+    """What is guessed, seen from here.
+
+    range_m is R: seen terrain is continued within 6 R of here.  A mountain that was forgotten from
+    afar would be an open way, until one comes near.
     """
-    firm = known.firm
-    if firm.all():
-        return known.upper_m
-    believed = np.where(firm, known.upper_m, -np.inf)  # the one pass over all of a large map
-    if known.guess_m is None or np.isnan(known.guess_m[~firm]).any():
-        near = _within(_REACH * range_m, known, here_ne_m)
-        part = known.part(*near)
-        if part.firm.any():
-            guess = np.minimum(continued_m(part, range_m, here_ne_m), part.upper_m)
-            np.copyto(believed[near], guess, where=~part.firm)
-    if known.guess_m is not None:
-        told = ~(firm | np.isnan(known.guess_m))
-        np.copyto(believed, np.minimum(known.guess_m, known.upper_m), where=told)
-    return believed
+    near = _within(_REACH * range_m, known, here_ne_m)
+    part = known.part(*near)
+    unseen = ~part.firm
+    told = part.guess_m is not None and not np.isnan(part.guess_m[unseen]).any()
+    if told or not unseen.any() or unseen.all():
+        return Guess(known=known, near=None, continued_m=np.empty((0, 0)))
+    return Guess(known=known, near=near, continued_m=continued_m(part, range_m, here_ne_m))
+
+
+def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
+    """The highest terrain of all cells, as `Guess.at`."""
+    rows, columns = (np.arange(count) for count in known.upper_m.shape)
+    return guess_of(known, here_ne_m, range_m).at(rows, columns)
 
 
 def _within(reach_m: float, known: KnownMap, here_ne_m: tuple[float, float]) -> tuple[slice, slice]:

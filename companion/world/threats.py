@@ -32,7 +32,7 @@ class Radar:
 
 
 def detection_probability(
-    distance_m: FloatArray, range_m: float, margin_m: float = 0.0
+    distance_m: FloatArray, range_m: float | FloatArray, margin_m: float = 0.0
 ) -> FloatArray:
     """Eq. 3: R^4 / (R^4 + d^4) within the range (and a margin), 0 beyond it.  (...) -> (...)."""
     ratio = (distance_m / range_m) ** 4
