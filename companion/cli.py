@@ -45,7 +45,7 @@ from companion.runtime.loop import fly
 from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
 from companion.session import Session
-from companion.sources.files import picture_file
+from companion.sources.files import picture_file, writing
 from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
@@ -206,7 +206,7 @@ def fly_command(
             raise InputError("--resume", True, rule, "Give the run folder with --out.")
         if resume and out is not None and (out / "mission.toml").is_file():
             mission = _as_begun(mission, out)
-        chosen = _for_system(load_mission(mission, profile and profile.value), system)
+        chosen = _for_system(load_mission(mission, profile), system)
         _say_notes(chosen, shows.console)
         if extras.missing("fast"):
             slower = "note: numba is not installed: plans take some ten times as long."
@@ -266,7 +266,7 @@ def preflight_command(
     What `fly` refuses is refused here. Exit code: 0 it may fly, 1 it may not, 2 wrong input.
     """
     console = Console(soft_wrap=True)
-    chosen = _for_system(load_mission(mission, profile and profile.value), system)
+    chosen = _for_system(load_mission(mission, profile), system)
     _say_notes(chosen, console)
     if turn and chosen.near is None:
         rule = "the mission's scanner is not a sensor of near things"
@@ -315,7 +315,7 @@ def plan_command(
     Writes a picture: the path in three dimensions, from above, and as a vertical profile.
     """
     console, picture = Console(), picture_file("--figure", figure)
-    chosen, place = load_mission(mission, profile and profile.value), load_world(world)
+    chosen, place = load_mission(mission, profile), load_world(world)
     if place.origin_deg != (chosen.frame.latitude_deg, chosen.frame.longitude_deg):
         rule = f"the mission's origin differs from that of the world, {place.origin_deg}"
         raise InputError("MISSION", mission, rule, "Give the mission of this world.")
@@ -339,11 +339,8 @@ def plan_command(
     )
     took_s = time.perf_counter() - began_s
     console.print(plans_table(flight.plans))
-    try:
+    with writing("--figure", picture):
         length_m = draw_offline(flight, chosen, truth, picture)
-    except OSError as error:
-        remedy = "Give a file that can be written."
-        raise InputError("--figure", str(picture), f"not written ({error})", remedy) from error
     said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
     console.out(f"{said}; picture: {picture}", highlight=False)
     _exit_as_planned(flight)
@@ -375,7 +372,7 @@ def report_command(
 def check_command(mission: MissionArgument, profile: ProfileOption = None) -> None:
     """Check a mission file and say in words what the mission will do."""
     console = Console(soft_wrap=True)
-    chosen = load_mission(mission, profile and profile.value)
+    chosen = load_mission(mission, profile)
     console.print(mission_summary(chosen), highlight=False, markup=False)
     _say_notes(chosen, console)
 

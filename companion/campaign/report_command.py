@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from companion.errors import InputError
+from companion.sources.files import writing
 
 
 def report_command(
@@ -56,9 +56,6 @@ def report_command(
         console.out(line, highlight=False)
     for option, texts in files.items():
         for path, text in texts.items():
-            try:
+            with writing(option, path):
                 path.write_text(text, encoding="utf-8")
-            except OSError as error:
-                rule, remedy = f"not written ({error.strerror})", "Give a file that can be written."
-                raise InputError(option, str(path), rule, remedy) from error
             console.out(f"written: {path}", highlight=False)

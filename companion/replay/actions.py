@@ -5,11 +5,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import msgspec
 from rich.console import Console
@@ -31,7 +30,7 @@ from companion.replay.shadow_text import renderables
 from companion.replay.what_if import what_if
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
-from companion.sources.files import answer
+from companion.sources.files import file_of_run, writing
 from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
 
@@ -54,37 +53,66 @@ def play(
     play_file(_log(flight), connect, playing, system_id=system, only_vehicle=only)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flown:
-    """Settings of a logged flight that the log itself does not contain."""
-
-    mission: str | None
-    profile: str | None
-    seed: int
-
-
-def same(
-    flight: Path,
-    how: Flown,
-    system: int | None,
+def same_run(
+    folder: Path,
     span_s: tuple[float, float],
     speed: float | None,
-    load: Callable[[], Kernel | None],
+    json_file: Path | None,
+    *,
+    plans: bool,
+    numba: bool,
+    by_step: bool,
+) -> None:
+    """Replay a run folder and compare.  FlightFailed if any decision differs.
+
+    plans: compute each again; numba: with the compiled kernel.
+    """
+    mission_of = flown_mission(folder)
+    kernel = kernel_for(numba=numba) if plans else None
+    replay = Replay(folder, mission_of, kernel=kernel, from_s=span_s[0])
+    _compare(replay, folder, span_s, speed, json_file, by_step=by_step)
+
+
+def same_log(
+    log: Path,
+    mission: str | None,
+    profile: str | None,
+    seed: int,
+    system: int | None,
+    until_s: float,
+    json_file: Path | None,
+    *,
+    numba: bool,
+) -> None:
+    """The same of a telemetry log, which does not say how the flight was flown."""
+    if mission is None:
+        rule = "a log alone does not say what the mission was"
+        remedy = "Give the run folder, or --mission, or --shadow for another's flight."
+        raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
+    replay = LogReplay(
+        log,
+        load_mission(mission, profile),
+        seed=seed,
+        kernel=kernel_for(numba=numba),
+        version=version("companion"),
+        system_id=system,
+    )
+    _compare(replay, log, (0.0, until_s), None, json_file, by_step=False)
+
+
+# --- the same flight
+
+
+def _compare(
+    replay: Replay | LogReplay,
+    flight: Path,
+    span_s: tuple[float, float],
+    speed: float | None,
     json_file: Path | None,
     *,
     by_step: bool,
 ) -> None:
-    """Replay a flight and compare.  FlightFailed if any decision differs.
-
-    load: gives what computes its plans again; called once the recording is known to fit.
-    """
     console = Console(soft_wrap=True)
-    if flight.is_dir():
-        mission_of = flown_mission(flight)
-        replay: Replay | LogReplay = Replay(flight, mission_of, kernel=load(), from_s=span_s[0])
-    else:
-        replay = _of_log(flight, how, system, load)
     _run(replay, span_s[1], speed, console, by_step=by_step)
     found = replay.found
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
@@ -97,9 +125,6 @@ def same(
         raise _damaged(found, flight)
     if not found.is_identical:
         raise FlightFailed("the replay did not decide as the flight did", "")
-
-
-# --- the same flight
 
 
 def _refuse_if_nothing_was_compared(
@@ -170,24 +195,6 @@ def _print_step(step: Step, console: Console) -> None:
         console.input("")
 
 
-def _of_log(
-    log: Path, how: Flown, system: int | None, load: Callable[[], Kernel | None]
-) -> LogReplay:
-    if how.mission is None:
-        rule = "a log alone does not say what the mission was"
-        remedy = "Give the run folder, or --mission, or --shadow for another's flight."
-        raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
-    mission = load_mission(how.mission, how.profile)
-    return LogReplay(
-        log,
-        mission,
-        seed=how.seed,
-        kernel=load() or NUMPY,
-        version=version("companion"),
-        system_id=system,
-    )
-
-
 # --- other questions
 
 
@@ -209,7 +216,7 @@ def changed(
     other = load_mission(file, profile, settings)
     found = []
     flown = flown_mission(folder)
-    kernel = kernel_for(plans=True, numba=numba) or NUMPY
+    kernel = kernel_for(numba=numba)
     with _bar("planning again", 0) as show:
         for each in what_if(folder, flown, other, seed=seed, kernel=kernel):
             found.append(each)
@@ -227,7 +234,7 @@ def shadow(
     """Run in shadow mode on a log, or on that of a run folder."""
     console, flight = Console(soft_wrap=True), _log(flight)
     chosen = None if mission is None else load_mission(mission)
-    kernel = None if chosen is None else kernel_for(plans=True, numba=True)
+    kernel = None if chosen is None else kernel_for(numba=True)
     with _bar("watching", flight.stat().st_size) as show:
         report = watch(
             flight,
@@ -248,20 +255,12 @@ def _log(flight: Path) -> Path:
     """The telemetry log of a run folder, or the log that was given."""
     if not flight.is_dir():
         return flight
-    log = flight / "flight.tlog"
-    if not answer(log.is_file):
-        rule = "it is a folder without a flight.tlog"
-        raise InputError("RUN_DIR|LOG", str(flight), rule, "Give a run folder, or a log.")
-    return log
+    return file_of_run(flight, "flight.tlog", "RUN_DIR|LOG")
 
 
 def flown_mission(folder: Path) -> MissionOf:
     """The mission of a run folder, as it was flown.  InputError if it is another one now."""
-    file = folder / "mission.toml"
-    if not answer(file.is_file):
-        remedy = "Give the run folder of a flight that was recorded with its inputs."
-        raise InputError("RUN_DIR|LOG", str(folder), "it holds no mission.toml", remedy)
-
+    file = file_of_run(folder, "mission.toml", "RUN_DIR|LOG")
     loaded = cache(partial(load_mission, str(file)))
 
     def mission_of(start: Start) -> Mission:
@@ -287,10 +286,8 @@ def _other_terrain(mission_file: Path) -> InputError:
     return InputError(field, value, f"{what} has changed since the flight", remedy)
 
 
-def kernel_for(*, plans: bool, numba: bool) -> Kernel | None:
-    """The kernel for plans; None: plans are not computed."""
-    if not plans:
-        return None
+def kernel_for(*, numba: bool) -> Kernel:
+    """The kernel that computes plans."""
     if not numba:
         return NUMPY
     with Console(stderr=True).status(_LOADING):
@@ -300,12 +297,9 @@ def kernel_for(*, plans: bool, numba: bool) -> Kernel | None:
 def _write(values: Any, json_file: Path | None) -> None:
     if json_file is None:
         return
-    try:
-        plain = msgspec.to_builtins(values, enc_hook=str, builtin_types=(bytes,))
+    plain = msgspec.to_builtins(values, enc_hook=str, builtin_types=(bytes,))
+    with writing("--json", json_file):
         json_file.write_text(json.dumps(plain, indent=2, default=str) + "\n", encoding="utf-8")
-    except OSError as error:
-        rule = f"not written ({error.strerror})"
-        raise InputError("--json", str(json_file), rule, "Give a file that can be.") from error
 
 
 @contextmanager

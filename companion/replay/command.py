@@ -1,112 +1,88 @@
 """`companion replay`: a recorded flight, through the same decisions once more."""
 
 import math
-from enum import StrEnum
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import typer
 
 from companion.errors import InputError
 from companion.sources.files import answer
 
-FlightArgument = Annotated[
-    Path,
-    typer.Argument(
-        metavar="RUN_DIR|LOG", help="A run folder, or a telemetry log: .tlog, .bin or .ulg."
-    ),
-]
-MissionOption = Annotated[
-    str | None,
-    typer.Option(metavar="MISSION", help="Of a log: the mission that was, or is to be, flown."),
-]
-ShadowOption = Annotated[
-    bool, typer.Option("--shadow", help="What the companion would have done on that flight.")
-]
-SettingsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="What if: plan each subpath again under this setting of the mission.",
-    ),
-]
-SeedOption = Annotated[
-    int | None, typer.Option(min=0, help="What if: plan with other random numbers.")
-]
-
-
-class ProfileName(StrEnum):
-    """Profiles of the planner."""
-
-    FLIGHT = "flight"
-    PAPER = "paper"
-
-
-ProfileOption = Annotated[
-    ProfileName | None, typer.Option(help="What if: plan with another profile: flight or paper.")
-]
-ConnectOption = Annotated[
-    str | None, typer.Option(metavar="LINK", help="Play the log to a ground station there.")
-]
-FromOption = Annotated[
-    float, typer.Option("--from", metavar="S", help="Begin here, seconds of the flight.")
-]
-UntilOption = Annotated[
-    float,
-    typer.Option(
-        "--until", metavar="S", show_default=False, help="End here, seconds of the flight."
-    ),
-]
-SpeedOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="X",
-        help="So many times real time; by default as fast as it goes, to a ground station 1.",
-    ),
-]
-StepOption = Annotated[
-    bool,
-    typer.Option("--step", help="Event by event, with the state; Enter on a terminal goes on."),
-]
-PlansOption = Annotated[
-    bool,
-    typer.Option("--plans/--no-plans", help="Compute each plan again and compare it too."),
-]
-NumbaOption = Annotated[
-    bool, typer.Option("--numba/--no-numba", help="Compute plans with the compiled kernel.")
-]
-SystemOption = Annotated[
-    int | None,
-    typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
-]
-OnlyOption = Annotated[
-    bool, typer.Option("--only-vehicle", help="Play only what the vehicle sent.")
-]
-JsonOption = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write the report to a JSON file.")
-]
+ProfileName = Literal["flight", "paper"]
+"""Profiles of the planner."""
 
 
 def replay_command(
     context: typer.Context,
-    flight: FlightArgument,
-    mission: MissionOption = None,
-    shadow: ShadowOption = False,
-    settings: SettingsOption = None,
-    seed: SeedOption = None,
-    profile: ProfileOption = None,
-    connect: ConnectOption = None,
-    from_s: FromOption = 0.0,
-    until_s: UntilOption = math.inf,
-    speed: SpeedOption = None,
-    step: StepOption = False,
-    plans: PlansOption = True,
-    numba: NumbaOption = True,
-    system: SystemOption = None,
-    only_vehicle: OnlyOption = False,
-    json_file: JsonOption = None,
+    flight: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN_DIR|LOG", help="A run folder, or a telemetry log: .tlog, .bin or .ulg."
+        ),
+    ],
+    mission: Annotated[
+        str | None,
+        typer.Option(metavar="MISSION", help="Of a log: the mission that was, or is to be, flown."),
+    ] = None,
+    shadow: Annotated[
+        bool, typer.Option("--shadow", help="What the companion would have done on that flight.")
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="What if: plan each subpath again under this setting of the mission.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="What if: plan with other random numbers.")
+    ] = None,
+    profile: Annotated[
+        ProfileName | None,
+        typer.Option(help="What if: plan with another profile: flight or paper."),
+    ] = None,
+    connect: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Play the log to a ground station there.")
+    ] = None,
+    from_s: Annotated[
+        float, typer.Option("--from", metavar="S", help="Begin here, seconds of the flight.")
+    ] = 0.0,
+    until_s: Annotated[
+        float,
+        typer.Option(
+            "--until", metavar="S", show_default=False, help="End here, seconds of the flight."
+        ),
+    ] = math.inf,
+    speed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="So many times real time; by default as fast as it goes, to a ground station 1.",
+        ),
+    ] = None,
+    step: Annotated[
+        bool,
+        typer.Option("--step", help="Event by event, with the state; Enter on a terminal goes on."),
+    ] = False,
+    plans: Annotated[
+        bool,
+        typer.Option("--plans/--no-plans", help="Compute each plan again and compare it too."),
+    ] = True,
+    numba: Annotated[
+        bool, typer.Option("--numba/--no-numba", help="Compute plans with the compiled kernel.")
+    ] = True,
+    system: Annotated[
+        int | None,
+        typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
+    ] = None,
+    only_vehicle: Annotated[
+        bool, typer.Option("--only-vehicle", help="Play only what the vehicle sent.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the report to a JSON file.")
+    ] = None,
 ) -> None:
     """Feed a recorded flight through the same decisions, and compare: 0 if identical, 1 if not.
 
@@ -124,7 +100,6 @@ def replay_command(
     _refuse_others(context, way)
     from companion.replay import actions  # so that `companion fly` starts without it
 
-    name = profile and profile.value
     if connect is not None:
         actions.play(flight, connect, (from_s, until_s), speed, system, only=only_vehicle)
         return
@@ -132,11 +107,14 @@ def replay_command(
         actions.shadow(flight, mission, system, json_file)
         return
     if way == _WHAT_IF:
-        actions.changed(flight, settings or [], seed, name, json_file, numba=numba)
+        actions.changed(flight, settings or [], seed, profile, json_file, numba=numba)
         return
-    kernel = partial(actions.kernel_for, plans=plans, numba=numba)
-    how = actions.Flown(mission=mission, profile=name, seed=1 if seed is None else seed)
-    actions.same(flight, how, system, (from_s, until_s), speed, kernel, json_file, by_step=step)
+    if way == _LOG:
+        seed = 1 if seed is None else seed
+        actions.same_log(flight, mission, profile, seed, system, until_s, json_file, numba=numba)
+        return
+    span_s, how = (from_s, until_s), {"plans": plans, "numba": numba, "by_step": step}
+    actions.same_run(flight, span_s, speed, json_file, **how)
 
 
 _PLAYING: Final = "playing to a ground station (--connect)"

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from companion.errors import InputError
 from companion.mavlink.dialect import Message
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Stamped
 from companion.mission.entries import Entry
-from companion.sources.files import answer
+from companion.sources.files import file_of_run
 from companion.telemetry.inputs import is_hole
 from companion.telemetry.run_folder import (
     LONGEST_RECORD,
@@ -40,7 +39,7 @@ _Timed = tuple[int | None, bytes]
 class Difference:
     """The first difference between a replay and the recording."""
 
-    time_s: float
+    t_s: float
     """Vehicle time."""
     what: str
     """The message or the kind of journal entry."""
@@ -53,7 +52,7 @@ class Difference:
     def __str__(self) -> str:
         where = f"{self.what}.{self.field}" if self.field else self.what
         return (
-            f"t {self.time_s:.3f} s: {where}: "
+            f"t {self.t_s:.3f} s: {where}: "
             f"recorded {_shown(self.recorded)}, replayed {_shown(self.replayed)}"
         )
 
@@ -68,17 +67,14 @@ class Recording:
 
     def __init__(self, folder: Path) -> None:
         """InputError if there is nothing to compare with."""
-        for name in ("flight.tlog", "journal.jsonl"):
-            if not answer((folder / name).is_file):
-                remedy = "Give the run folder of a flight, whole."
-                raise InputError("RUN_DIR", str(folder), f"it holds no {name}", remedy)
         self.frames = self.entries = 0
         """How many were the same."""
         self.unrecorded = 0
         """How many came after the end of what was recorded: it was killed, or the disk full."""
-        self._path = folder / "flight.tlog"
+        self._path = file_of_run(folder, "flight.tlog")
+        journal = file_of_run(folder, "journal.jsonl")
         self._log = Records(self._path)
-        self._journal = _Lines(_entries(folder / "journal.jsonl"))
+        self._journal = _Lines(_entries(journal))
         self._epoch_us: int | None = None
         self._is_passing = self._has_ended = False
 
@@ -186,7 +182,7 @@ class Recording:
 
 
 def _difference(time_s: float, what: str, field: str, was: Any, now: Any) -> Difference:
-    return Difference(time_s=time_s, what=what, field=field, recorded=was, replayed=now)
+    return Difference(t_s=time_s, what=what, field=field, recorded=was, replayed=now)
 
 
 def _us(time_s: float) -> int:

@@ -1,41 +1,17 @@
 """`companion export`: a recorded flight for Google Earth, QGIS, spreadsheets and QGroundControl."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
 
 from companion.errors import InputError
 from companion.sources.files import answer, writable
+from companion.telemetry.run_folder import RECORDED
 
-_KEPT = (
-    "flight.tlog",
-    "journal.jsonl",
-    "inputs.msgpack",
-    "mission.toml",
-    "run.json",
-    "resume.json",
-    "known.npz",
-    "truth.jsonl",
-)
-
-
-class Format(StrEnum):
-    """What to write."""
-
-    KML = "kml"
-    GEOJSON = "geojson"
-    CSV = "csv"
-    PLAN = "plan"
-
-
-class PathName(StrEnum):
-    """Which path becomes a plan."""
-
-    FLOWN = "flown"
-    PLANNED = "planned"
+Format = Literal["kml", "geojson", "csv", "plan"]
+PathName = Literal["flown", "planned"]
 
 
 def export(
@@ -57,7 +33,7 @@ def export(
     path: Annotated[
         PathName,
         typer.Option(help="Of a plan: the path as it was flown, or as it was planned."),
-    ] = PathName.FLOWN,
+    ] = "flown",
 ) -> None:
     """Write a recorded flight for other programs: track, subpaths, targets, threats, holds.
 
@@ -65,9 +41,9 @@ def export(
     """
     from companion.replay.exporting import recorded, write  # slow to import
 
-    file = out_file(out or run_dir / f"flight.{to.value}", run_dir)
+    file = out_file(out or run_dir / f"flight.{to}", run_dir)
     flight, notes = recorded(run_dir)
-    notes += write(flight, to.value, file, path.value)
+    notes += write(flight, to, file, path)
     said = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
     said += f"{len(flight.moments)} holds and events: {file}"
     for line in [*(f"note: {note}" for note in notes), said]:
@@ -80,7 +56,7 @@ def out_file(file: Path, run_dir: Path) -> Path:
         writable("--out", file)
     elif answer(file.is_dir):
         raise InputError("--out", str(file), "it is a folder", "Give a file.")
-    if file.name in _KEPT and answer(lambda: file.absolute().parent.samefile(run_dir)):
+    if file.name in RECORDED and answer(lambda: file.absolute().parent.samefile(run_dir)):
         rule = "that is what the flight was recorded in"
         raise InputError("--out", str(file), rule, "Give another file.")
     return file

@@ -7,7 +7,7 @@ from pathlib import Path
 from companion.config import elevation_file, load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
-from companion.sources.files import answer
+from companion.sources.files import file_of_run, writing
 from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.geojson import write_geojson
 from companion.telemetry.export.kml import write_kml
@@ -16,9 +16,6 @@ from companion.telemetry.export.table import write_csv
 from companion.telemetry.export.track import Track, track_of
 from companion.telemetry.journal import Journal
 from companion.telemetry.logs import Record, open_log
-
-FIELD = "RUN_DIR"
-REMEDY = "Give the run folder of a flight: the one that was given to companion fly --out."
 
 
 def recorded(
@@ -33,7 +30,7 @@ def recorded(
     builder = FlightBuilder(mission)
     for line in journal.lines():
         builder.take(line)
-    track, notes = _track(run_dir / "flight.tlog", builder.system_id, look)
+    track, notes = _track(file_of_run(run_dir, "flight.tlog"), builder.system_id, look)
     if not len(track):
         notes += ("flight.tlog: no position was recorded",)
     if track.left_out:
@@ -54,20 +51,13 @@ def write(flight: RecordedFlight, to: str, file: Path, source: Source) -> tuple[
         "csv": write_csv,
         "plan": partial(write_plan, source=source),
     }
-    try:
+    with writing("--out", file):
         return writers[to](flight, file) or ()
-    except OSError as error:
-        rule = f"not written ({error.strerror or error})"
-        raise InputError("--out", str(file), rule, "Give a file that can be written.") from error
 
 
 def mission_of(run_dir: Path) -> Mission:
     """The mission as it was flown; what is known of its terrain does not matter here."""
-    file = run_dir / "mission.toml"
-    if not answer(file.is_file):
-        found = answer(run_dir.exists)
-        rule = "it holds no mission.toml" if found else "no such folder"
-        raise InputError(FIELD, str(run_dir), rule, REMEDY)
+    file = file_of_run(run_dir, "mission.toml")
     known = elevation_file(str(file))  # it may be on another computer
     return load_mission(str(file), settings=() if known is None else (_NOT_NEEDED,))
 
@@ -80,8 +70,6 @@ def _track(
     file: Path, system_id: int | None, look: Callable[[Record], None] | None
 ) -> tuple[Track, tuple[str, ...]]:
     """The positions in the log, and what was odd about it."""
-    if not answer(file.is_file):
-        raise InputError(FIELD, str(file.parent), "it holds no flight.tlog", REMEDY)
     try:
         log = open_log(file, system_id=system_id)
     except InputError:

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any, Final
+from typing import Any
 
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from companion.replay.differences import Difference
-from companion.replay.reproduce import PlanDiffers, Replayed
+from companion.replay.reproduce import Replayed
 from companion.replay.what_if import Figures, WhatIf
 
 _MAX_PLANS = 5
@@ -63,31 +62,10 @@ def _verdict(found: Replayed) -> str:
 
 def replay_json(found: Replayed) -> dict[str, Any]:
     """Report of a replay for a JSON file."""
-    values: dict[str, Any] = {
-        "identical": found.is_identical,
-        "inputs": found.inputs,
-        "ended_by": None if found.ended_by is None else found.ended_by.error,
-        "difference": None if found.difference is None else _renamed(found.difference),
-        "plans_differ": [_renamed(each) for each in found.plans_differ],
-    }
-    return values | {name: getattr(found, name) for name in _SAME_NAMES}
-
-
-_SAME_NAMES: Final = (
-    *("frames", "entries", "starts", "plans", "plans_computed"),
-    *("unrecorded", "torn", "damaged", "flown_s", "took_s"),
-)
-
-
-def _renamed(differs: Difference | PlanDiffers) -> dict[str, Any]:
-    """Its fields, by the names that they have in a file."""
-    names = {
-        "time_s": "t_s",
-        **({"replayed": "computed"} if isinstance(differs, PlanDiffers) else {}),
-    }
-    return {
-        names.get(each.name, each.name): getattr(differs, each.name) for each in fields(differs)
-    }
+    names = [each.name for each in fields(found) if each.name not in ("_newest_s", "ended_by")]
+    ended_by = None if found.ended_by is None else found.ended_by.error
+    values = {name: getattr(found, name) for name in names}
+    return {"identical": found.is_identical, "ended_by": ended_by, **values}
 
 
 def what_if_table(found: Sequence[WhatIf]) -> RenderableType:

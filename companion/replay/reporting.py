@@ -9,7 +9,7 @@ from companion.replay.actions import flown_mission
 from companion.replay.export_command import out_file
 from companion.replay.exporting import recorded
 from companion.replay.reproduce import Replay
-from companion.sources.files import answer
+from companion.sources.files import answer, writing
 from companion.telemetry.export.health import FlightHealth
 from companion.telemetry.run_folder import known_map
 from companion.views.report import report_html
@@ -21,11 +21,8 @@ def write_report(run_dir: Path, out: Path | None) -> tuple[str, ...]:
     """Write the report of a run folder; what people should know of it.  Raises InputError."""
     file = run_dir / "report.html" if out is None else out_file(out, run_dir)
     facts = facts_of(run_dir)
-    try:
+    with writing("--out", file):
         file.write_text(report_html(facts), encoding="utf-8")
-    except OSError as error:
-        rule = f"not written ({error.strerror or error})"
-        raise InputError("--out", str(file), rule, "Give a file that can be written.") from error
     return (*(f"note: {note}" for note in facts.notes), f"report: {file}")
 
 

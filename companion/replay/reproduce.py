@@ -48,10 +48,10 @@ class PlanDiffers:
     """A plan that differs from the recorded one."""
 
     plan_id: int
-    time_s: float
+    t_s: float
     field: str
     recorded: Any
-    replayed: Any
+    computed: Any
     words: str
     """How far apart the two are."""
     kernels: tuple[str, str]
@@ -64,8 +64,8 @@ class PlanDiffers:
 
     def __str__(self) -> str:
         by = f" ({self.kernels[0]}, now {self.kernels[1]})" if self.is_excused else ""
-        first = f"first {self.field}: recorded {self.recorded!r}, computed {self.replayed!r}"
-        return f"t {self.time_s:.3f} s: plan {self.plan_id}{by}: {self.words}; {first}"
+        first = f"first {self.field}: recorded {self.recorded!r}, computed {self.computed!r}"
+        return f"t {self.t_s:.3f} s: plan {self.plan_id}{by}: {self.words}; {first}"
 
 
 @final
@@ -268,7 +268,7 @@ class Replay:
     def _differ_in_error(self, ended: RecordedError | None, raised: RecordedError | None) -> None:
         call = (ended or raised or RecordedError(call="", error="")).call
         self.found.difference = self.found.difference or Difference(
-            time_s=self.found.now_s,
+            t_s=self.found.now_s,
             what=call or "flight",
             field="error",
             recorded=NOTHING if ended is None else str(ended),
@@ -305,38 +305,28 @@ class Replay:
         self.found.plans_computed += 1
         values, stopped_after = values_of(answer), getattr(answer, "stopped_after", None)
         name = self._kernel.signature
+        kernels = str(values.get("kernel", name)), name
+        where: tuple[str, Any, Any] | None
         try:
             again = values_of(computed_again(request, stopped_after, self._kernel))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
+            where, kernels = ("error", NOTHING, f"{type(error).__name__}: {error}"), (name, name)
             words = "it cannot be computed"
-            differs = "error", NOTHING, f"{type(error).__name__}: {error}"
-            self._plan_differs(answer, now_s, differs, words, (name, name))
-            return
-        found = values_differ({**values, "kernel": None}, {**again, "kernel": None})
-        if found is not None:
-            kernels = str(values.get("kernel", name)), name
-            self._plan_differs(answer, now_s, found, _apart(values, again), kernels)
-
-    def _plan_differs(
-        self,
-        answer: PlanOutcome,
-        time_s: float,
-        where: tuple[str, Any, Any],
-        words: str,
-        kernels: tuple[str, str],
-    ) -> None:
-        name, was, now = where
-        self.found.plans_differ.append(
-            PlanDiffers(
-                plan_id=answer.plan_id,
-                time_s=time_s,
-                field=name,
-                recorded=was,
-                replayed=now,
-                words=words,
-                kernels=kernels,
+        else:
+            where = values_differ({**values, "kernel": None}, {**again, "kernel": None})
+            words = "" if where is None else _apart(values, again)
+        if where is not None:
+            self.found.plans_differ.append(
+                PlanDiffers(
+                    plan_id=answer.plan_id,
+                    t_s=now_s,
+                    field=where[0],
+                    recorded=where[1],
+                    computed=where[2],
+                    words=words,
+                    kernels=kernels,
+                )
             )
-        )
 
 
 def computed_again(request: PlanRequest, stopped_after: int | None, kernel: Kernel) -> PlanOutcome:

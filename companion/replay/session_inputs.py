@@ -1,13 +1,13 @@
 """Feeds recorded inputs to an equal session."""
 
-import math
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Annotated, Any, Final, final
 
 import msgspec
+from msgspec import Meta
 
 from companion.mavlink.link import VEHICLE_LINK, Input, Output
 from companion.mission import checkpoint
@@ -21,13 +21,21 @@ from companion.world.known_map import unpacked_map
 
 RUNTIME_RECORDS = frozenset({"unsent", "raised", "held"})
 """Records about a session and its output, which are not fed to the session."""
-SESSION_CALLS = frozenset(
-    {
-        *("receive", "run", "silence", "deliver", "stop", "complain", "part_died"),
-        *("recording_stopped", "farewell"),
-    }
-)
+_Seconds = Annotated[float, Meta(ge=-1e300, le=1e300)]
+_ARGUMENTS: Final[dict[str, Any]] = {
+    "receive": tuple[bytes, _Seconds | None],
+    "run": tuple[()],
+    "silence": tuple[_Seconds],
+    "deliver": tuple[Any],
+    "stop": tuple[()],
+    "complain": tuple[str],
+    "part_died": tuple[str, str],
+    "recording_stopped": tuple[str],
+    "farewell": tuple[()],
+}
 """The calls of a session that are inputs."""
+_OF_GROUND_LINK: Final = tuple[bytes, _Seconds | None, Annotated[int, Meta(gt=VEHICLE_LINK)]]
+SESSION_CALLS = frozenset(_ARGUMENTS)
 MissionOf = Callable[[Start], Mission]
 """The mission that a session flew: by its profile, from wherever it is kept."""
 
@@ -107,32 +115,16 @@ def feed(session: Session, recorded_input: Input) -> Output | None:
 
     DamagedInputError: it is not a valid input.  Errors of the session are passed on.
     """
-    match recorded_input:
-        case ("receive", bytes(data), at_s) if at_s is None or _is_time(at_s):
-            session.receive(data, at_s)
-        case ("receive", bytes(data), at_s, int(link)) if link > VEHICLE_LINK and (
-            at_s is None or _is_time(at_s)
-        ):
-            session.receive(data, at_s, link)
-        case ("run",):
-            return session.run()
-        case ("silence", silent_s) if _is_time(silent_s):
-            session.silence(silent_s)
-        case ("deliver", values):
-            session.deliver(answer_of(values))
-        case ("stop",):
-            session.stop()
-        case ("complain", str(text)):
-            session.complain(text)
-        case ("part_died", str(part), str(error)):
-            session.part_died(part, error)
-        case ("recording_stopped", str(why)):
-            session.recording_stopped(why)
-        case ("farewell",):
-            return session.farewell()
-        case _:
-            raise DamagedInputError(f"an input that is none ({recorded_input[0]!r:.40})")
-    return None
+    call, *given = recorded_input
+    with_link = call == "receive" and len(given) == 3
+    try:
+        arguments = msgspec.convert(given, _OF_GROUND_LINK if with_link else _ARGUMENTS.get(call))
+    except msgspec.ValidationError as error:
+        raise DamagedInputError(f"an input that is none ({call!r:.40})") from error
+    if call == "deliver":
+        arguments = (answer_of(*arguments),)
+    output = getattr(session, call)(*arguments)
+    return output if isinstance(output, Output) else None
 
 
 def answer_of(values: Any) -> PlanOutcome:
@@ -141,7 +133,3 @@ def answer_of(values: Any) -> PlanOutcome:
         return outcome_of(values)
     except checkpoint.DECODE_ERRORS as error:
         raise DamagedInputError(f"an answer of the planner that is none ({error!r:.80})") from error
-
-
-def _is_time(value: Any) -> bool:
-    return type(value) in (float, int) and math.isfinite(value)

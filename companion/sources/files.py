@@ -3,7 +3,8 @@
 import json
 import re
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -39,6 +40,15 @@ def answer(question: Callable[[], bool]) -> bool:
         return False
 
 
+def file_of_run(run_dir: Path, name: str, field: str = "RUN_DIR") -> Path:
+    """A file of a run folder.  Raises InputError about the field if it is not there."""
+    if not answer((run_dir / name).is_file):
+        rule = f"it holds no {name}" if answer(run_dir.is_dir) else "no such folder"
+        remedy = "Give the run folder of a flight: the one that was given to companion fly --out."
+        raise InputError(field, str(run_dir), rule, remedy)
+    return run_dir / name
+
+
 def writable(option: str, path: Path) -> Path:
     """Refuse a file that cannot be written before time is spent on what goes into it."""
     is_folder = answer(path.is_dir)
@@ -46,6 +56,16 @@ def writable(option: str, path: Path) -> Path:
         rule = "it is a folder" if is_folder else "its folder does not exist"
         raise InputError(option, str(path), rule, "Give a file in a folder that exists.")
     return path
+
+
+@contextmanager
+def writing(option: str, path: Path) -> Iterator[None]:
+    """Raise InputError about the option if what is done meanwhile cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        rule = f"not written ({error.strerror or error})"
+        raise InputError(option, str(path), rule, "Give a file that can be written.") from error
 
 
 def picture_file(option: str, path: Path) -> Path:

@@ -37,6 +37,8 @@ from companion.world.known_map import KnownMap, packed_map, unpacked_map
 RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1
 _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
+RECORDED = (*_WRITTEN, "resume.json", "known.npz", "truth.jsonl")
+"""The files of a flight that cannot be made again."""
 _STAMP = struct.Struct(">Q")
 _STAMP_BYTES = _STAMP.size
 _PORTION = 2**20

@@ -101,7 +101,7 @@ def test_a_log_flown_with_another_seed_is_found_out(run_dir: Path) -> None:
     run(replay)
     assert replay.found.difference.what == "SET_POSITION_TARGET_GLOBAL_INT"
     *_, last = replay.found.difference.before
-    assert last == f"t {replay.found.difference.time_s:.3f} s  heard GLOBAL_POSITION_INT"
+    assert last == f"t {replay.found.difference.t_s:.3f} s  heard GLOBAL_POSITION_INT"
 
 
 def run(replay: LogReplay) -> None:
@@ -140,7 +140,7 @@ def test_a_log_in_which_the_companion_falls_silent_is_found_out(
     assert difference.recorded == "nothing"
     log = recorded_frames(run_dir / "flight.tlog")
     last_us = max(us for us, frame in log[:2000] if frame[6] == 195)
-    assert difference.time_s == pytest.approx((last_us - log[0][0]) * 1e-6, abs=1.1)
+    assert difference.t_s == pytest.approx((last_us - log[0][0]) * 1e-6, abs=1.1)
     end = [k for k, (_, frame) in enumerate(log) if frame[6] == 195][-100]
     short = from_log(run_dir, tmp_path / "b.tlog", lambda k, frame: k < end or frame[6] != 195)
     run(short)
@@ -198,7 +198,7 @@ def test_another_position_is_found_at_its_time_and_field(copy: Path) -> None:
     difference = replayed(copy).difference
     assert (difference.what, difference.field) == ("GLOBAL_POSITION_INT", "lat")
     assert difference.replayed - difference.recorded == 1000
-    assert difference.time_s == pytest.approx((at_us - log[0][0]) * 1e-6 + 0.0, abs=0.2)
+    assert difference.t_s == pytest.approx((at_us - log[0][0]) * 1e-6 + 0.0, abs=0.2)
     assert difference.before
     assert any("GLOBAL_POSITION_INT" in line for line in difference.before)
 
@@ -238,7 +238,7 @@ def test_another_setpoint_in_the_log_is_found(copy: Path) -> None:
     assert (difference.what, difference.field) == ("SET_POSITION_TARGET_GLOBAL_INT", "vx")
     assert difference.recorded == pytest.approx(was + 0.5)
     assert difference.replayed == pytest.approx(was)
-    assert difference.time_s == pytest.approx((time_us - first_us) * 1e-6, abs=0.2)
+    assert difference.t_s == pytest.approx((time_us - first_us) * 1e-6, abs=0.2)
 
 
 def test_another_entry_in_the_journal_is_found_and_the_command_ends_with_1(copy: Path) -> None:

@@ -91,7 +91,7 @@ def test_a_companion_that_was_mended_is_told_from_the_one_that_flew(
 ) -> None:
     monkeypatch.undo()
     difference = replayed(ended).difference
-    assert difference.time_s == pytest.approx(20.0, abs=0.2)
+    assert difference.t_s == pytest.approx(20.0, abs=0.2)
 
 
 @LOCKSTEP

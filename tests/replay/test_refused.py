@@ -143,7 +143,7 @@ def test_what_differs_after_from_is_found_at_its_place(run: Path) -> None:
     data = b"".join(struct.pack(">Q", at_us) + frame for at_us, frame in log)
     (run / "flight.tlog").write_bytes(data)
     difference = replayed(run, from_s=20.0).difference
-    assert difference.time_s == pytest.approx(late_s, abs=0.2)
+    assert difference.t_s == pytest.approx(late_s, abs=0.2)
 
 
 def test_a_frame_that_differs_before_from_moves_nothing_after_it(tmp_path: Path) -> None:
