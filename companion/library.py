@@ -196,7 +196,8 @@ def _terrain(
 
 
 def _flown(flight: OfflineFlight, task: Task, kernel: Kernel) -> Flown:
-    points, failure = _points_nea_m(flight, task), flight.failure
+    points = flight.route_nea_m(task.settings.scan_range_m / _SPACING)
+    failure = flight.failure
     why = ""
     if failure is not None:
         broken = f" ({', '.join(failure.broken)})" if failure.broken else ""
@@ -211,15 +212,6 @@ def _flown(flight: OfflineFlight, task: Task, kernel: Kernel) -> Flown:
         kernel=kernel.name,
         details=flight,
     )
-
-
-def _points_nea_m(flight: OfflineFlight, task: Task) -> FloatArray:
-    """Each subpath as far as it was flown.  -> (S, 3)."""
-    pieces = [np.array([flight.scans_nea_m[0]])]
-    for leg, flown_m in zip(flight.legs, flight.flown_m, strict=True):
-        count = max(int(np.ceil(flown_m * _SPACING / task.settings.scan_range_m)), 1)
-        pieces.append(leg.subpath.points_nea_m(np.linspace(0.0, flown_m, count + 1)[1:]))
-    return np.concatenate(pieces)
 
 
 def route_terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:

@@ -4,10 +4,8 @@ Both take runs and give rows as they come, in any order; a worker that is lost t
 """
 
 import multiprocessing
-import multiprocessing.connection
 import os
 import signal
-import threading
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -21,6 +19,7 @@ from companion.campaign.run import fly_run, lost_run
 from companion.errors import FlightInterrupted, InputError
 from companion.extras import need
 from companion.runtime.compiler import load_kernel
+from companion.runtime.signals import end_with_parent
 
 _RETRIES = 3
 """How often a run may lose its worker until that is held against it."""
@@ -93,14 +92,7 @@ def _begin_worker() -> None:
     """Ctrl-C is the parent's; a worker whose parent was killed ends too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: _end_worker())
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        multiprocessing.connection.wait([parent.sentinel])
-        _end_worker()
-
-    threading.Thread(target=follow, daemon=True).start()
+    end_with_parent(_end_worker)
 
 
 def _end_worker() -> None:

@@ -1,20 +1,24 @@
 """`companion compare`: the paper's table and figures, computed again."""
 
 import json
+import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import track
 from rich.table import Table
 
 from companion.compare import effects, table_1
-from companion.compare.missions import Case, Run
-from companion.compare.pool import fly_all, processors
+from companion.compare.missions import Case, Run, fly_all
 from companion.errors import InputError
-from companion.sources.files import picture_file, writable
+from companion.sources.files import picture_file, writable, writing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 compare_app = typer.Typer(
     no_args_is_help=True,
@@ -59,19 +63,18 @@ def table_1_command(
     ] = table_1.PER_SECOND,
 ) -> None:
     """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
-    picture, numbers = _files(figure or Path("table-1.png"), json_file)
+    files = _files(figure or Path("table-1.png"), json_file)
     found = table_1.rows(_flown(table_1.cases(runs, seed, per_second), jobs))
     remarks = table_1.remarks(found, per_second)
-    _show([table_1.table(found), table_1.violations_table(found)], remarks)
 
-    def draw() -> None:
+    def compose() -> "Figure":
         from companion.compare.pictures import compose_table  # slow to import
-        from companion.views.figure import save
 
-        save(compose_table(found, remarks), picture)
+        return compose_table(found, remarks)
 
-    _write("--figure", picture, draw)
-    _write_numbers(numbers, table_1.facts(found, per_second), runs, seed)
+    numbers = {"runs": runs, "seed": seed, "results": table_1.facts(found, per_second)}
+    tables = [table_1.table(found), table_1.violations_table(found)]
+    _tell(tables, remarks, compose, numbers, files)
 
 
 def _add_figure(name: str, words: str, effect_of: Callable[[], effects.Effect]) -> None:
@@ -84,19 +87,17 @@ def _add_figure(name: str, words: str, effect_of: Callable[[], effects.Effect]) 
         figure: FigureOption = None,
     ) -> None:
         effect = effect_of()
-        picture, numbers = _files(figure or Path(f"{effect.name}.png"), json_file)
+        files = _files(figure or Path(f"{effect.name}.png"), json_file)
         found = effects.outcomes(effect, _flown(effects.cases(effect, runs, seed), jobs))
         remarks = effects.remarks(effect)
-        _show([effects.table(effect, found)], remarks)
 
-        def draw() -> None:
+        def compose() -> "Figure":
             from companion.compare.pictures import compose_effect  # slow to import
-            from companion.views.figure import save
 
-            save(compose_effect(effect, found, remarks[-1]), picture)
+            return compose_effect(effect, found, remarks[-1])
 
-        _write("--figure", picture, draw)
-        _write_numbers(numbers, effects.facts(effect, found), runs, seed)
+        numbers = {"runs": runs, "seed": seed, "results": effects.facts(effect, found)}
+        _tell([effects.table(effect, found)], remarks, compose, numbers, files)
 
 
 _add_figure(
@@ -113,18 +114,10 @@ _add_figure(
 
 def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:
     """Fly them all, with a bar that shows how far it is."""
-    columns = (TextColumn("flying"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("", total=len(cases))
-        return fly_all(cases, jobs or processors(), lambda: progress.advance(bar))
-
-
-def _show(tables: Sequence[Table], remarks: Sequence[str]) -> None:
-    console = Console()
-    for table in tables:
-        console.print(table)
-    for remark in remarks:
-        console.print(remark, highlight=False, markup=False)
+    shown = partial(
+        track, description="flying", total=len(cases), console=Console(stderr=True), transient=True
+    )
+    return fly_all(cases, jobs or len(os.sched_getaffinity(0)), shown)
 
 
 def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:
@@ -135,17 +128,25 @@ def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:
     return picture_file("--figure", picture), json_file and writable("--json", json_file)
 
 
-def _write(option: str, path: Path, writer: Callable[[], object]) -> None:
-    try:
-        writer()
-    except OSError as error:
-        remedy = "Give a file that can be written."
-        raise InputError(option, str(path), f"not written ({error})", remedy) from error
-    what = {"--figure": "picture", "--json": "numbers"}[option]
-    Console().print(f"{what}: {path}", highlight=False, markup=False, soft_wrap=True)
+def _tell(
+    tables: Sequence[Table],
+    remarks: Sequence[str],
+    compose: Callable[[], "Figure"],
+    numbers: dict[str, object],
+    files: tuple[Path, Path | None],
+) -> None:
+    """Print the tables and what they cannot say, and write the picture and the numbers."""
+    from companion.views.figure import save  # slow to import
 
-
-def _write_numbers(path: Path | None, facts: list[dict[str, object]], runs: int, seed: int) -> None:
-    if path is not None:
-        text = json.dumps({"runs": runs, "seed": seed, "results": facts}, indent=1)
-        _write("--json", path, lambda: path.write_text(text + "\n", encoding="utf-8"))
+    console, (picture, json_file) = Console(), files
+    for table in tables:
+        console.print(table)
+    for remark in remarks:
+        console.print(remark, highlight=False, markup=False)
+    with writing("--figure", picture):
+        save(compose(), picture)
+    console.out(f"picture: {picture}", highlight=False)
+    if json_file is not None:
+        with writing("--json", json_file):
+            json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+        console.out(f"numbers: {json_file}", highlight=False)

@@ -22,6 +22,18 @@ from companion.world.threats import Radar
 
 _DIAGONAL = math.sqrt(0.5)
 _T_S, _EVALUATIONS = 3.0, 3000
+_RADAR_RANGE_M, _RADARS_OVERLAP_M, _RADARS_ASIDE_M = 16_000.0, 2_500.0, 1_000.0
+_RIDGE = (
+    (42_000.0, 58_000.0, 3_900.0, 10_000.0),
+    (50_000.0, 50_000.0, 3_900.0, 10_000.0),
+    (58_000.0, 42_000.0, 3_900.0, 10_000.0),
+)
+_HILLS = (
+    (88_000.0, 25_000.0, 4_200.0, 6_000.0),
+    (22_000.0, 86_000.0, 4_800.0, 6_000.0),
+    (66_000.0, 92_000.0, 3_400.0, 6_000.0),
+)
+"""Peaks: north, east, height AMSL and spread, metres."""
 Point = tuple[float, float]
 
 
@@ -58,77 +70,55 @@ class Effect:
 
 def figure_3() -> Effect:
     """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
-    step = 8000.0
-    ridge = tuple(
-        Peak(
-            north_m=50_000.0 + at * step,
-            east_m=50_000.0 - at * step,
-            height_amsl_m=3900.0,
-            spread_north_m=10_000.0,
-            spread_east_m=10_000.0,
-        )
-        for at in (-1, 0, 1)
-    )
-    base = _world("ridge", ridge, ())
-    both = {"across": "climbs over", "round": "goes round"}
-    weightings = (("a", 0.15, 0.15, both["across"]), ("b", 0.25, 0.05, both["round"]))
+    base = _world("ridge", _RIDGE, ())
+    first, *_, last = base.terrain.peaks
+    over, past = "climbs over", "goes round"
+
+    def weighted(panel: str, height: float, guide: float, papers_way: str) -> Setting:
+        words, weights = f"a2 = {height:g}, a3 = {guide:g}", Weights(height=height, guide=guide)
+        case = planned_with(base, weights=weights)
+        return Setting(panel=panel, words=words, papers_way=papers_way, case=case)
+
     return Effect(
         name="figure-3",
         title="Fig. 3: 3D path and vertical profile for two weightings",
         paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
         "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
-        line_ne_m=(
-            (ridge[0].north_m, ridge[0].east_m),
-            (ridge[-1].north_m, ridge[-1].east_m),
-        ),
-        settings=(
-            _weighted(base, *weightings[0]),
-            _weighted(base, *weightings[1]),
-        ),
-        **both,
+        line_ne_m=((first.north_m, first.east_m), (last.north_m, last.east_m)),
+        settings=(weighted("a", 0.15, 0.15, over), weighted("b", 0.25, 0.05, past)),
+        across=over,
+        round=past,
     )
 
 
 def figure_4() -> Effect:
     """Fly between two overlapping radars, or round both: d_overlap."""
-    range_m, overlap_m, aside_m = 16_000.0, 2_500.0, 1_000.0
-    half = range_m - 0.5 * overlap_m
+    half_m = _RADAR_RANGE_M - 0.5 * _RADARS_OVERLAP_M
+    centres = [
+        (50_000.0 - offset_m * _DIAGONAL, 50_000.0 + offset_m * _DIAGONAL)
+        for offset_m in (_RADARS_ASIDE_M - half_m, _RADARS_ASIDE_M + half_m)
+    ]
     radars = tuple(
-        Radar(
-            name=f"radar {number}",
-            centre_nea_m=(50_000.0 - offset * _DIAGONAL, 50_000.0 + offset * _DIAGONAL, 0.0),
-            range_m=range_m,
-        )
-        for number, offset in ((1, aside_m - half), (2, aside_m + half))
+        Radar(name=f"radar {number}", centre_nea_m=(*centre, 0.0), range_m=_RADAR_RANGE_M)
+        for number, centre in enumerate(centres, start=1)
     )
-    hills = tuple(
-        Peak(
-            north_m=north_m,
-            east_m=east_m,
-            height_amsl_m=height_m,
-            spread_north_m=6_000.0,
-            spread_east_m=6_000.0,
-        )
-        for north_m, east_m, height_m in (
-            (88_000.0, 25_000.0, 4_200.0),
-            (22_000.0, 86_000.0, 4_800.0),
-            (66_000.0, 92_000.0, 3_400.0),
-        )
-    )
-    base = _world("two radars", hills, radars)
-    both = {"across": "flies between", "round": "goes round"}
-    one, two = (radar.centre_nea_m for radar in radars)
+    base = _world("two radars", _HILLS, radars)
+    between, past = "flies between", "goes round"
+
+    def overlapping(panel: str, overlap_km: float, papers_way: str) -> Setting:
+        case = planned_with(base, overlap_m=1000.0 * overlap_km)
+        words = f"d_overlap = {overlap_km:g} km"
+        return Setting(panel=panel, words=words, papers_way=papers_way, case=case)
+
     return Effect(
         name="figure-4",
         title="Fig. 4: 3D path for two values of d_overlap",
         paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”",
-        line_ne_m=((one[0], one[1]), (two[0], two[1])),
-        settings=(
-            _overlapping(base, "a", 2.0, both["round"]),
-            _overlapping(base, "b", 6.0, both["across"]),
-        ),
-        **both,
+        line_ne_m=(centres[0], centres[1]),
+        settings=(overlapping("a", 2.0, past), overlapping("b", 6.0, between)),
+        across=between,
+        round=past,
     )
 
 
@@ -234,35 +224,25 @@ def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
     return bool(np.any((at > 0.0) & (at < 1.0)))
 
 
-def _world(name: str, peaks: tuple[Peak, ...], radars: tuple[Radar, ...]) -> Case:
+def _world(
+    name: str, peaks: Sequence[tuple[float, float, float, float]], radars: tuple[Radar, ...]
+) -> Case:
     """A world with the vehicle, the band and the planner of environment-1."""
     base = planned_with(
         bundled_case("environment-1"),
         optimiser="improved-de",
         planning_time_s=_T_S,
         evaluations=_EVALUATIONS,
-        seed=1,
     )
-    terrain = PeakTerrain(peaks=peaks, ground_amsl_m=0.0)
+    made = tuple(
+        Peak(
+            north_m=north_m,
+            east_m=east_m,
+            height_amsl_m=height_m,
+            spread_north_m=spread_m,
+            spread_east_m=spread_m,
+        )
+        for north_m, east_m, height_m, spread_m in peaks
+    )
+    terrain = PeakTerrain(peaks=made, ground_amsl_m=0.0)
     return replace(base, world=name, terrain=terrain, task=replace(base.task, radars=radars))
-
-
-def _weighted(base: Case, panel: str, height: float, guide: float, papers_way: str) -> Setting:
-    weights = Weights(height=height, guide=guide)
-    settings = replace(base.task.settings, weights=weights)
-    return Setting(
-        panel=panel,
-        words=f"a2 = {height:g}, a3 = {guide:g}",
-        papers_way=papers_way,
-        case=replace(base, task=replace(base.task, settings=settings)),
-    )
-
-
-def _overlapping(base: Case, panel: str, overlap_km: float, papers_way: str) -> Setting:
-    settings = replace(base.task.settings, overlap_m=1000.0 * overlap_km)
-    return Setting(
-        panel=panel,
-        words=f"d_overlap = {overlap_km:g} km",
-        papers_way=papers_way,
-        case=replace(base, task=replace(base.task, settings=settings)),
-    )

@@ -1,19 +1,23 @@
-"""One mission as the paper flies it, without a vehicle, and what it cost."""
+"""Missions as the paper flies them, without a vehicle, and what they cost."""
 
-from collections.abc import Sequence
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from typing import final
-
-import numpy as np
+from functools import partial
+from typing import Any, final
 
 from companion.compare.violations import Violations, violations
 from companion.config import load_mission, load_world
-from companion.errors import InputError
+from companion.errors import CompanionError, InputError
 from companion.geodesy import FloatArray
 from companion.objective.scene import PAPER
-from companion.path.subpath import Subpath
 from companion.planner.offline import fly_offline
 from companion.planner.settings import Task
+from companion.runtime.signals import end_with_parent
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import PeakTerrain
@@ -44,7 +48,7 @@ class Run:
     """Sum of the subpaths' f: the "fitness from start to target" (part A, row 24)."""
     legs: int
     route_nea_m: FloatArray  # (S, 3)
-    """The path as flown, about every 100 m."""
+    """The path as flown, every 100 m."""
     scans_nea_m: tuple[tuple[float, float, float], ...]
     violations: Violations
 
@@ -55,42 +59,24 @@ class Run:
 
 
 def bundled_case(name: str) -> Case:
-    """A bundled environment, planned as published."""
+    """A bundled environment as published: L = V T + d_s (eq. 4), where a scan takes no time."""
     mission, world = load_mission(name, PAPER.name), load_world(name)
     if not isinstance(world.terrain, PeakTerrain):
         raise InputError("world", name, "its terrain is not made of peaks", "Give another.")
-    return Case(
+    case = Case(
         world=name,
         terrain=world.terrain,
-        task=as_published(mission.task),
+        task=mission.task,
         start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
         target_ne_m=mission.targets_ne_m[-1],
     )
+    return planned_with(case, scan_time_s=0.0, position_period_s=0.0, scan_distance_m=None)
 
 
-def as_published(task: Task) -> Task:
-    """A task in profile `paper`, with L = V T + d_s (eq. 4): there a scan takes no time."""
-    settings = replace(
-        task.settings,
-        profile=PAPER,
-        scan_time_s=0.0,
-        position_period_s=0.0,
-        scan_distance_m=None,
-    )
-    return replace(task, settings=settings)
-
-
-def planned_with(
-    case: Case, *, optimiser: str, planning_time_s: float, evaluations: int, seed: int
-) -> Case:
-    """The case with another search, T (seconds) and budget."""
-    settings = replace(
-        case.task.settings,
-        optimiser=optimiser,
-        planning_time_s=planning_time_s,
-        evaluations=evaluations,
-    )
-    return replace(case, task=replace(case.task, settings=settings), seed=seed)
+def planned_with(case: Case, *, seed: int = 1, **settings: Any) -> Case:
+    """The case with other settings of the planner."""
+    task = replace(case.task, settings=replace(case.task.settings, **settings))
+    return replace(case, task=task, seed=seed)
 
 
 def fly(case: Case) -> Run:
@@ -111,17 +97,36 @@ def fly(case: Case) -> Run:
         arrived=flight.failure is None and bool(flight.legs) and flight.legs[-1].reaches_target,
         cost=sum(plan.cost for plan in flight.plans),
         legs=len(flight.legs),
-        route_nea_m=_route(flown),
+        route_nea_m=flight.route_nea_m(_SPACING_M),
         scans_nea_m=flight.scans_nea_m,
         violations=violations(flown, case.task, case.terrain),
     )
 
 
-def _route(flown: Sequence[tuple[Subpath, float]]) -> FloatArray:
-    """Each subpath as far as it was flown, about every 100 m.  -> (S, 3)."""
-    pieces = [np.empty((0, 3))]
-    for subpath, flown_m in flown:
-        points = subpath.sampled(_SPACING_M).points_nea_m
-        at_m = np.linspace(0.0, subpath.length_m, len(points))
-        pieces += [points[at_m < flown_m], subpath.pose(flown_m).position_nea_m[None]]
-    return np.concatenate(pieces)
+def fly_all(
+    cases: Sequence[Case], jobs: int, shown: Callable[[Iterable[Any]], Iterable[Any]]
+) -> list[Run]:
+    """Fly all cases, in that many processes; the results in the order of the cases.
+
+    They do not depend on the number of processes, and these end with their parent.  shown: what is
+    iterated over goes through it, to show how far it is.
+    """
+    if jobs == 1:
+        return [fly(case) for case in shown(cases)]
+    spawn = multiprocessing.get_context("spawn")  # threads and fork do not mix
+    pool = ProcessPoolExecutor(min(jobs, len(cases)), mp_context=spawn, initializer=_begin_worker)
+    try:
+        futures = [pool.submit(fly, case) for case in cases]
+        for done in shown(as_completed(futures)):
+            done.result()
+        return [future.result() for future in futures]
+    except BrokenProcessPool as error:
+        raise CompanionError("a worker process ended early. Try fewer --jobs.") from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    """Ctrl-C goes to all processes of a terminal, and ends this one without a word."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    end_with_parent(partial(os._exit, 1))

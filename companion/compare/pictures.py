@@ -65,10 +65,8 @@ def compose_table(found: Sequence[table_1.Row], remarks: Sequence[str]) -> Figur
 
 
 def _draw_row(axes: Axes, row: table_1.Row) -> None:
-    first = row.outcomes[0]
-    papers = table_1.PAPERS[first.environment, first.planning_time_s]
     other = axes.twinx()
-    for at, (outcome, cell) in enumerate(zip(row.outcomes, papers, strict=True)):
+    for at, (outcome, papers) in enumerate(zip(row.outcomes, row.papers, strict=True)):
         label: dict[str, Any] = {} if at else {"label": "one run"}
         spread = np.linspace(-0.08, 0.08, len(outcome.costs))
         dots: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3, "alpha": 0.45, "color": _OURS}
@@ -80,10 +78,10 @@ def _draw_row(axes: Axes, row: table_1.Row) -> None:
         ends = np.nan_to_num([[below], [deviation]])
         axes.errorbar(at, mean, ends, color=_OURS, **bars, **label)
         label = {} if at else {"label": "the paper's (right scale)"}
-        other.errorbar(at + 0.2, cell.mean, cell.deviation, color=_PAPERS, **bars)
+        other.errorbar(at + 0.2, *papers, color=_PAPERS, **bars)
         axes.errorbar([], [], [], color=_PAPERS, **bars, **label)
     axes.set_xticks(range(len(row.outcomes)), [each.algorithm for each in row.outcomes])
-    axes.set_title(f"{first.environment}, T = {first.planning_time_s:g} s")
+    axes.set_title(f"{row.environment}, T = {row.planning_time_s:g} s")
     costs = [cost for outcome in row.outcomes for cost in outcome.costs]
     scale = "log" if max(costs, default=1.0) > _WIDELY * min(costs, default=1.0) else "linear"
     axes.set_yscale(scale)

@@ -1,9 +1,8 @@
 """Table 1: four algorithms, two environments, two planning times, twenty runs each (4.2)."""
 
 import itertools
-import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -32,24 +31,13 @@ _SURE = 0.05  # significance at which costs count as different,
 _LEAST = 0.005  # if their medians differ by this part
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
-    """One cell of the paper's table: mean and standard deviation of the cost."""
-
-    mean: float
-    deviation: float
-
-
-PAPERS: dict[tuple[str, float], tuple[Cell, ...]] = {  # in the order of ALGORITHMS
-    key: tuple(Cell(mean=mean, deviation=deviation) for mean, deviation in row)
-    for key, row in {
-        ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
-        ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
-        ("environment-2", 3.0): ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
-        ("environment-2", 5.0): ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
-    }.items()
+PAPERS = {
+    ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
+    ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
+    ("environment-2", 3.0): ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
+    ("environment-2", 5.0): ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
 }
+"""The paper's mean and standard deviation of the cost, in the order of `ALGORITHMS`."""
 
 
 @final
@@ -57,8 +45,6 @@ PAPERS: dict[tuple[str, float], tuple[Cell, ...]] = {  # in the order of ALGORIT
 class Outcome:
     """The runs of one algorithm in one row of the table."""
 
-    environment: str
-    planning_time_s: float
     algorithm: str
     runs: tuple[Run, ...]
 
@@ -82,10 +68,6 @@ class Outcome:
         """Standard deviation of the costs; not a number with fewer than two."""
         return statistics.stdev(self.costs) if len(self.costs) > 1 else float("nan")
 
-    def share(self, broken: Callable[[Run], bool]) -> float:
-        """Share of all runs of which something is true."""
-        return sum(map(broken, self.runs)) / len(self.runs)
-
     def mean_of(self, measure: Callable[[Run], float]) -> float:
         """Mean of a measure over the runs that arrived."""
         return _mean([measure(run) for run in self.arrived])
@@ -96,7 +78,19 @@ class Outcome:
 class Row:
     """The four algorithms on one environment with one budget."""
 
+    environment: str
+    planning_time_s: float
     outcomes: tuple[Outcome, ...]
+
+    @property
+    def place(self) -> str:
+        """How it is headed."""
+        return f"{self.environment}, {self.planning_time_s:g} s"
+
+    @property
+    def papers(self) -> tuple[tuple[float, float], ...]:
+        """The paper's mean and standard deviation of each outcome."""
+        return PAPERS[self.environment, self.planning_time_s]
 
     @property
     def order(self) -> str:
@@ -126,10 +120,8 @@ class Row:
         return confirmed, contradicted
 
     def _papers(self) -> list[str]:
-        first = self.outcomes[0]
-        cells = PAPERS[first.environment, first.planning_time_s]
-        ranked = sorted(zip(ALGORITHMS, cells, strict=True), key=lambda pair: pair[1].mean)
-        return [algorithm for algorithm, _ in ranked]
+        ranked = sorted(zip(self.papers, ALGORITHMS, strict=True))
+        return [algorithm for _, algorithm in ranked]
 
 
 def surely_less(one: Outcome, other: Outcome) -> bool:
@@ -171,15 +163,12 @@ def rows(flown: Sequence[Run]) -> list[Row]:
     left = iter(flown)
     return [
         Row(
+            environment=environment,
+            planning_time_s=planning_time_s,
             outcomes=tuple(
-                Outcome(
-                    environment=environment,
-                    planning_time_s=planning_time_s,
-                    algorithm=algorithm,
-                    runs=tuple(next(left) for _ in range(each)),
-                )
+                Outcome(algorithm=algorithm, runs=tuple(itertools.islice(left, each)))
                 for algorithm in ALGORITHMS
-            )
+            ),
         )
         for environment in ENVIRONMENTS
         for planning_time_s in PLANNING_TIMES_S
@@ -194,12 +183,12 @@ def table(found: Sequence[Row]) -> Table:
         left = heading == "algorithm"
         result.add_column(heading, justify="left" if left else "right", no_wrap=True)
     for row in found:
-        for outcome, cell in zip(row.outcomes, _papers_cells(row), strict=True):
+        for outcome, (mean, deviation) in zip(row.outcomes, row.papers, strict=True):
             result.add_row(
-                _place(outcome) if outcome is row.outcomes[0] else "",
+                row.place if outcome is row.outcomes[0] else "",
                 outcome.algorithm,
                 f"{outcome.mean_cost:.2f} ± {outcome.deviation:.2f}",
-                f"{cell.mean:.1f} ± {cell.deviation:.1f}",
+                f"{mean:.1f} ± {deviation:.1f}",
                 f"{len(outcome.costs)}/{len(outcome.runs)}",
                 f"{outcome.mean_of(lambda run: run.length_m) / 1000:.1f} km",
             )
@@ -215,74 +204,70 @@ def violations_table(found: Sequence[Row]) -> Table:
         result.add_column(heading, justify="left" if heading == "algorithm" else "right")
     for row in found:
         for outcome in row.outcomes:
-            found_here = violation_facts(outcome.runs)
+            broken = violation_facts(outcome.runs).values()
             result.add_row(
-                _place(outcome) if outcome is row.outcomes[0] else "",
+                row.place if outcome is row.outcomes[0] else "",
                 outcome.algorithm,
-                *(
-                    f"{kind['missions']:.0%}, {kind['mean_m']:,.0f} m"
-                    for kind in found_here.values()
-                ),
+                *(f"{kind['missions']:.0%}, {kind['mean_m']:,.0f} m" for kind in broken),
             )
         result.add_section()
     return result
 
 
-def budget_words(per_second: int) -> str:
-    """What stands for the paper's planning times."""
+def remarks(found: Sequence[Row], per_second: int = PER_SECOND) -> list[str]:
+    """What the table cannot say by itself: the budget, and whose order it is."""
     budgets = ", ".join(
         f"T = {planning_time_s:g} s is {round(planning_time_s * per_second):,} evaluations"
         for planning_time_s in PLANNING_TIMES_S
     )
     why = ", about what interpreted Matlab did in 2011" if per_second == PER_SECOND else ""
-    return (
-        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
-        "No result depends on the speed of this machine."
-    )
-
-
-def remarks(found: Sequence[Row], per_second: int = PER_SECOND) -> list[str]:
-    """What the table cannot say by itself: the budget, and whose order it is."""
     lines = [
-        budget_words(per_second),
+        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
+        "No result depends on the speed of this machine.",
         "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
     ]
     for row in found:
         confirmed, contradicted = row.agreement()
         against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
         lines.append(
-            f"{_place(row.outcomes[0])}: {row.order}. The paper: {row.papers_order}. "
+            f"{row.place}: {row.order}. The paper: {row.papers_order}. "
             f"{confirmed} of its 6 pairs are surely so here{against}."
         )
     return lines
 
 
 def facts(found: Sequence[Row], per_second: int = PER_SECOND) -> list[dict[str, object]]:
-    """Everything in the table, and more, for --json."""
+    """Everything in the table, and more, for --json; null for what is not a number."""
     return [
-        {
-            "environment": outcome.environment,
-            "planning_time_s": outcome.planning_time_s,
-            "evaluations": round(outcome.planning_time_s * per_second),
+        {name: value if value == value else None for name, value in each.items()}
+        for row in found
+        for each in _facts_of_row(row, per_second)
+    ]
+
+
+def _facts_of_row(row: Row, per_second: int) -> Iterator[dict[str, object]]:
+    best = row.outcomes[0]
+    for outcome, (mean, deviation) in zip(row.outcomes, row.papers, strict=True):
+        yield {
+            "environment": row.environment,
+            "planning_time_s": row.planning_time_s,
+            "evaluations": round(row.planning_time_s * per_second),
             "algorithm": outcome.algorithm,
             "optimiser": ALGORITHMS[outcome.algorithm],
             "runs": len(outcome.runs),
             "arrived": len(outcome.costs),
-            "mean_cost": _finite(outcome.mean_cost),
-            "st_dev_cost": _finite(outcome.deviation),
-            "paper_mean_cost": cell.mean,
-            "paper_st_dev_cost": cell.deviation,
-            "improved_de_is_surely_less": surely_less(row.outcomes[0], outcome),
-            "is_surely_less_than_improved_de": surely_less(outcome, row.outcomes[0]),
+            "mean_cost": outcome.mean_cost,
+            "st_dev_cost": outcome.deviation,
+            "paper_mean_cost": mean,
+            "paper_st_dev_cost": deviation,
+            "improved_de_is_surely_less": surely_less(best, outcome),
+            "is_surely_less_than_improved_de": surely_less(outcome, best),
             "costs": [run.cost if run.arrived else None for run in outcome.runs],
-            "length_m": _finite(outcome.mean_of(lambda run: run.length_m)),
-            "subpaths": _finite(outcome.mean_of(lambda run: run.legs)),
-            "violating_missions": outcome.share(lambda run: run.violations.any),
+            "length_m": outcome.mean_of(lambda run: run.length_m),
+            "subpaths": outcome.mean_of(lambda run: run.legs),
+            "violating_missions": _mean([run.violations.any for run in outcome.runs]),
             "violations": violation_facts(outcome.runs),
         }
-        for row in found
-        for outcome, cell in zip(row.outcomes, _papers_cells(row), strict=True)
-    ]
 
 
 def violation_facts(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
@@ -297,18 +282,5 @@ def violation_facts(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
     }
 
 
-def _place(outcome: Outcome) -> str:
-    return f"{outcome.environment}, {outcome.planning_time_s:g} s"
-
-
-def _papers_cells(row: Row) -> tuple[Cell, ...]:
-    return PAPERS[row.outcomes[0].environment, row.outcomes[0].planning_time_s]
-
-
 def _mean(values: Sequence[float]) -> float:
     return statistics.fmean(values) if values else float("nan")
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no word for what is not a number."""
-    return value if math.isfinite(value) else None

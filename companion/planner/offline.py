@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import final
 
+import numpy as np
+
+from companion.geodesy import FloatArray
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import (
@@ -44,6 +47,14 @@ class OfflineFlight:
     """Why it ended before the target; None: it did not."""
     holds: int
     """How often it had to stop at the end of a leg, for want of a successor."""
+
+    def route_nea_m(self, spacing_m: float) -> FloatArray:
+        """What was flown, points so far apart or less.  -> (S, 3)."""
+        pieces = [np.array([self.scans_nea_m[0]])]
+        for leg, flown_m in zip(self.legs, self.flown_m, strict=True):
+            count = max(math.ceil(flown_m / spacing_m), 1)
+            pieces.append(leg.subpath.points_nea_m(np.linspace(0.0, flown_m, count + 1)[1:]))
+        return np.concatenate(pieces)
 
 
 def fly_offline(

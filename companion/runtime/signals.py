@@ -1,8 +1,11 @@
-"""Handling of termination signals."""
+"""What ends a process: signals, and the end of its parent."""
 
 import contextlib
+import multiprocessing
+import multiprocessing.connection
 import signal
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 
@@ -24,3 +27,15 @@ def stop_signals() -> Iterator[list[int]]:
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
+
+
+def end_with_parent(end: Callable[[], None]) -> None:
+    """In a worker process: call this when its parent has ended, however it has."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        multiprocessing.connection.wait([parent.sentinel])
+        end()
+
+    threading.Thread(target=follow, daemon=True).start()
