@@ -1,18 +1,17 @@
 """Zones and radars from a GeoJSON file (RFC 7946: longitude before latitude, WGS84)."""
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn, final
+from typing import Annotated, Any, Literal, final
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 from companion.errors import InputError
 from companion.sources.files import RawTable, json_table, plain
-
-Corners = list[list[float]]
-"""Latitude, longitude of each corner."""
+from companion.sources.schema import validated
 
 _REMEDY = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
-_KINDS = ("keep_out", "keep_in", "radar")
 _WGS84 = ("CRS84", "4326")
 _MAX_FEATURES = 100_000
 
@@ -51,7 +50,7 @@ def threats_of(features: list[Any], name: str) -> Threats:
         raise InputError(f"{name}: features", len(features), rule, remedy)
     threats = Threats()
     for index, feature in enumerate(features):
-        _Feature.of(feature, f"{name}: features[{index}]", index).add_to(threats)
+        _add(threats, feature, f"{name}: features[{index}]", index)
     return threats
 
 
@@ -64,134 +63,95 @@ def _check_coordinates(found: RawTable, path: Path, where: str) -> None:
         raise InputError(where, str(path), rule, remedy)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Feature:
-    """One feature, and how it is called in errors."""
-
-    label: str
-    name: str
-    kind: str
-    properties: RawTable
-    geometry: RawTable
-
-    @classmethod
-    def of(cls, feature: Any, label: str, index: int) -> "_Feature":
-        if not isinstance(feature, dict) or feature.get("type") != "Feature":
-            raise InputError(label, _shown(feature), "it is no Feature", _REMEDY)
-        properties = feature.get("properties") or {}
-        geometry = feature.get("geometry")
-        if not isinstance(properties, dict) or not isinstance(geometry, dict):
-            raise InputError(label, _shown(feature), "it has no geometry or properties", _REMEDY)
-        name = plain(properties.get("name"), f"feature {index}")
-        label = f"{label} ({name})"
-        kind = properties.get("kind", "keep_out")
-        if kind not in _KINDS:
-            remedy = f"Choose from: {', '.join(_KINDS)}."
-            raise InputError(f"{label}.properties.kind", kind, "no such kind", remedy)
-        return cls(label=label, name=name, kind=kind, properties=properties, geometry=geometry)
-
-    def add_to(self, threats: Threats) -> None:
-        shape, coordinates = self.geometry.get("type"), self.geometry.get("coordinates")
-        if shape == "Point":
-            self._add_point(threats, coordinates)
-        elif self.kind == "radar":
-            self._refuse("geometry.type", shape, "a radar is a point", "Make it a Point.")
-        elif shape == "Polygon":
-            self._add_polygon(threats, coordinates, self.name)
-        elif shape == "MultiPolygon":
-            parts = self._list(coordinates, "geometry.coordinates")
-            if self.kind == "keep_in" and len(parts) > 1:
-                rule = "the vehicle cannot keep inside of several polygons at once"
-                self._refuse("geometry.type", shape, rule, "Keep one polygon of it.")
-            for number, part in enumerate(parts, start=1):
-                name = self.name if len(parts) == 1 else f"{self.name} part {number}"
-                self._add_polygon(threats, part, name)
-        else:
-            rule = "only Polygon, MultiPolygon and Point say what to keep from"
-            remedy = "Draw it as an area, or remove it."
-            self._refuse("geometry.type", shape, rule, remedy)
-
-    def _add_point(self, threats: Threats, coordinates: Any) -> None:
-        latitude, longitude = self._place(coordinates, "geometry.coordinates")
-        place = {"name": self.name, "latitude_deg": latitude, "longitude_deg": longitude}
-        if self.kind == "radar":
-            numbers = {key: self._number(key) for key in ("altitude_amsl_m", "range_m")}
-            threats.radars.append(place | numbers)
-            return
-        zone = place | {"radius_m": self._number("radius_m")}
-        (threats.keep_ins if self.kind == "keep_in" else threats.keep_outs).append(zone)
-
-    def _add_polygon(self, threats: Threats, rings: Any, name: str) -> None:
-        outlines = [
-            self._ring(ring, f"geometry.coordinates[{number}]")
-            for number, ring in enumerate(self._list(rings, "geometry.coordinates"))
-        ]
-        if not outlines:
-            self._refuse("geometry.coordinates", rings, "it has no corners", "Draw it anew.")
-        outer, holes = outlines[0], outlines[1:]
-        if self.kind == "keep_in":
-            threats.keep_ins.append({"name": name, "vertices_deg": outer})
-            for number, hole in enumerate(holes, start=1):
-                zone = {"name": f"{name} hole {number}", "vertices_deg": hole}
-                threats.keep_outs.append(zone)
-            return
-        threats.keep_outs.append({"name": name, "vertices_deg": outer})
-        if holes:
-            threats.notes.append(f"keep-out {name!r}: its holes are kept out of as well")
-
-    def _ring(self, ring: Any, where: str) -> Corners:
-        corners = [
-            list(self._place(place, f"{where}[{number}]"))
-            for number, place in enumerate(self._list(ring, where))
-        ]
-        if len(corners) > 1 and corners[0] == corners[-1]:
-            corners.pop()  # RFC 7946 says the first corner twice
-        if len(corners) < 3:
-            self._refuse(where, ring, "a ring has three or more corners", "Draw it anew.")
-        return corners
-
-    def _place(self, place: Any, where: str) -> tuple[float, float]:
-        """Latitude and longitude of a position."""
-        if not isinstance(place, list) or not 2 <= len(place) <= 4:
-            self._refuse(where, place, "a position is [longitude, latitude]", _REMEDY)
-        if not all(_is_finite(number) for number in place):
-            self._refuse(where, place, "a position is made of numbers", _REMEDY)
-        longitude, latitude = float(place[0]), float(place[1])
-        if not -180.0 <= longitude <= 180.0 or not -90.0 <= latitude <= 90.0:
-            rule = "out of range: longitude comes first, -180 to 180, then latitude, -90 to 90"
-            self._refuse(where, place, rule, "Swap them, or correct them.")
-        return latitude, longitude
-
-    def _number(self, key: str) -> float:
-        value: Any = self.properties.get(key)
-        if not _is_finite(value):
-            rule = "it must be a number" if key in self.properties else "it is missing"
-            remedy = f"Give the point a property {key}, in metres."
-            self._refuse(f"properties.{key}", value, rule, remedy)
-        return float(value)
-
-    def _list(self, value: Any, where: str) -> list[Any]:
-        if not isinstance(value, list):
-            self._refuse(where, value, "it must be a list", _REMEDY)
-        return list(value)
-
-    def _refuse(self, where: str, value: Any, rule: str, remedy: str) -> NoReturn:
-        raise InputError(f"{self.label}.{where}", _shown(value), rule, remedy)
+# --- what a feature may be
 
 
-def _is_finite(value: Any) -> bool:
-    """Whether it is a number of this world (an integer of a thousand digits is none)."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    try:
-        return math.isfinite(float(value))
-    except OverflowError:
-        return False
+def _latitude_first(place: list[float]) -> list[float]:
+    longitude, latitude = place[:2]
+    if not -180.0 <= longitude <= 180.0 or not -90.0 <= latitude <= 90.0:
+        rule = "out of range: longitude comes first, -180 to 180, then latitude, -90 to 90"
+        raise PydanticCustomError("place", rule)
+    return [latitude, longitude]
 
 
-def _shown(value: Any) -> Any:
-    """What to show of a value: containers by their kind, they may be long."""
-    if isinstance(value, dict):
-        return value.get("type", "an object")
-    return value if not isinstance(value, list) or len(value) <= 4 else f"{len(value)} items"
+def _corners(ring: list[list[float]]) -> list[list[float]]:
+    """RFC 7946 says the first corner twice."""
+    corners = ring[:-1] if len(ring) > 1 and ring[0] == ring[-1] else ring
+    if len(corners) < 3:
+        raise PydanticCustomError("ring", "a ring has three or more corners")
+    return corners
+
+
+class _Json(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=True, allow_inf_nan=False)
+
+
+_Place = Annotated[list[float], Field(min_length=2, max_length=4), AfterValidator(_latitude_first)]
+_Rings = Annotated[list[Annotated[list[_Place], AfterValidator(_corners)]], Field(min_length=1)]
+
+
+class _Point(_Json):
+    type: Literal["Point"]
+    coordinates: _Place
+
+
+class _Polygon(_Json):
+    type: Literal["Polygon"]
+    coordinates: _Rings
+
+
+class _MultiPolygon(_Json):
+    type: Literal["MultiPolygon"]
+    coordinates: list[_Rings]
+
+
+class _Properties(_Json):
+    name: Any = None
+    kind: Literal["keep_out", "keep_in", "radar"] = "keep_out"
+    radius_m: float | None = None
+    altitude_amsl_m: float | None = None
+    range_m: float | None = None
+
+
+class _Feature(_Json):
+    type: Literal["Feature"]
+    properties: _Properties | None = None
+    geometry: Annotated[_Point | _Polygon | _MultiPolygon, Field(discriminator="type")]
+
+
+def _add(threats: Threats, raw: Any, label: str, index: int) -> None:
+    """Add the zones or the radar of a feature; label: how it is called in errors."""
+    given = raw.get("properties") if isinstance(raw, dict) else None
+    name = plain(given.get("name") if isinstance(given, dict) else None, f"feature {index}")
+    label = f"{label} ({name})"
+    feature = validated(_Feature, raw, label)
+    properties, geometry = feature.properties or _Properties(), feature.geometry
+    kind = properties.kind
+    zones = threats.keep_ins if kind == "keep_in" else threats.keep_outs
+    if isinstance(geometry, _Point):
+        latitude, longitude = geometry.coordinates
+        place: RawTable = {"name": name, "latitude_deg": latitude, "longitude_deg": longitude}
+        for key in ("altitude_amsl_m", "range_m") if kind == "radar" else ("radius_m",):
+            if (value := getattr(properties, key)) is None:
+                remedy = f"Give the point a property {key}, in metres."
+                raise InputError(f"{label}.properties.{key}", None, "it is missing", remedy)
+            place[key] = value
+        (threats.radars if kind == "radar" else zones).append(place)
+        return
+    if kind == "radar":
+        rule = "a radar is a point"
+        raise InputError(f"{label}.geometry.type", geometry.type, rule, "Make it a Point.")
+    parts = [geometry.coordinates] if isinstance(geometry, _Polygon) else geometry.coordinates
+    if kind == "keep_in" and len(parts) > 1:
+        rule = "the vehicle cannot keep inside of several polygons at once"
+        raise InputError(f"{label}.geometry.type", geometry.type, rule, "Keep one polygon of it.")
+    for number, (outer, *holes) in enumerate(parts, start=1):
+        part = name if len(parts) == 1 else f"{name} part {number}"
+        zones.append({"name": part, "vertices_deg": outer})
+        if kind == "keep_in":
+            threats.keep_outs += [
+                {"name": f"{part} hole {hole}", "vertices_deg": ring}
+                for hole, ring in enumerate(holes, start=1)
+            ]
+        elif holes:
+            threats.notes.append(f"keep-out {part!r}: its holes are kept out of as well")

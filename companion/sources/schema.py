@@ -157,8 +157,10 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
         key = first["loc"][-1]
         raise InputError(field, None, "it is missing", f"Add {key}; see docs/files.md.")
     message = first["msg"].replace("Input should be", "it must be")
-    unit = _unit_of(str(first["loc"][-1]))
-    raise InputError(field, first["input"], message, f"Give a valid value{unit}.")
+    if first["type"] == "union_tag_invalid":
+        message = f"its type must be one of {first['ctx']['expected_tags']}"
+    remedy = f"Give a valid value{_unit_of(field)}."
+    raise InputError(field, _shown(first["input"]), message, remedy)
 
 
 def _unknown_key(model: type[BaseModel], detail: ErrorDetails, field: str) -> InputError:
@@ -187,6 +189,12 @@ def _table_in(annotation: Any) -> Any:
     if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
         return annotation
     return next(found for part in typing.get_args(annotation) if (found := _table_in(part)))
+
+
+def _shown(value: Any) -> Any:
+    """What to show of a value: containers may be long."""
+    long = isinstance(value, dict | list) and len(value) > 4
+    return f"{len(value)} items" if long else value
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:
