@@ -13,13 +13,12 @@ from companion.geodesy import FloatArray
 from companion.live_view.ground import Replica
 from companion.live_view.recording import (
     BATTERY,
-    Decided,
     Event,
     Recording,
-    subpath_of,
 )
 from companion.mission.journal import PlanReady
 from companion.mission.state import Phase
+from companion.telemetry.export.flight import Decided
 from companion.views.words import metres
 
 _CHART_POINTS: Final = 600
@@ -234,7 +233,7 @@ def _aside_m(recording: Recording, rows: Any) -> FloatArray:
 
 def _from_curve_m(plan: PlanReady, places_nea_m: FloatArray) -> FloatArray:
     """Distance of points to a curve.  (N, 3) -> (N,)."""
-    subpath = subpath_of(plan)
+    subpath = plan.subpath
     points = subpath.points_nea_m(np.linspace(0.0, subpath.length_m, _CURVE_POINTS))
     nearest = scipy.spatial.KDTree(points).query(places_nea_m)[1]
     least = np.full(len(places_nea_m), np.inf)

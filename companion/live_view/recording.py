@@ -7,7 +7,7 @@ import json
 from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Final, Self, final
@@ -21,11 +21,10 @@ from companion.mavlink.frames import decoded, number_of, sender_of
 from companion.mission import journal as noted
 from companion.mission.journal import Entry
 from companion.mission.mission import Mission
-from companion.path.subpath import Subpath
 from companion.replay.exporting import mission_of
-from companion.sources.files import answer
+from companion.sources.files import answer, file_of_run
 from companion.telemetry.export import shapes
-from companion.telemetry.export.flight import FlightBuilder, with_rising_times
+from companion.telemetry.export.flight import Decided, FlightBuilder, decided
 from companion.telemetry.export.track import Track, TrackBuilder
 from companion.telemetry.journal import Journal
 from companion.telemetry.logs import open_log
@@ -53,30 +52,6 @@ class Event:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Decided:
-    """What the journal has said up to some moment."""
-
-    phase: str = "waiting"
-    reason: str = ""
-    leg: noted.PlanReady | None = None
-    """The subpath that is flown,"""
-    leg_before: noted.PlanReady | None = None
-    """and the one before it."""
-    leg_number: int = 0
-    asked: noted.PlanAsked | None = None
-    """The newest question to the planner,"""
-    ready: noted.PlanReady | None = None
-    """and its newest answer."""
-    targets_ne_m: tuple[tuple[float, float], ...] = ()
-    vehicle_zones: tuple[Zone, ...] = ()
-    keep_outs: tuple[Zone, ...] = ()
-    """Ordered in flight."""
-    round_trip_s: float | None = None
-    warning: str = ""
-
-
-@final
 class Recording:
     """One flight.  Times are seconds since its first position; they go on across reboots."""
 
@@ -92,9 +67,7 @@ class Recording:
         }
         if path.is_dir():
             self.mission = mission_of(path)
-            if not answer((path / "flight.tlog").is_file):
-                rule, remedy = "it holds no flight.tlog", "Give the run folder of a flight."
-                raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
+            file_of_run(path, "flight.tlog", "RUN_DIR|LOG")
             self._journal = Journal(path / "journal.jsonl")
             self._builder = FlightBuilder(self.mission)
             self._positions: TrackBuilder | None = None
@@ -198,15 +171,14 @@ class Recording:
 
     def _settle_decisions(self) -> None:
         assert self.mission is not None
-        known = Decided(targets_ne_m=self.mission.targets_ne_m)
-        times, states = [0.0], [known]
+        times, states = [0.0], [Decided(targets_ne_m=self.mission.targets_ne_m)]
         events, plans = list[Event](), list[tuple[float, noted.PlanReady]]()
         asked = list[int]()
-        for boot, t_s, entry in with_rising_times(self._builder.timed):
+        for boot, t_s, entry, after in decided(self.mission, self._builder.timed):
             time_s = self.time_of(boot, t_s)
-            if (after := _after(known, entry)) is not known:
+            if after is not states[-1]:
                 times.append(time_s)
-                states.append(known := after)
+                states.append(after)
             if isinstance(entry, noted.PlanReady):
                 plans.append((time_s, entry))
             if isinstance(entry, noted.PlanAsked):
@@ -234,9 +206,7 @@ class Recording:
 
     def zones_at(self, time_s: float) -> tuple[Zone, ...]:
         """The mission's, and the vehicle's own."""
-        own = () if self.mission is None else self.mission.task.zones
-        decided = self.decided_at(time_s)
-        return (*own, *decided.vehicle_zones, *decided.keep_outs)
+        return () if self.mission is None else self.decided_at(time_s).zones_of(self.mission)
 
     def rate_hz(self, time_s: float) -> float:
         """How often positions came, lately."""
@@ -265,38 +235,6 @@ class Recording:
             noted_s = json.loads((self.path / "run.json").read_bytes()).get("planning_s")
             return [float(each) for each in noted_s or ()]
         return []
-
-
-def subpath_of(plan: noted.PlanReady) -> Subpath:
-    """The curve of a plan."""
-    return Subpath(control_nea_m=np.array(plan.control_nea_m, dtype=np.float64))
-
-
-def _after(known: Decided, entry: Entry) -> Decided:
-    """What is decided once an entry has been noted."""
-    match entry:
-        case noted.Phase():
-            return replace(known, phase=entry.phase, reason=entry.reason or "")
-        case noted.LegBegun():
-            return replace(known, leg=known.ready, leg_before=known.leg, leg_number=entry.number)
-        case noted.PlanAsked():
-            return replace(known, asked=entry)
-        case noted.PlanReady():
-            return replace(known, ready=entry)
-        case noted.Fence():
-            return replace(known, vehicle_zones=entry.zones)
-        case noted.Targets():
-            return replace(known, targets_ne_m=entry.targets_ne_m)
-        case noted.OrderGiven() if (zone := entry.keep_out) is not None:
-            return replace(known, keep_outs=(*known.keep_outs, zone))
-        case noted.OrderGiven(target_ne_m=(north_m, east_m)):
-            return replace(known, targets_ne_m=((north_m, east_m),))
-        case noted.LinkDelay():
-            return replace(known, round_trip_s=entry.round_trip_s)
-        case noted.Said(warning=True) | noted.VehicleSays():
-            return replace(known, warning=entry.text)
-        case _:
-            return known
 
 
 def _kind(entry: Entry) -> str:

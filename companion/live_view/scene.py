@@ -11,10 +11,12 @@ import viser
 from companion.geodesy import FloatArray
 from companion.live_view import shapes
 from companion.live_view.ground import Ground
-from companion.live_view.recording import SECTORS, Decided, Recording, subpath_of
+from companion.live_view.recording import SECTORS, Recording
 from companion.live_view.shapes import Area, Mesh, Scale
 from companion.mission.journal import PlanReady
 from companion.path.subpath import Subpath
+from companion.telemetry.export.flight import Decided
+from companion.telemetry.export.shapes import circle_ne_m, outline_ne_m
 from companion.views.words import metres
 from companion.world.threats import Zone
 
@@ -158,7 +160,7 @@ class Scene:
             name = f"/threats/zone_{number}"
             colour = _OTHERS if zone.keep_in else KEEP_OUT
             self._mesh(name, shapes.zone_mesh(zone, self.scale, band), colour, opacity=0.25)
-            outline = shapes.outline_ne_m(zone)
+            outline = outline_ne_m(zone)
             top = self.scale.scene(np.array([*outline.mean(axis=0), band[1]]))
             what = "keep-in" if zone.keep_in else "keep-out"
             self._label(f"{name}/label", f"{what} {zone.name}".strip(), top, "bottom-center")
@@ -228,7 +230,7 @@ class Scene:
         return self.scale.scene(subpath.points_nea_m(lengths_m))
 
     def _curve(self, name: str, plan: PlanReady, width: float) -> None:
-        self._lines(name, shapes.segments(self._points(subpath_of(plan))), PATH, width)
+        self._lines(name, shapes.segments(self._points(plan.subpath)), PATH, width)
 
     # --- what was seen
 
@@ -246,7 +248,7 @@ class Scene:
             self._remove("/scan/reach")
         elif not self._same("reach", asked.scan_nea_m):
             north, east, altitude = asked.scan_nea_m
-            ring = shapes.circle_ne_m((north, east), mission.task.settings.scan_range_m)
+            ring = circle_ne_m((north, east), mission.task.settings.scan_range_m)
             points = self.scale.scene(np.insert(ring, 2, altitude, axis=1))
             self._lines("/scan/reach", shapes.segments(points), _SCAN, 2.0)
 

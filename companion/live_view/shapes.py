@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from companion.geodesy import FloatArray
 from companion.live_view.ground import GUESSED, PROVEN, Ground
 from companion.live_view.recording import Recording
-from companion.world.threats import CircleZone, Radar, Zone
+from companion.telemetry.export.shapes import ball_nea_m, walls_nea_m
+from companion.world.threats import Radar, Zone
 
 WIDTH: Final = 100.0  # of the scene
 _HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: mountains are seen
@@ -296,32 +297,12 @@ def painted_glb(mesh: Mesh) -> bytes:
 
 def radar_mesh(radar: Radar, scale: Scale, band_m: tuple[float, float]) -> Mesh:
     """The sphere of a radar between two altitudes, closed above."""
-    north, east, altitude = radar.centre_nea_m
-    sines = np.clip([(end - altitude) / radar.range_m for end in band_m], -1.0, 1.0)
-    lift = np.arcsin(np.linspace(sines[0], sines[1], 14))[:, None]
-    turn = np.linspace(0.0, math.tau, _CIRCLE_POINTS + 1)
-    ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0.0 * turn]
-    return _grid_mesh(scale.scene(np.stack(ball, -1) * radar.range_m + [north, east, altitude]))
+    return _grid_mesh(scale.scene(ball_nea_m(radar, band_m, _CIRCLE_POINTS)))
 
 
 def zone_mesh(zone: Zone, scale: Scale, band_m: tuple[float, float]) -> Mesh:
     """The walls of a zone."""
-    outline = outline_ne_m(zone)
-    walls = np.stack([np.insert(outline, 2, altitude, axis=1) for altitude in band_m])
-    return _grid_mesh(scale.scene(walls))
-
-
-def outline_ne_m(zone: Zone) -> FloatArray:
-    """The closed outline of a zone.  -> (N, 2)."""
-    if isinstance(zone, CircleZone):
-        return circle_ne_m((zone.north_m, zone.east_m), zone.radius_m)
-    return np.array([*zone.vertices_ne_m, zone.vertices_ne_m[0]], dtype=np.float64)
-
-
-def circle_ne_m(centre_ne_m: tuple[float, float], radius_m: float) -> FloatArray:
-    """A closed circle.  -> (N, 2)."""
-    turn = np.linspace(0.0, math.tau, _CIRCLE_POINTS + 1)
-    return radius_m * np.stack([np.cos(turn), np.sin(turn)], -1) + np.asarray(centre_ne_m)
+    return _grid_mesh(scale.scene(walls_nea_m(zone, band_m)))
 
 
 def _grid_mesh(points: FloatArray) -> Mesh:

@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from companion.path.certificate import Certificate
+from companion.path.subpath import Subpath
 from companion.planner.request import Rest
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
@@ -206,6 +207,11 @@ class PlanReady(Entry, frozen=True, tag="plan ready"):
     """Control points of a clamped cubic B-spline with evenly spaced inner knots."""
     certificate: Certificate
     """Its certificate."""
+
+    @property
+    def subpath(self) -> Subpath:
+        """The curve."""
+        return Subpath(control_nea_m=np.array(self.control_nea_m, dtype=np.float64))
 
 
 @final

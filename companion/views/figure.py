@@ -20,8 +20,9 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from companion.geodesy import BoolArray, FloatArray
+from companion.telemetry.export import shapes
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleZone, Radar, Zone
+from companion.world.threats import Radar, Zone
 
 SIZE_IN = (14.0, 10.0)
 DPI = 150
@@ -228,7 +229,9 @@ def draw_plan(axes: Axes, figure: FlightFigure) -> None:
         _draw_radar(axes, radar, figure)
     for keep_out in figure.zones:
         style = {"fc": to_rgba(_KEEP_OUT, 0.3), "ec": _KEEP_OUT, "hatch": "xx", "lw": 1.5}
-        axes.add_patch(Polygon(_outline_en_m(keep_out) / unit_m, label="keep-out", **style))
+        axes.add_patch(
+            Polygon(shapes.outline_ne_m(keep_out)[:, ::-1] / unit_m, label="keep-out", **style)
+        )
     for points_nea_m, style in _lines(figure) + _marks(figure):
         axes.plot(points_nea_m[:, 1] / unit_m, points_nea_m[:, 0] / unit_m, **style)
     axes.set(xlim=east[[0, -1]], ylim=north[[0, -1]], aspect="equal", title="Plan")
@@ -304,8 +307,10 @@ def draw_oblique(axes: Any, figure: FlightFigure, azimuth_deg: int | None = None
     stretch = _HEIGHT * spans[:2].max() / spans[2]
     quads, colours = _terrain_facets(terrain, least, most, stretch)
     edges = colours
-    for grid, colour in _threat_grids(figure):
-        threat = _quads(np.clip(grid, least, most))
+    threats = [(shapes.ball_nea_m(radar, (low, high), 30), _RADAR) for radar in figure.radars]
+    threats += [(shapes.walls_nea_m(zone, (low, high)), _KEEP_OUT) for zone in figure.zones]
+    for grid, colour in threats:
+        threat = _quads(np.clip(grid[..., [1, 0, 2]], least, most))
         quads = np.concatenate([quads, threat])
         colours = np.concatenate([colours, np.tile(to_rgba(colour, 0.22), (len(threat), 1))])
         edges = np.concatenate([edges, np.tile(to_rgba(colour, 0.0), (len(threat), 1))])
@@ -362,34 +367,6 @@ def _terrain_facets(
     colours[:, :3] *= light[:, None]
     colours[~_quads(known[..., None]).all(axis=(1, 2))] = to_rgba(_UNKNOWN)
     return quads, colours.clip(max=1.0)
-
-
-def _threat_grids(figure: FlightFigure) -> list[tuple[FloatArray, str]]:
-    """Spheres of radars and walls of keep-outs: (M, N, 3) east, north, up, and their colours."""
-    low, high = figure.altitudes_m
-    turn = np.linspace(0.0, 2.0 * np.pi, 31)
-    grids = []
-    for radar in figure.radars:
-        north, east, altitude = radar.centre_nea_m
-        sines = np.clip([(end - altitude) / radar.range_m for end in (low, high)], -1.0, 1.0)
-        lift = np.arcsin(np.linspace(sines[0], sines[1], 12))[:, None]
-        ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0 * turn]
-        grids.append((np.stack(ball, axis=-1) * radar.range_m + [east, north, altitude], _RADAR))
-    for keep_out in figure.zones:
-        outline = _outline_en_m(keep_out)
-        wall = [np.insert(outline, 2, altitude, axis=1) for altitude in (low, high)]
-        grids.append((np.array(wall), _KEEP_OUT))
-    return grids
-
-
-def _outline_en_m(keep_out: Zone) -> FloatArray:
-    """The closed outline of a keep-out.  -> (N, 2) east, north."""
-    if isinstance(keep_out, CircleZone):
-        turn = np.linspace(0.0, 2.0 * np.pi, 61)
-        ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-        return keep_out.radius_m * ring + [keep_out.east_m, keep_out.north_m]
-    closed = (*keep_out.vertices_ne_m, keep_out.vertices_ne_m[0])
-    return np.array(closed)[:, ::-1]
 
 
 def _quads(grid: FloatArray | BoolArray) -> Any:

@@ -30,7 +30,6 @@ _REMEDIES = {reason.text: reason.remedy for reason in Reason}
 _STEP_S = 1.0  # between the points of a route: finer, and the noise of a hover adds up
 _MOST_CELLS = 16  # about a position, in which terrain is looked for
 _AT_ONCE = 4000  # positions
-_LINE_POINTS = 2000  # of a subpath
 
 
 @final
@@ -256,12 +255,7 @@ class FlightFacts:
     @cached_property
     def legs_nea_m(self) -> tuple[FloatArray, ...]:
         """The subpaths that were begun, each as far as its successor.  -> (S, 3) each."""
-        begun = [each.subpath for each in self.flight.planned if each.leg is not None]
-        lines = [b.points_nea_m(np.linspace(0.0, b.length_m, _LINE_POINTS + 1)) for b in begun]
-        for at, successor in enumerate(lines[1:]):
-            nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
-            lines[at] = lines[at][: nearest + 1]
-        return tuple(lines)
+        return tuple(self.flight.legs_nea_m())
 
     @property
     def planning_s(self) -> tuple[float, float] | None:

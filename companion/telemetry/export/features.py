@@ -44,7 +44,7 @@ def features_of(flight: RecordedFlight) -> Iterator[Feature]:
     yield from _track(flight)
     frame, task = flight.mission.frame, flight.mission.task
     for each in flight.planned:
-        line = shapes.of_subpath(each.subpath, frame)
+        line = shapes.of_subpath(each.plan.subpath, frame)
         name = f"plan {each.plan.plan_id}"
         yield Feature(kind="subpath", name=name, points=line, facts=_plan_facts(each))
     for kind, places in {"target": flight.targets_ne_m, "rally": flight.mission.rally_ne_m}.items():

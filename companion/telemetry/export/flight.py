@@ -5,7 +5,7 @@ then: each entry gets its place by its time.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import final
@@ -17,11 +17,10 @@ from companion.mission import journal as noted
 from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
 from companion.mission.state import Phase as MissionPhase
-from companion.path.subpath import Subpath
-from companion.telemetry.export.track import IntArray, Track
+from companion.telemetry.export.track import Track
 from companion.world.threats import Zone
 
-_BEFORE = "waiting"
+_LEG_POINTS = 2001
 _LATER_S = 60.0  # an autopilot that was restarted while no companion ran has a clock that fell
 
 
@@ -51,10 +50,69 @@ class PlannedSubpath:
     """Its number; None: it was never begun."""
     begun_s: float | None = None
 
-    @property
-    def subpath(self) -> Subpath:
-        """The curve."""
-        return Subpath(control_nea_m=np.array(self.plan.control_nea_m, dtype=np.float64))
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decided:
+    """What the journal has said up to some moment."""
+
+    phase: str = "waiting"
+    reason: str = ""
+    leg: PlanReady | None = None
+    """The subpath that is flown,"""
+    leg_before: PlanReady | None = None
+    """and the one before it."""
+    leg_number: int = 0
+    asked: noted.PlanAsked | None = None
+    """The newest question to the planner,"""
+    ready: PlanReady | None = None
+    """and its newest answer."""
+    targets_ne_m: tuple[tuple[float, float], ...] = ()
+    vehicle_zones: tuple[Zone, ...] = ()
+    keep_outs: tuple[Zone, ...] = ()
+    """Ordered in flight."""
+    round_trip_s: float | None = None
+    warning: str = ""
+
+    def after(self, entry: Entry) -> "Decided":
+        """What is decided once an entry has been noted."""
+        match entry:
+            case noted.Phase():
+                return replace(self, phase=entry.phase, reason=entry.reason or "")
+            case noted.LegBegun():
+                return replace(self, leg=self.ready, leg_before=self.leg, leg_number=entry.number)
+            case noted.PlanAsked():
+                return replace(self, asked=entry)
+            case PlanReady():
+                return replace(self, ready=entry)
+            case noted.Fence():
+                return replace(self, vehicle_zones=entry.zones)
+            case noted.Targets():
+                return replace(self, targets_ne_m=entry.targets_ne_m)
+            case noted.OrderGiven() if (zone := entry.keep_out) is not None:
+                return replace(self, keep_outs=(*self.keep_outs, zone))
+            case noted.OrderGiven(target_ne_m=(north_m, east_m)):
+                return replace(self, targets_ne_m=((north_m, east_m),))
+            case noted.LinkDelay():
+                return replace(self, round_trip_s=entry.round_trip_s)
+            case noted.Said(warning=True) | noted.VehicleSays():
+                return replace(self, warning=entry.text)
+            case _:
+                return self
+
+    def zones_of(self, mission: Mission) -> tuple[Zone, ...]:
+        """The mission's, the vehicle's own, and those ordered in flight."""
+        return (*mission.task.zones, *self.vehicle_zones, *self.keep_outs)
+
+
+def decided(
+    mission: Mission, timed: list[tuple[int, float, Entry]]
+) -> Iterator[tuple[int, float, Entry, Decided]]:
+    """Each entry with its boot and vehicle time, and what is decided from then on."""
+    known = Decided(targets_ne_m=mission.targets_ne_m)
+    for boot, t_s, entry in _with_rising_times(timed):
+        known = known.after(entry)
+        yield boot, t_s, entry, known
 
 
 @final
@@ -64,35 +122,48 @@ class RecordedFlight:
 
     mission: Mission
     track: Track
-    targets_ne_m: tuple[tuple[float, float], ...]
-    """The newest: the mission's, the vehicle's own, or where it was sent."""
-    zones: tuple[Zone, ...]
-    """The mission's and the vehicle's own."""
     system_id: int | None = None
     planned: list[PlannedSubpath] = field(default_factory=list)
     moments: list[Moment] = field(default_factory=list)
-    phases: list[tuple[int, float, str]] = field(default_factory=list)
-    """Boot, vehicle time and name of each phase."""
-    legs: list[tuple[int, float, int]] = field(default_factory=list)
-    """Boot, vehicle time and number of each leg."""
+    states: list[tuple[int, float, Decided]]
+    """Boot and vehicle time from which on something was decided, and what; there is one."""
     entries: list[tuple[int, float, Entry]] = field(default_factory=list)
     """Boot, vehicle time and content of each line of the journal."""
 
+    @property
+    def targets_ne_m(self) -> tuple[tuple[float, float], ...]:
+        """The newest: the mission's, the vehicle's own, or where it was sent."""
+        return self.states[-1][2].targets_ne_m
+
+    @property
+    def zones(self) -> tuple[Zone, ...]:
+        """The mission's, the vehicle's own, and those ordered in flight."""
+        return self.states[-1][2].zones_of(self.mission)
+
+    def decided_at_positions(self) -> list[Decided]:
+        """What was decided at each position of the track."""
+        begins = _keys((boot, t_s) for boot, t_s, _ in self.states)
+        places = _keys(zip(self.track.boot, self.track.t_s, strict=True))
+        return [self.states[at - 1][2] for at in np.searchsorted(begins, places, "right")]
+
     def phase_of_positions(self) -> list[str]:
         """The phase at each position of the track."""
-        names = [_BEFORE, *(phase for _, _, phase in self.phases)]
-        return [names[at] for at in self._latest([each[:2] for each in self.phases])]
-
-    def leg_of_positions(self) -> list[int]:
-        """The leg at each position of the track; 0: none yet."""
-        numbers = [0, *(number for _, _, number in self.legs)]
-        return [numbers[at] for at in self._latest([each[:2] for each in self.legs])]
+        return [each.phase for each in self.decided_at_positions()]
 
     def segments(self) -> list[tuple[str, slice]]:
         """Phases, and the positions in each."""
         names = self.phase_of_positions()
         starts = [at for at, name in enumerate(names) if at == 0 or names[at - 1] != name]
         return [(names[a], slice(a, b)) for a, b in pairwise([*starts, len(names)])]
+
+    def legs_nea_m(self) -> list[FloatArray]:
+        """The subpaths that were begun, each up to where the next one begins.  -> (S, 3) each."""
+        begun = [each.plan.subpath for each in self.planned if each.leg is not None]
+        lines = [b.points_nea_m(np.linspace(0.0, b.length_m, _LEG_POINTS)) for b in begun]
+        for at, successor in enumerate(lines[1:]):
+            nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
+            lines[at] = lines[at][: nearest + 1]
+        return lines
 
     def index_at(self, boot: int, t_s: float) -> int | None:
         """The position of the track that is nearest in vehicle time; None without any."""
@@ -102,12 +173,6 @@ class RecordedFlight:
         if not len(of_boot):
             return 0 if boot < self.track.boot[0] else len(self.track) - 1
         return int(of_boot[np.argmin(np.abs(self.track.t_s[of_boot] - t_s))])
-
-    def _latest(self, keys: list[tuple[int, float]]) -> IntArray:
-        """How many of some moments, boot and vehicle time, each position has behind it."""
-        return np.searchsorted(
-            _keys(keys), _keys(zip(self.track.boot, self.track.t_s, strict=True)), "right"
-        )
 
 
 def _keys(moments: Iterable[tuple[int, float]]) -> FloatArray:
@@ -123,9 +188,6 @@ class FlightBuilder:
         self.system_id: int | None = None
         """Of the vehicle that was found."""
         self._mission = mission
-        self._targets = mission.targets_ne_m
-        self._own_zones: tuple[Zone, ...] = ()
-        self._keep_outs: tuple[Zone, ...] = ()
         self.timed: list[tuple[int, float, Entry]] = []
         """Each entry with its vehicle time, and how often the autopilot had rebooted."""
         self._boot, self._last_s = 0, -math.inf
@@ -139,19 +201,8 @@ class FlightBuilder:
         fell = self._restarted and line.t_s < self._last_s - _LATER_S
         self._boot += fell or isinstance(line, noted.VehicleRebooted)
         self._restarted, self._last_s = False, line.t_s
-        match line:
-            case noted.VehicleFound():
-                self.system_id = line.system_id
-            case noted.Targets():
-                self._targets = line.targets_ne_m
-            case noted.OrderGiven() if (zone := line.keep_out) is not None:
-                self._keep_outs = (*self._keep_outs, zone)
-            case noted.OrderGiven(target_ne_m=(north_m, east_m)):
-                self._targets = ((north_m, east_m),)
-            case noted.Fence():
-                self._own_zones = line.zones
-            case _:
-                pass
+        if isinstance(line, noted.VehicleFound):
+            self.system_id = line.system_id
         self.timed.append((self._boot, line.t_s, line))
 
     def flight(self, track: Track) -> RecordedFlight:
@@ -159,20 +210,30 @@ class FlightBuilder:
         flight = RecordedFlight(
             mission=self._mission,
             track=track,
-            targets_ne_m=self._targets,
-            zones=(*self._mission.task.zones, *self._own_zones, *self._keep_outs),
             system_id=self.system_id,
-            entries=with_rising_times(self.timed),
+            states=[(0, -math.inf, Decided(targets_ne_m=self._mission.targets_ne_m))],
         )
-        for boot, t_s, entry in flight.entries:
+        for boot, t_s, entry, after in decided(self._mission, self.timed):
+            flight.entries.append((boot, t_s, entry))
+            if after is not flight.states[-1][2]:
+                flight.states.append((boot, t_s, after))
             _add(flight, boot, t_s, entry)
         return flight
 
 
 _HELD = {MissionPhase.HOLDING.value: "hold", MissionPhase.FAULTED.value: "fault"}
+_MOMENTS: dict[type[Entry], tuple[str, str]] = {
+    noted.LinkLost: ("link lost", "nothing was heard for {0.silent_s:g} s"),
+    noted.VehicleRebooted: ("reboot", "the autopilot has rebooted"),
+    noted.PartDied: ("part died", "{0.error}"),
+    noted.StopAsked: ("stop asked", "a person asked for the end"),
+    noted.Resumed: ("resumed", "the companion was started again"),
+    noted.End: ("end", "{0.outcome}: {0.reason}"),
+}
+"""What else is worth a point on the map, and why it happened, or how."""
 
 
-def with_rising_times(timed: list[tuple[int, float, Entry]]) -> list[tuple[int, float, Entry]]:
+def _with_rising_times(timed: list[tuple[int, float, Entry]]) -> list[tuple[int, float, Entry]]:
     """The same with times that never fall within a boot: the first ones may be another clock's."""
     least: dict[int, float] = {}
     for place in range(len(timed) - 1, -1, -1):
@@ -186,21 +247,19 @@ def _add(flight: RecordedFlight, boot: int, t_s: float, entry: Entry) -> None:
     match entry:
         case noted.Phase():
             _end_hold(flight, boot, t_s)
-            flight.phases.append((boot, t_s, entry.phase))
             if (what := _HELD.get(entry.phase)) is not None:
                 why, code = entry.reason or "", entry.code
                 moment = Moment(what=what, why=why, code=code, t_s=t_s, boot=boot)
                 flight.moments.append(moment)
         case noted.LegBegun():
-            flight.legs.append((boot, t_s, entry.number))
             if flight.planned and flight.planned[-1].leg is None:
                 begun = replace(flight.planned[-1], leg=entry.number, begun_s=t_s)
                 flight.planned[-1] = begun
         case PlanReady():
             flight.planned.append(PlannedSubpath(plan=entry))
         case _:
-            if (words := _words(entry)) is not None:
-                what, why = words
+            if (words := _MOMENTS.get(type(entry))) is not None:
+                what, why = words[0], words[1].format(entry)
                 flight.moments.append(Moment(what=what, why=why, t_s=t_s, boot=boot))
 
 
@@ -212,22 +271,3 @@ def _end_hold(flight: RecordedFlight, boot: int, t_s: float) -> None:
             if moment.until_s is None and moment.boot == boot:
                 flight.moments[place] = replace(moment, until_s=t_s)
             return
-
-
-def _words(entry: Entry) -> tuple[str, str] | None:
-    """What has happened, and why or how; None: nothing that is worth a point on the map."""
-    match entry:
-        case noted.LinkLost(silent_s=silent_s):
-            return "link lost", f"nothing was heard for {silent_s:g} s"
-        case noted.VehicleRebooted():
-            return "reboot", "the autopilot has rebooted"
-        case noted.PartDied(error=error):
-            return "part died", error
-        case noted.StopAsked():
-            return "stop asked", "a person asked for the end"
-        case noted.Resumed():
-            return "resumed", "the companion was started again"
-        case noted.End(outcome=outcome, reason=reason):
-            return "end", f"{outcome}: {reason}"
-        case _:
-            return None

@@ -93,22 +93,13 @@ def _flown(flight: RecordedFlight) -> FloatArray:
 
 def _planned(flight: RecordedFlight) -> FloatArray:
     """The subpaths that were begun, each up to where the next one begins.  -> (N, 3)."""
-    begun = [each.subpath for each in flight.planned if each.leg is not None]
-    if not begun:
+    legs_nea_m = flight.legs_nea_m()
+    if not legs_nea_m:
         raise InputError("--path", "planned", "no subpath was flown", "Give another format.")
     if not len(flight.track):
-        raise InputError(
-            "--path", "planned", "where home is was not recorded", "Give --format kml."
-        )
-    pieces = []
-    for number, subpath in enumerate(begun):
-        points_nea_m = subpath.sampled(subpath.length_m / 1000.0).points_nea_m
-        if number + 1 < len(begun):
-            start_nea_m = begun[number + 1].control_nea_m[0]
-            nearest = np.argmin(np.linalg.norm(points_nea_m - start_nea_m, axis=1))
-            points_nea_m = points_nea_m[: nearest + 1]
-        pieces.append(points_nea_m)
-    return np.concatenate(pieces)
+        rule = "where home is was not recorded"
+        raise InputError("--path", "planned", rule, "Give --format kml.")
+    return np.concatenate(legs_nea_m)
 
 
 def _waypoints(path_nea_m: FloatArray) -> tuple[FloatArray, float]:
@@ -151,7 +142,7 @@ def _items(flight: RecordedFlight, points: FloatArray) -> Iterator[Json]:
     *rows, last = [
         [round(row[0], 7), round(row[1], 7), round(row[2], 3)] for row in points.tolist()
     ]
-    if any(phase == Phase.TAKING_OFF.value for _, _, phase in flight.phases):
+    if any(each.phase == Phase.TAKING_OFF.value for _, _, each in flight.states):
         latitude, longitude, _ = _home(flight)
         first_m = (rows or [last])[0][2]
         yield item(wire.MAV_CMD_NAV_TAKEOFF, [longitude, latitude, first_m])

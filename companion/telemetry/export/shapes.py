@@ -12,7 +12,7 @@ from companion.world.threats import CircleZone, Radar, Zone
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CURVE_POINTS = 2000
 _CURVE_ERROR_M = 0.25  # a hand's breadth off the curve, which nobody sees
-_CIRCLE_POINTS = 72
+_CIRCLE_POINTS, _BALL_RINGS = 72, 13
 MAX_POINTS = 50_000
 """Of a drawn track: more than that, and map programs become slow."""
 
@@ -49,34 +49,45 @@ def of_subpath(subpath: Subpath, frame: LocalFrame) -> FloatArray:
 
 def of_zone(zone: Zone, frame: LocalFrame, altitude_amsl_m: float) -> FloatArray:
     """Its edge, anticlockwise as seen from above, the first point not repeated.  -> (N, 3)."""
-    if isinstance(zone, CircleZone):
-        return circle((zone.north_m, zone.east_m), zone.radius_m, frame, altitude_amsl_m)
-    ne_m = np.array(zone.vertices_ne_m, dtype=np.float64)
-    following = np.roll(ne_m, -1, axis=0)
-    clockwise = np.sum(ne_m[:, 0] * following[:, 1] - ne_m[:, 1] * following[:, 0]) > 0.0
-    ne_m = ne_m[::-1] if clockwise else ne_m
-    return of_points(np.column_stack([ne_m, np.full(len(ne_m), altitude_amsl_m)]), frame)
+    return of_points(np.insert(outline_ne_m(zone)[:-1], 2, altitude_amsl_m, axis=1), frame)
 
 
 def of_radar(radar: Radar, frame: LocalFrame) -> FloatArray:
-    """The circle in which its range reaches, at its own altitude.  -> (N, 3)."""
+    """The circle in which its range reaches, at its own altitude, likewise.  -> (N, 3)."""
     north_m, east_m, altitude_amsl_m = radar.centre_nea_m
-    return circle((north_m, east_m), radar.range_m, frame, altitude_amsl_m)
+    ring_ne_m = circle_ne_m((north_m, east_m), radar.range_m)[:-1]
+    return of_points(np.insert(ring_ne_m, 2, altitude_amsl_m, axis=1), frame)
 
 
-def circle(
-    centre_ne_m: tuple[float, float], radius_m: float, frame: LocalFrame, altitude_amsl_m: float
-) -> FloatArray:
-    """A circle, anticlockwise as seen from above, the first point not repeated.  -> (N, 3)."""
-    angle = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS, endpoint=False)
-    points_nea_m = np.column_stack(
-        [
-            centre_ne_m[0] + radius_m * np.sin(angle),
-            centre_ne_m[1] + radius_m * np.cos(angle),
-            np.full(_CIRCLE_POINTS, altitude_amsl_m),
-        ]
-    )
-    return of_points(points_nea_m, frame)
+def circle_ne_m(centre_ne_m: tuple[float, float], radius_m: float) -> FloatArray:
+    """A closed circle, anticlockwise as seen from above.  -> (N, 2)."""
+    turn = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)
+    return radius_m * np.stack([np.sin(turn), np.cos(turn)], axis=-1) + np.asarray(centre_ne_m)
+
+
+def outline_ne_m(zone: Zone) -> FloatArray:
+    """The closed outline of a zone, anticlockwise as seen from above.  -> (N, 2)."""
+    if isinstance(zone, CircleZone):
+        return circle_ne_m((zone.north_m, zone.east_m), zone.radius_m)
+    ne_m = np.array([*zone.vertices_ne_m, zone.vertices_ne_m[0]], dtype=np.float64)
+    (north, east), (north_next, east_next) = ne_m[:-1].T, ne_m[1:].T
+    return ne_m[::-1] if np.sum(north * east_next - east * north_next) > 0.0 else ne_m
+
+
+def walls_nea_m(zone: Zone, band_m: tuple[float, float]) -> FloatArray:
+    """The walls of a zone between two altitudes.  -> (2, N, 3)."""
+    outline = outline_ne_m(zone)
+    return np.stack([np.insert(outline, 2, altitude_m, axis=1) for altitude_m in band_m])
+
+
+def ball_nea_m(radar: Radar, band_m: tuple[float, float], points: int) -> FloatArray:
+    """The sphere in which a radar sees between two altitudes.  -> (M, points + 1, 3)."""
+    north_m, east_m, altitude_m = radar.centre_nea_m
+    sines = np.clip([(end_m - altitude_m) / radar.range_m for end_m in band_m], -1.0, 1.0)
+    lift = np.arcsin(np.linspace(sines[0], sines[1], _BALL_RINGS))[:, None]
+    turn = np.linspace(0.0, 2.0 * np.pi, points + 1)
+    ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0.0 * turn]
+    return np.stack(ball, axis=-1) * radar.range_m + [north_m, east_m, altitude_m]
 
 
 def thinned(part: slice, total: int) -> IntArray:

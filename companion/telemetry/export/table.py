@@ -30,7 +30,7 @@ COLUMNS = {
 def write_csv(flight: RecordedFlight, file: Path) -> None:
     """Write the track.  Raises OSError if that cannot be done."""
     track, frame = flight.track, flight.mission.frame
-    phases, legs = flight.phase_of_positions(), flight.leg_of_positions()
+    known = flight.decided_at_positions()
     with file.open("w", encoding="utf-8", newline="") as out:
         rows = csv.writer(out)
         rows.writerow(COLUMNS)
@@ -53,7 +53,7 @@ def write_csv(flight: RecordedFlight, file: Path) -> None:
                     f"{track.east_m_s[k]:.2f}",
                     f"{track.up_m_s[k]:.2f}",
                     "" if math.isnan(heading) else f"{heading:.2f}",
-                    phases[k],
-                    legs[k],
+                    known[k].phase,
+                    known[k].leg_number,
                 )
             )

@@ -17,6 +17,7 @@ from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.kml import write_kml
 from companion.telemetry.export.track import Track, track_of
 from companion.telemetry.logs import Record
+from companion.world.threats import Radar
 
 EPOCH_US = 1_790_000_000_000_000
 MISSION = load_mission("environment-1")
@@ -209,6 +210,7 @@ def test_corners_of_a_point_that_does_not_move() -> None:
 @pytest.mark.parametrize("radius_m", [50.0, 5000.0])
 def test_a_circle_has_its_radius(radius_m: float) -> None:
     frame = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
-    for longitude, latitude, altitude in shapes.circle((0.0, 0.0), radius_m, frame, 7.0):
+    radar = Radar(name="", centre_nea_m=(0.0, 0.0, 7.0), range_m=radius_m)
+    for longitude, latitude, altitude in shapes.of_radar(radar, frame):
         assert np.hypot(*frame.to_local_m(latitude, longitude)) == pytest.approx(radius_m)
         assert altitude == 7.0
