@@ -54,7 +54,6 @@ def watch(
     *,
     kernel: Kernel | None,
     system_id: int | None = None,
-    seed: int = 1,
     on_progress: Callable[[int, int], None] = lambda _read, _size: None,
     on_output: OnOutput | None = None,
 ) -> ShadowReport:
@@ -75,75 +74,34 @@ def watch(
     wanted = system_id if system_id is not None or mission is None else mission.system_id
     log = open_log(path, system_id=wanted)
     look = _look(log)
-    shadowed = _shadowed(mission, look, plans=kernel is not None)
+    if mission is not None:
+        _check_fits(mission, look)
+    chosen = replace(mission or _health_alone(look), system_id=look.heartbeat.get_srcSystem())
+    plans = mission is not None and kernel is not None
+    if not plans:
+        chosen = replace(chosen, targets_ne_m=(), targets_from_vehicle=False)
+    charted = chosen.known is not None and bool(chosen.known.firm.any())
+    blind = charted and chosen.scanner_component_id is not None
+    if blind:  # what a radar answered then, it did not answer to these questions
+        chosen = replace(chosen, scanner_component_id=None)
     report = ShadowReport(
         file=log.path.name,
         kind=log.kind,
         system_id=look.heartbeat.get_srcSystem(),
         vehicle=described(look.heartbeat),
         mission=None if mission is None else mission.name,
-        planned=shadowed.plans,
+        planned=plans,
     )
-    notes = Notes(report, shadowed.mission.frame, checks_area=mission is not None)
+    notes = Notes(report, chosen.frame, checks_area=mission is not None)
     watching = Watch(
-        shadowed.mission,
+        chosen,
         look.heartbeat,
         look.autopilot,
         notes,
-        seed=seed,
         planner=partial(plan, kernel=kernel or NUMPY),
         aboard=log.kind != "tlog",
         on_output=on_output,
     )
-    _run(log, watching, on_progress, report)
-    _conclude(report, log, shadowed, watching, notes)
-    report.took_s = time.perf_counter() - began_s
-    return report
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Shadowed:
-    """The mission as used in shadow mode."""
-
-    given: Mission | None
-    mission: Mission
-    plans: bool
-    blind: bool
-    """Whether its radar is ignored, as the ground is known otherwise."""
-
-
-def _shadowed(given: Mission | None, look: "_LogOverview", *, plans: bool) -> _Shadowed:
-    chosen = _health_alone(look) if given is None else _fitting(given, look)
-    plans = plans and given is not None
-    if not plans:
-        chosen = replace(chosen, targets_ne_m=(), targets_from_vehicle=False)
-    chosen = replace(chosen, system_id=look.heartbeat.get_srcSystem())
-    charted = chosen.known is not None and bool(chosen.known.firm.any())
-    blind = charted and chosen.scanner_component_id is not None
-    if blind:  # what a radar answered then, it did not answer to these questions
-        chosen = replace(chosen, scanner_component_id=None)
-    return _Shadowed(given=given, mission=chosen, plans=plans, blind=blind)
-
-
-def _conclude(
-    report: ShadowReport, log: Log, shadowed: _Shadowed, watching: Watch, notes: Notes
-) -> None:
-    """Complete the report at the end of the log."""
-    for seen in (report.health, report.outside):
-        seen.sort(key=lambda each: each.from_s)
-    report.heard = watching.heard
-    if watching.positions_s > 0.0:
-        report.position_rate_hz = watching.heard_of[POSITION] / watching.positions_s
-    report.missing, report.log_findings = log.missing(), log.findings
-    report.could_not = list(_could_not(shadowed, watching, notes))
-    report.notes = _notes(shadowed, notes)
-    report.near_things = watching.near_things()
-
-
-def _run(
-    log: Log, watching: Watch, on_progress: Callable[[int, int], None], report: ShadowReport
-) -> None:
     first_us, now_us, shown = None, 0, 0
     for record in log.records():
         now_us = record.time_us
@@ -157,6 +115,21 @@ def _run(
     report.length_s = 0.0 if first_us is None else (now_us - first_us) * 1e-6
     watching.finish(report.length_s)
     on_progress(log.size_bytes, log.size_bytes)
+    for seen in (report.health, report.outside):
+        seen.sort(key=lambda each: each.from_s)
+    report.missing, report.log_findings = log.missing(), log.findings
+    report.could_not = list(_could_not(chosen, watching, notes))
+    report.notes = [
+        *(() if mission is None else mission.notes),
+        *(["planned on the terrain of the mission alone, without its radar"] * (blind and plans)),
+        *notes.judged,
+        *(
+            f"gave up watching {count} time{'s' if count > 1 else ''}: {why}"
+            for why, count in notes.ends.items()
+        ),
+    ]
+    report.took_s = time.perf_counter() - began_s
+    return report
 
 
 # --- the first look
@@ -233,8 +206,8 @@ def _of_no_use(log: Log, name: str) -> InputError:
 # --- the mission
 
 
-def _fitting(mission: Mission, look: _LogOverview) -> Mission:
-    """The mission, if it is one for this vehicle at this place."""
+def _check_fits(mission: Mission, look: _LogOverview) -> None:
+    """Raise InputError if the mission is none for this vehicle at this place."""
     remedy = "Give the mission of this flight, or leave --mission out for its health alone."
     hovers, family = look.autopilot.traits.hovers, _FAMILIES[look.heartbeat.autopilot]
     kind = "copter" if hovers else "plane"
@@ -254,7 +227,6 @@ def _fitting(mission: Mission, look: _LogOverview) -> Mission:
             f"east {_m(limits.east_m[0])} to {_m(limits.east_m[1])})"
         )
         raise InputError("--mission", mission.name, rule, remedy)
-    return mission
 
 
 def _health_alone(look: _LogOverview) -> Mission:
@@ -294,19 +266,9 @@ def _m(value_m: float) -> str:
 # --- what there is to say besides
 
 
-def _notes(shadowed: _Shadowed, notes: Notes) -> list[str]:
-    said = [] if shadowed.given is None else [*shadowed.given.notes]
-    if shadowed.blind and shadowed.plans:
-        said.append("planned on the terrain of the mission alone, without its radar")
-    said += notes.judged
-    for why, count in notes.ends.items():
-        said.append(f"gave up watching {count} time{'s' if count > 1 else ''}: {why}")
-    return said
-
-
-def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[Limitation]:
+def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limitation]:
     """Limitations other than those of missing messages."""
-    report, rate_hz = notes.report, shadowed.mission.position_rate_hz
+    report, rate_hz = notes.report, mission.position_rate_hz
     remedies = {name: each.remedy for each in report.missing for name in each.message.split(" or ")}
     for name, since_s in watching.stood_in.items():
         what = "the GPS" if name == "GPS_RAW_INT" else "its estimator"
@@ -332,20 +294,14 @@ def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[L
             because="the position was never one to be believed",
             remedy="See what is missing, and the vehicle's health",
         )
-    if shadowed.plans:
-        yield from _unplanned(shadowed.mission, watching, notes)
-
-
-def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limitation]:
-    """Why there are no plans, or not all of them."""
-    if mission.targets_from_vehicle:
+    if report.planned and mission.targets_from_vehicle:
         yield Limitation(
             what="plan to the targets of the vehicle's own mission",
             because="a log does not answer questions: MISSION_ITEM_INT is not heard",
             remedy="Give a mission with [[targets]]",
             message="MISSION_ITEM_INT",
         )
-    if notes.unanswered_scans and mission.scanner_component_id is not None:
+    if report.planned and notes.unanswered_scans and mission.scanner_component_id is not None:
         if watching.heard_of[_TERRAIN]:
             because = "TERRAIN_DATA of the log answers other questions than the shadow has"
         else:

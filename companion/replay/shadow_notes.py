@@ -6,7 +6,7 @@ Lists are limited, and the rest is counted, so that memory is bounded for long l
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Final, final
 
 import numpy as np
@@ -37,11 +37,10 @@ from companion.session import Session
 MOST: Final = 2000
 """Of each kind of thing."""
 _MAX_WHY: Final = 50
-_MAX_OPEN: Final = 100  # plans that a path may still belong to
 _EVER: Final = -1e8  # before that: not heard of yet
+_BEGINS: Final = "it begins to watch"
 _AT_END_M: Final = 1.0
 _SPACING_M: Final = 5.0
-_BEGINS: Final = "it begins to watch"
 _MAX_CHORDS: Final = 400
 
 _DOUBTS: Final = {
@@ -68,8 +67,6 @@ class Notes:
     def __init__(self, report: ShadowReport, frame: LocalFrame, *, checks_area: bool) -> None:
         """report: what is noted goes there; checks_area: there is a mission with an area."""
         self.report = report
-        self.health = _Spans(report.health, report.left_out, self._place)
-        self.outside = _Spans(report.outside, report.left_out, self._place)
         self.unanswered_scans = 0
         self.refusals: Counter[str] = Counter()
         self.ends: Counter[str] = Counter()
@@ -77,12 +74,15 @@ class Notes:
         self.judged: dict[str, None] = {}
         """What of the vehicle it would have refused or changed, in order."""
         self._frame, self._checks_area = frame, checks_area
+        self._spans: dict[str, Observed] = {}
+        """What is observed now, by its kind."""
         self._hold: Hold | None = None
         self._is_ready = False
         """Whether it could fly: the position was to be believed, since this session has begun."""
         self._had_fix = self._silent = False
-        self._state: State | None = None
-        self._open: dict[int, PlanAttempt] = {}
+        self._vehicle: Vehicle | None = None
+        self._asked: dict[int, PlanAttempt] = {}
+        """Plans that are not answered yet, by their numbers."""
         self._cause = _BEGINS
         self._path: _Path | None = None
         self._paths: dict[int, _Path] = {}
@@ -110,19 +110,18 @@ class Notes:
         """The vehicle was heard after a silence."""
         self._silent = False
         self._at_s = at_s
-        self.health.set("silence", on=False, at_s=at_s)
+        self._observe("silence", at_s, on=False)
 
     def not_recorded(self, from_s: float, until_s: float) -> None:
         """The log has a gap: end everything in progress."""
         self._end_all(from_s)
-        self.health.set("not recorded", on=True, at_s=from_s)
-        self.health.set("not recorded", on=False, at_s=until_s)
+        self._observe("not recorded", from_s, until_s=until_s)
         self._at_s = until_s
 
     def rebooted(self, at_s: float) -> None:
         """The vehicle's clock has begun again."""
-        if self._state is not None:
-            self._note_at("the autopilot has rebooted", at_s, self._state)
+        if self._vehicle is not None:
+            self._observe("the autopilot has rebooted", at_s, until_s=at_s)
 
     def say(self, said: VehicleReport) -> None:
         """The vehicle has said something."""
@@ -130,7 +129,8 @@ class Notes:
 
     def on_output(self, at_s: float, session: Session, entries: list[Entry]) -> None:
         """The session has been run.  at_s: of the log."""
-        self._state = state = session.state
+        state = session.state
+        self._vehicle = vehicle = state.vehicle
         for values in entries:
             self._on_entry(at_s, entry := journal.entry_of(values), state)
             if isinstance(entry, journal.Prepared) and session.vehicle is not None:
@@ -138,7 +138,7 @@ class Notes:
         if self._silent:  # what it was when it was last heard is not known to go on
             self._on_hold(at_s, state, None)
             return
-        in_air = is_in_air(state.vehicle)
+        in_air = is_in_air(vehicle)
         if self._at_s is not None and in_air:
             self.report.in_air_s += at_s - self._at_s
         self._at_s = at_s
@@ -146,10 +146,10 @@ class Notes:
             if self._was_in_air is not None or in_air:
                 self.say(VehicleReport(at_s=at_s, what="in the air" if in_air else "on the ground"))
             self._was_in_air = in_air
-        doubt = distrust(state.vehicle, state.now_s, state.task.limits)
+        doubt = distrust(vehicle, state.now_s, state.task.limits)
         self._on_hold(at_s, state, doubt)
-        self._on_health(at_s, state, doubt)
-        if self._is_ready and state.vehicle.position_at_s != self._position_at_s:
+        self._on_health(at_s, vehicle, doubt)
+        if self._is_ready and vehicle.position_at_s != self._position_at_s:
             self._on_position(at_s, state, doubt)
 
     # --- what it would have done
@@ -170,28 +170,23 @@ class Notes:
                 self._hold, self._cause = None, f"it goes on after: {hold.why[0].text}"
             return
         if hold is None:
-            hold = self._hold = self._new_hold(at_s, state)
-        if not hold.why or hold.why[-1].code != reason.name:
+            hold = self._hold = Hold(
+                let_go_s=at_s,
+                vehicle_s=state.now_s,
+                why=[],
+                place=self._place(state.vehicle.position_nea_m),
+                in_air=is_in_air(state.vehicle),
+            )
+            self._keep(self.report.holds, hold, "holds")
+            for asked in self._asked.values():
+                if asked.outcome == "unanswered":
+                    asked.outcome = "given up"
+            self._forget_paths()
+        if (not hold.why or hold.why[-1].code != reason.name) and len(hold.why) < _MAX_WHY:
             why = HoldReason(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
-            if len(hold.why) < _MAX_WHY:
-                hold.why.append(why)
+            hold.why.append(why)
         trusted = doubt is None and not self._silent and watching
         hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
-
-    def _new_hold(self, at_s: float, state: State) -> Hold:
-        hold = Hold(
-            let_go_s=at_s,
-            vehicle_s=state.now_s,
-            why=[],
-            place=self._place(state.vehicle.position_nea_m),
-            in_air=is_in_air(state.vehicle),
-        )
-        for asked in self._open.values():
-            if asked.outcome == "unanswered":
-                asked.outcome = "given up"
-        self._forget_paths()
-        self._keep(self.report.holds, hold, "holds")
-        return hold
 
     def _reason(self, state: State, *, watching: bool) -> Reason | None:
         """Why it would hold now; None: it would not."""
@@ -199,22 +194,36 @@ class Notes:
             return Reason.LINK_LOST
         if watching:
             return state.reason if state.reason in _DISTRUST else None
-        before = self._hold
-        if before is not None and before.why:  # it prepares again, or another session does
-            return Reason[before.why[-1].code]
+        if self._hold is not None:  # it prepares again, or another session does
+            return Reason[self._hold.why[-1].code]
         return state.reason or Reason.REBOOTED
 
     def _on_entry(self, at_s: float, entry: journal.Entry, state: State) -> None:
         match entry:
             case journal.PlanAsked():
-                self._on_asked(at_s, entry, state)
-            case journal.PlanReady():
-                self._on_ready(entry)
-            case journal.PlanRefused():
-                self._on_refused(entry)
+                asked = PlanAttempt(
+                    plan_id=entry.plan_id,
+                    at_s=at_s,
+                    vehicle_s=state.now_s,
+                    place=self._place_of(entry.scan_nea_m),
+                    why=self._cause if entry.from_rest else "the next subpath",
+                    goes_on=not entry.from_rest,
+                )
+                self._keep(self.report.plans, asked, "plans")
+                self._asked[asked.plan_id] = asked
+            case journal.PlanReady(plan_id=plan_id) if plan_id in self._asked:
+                self._on_ready(entry, self._asked.pop(plan_id))
+            case journal.PlanRefused(plan_id=plan_id, reason=reason):
+                self.refusals[reason] += 1
+                self._cause = "the last was refused"
+                if (refused := self._asked.pop(plan_id, None)) is not None:
+                    refused.outcome, refused.reason = "refused", reason
+                    refused.remedy = Refusal[reason].value
+                    if not refused.goes_on:  # the vehicle had left the last path long before
+                        self._path = None
             case journal.PlanLate(plan_id=plan_id):
-                if (asked := self._open.get(plan_id)) is not None:
-                    asked.outcome = "late"
+                if plan_id in self._asked:
+                    self._asked[plan_id].outcome = "late"
                 self._cause = "the last came too late"
             case journal.ScanDone(blocks_asked=asked_for, blocks_answered=answered):
                 self.unanswered_scans += asked_for > 0 == answered
@@ -223,8 +232,7 @@ class Notes:
                 if not self._silent:
                     self._end_all(began_s)
                 self._silent = True
-                in_air = is_in_air(state.vehicle)
-                self.health.set("silence", on=True, at_s=began_s, in_air=in_air)
+                self._observe("silence", began_s)
             case journal.Prepared(item=item, refusal=refusal):
                 if item != Item.PARAMETERS.value and refusal:
                     self._judge(f"would have refused the flight: {refusal}")
@@ -233,43 +241,14 @@ class Notes:
             case _:
                 pass
 
-    def _on_asked(self, at_s: float, entry: journal.PlanAsked, state: State) -> None:
-        goes_on = not entry.from_rest
-        asked = PlanAttempt(
-            plan_id=entry.plan_id,
-            at_s=at_s,
-            vehicle_s=state.now_s,
-            place=self._place_of(entry.scan_nea_m),
-            why="the next subpath" if goes_on else self._cause,
-            goes_on=goes_on,
-        )
-        self._keep(self.report.plans, asked, "plans")
-        self._open[asked.plan_id] = asked
-        if len(self._open) > _MAX_OPEN:
-            del self._open[next(iter(self._open))]
-
-    def _on_ready(self, plan: journal.PlanReady) -> None:
-        asked = self._open.get(plan.plan_id)
-        if asked is not None:
-            path = _Path(plan.plan_id, Subpath(control_nea_m=np.array(plan.control_nea_m)))
-            asked.off = path.off
-            if asked.goes_on and self._path is not None:
-                self._paths = {self._path.plan_id: self._path, path.plan_id: path}
-            else:
-                self._path, self._paths = path, {path.plan_id: path}
-            asked.outcome, asked.length_m = "ready", plan.length_m
-            asked.reaches_target = plan.reaches_target
-            asked.clearance_m = plan.certificate.clearance_m if plan.certificate.proven else None
-
-    def _on_refused(self, refused: journal.PlanRefused) -> None:
-        asked, reason = self._open.get(refused.plan_id), refused.reason
-        self.refusals[reason] += 1
-        self._cause = "the last was refused"
-        if asked is not None:
-            asked.outcome, asked.reason = "refused", reason
-            asked.remedy = Refusal[reason].value
-            if not asked.goes_on:  # the vehicle had left the last path long before
-                self._path = None
+    def _on_ready(self, plan: journal.PlanReady, asked: PlanAttempt) -> None:
+        path = _Path(asked, plan.subpath)
+        before = self._path if asked.goes_on else None
+        self._path = before or path
+        self._paths = {each.asked.plan_id: each for each in (self._path, path)}
+        asked.outcome, asked.length_m = "ready", plan.length_m
+        asked.reaches_target = plan.reaches_target
+        asked.clearance_m = plan.certificate.clearance_m if plan.certificate.proven else None
 
     def _on_parameters(self, vehicle: AutopilotClient) -> None:
         """Those that are known: of the others the log says nothing, and nobody can be asked."""
@@ -287,8 +266,7 @@ class Notes:
 
     # --- what it has seen
 
-    def _on_health(self, at_s: float, state: State, doubt: Reason | None) -> None:
-        vehicle, in_air = state.vehicle, is_in_air(state.vehicle)
+    def _on_health(self, at_s: float, vehicle: Vehicle, doubt: Reason | None) -> None:
         without_fix = vehicle.fix_at_s > _EVER and not vehicle.fix_good
         self._had_fix = self._had_fix or vehicle.fix_good
         doubts_estimator = vehicle.estimator_at_s > _EVER and not vehicle.estimator_good
@@ -301,8 +279,7 @@ class Notes:
             **{kind: ready and doubt is reason for reason, kind in _DOUBTS.items()},
         }
         for kind, on in now.items():
-            here = vehicle.position_nea_m
-            self.health.set(kind, on=on, at_s=at_s, in_air=in_air, here=here)
+            self._observe(kind, at_s, on=on)
 
     def _on_position(self, at_s: float, state: State, doubt: Reason | None) -> None:
         vehicle, here, before = state.vehicle, state.vehicle.position_nea_m, self._position
@@ -312,28 +289,28 @@ class Notes:
         if vehicle.jumped_at_s != self._jumped_at_s:
             self._jumped_at_s = vehicle.jumped_at_s
             if before is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-                self._note_at("position jumped", at_s, state, math.dist(before, here))
-        if not is_in_air(vehicle):
-            self.outside.end_all(at_s)
+                jumped_m = math.dist(before, here)
+                self._observe("position jumped", at_s, until_s=at_s, worst_m=jumped_m)
+        in_air = is_in_air(vehicle)
+        if not in_air:
             self._path = None
-        if doubt is not None or not is_in_air(vehicle):
-            return
-        if self._checks_area:
+        if self._checks_area and (doubt is None or not in_air):
             for kind, off_m in _out_by_m(here, state):
-                on = off_m > 0.0
-                self.outside.set(kind, on=on, at_s=at_s, in_air=True, here=here, worst_m=off_m)
-        if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
+                self._observe(kind, at_s, on=in_air and off_m > 0.0, worst_m=off_m, outside=True)
+        trusted = state.phase is Phase.SHADOW and state.reason not in _DISTRUST
+        if doubt is None and in_air and trusted:
             self._on_way(at_s, here, state)
 
     def _on_way(self, at_s: float, here: Vector, state: State) -> None:
         """Compare the flown track with the newest planned subpath."""
         flight, path = state.flight, self._path
-        if flight.leg is not None and (path is None or path.plan_id != flight.leg.plan_id):
-            path = self._path = self._paths.get(flight.leg.plan_id)
+        leg = flight.leg
+        if leg is not None and (path is None or path.asked.plan_id != leg.plan_id):
+            path = self._path = self._paths.get(leg.plan_id)
         if path is None:
             return
         path.add(at_s, here)
-        if flight.leg is not None:
+        if leg is not None:
             return
         if flight.target != self._target:
             self._cause, self._path, self._target = "on to the next target", None, flight.target
@@ -344,22 +321,47 @@ class Notes:
 
     def _forget_paths(self) -> None:
         """Discard the plans so far."""
-        self._open.clear()
+        self._asked.clear()
         self._paths.clear()
         self._path = None
 
     # --- helpers
 
+    def _observe(
+        self,
+        kind: str,
+        at_s: float,
+        *,
+        on: bool = True,
+        until_s: float | None = None,
+        worst_m: float | None = None,
+        outside: bool = False,
+    ) -> None:
+        """Something is so from now on, or no longer.
+
+        until_s: it is known when it ends; outside: it is of the mission's limits, else of health.
+        """
+        span = self._spans.get(kind)
+        if on and span is None:
+            vehicle = self._vehicle
+            span = self._spans[kind] = Observed(
+                kind=kind,
+                from_s=at_s,
+                in_air=vehicle is not None and is_in_air(vehicle),
+                worst_m=worst_m,
+                place=None if vehicle is None else self._place(vehicle.position_nea_m),
+            )
+            self._keep(self.report.outside if outside else self.report.health, span, kind)
+        elif on and span is not None and worst_m is not None:
+            span.worst_m = max(span.worst_m or 0.0, worst_m)
+        if span is not None and (until_s is not None or not on):
+            span.until_s = at_s if until_s is None else until_s
+            del self._spans[kind]
+
     def _end_all(self, at_s: float) -> None:
         """End everything in progress."""
-        self.health.end_all(at_s)
-        self.outside.end_all(at_s)
-
-    def _note_at(self, kind: str, at_s: float, state: State, worst_m: float | None = None) -> None:
-        """Something that takes no time."""
-        in_air, here = is_in_air(state.vehicle), state.vehicle.position_nea_m
-        self.health.set(kind, on=True, at_s=at_s, in_air=in_air, here=here, worst_m=worst_m)
-        self.health.set(kind, on=False, at_s=at_s)
+        for kind in list(self._spans):
+            self._observe(kind, at_s, on=False)
 
     def _place(self, point_nea_m: Vector | None) -> Place | None:
         return None if point_nea_m is None else self._place_of(point_nea_m)
@@ -383,56 +385,11 @@ class Notes:
 
 
 @final
-class _Spans:
-    """Time spans during which a condition was true."""
-
-    def __init__(
-        self,
-        kept: list[Observed],
-        left_out: Counter[str],
-        place: Callable[[Vector | None], Place | None],
-    ) -> None:
-        self._kept, self._left_out, self._place = kept, left_out, place
-        self._open: dict[str, Observed] = {}
-
-    def end_all(self, at_s: float) -> None:
-        """None of it is so any more."""
-        for kind in list(self._open):
-            self.set(kind, on=False, at_s=at_s)
-
-    def set(
-        self,
-        kind: str,
-        *,
-        on: bool,
-        at_s: float,
-        in_air: bool = False,
-        here: Vector | None = None,
-        worst_m: float | None = None,
-    ) -> None:
-        """Set a condition to true or false."""
-        span = self._open.get(kind)
-        if on and span is None:
-            span = self._open[kind] = Observed(
-                kind=kind, from_s=at_s, in_air=in_air, place=self._place(here), worst_m=worst_m
-            )
-            if len(self._kept) < MOST:
-                self._kept.append(span)
-            else:
-                self._left_out[kind] += 1
-        elif on and span is not None and worst_m is not None:
-            span.worst_m = max(span.worst_m or 0.0, worst_m)
-        elif not on and span is not None:
-            span.until_s = at_s
-            del self._open[kind]
-
-
-@final
 class _Path:
     """A planned subpath as chords, and how far the track was from it."""
 
-    def __init__(self, plan_id: int, subpath: Subpath) -> None:
-        self.plan_id = plan_id
+    def __init__(self, asked: PlanAttempt, subpath: Subpath) -> None:
+        self.asked = asked
         length_m = subpath.length_m
         chords = min(max(math.ceil(length_m / _SPACING_M), 1), _MAX_CHORDS)
         self._lengths_m = np.linspace(0.0, length_m, chords + 1)
@@ -440,7 +397,6 @@ class _Path:
         self._starts, self._along = points[:-1], np.diff(points, axis=0)
         self._squares = np.maximum(np.einsum("sk,sk->s", self._along, self._along), 1e-12)
         self.last_m = self._at_m = 0.0
-        self.off = TrackDeviation()
 
     @property
     def has_ended(self) -> bool:
@@ -454,16 +410,19 @@ class _Path:
         rest = to - share[:, None] * self._along
         squares = np.einsum("sk,sk->s", rest, rest)
         k = int(squares.argmin())
-        self.last_m = math.sqrt(float(squares[k]))
+        self.last_m = off_m = math.sqrt(float(squares[k]))
         step_m = self._lengths_m[k + 1] - self._lengths_m[k]
-        at_m, off = float(self._lengths_m[k] + share[k] * step_m), self.off
-        self._at_m = at_m
-        off.from_s, off.until_s = min(off.from_s, at_s), max(off.until_s, at_s)
-        off.positions += 1
-        off.squares_m2 += self.last_m**2
-        off.from_m, off.until_m = min(off.from_m, at_m), max(off.until_m, at_m)
-        if self.last_m >= off.max_m:
-            off.max_m, off.max_at_s = self.last_m, at_s
+        self._at_m = at_m = float(self._lengths_m[k] + share[k] * step_m)
+        here_alone = TrackDeviation(
+            from_s=at_s,
+            until_s=at_s,
+            max_m=off_m,
+            max_at_s=at_s,
+            rms_m=off_m,
+            from_m=at_m,
+            until_m=at_m,
+        )
+        self.asked.off = TrackDeviation.of_all((self.asked.off, here_alone))
 
 
 def is_in_air(vehicle: Vehicle) -> bool:

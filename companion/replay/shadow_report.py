@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, final
 
 import msgspec
@@ -100,46 +100,36 @@ class PlanAttempt:
 
 
 @final
-@dataclass(slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrackDeviation:
-    """How far the flown track was from a planned subpath."""
+    """How far the flown track was from a planned subpath, over one position or more."""
 
-    from_s: float = math.inf
-    until_s: float = -math.inf
-    positions: int = 0
-    max_m: float = 0.0
-    max_at_s: float = math.nan
-    squares_m2: float = 0.0
-    """Sum over all positions."""
-    from_m: float = math.inf
+    from_s: float
+    until_s: float
+    positions: int = 1
+    max_m: float
+    max_at_s: float
+    rms_m: float
+    """Root mean square over the positions."""
+    from_m: float
     """Part of the subpath that it was nearest to, lengths along it."""
-    until_m: float = -math.inf
-
-    @property
-    def rms_m(self) -> float:
-        """Root mean square over the positions."""
-        return math.sqrt(self.squares_m2 / self.positions) if self.positions else 0.0
-
-    def as_json(self) -> dict[str, Any] | None:
-        """For `--json`; None: it was never compared."""
-        values: dict[str, Any] = msgspec.to_builtins(self) | {"rms_m": self.rms_m}
-        del values["squares_m2"]
-        return values if self.positions else None
+    until_m: float
 
     @staticmethod
     def of_all(parts: Iterable["TrackDeviation | None"]) -> "TrackDeviation | None":
         """Of one part after the other; None: there were none."""
-        there = [part for part in parts if part is not None and part.positions]
+        there = [part for part in parts if part is not None]
         if not there:
             return None
         farthest = max(there, key=lambda each: each.max_m)
+        positions = sum(each.positions for each in there)
         return TrackDeviation(
             from_s=there[0].from_s,
             until_s=there[-1].until_s,
-            positions=sum(each.positions for each in there),
+            positions=positions,
             max_m=farthest.max_m,
             max_at_s=farthest.max_at_s,
-            squares_m2=sum(each.squares_m2 for each in there),
+            rms_m=math.sqrt(sum(each.positions * each.rms_m**2 for each in there) / positions),
             from_m=min(each.from_m for each in there),
             until_m=max(each.until_m for each in there),
         )
@@ -234,7 +224,7 @@ class ShadowReport:
     @property
     def own_path(self) -> TrackDeviation | None:
         """How far the flown track was from all planned subpaths together; None: there were none."""
-        parts = [each.off for each in self.plans if each.off is not None and each.off.positions]
+        parts = [each.off for each in self.plans if each.off is not None]
         flown_m = sum(part.until_m - part.from_m for part in parts)
         whole = TrackDeviation.of_all(parts)
         return None if whole is None else replace(whole, from_m=0.0, until_m=flown_m)
@@ -246,10 +236,7 @@ class ShadowReport:
 
     def as_json(self) -> dict[str, Any]:
         """For `--json`: plain values, units in the names."""
-        values: dict[str, Any] = {"schema": SCHEMA} | msgspec.to_builtins(self)
-        for plan, asked in zip(values["plans"], self.plans, strict=True):
-            plan["off"] = None if asked.off is None else asked.off.as_json()
-        own = self.own_path
-        values["own_path"] = None if own is None else own.as_json()
+        values: dict[str, Any] = {"schema": SCHEMA, "own_path": self.own_path}
+        values |= {each.name: getattr(self, each.name) for each in fields(self)}
         values["log_findings"] = [each.as_json() for each in self.log_findings]
-        return values
+        return msgspec.to_builtins(values)

@@ -12,14 +12,14 @@ from typing import Final, final
 
 from companion.mavlink.autopilots import Autopilot, ardupilot, px4
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.frames import boot_ms_of, number_of, payload_of, sender_of
+from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
 from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay import shadow_near
 from companion.replay.shadow_near import NearWatch
 from companion.replay.shadow_notes import Notes
-from companion.replay.shadow_report import NearThings, VehicleReport
+from companion.replay.shadow_report import VehicleReport
 from companion.session import Session
 from companion.telemetry.logs import Record
 
@@ -30,7 +30,6 @@ HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
 POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS: Final = wire.MAVLINK_MSG_ID_GPS_RAW_INT
 STATUSTEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
-_LANDED: Final = wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 _CLOCKS: Final = frozenset(
     {
         wire.MAVLINK_MSG_ID_ATTITUDE,
@@ -45,7 +44,7 @@ LISTENED: Final = frozenset(
         POSITION,
         GPS,
         STATUSTEXT,
-        _LANDED,
+        wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         wire.MAVLINK_MSG_ID_HOME_POSITION,
         wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
         wire.MAVLINK_MSG_ID_PARAM_VALUE,
@@ -55,9 +54,6 @@ LISTENED: Final = frozenset(
     }
 )
 """Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
-_TELLS: Final = {GPS: slice(28, 29), _LANDED: slice(0, 2)}
-"""The relevant bytes of frequent messages: the fix, the landed state."""
-_SAYS_AGAIN_S: Final = 0.5
 _RADAR: Final = frozenset({wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT})
 _QUIET_S: Final = 0.2  # less is no silence
 _LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
@@ -70,9 +66,7 @@ _LONGEST_PERIOD_S: Final = 5.0
 SLOW_S: Final = 0.17  # between positions: from here on some are taken for late that are not
 _STAND_IN_AFTER_S: Final = 10.0
 _STAND_IN_S: Final = 1.0
-_WARNING: Final = wire.MAV_SEVERITY_WARNING
-_MODE: Final = slice(0, 4)
-_TYPE_AT, _BASE_MODE_AT = 4, 6
+_TYPE_AT: Final = 4  # in the payload of HEARTBEAT
 
 
 @final
@@ -86,38 +80,33 @@ class Watch:
         autopilot: Autopilot,
         notes: Notes,
         *,
-        seed: int,
         planner: Callable[[PlanRequest], PlanOutcome],
         aboard: bool = False,
         on_output: OnOutput | None = None,
     ) -> None:
         """heartbeat: one of the vehicle's; aboard: the log was written there, not over a link."""
         self._mission, self._autopilot, self._notes = mission, autopilot, notes
-        self._seed, self._planner, self._on_output = seed, planner, on_output
+        self._planner, self._on_output = planner, on_output
         self._aboard, self._clock = aboard, VehicleClock(0.0)
         self._system = heartbeat.get_srcSystem()
         self._radar = (self._system, mission.scanner_component_id)
         self._near = NearWatch(mission.frame, self._system, mission.near)
         self._session: Session | None = None
         self._periods: deque[float] = deque(maxlen=_PERIODS)
-        self._last_said: dict[int, tuple[float, bytes]] = {}
         self._mode = -1
-        self._armed: bool | None = None
+        self._armed = False
         self._heard_s: float | None = None
         self._position_s: float | None = None
         self._clock_s = 0.0
         self._first_position_s: float | None = None
         self._stand_in_s = -1e9
         self._stand_ins = _all_is_well(heartbeat)
-        self.heard = 0
-        """Frames that were of use."""
         self.heard_of: Counter[int] = Counter()
         """Message numbers of the autopilot and the radar."""
         self.slow_s = 0.0
         """For how long positions came too seldom to tell in time that one is missing."""
         self.slowest_s = 0.0
-        self.positions_s = 0.0
-        """Time between all positions, without the gaps."""
+        self._positions_s = 0.0  # between all positions, without the gaps
         self.stood_in: dict[str, float] = {}
         """Messages that were taken to be good because there are none, and since when."""
 
@@ -141,7 +130,7 @@ class Watch:
         if number in _CLOCKS:
             if not self._tells_time(at_s):
                 return
-        elif number not in LISTENED or self._says_the_same(frame, number, at_s):
+        elif number not in LISTENED:
             return
         self._look_at(frame, number, at_s)
         if number == POSITION:
@@ -154,22 +143,10 @@ class Watch:
             self._be_silent(self._heard_s, at_s)
         if self._session is not None:
             self._take(at_s, self._session.run())
-
-    def near_things(self) -> list[NearThings]:
-        """What each sensor of near things has seen, at the end of the log."""
-        return [sensor.finish() for sensor in self._near.sensors.values()]
-
-    def _says_the_same(self, frame: bytes, number: int, at_s: float) -> bool:
-        """Whether an equal message was just received."""
-        tells = _TELLS.get(number)
-        if tells is None:
-            return False
-        said = payload_of(frame, tells.stop)[tells]
-        before_s, before = self._last_said.get(number, (-1e9, b""))
-        if said == before and at_s - before_s < _SAYS_AGAIN_S:
-            return True
-        self._last_said[number] = (at_s, said)
-        return False
+        report = self._notes.report
+        if self._positions_s > 0.0:
+            report.position_rate_hz = self.heard_of[POSITION] / self._positions_s
+        report.near_things = [sensor.finish() for sensor in self._near.sensors.values()]
 
     # --- time
 
@@ -194,7 +171,7 @@ class Watch:
             self._first_position_s = at_s
         if before_s is not None and at_s - before_s < _LONGEST_PERIOD_S:
             self._periods.append(at_s - before_s)
-            self.positions_s += at_s - before_s
+            self._positions_s += at_s - before_s
             period_s = self._period_s()
             if period_s > SLOW_S and len(self._periods) == _PERIODS:
                 self.slow_s += at_s - before_s
@@ -237,11 +214,10 @@ class Watch:
     def _feed(self, frame: bytes, wall_s: float, at_s: float) -> None:
         session = self._session
         if session is None:
-            session = self._session = Session(
-                self._mission, seed=self._seed, lockstep=False, shadow=True
-            )
+            session = Session(self._mission, seed=1, lockstep=False, shadow=True)
+            self._session = session
             self._notes.begin_again()
-        self.heard += 1
+        self._notes.report.heard += 1
         session.receive(frame, wall_s)
         self._take(at_s, session.run())
 
@@ -283,20 +259,18 @@ class Watch:
 
     def _look_at(self, frame: bytes, number: int, at_s: float) -> None:
         if number == HEARTBEAT:
-            payload = payload_of(frame, 9)
-            mode = int.from_bytes(payload[_MODE], "little")
-            if mode != self._mode:
-                self._mode = mode
-                name = self._autopilot.modes.name_of(mode)
+            beat = decoded(frame, wire.MAVLink_heartbeat_message)
+            if beat.custom_mode != self._mode:
+                self._mode = beat.custom_mode
+                name = self._autopilot.modes.name_of(self._mode)
                 self._notes.say(VehicleReport(at_s=at_s, what="mode", text=name))
-            armed = bool(payload[_BASE_MODE_AT] & wire.MAV_MODE_FLAG_SAFETY_ARMED)
+            armed = bool(beat.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
             if armed is not self._armed:
-                if self._armed is not None or armed:
-                    self._notes.say(VehicleReport(at_s=at_s, what="armed" if armed else "disarmed"))
+                self._notes.say(VehicleReport(at_s=at_s, what="armed" if armed else "disarmed"))
                 self._armed = armed
         elif number == STATUSTEXT:
             payload = payload_of(frame, 54)
-            if payload[0] <= _WARNING:
+            if payload[0] <= wire.MAV_SEVERITY_WARNING:
                 raw = payload[1:51].split(b"\0")[0].decode("utf-8", "replace")
                 text = "".join(c for c in raw if c.isprintable())
                 self._notes.say(VehicleReport(at_s=at_s, what="says", text=text))

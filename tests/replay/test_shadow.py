@@ -28,7 +28,7 @@ from companion.path.subpath import Subpath
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_notes import _Path
-from companion.replay.shadow_report import Hold, ShadowReport, VehicleReport
+from companion.replay.shadow_report import Hold, Place, PlanAttempt, ShadowReport, VehicleReport
 from companion.replay.shadow_text import renderables
 from companion.replay.shadow_watch import LISTENED
 from companion.session import Session
@@ -391,6 +391,12 @@ def track_of(name: str) -> list[tuple[float, float, float, float]]:
     return found
 
 
+def path_of(subpath: Subpath) -> _Path:
+    nowhere = Place(latitude_deg=0, longitude_deg=0, altitude_amsl_m=0, north_m=0, east_m=0)
+    asked = PlanAttempt(plan_id=1, at_s=0, vehicle_s=0, place=nowhere, why="", goes_on=False)
+    return _Path(asked, subpath)
+
+
 def test_the_distance_from_a_path_is_that_of_its_nearest_point() -> None:
     """Against the distance from points 5 cm apart."""
     rng = np.random.default_rng(3)
@@ -398,7 +404,7 @@ def test_the_distance_from_a_path_is_that_of_its_nearest_point() -> None:
     subpath = Subpath(control_nea_m=control)
     lengths = np.arange(0.0, subpath.length_m, 0.05)
     points = subpath.points_nea_m(lengths)
-    path, squares = _Path(1, subpath), 0.0
+    path, squares = path_of(subpath), 0.0
     for number in range(50):
         here = points[rng.integers(len(points))] + rng.normal(0.0, 20.0, 3)
         apart = np.linalg.norm(points - here, axis=-1)
@@ -406,22 +412,23 @@ def test_the_distance_from_a_path_is_that_of_its_nearest_point() -> None:
         path.add(float(number), (north, east, altitude))
         assert path.last_m == pytest.approx(float(apart.min()), abs=0.1)  # chords of 5 m
         squares += float(apart.min()) ** 2
-    assert path.off.positions == 50
-    assert path.off.rms_m == pytest.approx((squares / 50) ** 0.5, abs=0.1)
-    assert 0.0 <= path.off.from_m <= path.off.until_m <= subpath.length_m
+    off = path.asked.off
+    assert off.positions == 50
+    assert off.rms_m == pytest.approx((squares / 50) ** 0.5, abs=0.1)
+    assert 0.0 <= off.from_m <= off.until_m <= subpath.length_m
 
 
 def test_a_vehicle_that_flies_the_path_has_no_distance_from_it() -> None:
     subpath = Subpath(
         control_nea_m=np.array([[0.0, 0, 100], [80, 0, 110], [160, 60, 110], [300, 60, 120]])
     )
-    path = _Path(1, subpath)
+    path = path_of(subpath)
     for number, length_m in enumerate(np.linspace(0.0, subpath.length_m, 80)):
         north, east, altitude = subpath.points_nea_m(np.array([length_m]))[0].tolist()
         path.add(float(number), (north, east, altitude))
         assert path.has_ended is (number == 79)
-    assert path.off.max_m < 0.05
-    assert path.off.until_m - path.off.from_m == pytest.approx(subpath.length_m)
+    assert path.asked.off.max_m < 0.05
+    assert path.asked.off.until_m - path.asked.off.from_m == pytest.approx(subpath.length_m)
 
 
 def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:
