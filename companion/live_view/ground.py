@@ -34,9 +34,10 @@ from companion.replay.session_inputs import (
 from companion.session import Session
 from companion.sources.files import answer
 from companion.telemetry import inputs
+from companion.telemetry.run_folder import known_map
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.guess import guessed_m
-from companion.world.known_map import KnownMap, unpacked_map
+from companion.world.known_map import KnownMap
 
 UNKNOWN, GUESSED, PROVEN = range(3)
 _Number = TypeVar("_Number", bound=np.generic)
@@ -117,7 +118,7 @@ def _is_near(cells: BoolArray, most: float) -> BoolArray:
 def last_ground(folder: Path, mission: Mission) -> Ground | None:
     """What was known in the end, if a run folder has it: at once, before anything is replayed."""
     try:
-        known = unpacked_map((folder / "known.npz").read_bytes())
+        known = known_map(folder)
     except (OSError, ValueError):
         return None
     if mission.known is not None:

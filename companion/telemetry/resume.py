@@ -5,18 +5,18 @@ never prevent a resume.  Unreadable files are reported, renamed and ignored; the
 never armed, as it may have flown.
 """
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Annotated, final
 
 import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
-from companion.mission.start import Resume
+from companion.mission.start import Resume, SystemId
 from companion.mission.state import IN_AIR
 from companion.telemetry.run_folder import known_map, resume_head
 from companion.world.known_map import KnownMap
@@ -26,7 +26,6 @@ _FLOWN = [phase.value for phase in IN_AIR]
 _KINDS = ("phase", "vehicle found", "arm", "plan asked")
 _TELLING = tuple(f'"kind":"{kind}"'.encode() for kind in _KINDS)
 _NO_ENTRY = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-_LARGEST_ID, _LARGEST_PLAN = 255, 2**31
 
 
 @final
@@ -47,12 +46,10 @@ def load_resume_data(folder: Path, mission: Mission) -> ResumeData:
     try:
         values = _values(folder, mission)
     except FileNotFoundError:
-        history = _history(folder)
-        if not history.flown:
-            return ResumeData()
-        return _forgotten(history, f"{_CHECKPOINT} is not there")
+        has_flown = _history(folder)[0]
+        return _forgotten(folder, f"{_CHECKPOINT} is not there") if has_flown else ResumeData()
     except (OSError, ValueError) as error:
-        return _forgotten(_history(folder), f"{_CHECKPOINT}: {_why(error)}")
+        return _forgotten(folder, f"{_CHECKPOINT}: {_why(error)}")
     if mission.near is not None:  # near things may have moved: their map is not kept
         return ResumeData(resume=(values, None))
     try:
@@ -71,15 +68,10 @@ def _values(folder: Path, mission: Mission) -> checkpoint.Values:
     values: checkpoint.Values = resume_head(folder).values
     try:
         checkpoint.restored(mission, checkpoint.blank_map(mission), values)
-    except checkpoint.DECODE_ERRORS as error:
+        msgspec.convert(values.get("system_id"), SystemId | None)
+    except (*checkpoint.DECODE_ERRORS, msgspec.ValidationError) as error:
         raise ValueError(f"what it holds is no flight ({type(error).__name__}: {error})") from error
-    if not _is_id(values.get("system_id")):
-        raise ValueError(f"system id {values.get('system_id')!s:.20}")
     return values
-
-
-def _is_id(value: Any) -> bool:
-    return value is None or (type(value) is int and 1 <= value <= _LARGEST_ID)
 
 
 def _must_fit(known: KnownMap, blank: KnownMap) -> None:
@@ -102,43 +94,32 @@ def _why(error: OSError | ValueError) -> str:
 # --- without it
 
 
-class _History(NamedTuple):
-    """What the journal says of a flight."""
+class _Told(Struct):
+    """What an entry of the journal tells of how far the flight had come."""
 
-    flown: bool = False
-    system_id: int | None = None
-    time_s: float = 0.0
-    plan_id: int = 0
+    kind: str
+    phase: str = ""
+    t_s: Annotated[float, Meta(ge=0.0, lt=1e9)] = 0.0
+    system_id: SystemId | None = None
+    plan_id: Annotated[int, Meta(ge=0, lt=2**31)] = 0
 
 
-def _forgotten(history: _History, why: str) -> ResumeData:
-    values = checkpoint.without_checkpoint(
-        why, system_id=history.system_id, time_s=history.time_s, plan_id=history.plan_id
-    )
+def _forgotten(folder: Path, why: str) -> ResumeData:
+    _, system_id, time_s, plan_id = _history(folder)
+    values = checkpoint.without_checkpoint(why, system_id=system_id, time_s=time_s, plan_id=plan_id)
     said = tuple(checkpoint.restore_notes(values))
     return ResumeData(resume=(values, None), said=said, unreadable=(_CHECKPOINT, _MAP))
 
 
-def _history(folder: Path) -> _History:
-    """As much as can be read: whether it has flown, which vehicle, and until when."""
-    history = _History()
-    for entry in _entries(folder / "journal.jsonl"):
-        kind, system_id, time_s = entry.get("kind"), entry.get("system_id"), entry.get("t_s")
-        if kind == "arm" or (kind == "phase" and entry.get("phase") in _FLOWN):
-            history = history._replace(flown=True)
-        if kind == "vehicle found" and system_id is not None and _is_id(system_id):
-            history = history._replace(system_id=system_id)
-        if type(plan_id := entry.get("plan_id")) is int and 0 <= plan_id < _LARGEST_PLAN:
-            history = history._replace(plan_id=max(history.plan_id, plan_id))
-        if isinstance(time_s, float | int) and 0.0 <= time_s < 1e9:
-            history = history._replace(time_s=float(time_s))
-    return history
-
-
-def _entries(journal: Path) -> Iterator[dict[str, Any]]:
-    """The relevant entries of the valid lines."""
-    with suppress(OSError), journal.open("rb") as file:
+def _history(folder: Path) -> tuple[bool, int | None, float, int]:
+    """Whether it has flown, which vehicle, until when and the last plan, from lines as they are."""
+    flown, system_id, time_s, plan_id = False, None, 0.0, 0
+    with suppress(OSError), (folder / "journal.jsonl").open("rb") as file:
         for line in file:
             if any(word in line for word in _TELLING):
                 with suppress(*_NO_ENTRY):
-                    yield msgspec.json.decode(line, type=dict[str, Any])
+                    told = msgspec.json.decode(line, type=_Told)
+                    flown |= told.kind == "arm" or told.phase in _FLOWN
+                    system_id, time_s = told.system_id or system_id, told.t_s
+                    plan_id = max(plan_id, told.plan_id)
+    return flown, system_id, time_s, plan_id

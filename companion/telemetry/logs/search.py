@@ -32,13 +32,3 @@ def find_intact(window: Window, byte: int) -> tuple[int, int] | None:
         if end:
             return window.base + at, window.base + end
         at += 1
-
-
-def first_frame(data: bytes) -> int | None:
-    """Where the first intact one begins in these bytes; None: there is none, or not all of it."""
-    at = 0
-    while (found := find_marker(data, at)) is not None:
-        if intact_end(data, found.start()):
-            return found.start()
-        at = found.start() + 1
-    return None
