@@ -17,13 +17,12 @@ so that a power cut does not take them, except where the vehicle is simulated an
 """
 
 import io
-import json
 import os
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Self, final
+from typing import Annotated, Any, Literal, Self, final
 
 import msgspec
 from msgspec import Meta, Struct
@@ -34,8 +33,6 @@ from companion.mission.journal import SCHEMA, VERSION, plain
 from companion.telemetry import inputs
 from companion.world.known_map import KnownMap, packed_map, unpacked_map
 
-RESUME_SCHEMA = "companion-resume"
-RESUME_VERSION = 1
 _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
 RECORDED = (*_WRITTEN, "resume.json", "known.npz", "truth.jsonl")
 """The files of a flight that cannot be made again."""
@@ -54,8 +51,8 @@ _Count = Annotated[int, Meta(ge=0, lt=_MOST)]
 class ResumeHead(Struct, frozen=True, kw_only=True):
     """What resume.json holds."""
 
-    schema: str = RESUME_SCHEMA
-    version: int = RESUME_VERSION
+    schema: Literal["companion-resume"] = "companion-resume"
+    version: Literal[1] = 1
     epoch_us: _Count
     starts: _Count
     tlog_bytes: _Count
@@ -226,19 +223,10 @@ class RunFolder:
 
 def resume_head(path: Path) -> ResumeHead:
     """What resume.json holds.  OSError; ValueError, saying what is wrong with it."""
-    data = (path / "resume.json").read_bytes()
     try:
-        head = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise ValueError("it is cut short or damaged") from error
-    if not isinstance(head, dict) or head.get("schema") != RESUME_SCHEMA:
-        raise ValueError("it is no checkpoint of a flight")
-    if head.get("version") != RESUME_VERSION:
-        raise ValueError(f"it is of version {head.get('version')!s:.20}, not {RESUME_VERSION}")
-    try:
-        return msgspec.convert(head, ResumeHead)
-    except msgspec.ValidationError as error:
-        raise ValueError("something in it is missing or out of range") from error
+        return msgspec.json.decode((path / "resume.json").read_bytes(), type=ResumeHead)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"it is no checkpoint of a flight that can be read ({error})") from error
 
 
 def starts_of(journal: Path) -> int:

@@ -14,7 +14,7 @@ from companion.config import load_mission
 from companion.mission import checkpoint
 from companion.mission.state import Orders, Phase, Reason, State
 from companion.telemetry.resume import ResumeData, load_resume_data
-from companion.telemetry.run_folder import RESUME_VERSION, RunFolder
+from companion.telemetry.run_folder import RunFolder
 from companion.world.known_map import KnownMap
 
 MISSION = load_mission("sitl-arducopter")
@@ -113,7 +113,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "nested": write("resume.json", b"[" * 100_000),
     "truncated": cut("resume.json", 0.6),
     "another schema": edit(schema="other"),
-    "another version": edit(version=RESUME_VERSION + 1),
+    "another version": edit(version=2),
     "no version": edit(version=None),
     "epoch in words": edit(epoch_us="yesterday"),
     "epoch before time": edit(epoch_us=-5),
