@@ -300,7 +300,9 @@ def _detection(
     return total
 
 
-def _runs(first: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:
+def _runs(
+    first: npt.NDArray[np.integer], end: npt.NDArray[np.integer]
+) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
     """All of first[k]..end[k] - 1, for each k one after the other -> k, index.  (N,) x2 -> (M,)."""
     count = end - first
     k = np.repeat(np.arange(len(count)), count)

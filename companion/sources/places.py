@@ -60,33 +60,28 @@ def zones_of(
     model: MissionTable, task: Task, frame: LocalFrame, where: str
 ) -> tuple[tuple[Zone, ...], str]:
     """The zones that matter, and how many keep-outs were left out that lie away from the map."""
-    found, far = [], 0
-    for index, table in enumerate(model.keep_outs):
-        field = f"{where}: keep_outs[{index}]"
-        made = _zone(table, frame, field, keep_in=False)
-        if made is None or not _touches(made[0], task):
-            far += 1
-        else:
-            found.append(_checked(*made, field))
-    for index, table in enumerate(model.keep_ins):
-        field = f"{where}: keep_ins[{index}]"
-        made = _zone(table, frame, field, keep_in=True)
-        if made is None:
-            rule = "it lies more than 1,000 km from the origin"
-            raise InputError(field, table.name, rule, "Remove it.")
-        found.append(_checked(*made, field))
+    found, far = list[Zone](), 0
+    for key, tables in {"keep_outs": model.keep_outs, "keep_ins": model.keep_ins}.items():
+        keep_in = key == "keep_ins"
+        for index, table in enumerate(tables):
+            field = f"{where}: {key}[{index}]"
+            made = _zone(table, frame, field, keep_in=keep_in)
+            if made is None and keep_in:
+                rule = "it lies more than 1,000 km from the origin"
+                raise InputError(field, table.name, rule, "Remove it.")
+            if made is None or not (keep_in or _touches(made[0], task)):
+                far += 1
+                continue
+            zone, corners = made
+            if isinstance(zone, PolygonZone):
+                check_polygon(corners, field, zone.name)
+            found.append(zone)
     note = f"{far} of {len(model.keep_outs)} keep-outs lie away from the map" if far else ""
     return tuple(found), note
 
 
 _Made = tuple[Zone, tuple[Place, ...]]
 """A zone, and its corners as they are given, if it has any."""
-
-
-def _checked(zone: Zone, corners: tuple[Place, ...], field: str) -> Zone:
-    if isinstance(zone, PolygonZone):
-        check_polygon(corners, field, zone.name)
-    return zone
 
 
 def _zone(table: ZoneTable, frame: LocalFrame, field: str, *, keep_in: bool) -> _Made | None:
