@@ -46,7 +46,7 @@ class Guess:
         known = self.known
         upper, firm = taken(known.upper_m, rows, columns), taken(known.seen, rows, columns)
         if known.given is not None:
-            firm |= taken(known.given, rows, columns)
+            firm = firm | taken(known.given, rows, columns)
         believed = np.where(firm, upper, -np.inf)
         if self.near is not None:
             (south, north), (west, east) = (
@@ -66,8 +66,14 @@ class Guess:
 def taken(
     cells: NDArray[_Any], rows: NDArray[np.integer], columns: NDArray[np.integer]
 ) -> NDArray[_Any]:
-    """The cells of these rows and columns.  -> (N, M)."""
-    return cells.take(rows, axis=0).take(columns, axis=1)
+    """The cells of these rows and columns; no copy of those that lie side by side.  -> (N, M)."""
+    for axis, index in enumerate((rows, columns)):
+        if len(index) and (np.diff(index) == 1).all():
+            side_by_side = slice(index[0], index[-1] + 1)
+            cells = cells[side_by_side] if axis == 0 else cells[:, side_by_side]
+        else:
+            cells = cells.take(index, axis=axis)
+    return cells
 
 
 def guess_of(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> Guess:
