@@ -48,7 +48,7 @@ def land() -> Message:
 
 
 def keep_out(place_ne_m: tuple[float, float], frame: LocalFrame, radius_m: float) -> Message:
-    """A circle to keep out of from now on."""
+    """A circle to keep out of from now on; of radius 0: no longer, around the place."""
     return _at(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, place_ne_m, frame, radius_m)
 
 

@@ -2,6 +2,7 @@
 
 import hmac
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final, final
 
 import viser
@@ -70,22 +71,20 @@ class Orders:
         target = client.gui.add_button("new target", hint="Then click on the ground.")
         radius = client.gui.add_number("radius, m", _RADIUS_M, min=1.0, step=1.0)
         keep_out = client.gui.add_button("keep-out", hint="Then click on its centre.")
+        lift = client.gui.add_button("lift keep-out", hint="Then click on the ground in it.")
 
-        def go_there(place: Place) -> Message:
-            return control.go_to(place, self._frame)
-
-        target.on_click(lambda _: self._pick(client, place_of, "new target", "", go_there))
+        go_there = partial(control.go_to, frame=self._frame)
+        circle_there = partial(control.keep_out, frame=self._frame)
 
         def ask_for_keep_out(_: Any) -> None:
             radius_m = float(radius.value)
+            of, make = f" of radius {metres(radius_m)}", partial(circle_there, radius_m=radius_m)
+            self._pick(client, place_of, "keep-out", of, make)
 
-            def keep_out_there(place: Place) -> Message:
-                return control.keep_out(place, self._frame, radius_m)
-
-            of = f" of radius {metres(radius_m)}"
-            self._pick(client, place_of, "keep-out", of, keep_out_there)
-
+        lift_there = partial(circle_there, radius_m=0.0)
+        target.on_click(lambda _: self._pick(client, place_of, "new target", "", go_there))
         keep_out.on_click(ask_for_keep_out)
+        lift.on_click(lambda _: self._pick(client, place_of, "lift keep-out", "", lift_there))
 
     def _asking(
         self, client: viser.ClientHandle, label: str, question: str, make: Callable[[], Message]
@@ -119,7 +118,6 @@ class Orders:
         make: Callable[[Place], Message],
     ) -> None:
         """Give an order with the place of the next click; of: what else there is to ask about."""
-        _tell(client, label, "click on the ground", is_good=True)
 
         def picked(event: viser.SceneClickEvent) -> None:
             client.scene.remove_click_callback()
@@ -133,6 +131,7 @@ class Orders:
 
         client.scene.remove_click_callback()  # of a place that was wanted before
         client.scene.on_click()(picked)
+        _tell(client, label, "click on the ground", is_good=True)
 
 
 def is_token(given: str, token: str) -> bool:

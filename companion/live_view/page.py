@@ -177,7 +177,11 @@ class Page:
         with tabs.add_tab("flight"):
             self._status = gui.add_html("")
         with tabs.add_tab("events"):
-            self._events = gui.add_html("")
+            self._events_style = gui.add_html("")
+            self._events = gui.add_button_group("", ("none yet",))
+            self._events.on_click(
+                lambda event: self._do(lambda: self.go_to_event(event.target.value))
+            )
         charts = gui.add_panel()
         with charts.add_tab("charts"):
             self._charts = [self._add_chart(*each) for each in _CHARTS]
@@ -244,6 +248,13 @@ class Page:
         ]
         if later:
             self.go_to(later[0])
+
+    def go_to_event(self, line: str) -> None:
+        """Go to where an event of the list happened."""
+        events = self._shown.recording.events
+        times_s = [event.time_s for event in events if panel.event_line(event) == line]
+        if times_s:
+            self.go_to(times_s[0])
 
     def _choose(self, name: str) -> None:
         self._shown = next(flight for flight in self._flights if flight.name == name)
@@ -356,7 +367,8 @@ class Page:
                 if other is not flight:
                     scene.show_other(other.name, other.recording, self._time_s)
             self._set(self._status, panel.status_html(moment, scene.scale.stretch))
-            self._set(self._events, panel.events_html(flight.recording.events, self._time_s))
+            self._events.options, style = panel.event_list(flight.recording.events, self._time_s)
+            self._set(self._events_style, style)
             ends_s = round(flight.recording.ends_s + 0.05, 1)
             if self._slider.max != ends_s:
                 self._slider.max = max(ends_s, 0.1)

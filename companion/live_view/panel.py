@@ -2,6 +2,7 @@
 
 import html
 import math
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, final
@@ -33,6 +34,14 @@ _STYLE: Final = (
     ".fl .p{font-size:17px;font-weight:700}.fl .r{color:#b3261e;font-weight:600}"
     ".fl i{display:inline-block;height:9px;background:#0050b5;border-radius:2px}"
     ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}</style>"
+)
+_EVENTS_BEFORE, _EVENTS_AFTER = 30, 10
+_LIST: Final = "div:has(>.ev)+div"  # the button group after it
+_LIST_STYLE: Final = (
+    f"<style>{_LIST}>div>div:first-child{{display:none}}"
+    f"{_LIST} button{{flex:1 0 100%!important;min-width:0!important;height:auto;border:0;"
+    "padding:0 4px;color:inherit;font-weight:400}"
+    f"{_LIST} button *{{justify-content:start;text-align:left;white-space:normal}}</style>"
 )
 
 
@@ -142,15 +151,21 @@ def clock_text(time_s: float) -> str:
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
 
 
-def events_html(events: list[Event], time_s: float, most: int = 30) -> str:
-    """The last events up to a time, newest first."""
-    past = [event for event in events if event.time_s <= time_s][-most:]
-    lines = (
-        f"<tr><td style='width:52px'>{clock_text(event.time_s)}</td>"
-        f"<td style='text-align:left;font-weight:400'>{html.escape(event.text)}</td></tr>"
-        for event in reversed(past)
-    )
-    return f"{_STYLE}<div class=fl><table>{''.join(lines)}</table></div>"
+def event_line(event: Event) -> str:
+    """An event in the list of events."""
+    return f"{clock_text(event.time_s)} {event.text}"
+
+
+def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str]:
+    """Lines of the events about a time, newest first, and what makes a list of their buttons.
+
+    Those that are yet to come are pale.
+    """
+    at = bisect_right(events, time_s, key=lambda event: event.time_s)
+    around = events[max(at - _EVENTS_BEFORE, 0) : at + _EVENTS_AFTER]
+    to_come = min(len(events) - at, _EVENTS_AFTER)
+    pale = f"<style>{_LIST} button:nth-child(-n+{to_come}){{opacity:.5}}</style>"
+    return tuple(map(event_line, reversed(around))), f"{_LIST_STYLE}{pale}<div class=ev></div>"
 
 
 # --- charts

@@ -163,7 +163,8 @@ class Scene:
             outline = outline_ne_m(zone)
             top = self.scale.scene(np.array([*outline.mean(axis=0), band[1]]))
             what = "keep-in" if zone.keep_in else "keep-out"
-            self._label(f"{name}/label", f"{what} {zone.name}".strip(), top, "bottom-center")
+            text = zone.name if what in zone.name else f"{what} {zone.name}".strip()
+            self._label(f"{name}/label", text, top, "bottom-center")
             rim = np.insert(outline, 2, band[1], axis=1)
             self._lines(f"{name}/rim", shapes.segments(self.scale.scene(rim)), colour, 2.0)
 

@@ -228,12 +228,12 @@ class CommandServer:
         return _order(OrderKind.LAND)
 
     def _keep_out(self, message: Message) -> _CommandOutcome:
-        """A circle to keep out of, at any altitude."""
+        """A circle to keep out of, at any altitude; of radius 0: no longer, around its place."""
         radius_m = from_float32(message.param1)
         sides_m = (high - low for low, high in (self._limits.north_m, self._limits.east_m))
         largest_m = math.hypot(*sides_m)
-        if not 0.0 < radius_m <= largest_m:
-            text = f"keep-out: radius {radius_m:g} m: must be more than 0, at most {largest_m:.0f}"
+        if not 0.0 <= radius_m <= largest_m:
+            text = f"keep-out: radius {radius_m:g} m: must be 0 to {largest_m:.0f}"
             return _CommandOutcome(Result.DENIED, text)
         return self._at_place(message, OrderKind.KEEP_OUT, radius_m=radius_m)
 

@@ -49,6 +49,7 @@ from companion.mission.state import (
     TakenOver,
     Trigger,
     Vehicle,
+    with_circle,
 )
 from companion.mission.stopped import fence_breached, resumed
 from companion.planner.adjustable import loosest
@@ -90,7 +91,11 @@ def order_result(state: State, order: Order) -> OrderResult:
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
             return OrderResult.ACCEPTED if state.vehicle.traits.lands else OrderResult.INVALID
-        case OrderKind.KEEP_OUT if order.target_ne_m is None or order.radius_m is None:
+        case OrderKind.KEEP_OUT if (
+            order.target_ne_m is None
+            or order.radius_m is None
+            or (order.radius_m == 0.0 and _keep_outs(state, order) == state.keep_outs)
+        ):
             return OrderResult.INVALID
         case OrderKind.SPEED | OrderKind.KEEP_OUT:
             return OrderResult.NOT_NOW if state.phase in OVER else OrderResult.ACCEPTED
@@ -104,6 +109,8 @@ def why_not(state: State, order: Order) -> str:
         why = "it has no target" if place is None else target_refusal(state.task, place)
         if order.kind is OrderKind.LAND:
             why = f"{state.vehicle.traits.name} is not told to land: send it back"
+        elif order.kind is OrderKind.KEEP_OUT and place is not None:
+            why = "none that was ordered in flight is there"
     elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
     elif state.phase is Phase.HOLDING and state.reason is not None:
@@ -137,19 +144,23 @@ def _with_fence(state: State, event: FenceChanged, _context: Context) -> Step:
     return _with_zones(state, StatusText(text=f"fence: {len(event.zones)} zones", warning=known))
 
 
-def _with_keep_out(state: State, order: Order) -> Step:
-    """Another keep-out, from now on."""
+def _keep_outs(state: State, order: Order) -> tuple[CircleZone, ...]:
+    """The ordered keep-outs after an order for one."""
     assert order.target_ne_m is not None
     assert order.radius_m is not None
-    (north_m, east_m), radius_m = order.target_ne_m, order.radius_m
-    given = [(zone.north_m, zone.east_m, zone.radius_m) for zone in state.keep_outs]
-    if (north_m, east_m, radius_m) in given:
+    return with_circle(state.keep_outs, order.target_ne_m, order.radius_m)
+
+
+def _with_keep_out(state: State, order: Order) -> Step:
+    """Another keep-out from now on, or some are lifted."""
+    before, after = state.keep_outs, _keep_outs(state, order)
+    if after == before:
         return state, [], None
-    zone = CircleZone(
-        name=f"ordered keep-out {len(given) + 1}", north_m=north_m, east_m=east_m, radius_m=radius_m
-    )
-    state = state.with_rules(state.given, state.fence, (*state.keep_outs, zone))
-    says: list[Command] = [StatusText(text=f"{zone.name}: radius {radius_m:.0f} m")]
+    state = state.with_rules(state.given, state.fence, after)
+    if lifted := [zone.name for zone in before if zone not in after]:
+        return _with_zones(state, StatusText(text=f"lifted: {', '.join(lifted)}"))
+    zone = after[-1]
+    says: list[Command] = [StatusText(text=f"{zone.name}: radius {zone.radius_m:.0f} m")]
     for target in state.targets_ne_m[state.flight.target :]:
         if float(zone.distance_m(*np.array(target))) < state.task.zone_search_clearance_m:
             text = target_refusal(state.task, target)

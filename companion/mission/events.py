@@ -205,7 +205,7 @@ class OrderKind(enum.Enum):
     SPEED = "change the speed"
     RETURN = "return"
     LAND = "land where it is"
-    KEEP_OUT = "keep out of a circle from now on"
+    KEEP_OUT = "keep out of a circle from now on, or no longer"
 
 
 @final
@@ -217,7 +217,7 @@ class Order(Event, frozen=True, kw_only=True):
     """Where to (REPOSITION); the centre (KEEP_OUT)."""
     speed_m_s: float | None = None
     radius_m: float | None = None
-    """Of a circle (KEEP_OUT)."""
+    """Of a circle (KEEP_OUT); 0: those that the centre is in are lifted."""
     sender: str = ""
     """System and component, for the journal: "255/190"."""
 

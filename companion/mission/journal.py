@@ -300,16 +300,7 @@ class OrderGiven(Entry, frozen=True, tag="order"):
     speed_m_s: float | None
     """How fast (SPEED)."""
     radius_m: float | None = None
-    """Of the circle (KEEP_OUT)."""
-
-    @property
-    def keep_out(self) -> CircleZone | None:
-        """The keep-out that was ordered; None: it was another order."""
-        if self.target_ne_m is None or self.radius_m is None:
-            return None
-        north_m, east_m = self.target_ne_m
-        name = "ordered keep-out"
-        return CircleZone(name=name, north_m=north_m, east_m=east_m, radius_m=self.radius_m)
+    """Of the circle (KEEP_OUT); 0: those that the centre is in are lifted."""
 
 
 # --- the vehicle

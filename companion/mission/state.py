@@ -3,8 +3,10 @@
 import dataclasses
 import enum
 import math
+from itertools import count
 from typing import final
 
+import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
@@ -690,3 +692,17 @@ def within(task: Task, fence: FenceChanged | None, keep_outs: tuple[CircleZone, 
         ceiling = min(ceiling, fence.ceiling_amsl_m)
     limits = dataclasses.replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
     return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones, *keep_outs))
+
+
+def with_circle(
+    keep_outs: tuple[CircleZone, ...], centre_ne_m: tuple[float, float], radius_m: float
+) -> tuple[CircleZone, ...]:
+    """The ordered keep-outs with another; a radius of 0 lifts those that its centre is in."""
+    if radius_m == 0.0:
+        where = np.array(centre_ne_m)
+        return tuple(each for each in keep_outs if each.distance_m(*where) > 0.0)
+    names = {each.name for each in keep_outs}
+    name = next(name for k in count(1) if (name := f"ordered keep-out {k}") not in names)
+    zone = CircleZone(name=name, north_m=centre_ne_m[0], east_m=centre_ne_m[1], radius_m=radius_m)
+    is_new = all(dataclasses.replace(each, name=name) != zone for each in keep_outs)
+    return (*keep_outs, zone) if is_new else keep_outs

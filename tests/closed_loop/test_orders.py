@@ -1,5 +1,6 @@
 """Orders in flight, with the real planner: a keep-out is flown around; told to land, it lands."""
 
+import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from pymavlink.dialects.v20 import all as wire
 from short_flight import replayed
 
 from companion.config import load_mission, mission_text
+from companion.live_view.recording import Recording
 from companion.mission.state import Phase
 from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.in_process import fly_in_process
@@ -37,7 +39,7 @@ class Heard:
 
     def take_frames(self) -> list[tuple[int, bytes]]:
         """What the ground station says comes first: the lockstep's question ends a tick."""
-        said = [(0, self.commands.pop())] if self.commands else []
+        said = [(0, self.commands.pop(0))] if self.commands else []
         return [*said, *self._vehicle.take_frames()]
 
 
@@ -70,14 +72,19 @@ def test_a_keep_out_is_flown_around_and_told_to_land_it_lands_and_is_the_same_ag
         vehicle.commands.append(command(number, RADIUS_M, place))
         return True
 
-    def land() -> bool:
+    def lift() -> bool:
         here = session.state.vehicle.position_nea_m
         if here is None or here[0] < centre[0] + RADIUS_M or here[1] < centre[1] + RADIUS_M:
             return False
+        place = mission.frame.to_geodetic_deg(*centre)
+        vehicle.commands.append(command(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0.0, place))
+        return True
+
+    def land() -> bool:
         vehicle.commands.append(command(wire.MAV_CMD_NAV_LAND, 0.0))
         return True
 
-    todo += [land, keep_out]
+    todo += [land, lift, keep_out]
 
     def look() -> None:
         nonlocal nearest_m
@@ -90,11 +97,20 @@ def test_a_keep_out_is_flown_around_and_told_to_land_it_lands_and_is_the_same_ag
     toml, epoch_us = mission_text(MISSION), 1_700_000_000_000_000
     planner = Planner(lockstep=True)
     with RunFolder(tmp_path / "run", mission_toml=toml, epoch_us=epoch_us, durable=False) as run:
+        run.header(
+            {"mission": mission.name, "seed": int(SEED), "profile": "flight", "lockstep": True}
+        )
         fly_in_process(session, vehicle, planner=planner, folder=run, on_step=look)
     assert todo == []
     journal = journal_of(tmp_path / "run")
     orders = [entry["order"] for entry in journal if entry.get("kind") == "order"]
-    assert orders == ["KEEP_OUT", "LAND"]
+    assert orders == ["KEEP_OUT", "KEEP_OUT", "LAND"]
+    with Recording(tmp_path / "run") as recording:
+        recording.read()
+    circles = [
+        [z.radius_m for z in recording.decided_at(float(t)).keep_outs] for t in recording.times_s
+    ]
+    assert [each for each, _ in itertools.groupby(circles)] == [[], [RADIUS_M], []]
     assert nearest_m > RADIUS_M + mission.task.settings.safety_distance_m
     phases = [entry["phase"] for entry in journal if entry.get("kind") == "phase"]
     assert phases[-3:] == [each.value for each in (Phase.HOLDING, Phase.LANDING, Phase.DONE)]

@@ -130,9 +130,10 @@ Place = tuple[float, float]
 def clicked(page: Page, place: Place, label: str = "new target") -> str:
     """An order with a place, by a click on the scene; what the page says that came of it."""
     button = page.get_by_role("button", name=label, exact=True)
+    told = page.locator(".mantine-Notification-root", has_text=re.compile(f"^{label}click on"))
     for _ in range(2):  # who is impatient is asked once all the same
         button.press("Enter")
-    expect(page.get_by_text("click on the ground").first).to_be_visible()
+    expect(told.last).to_be_visible()
     scene = page.locator(_SCENE)
     box = scene.bounding_box()
     assert box is not None
@@ -148,6 +149,17 @@ def mast_foot(page: Page) -> Place:
         return math.inf, math.inf
     height, width = red.shape
     return float(columns[rows.argmax()]) / width, float(rows.max()) / height
+
+
+def shows_clicked_event(page: Page) -> str:
+    """An event of the list is clicked: the moment is its own; the row of its time."""
+    page.get_by_role("tab", name="events").press("Enter")
+    line = page.get_by_role("button", name=re.compile(r"^\d+:\d\d ")).nth(5).inner_text()
+    page.get_by_role("button", name=line, exact=True).first.press("Enter")
+    page.get_by_role("tab", name="flight").press("Enter")
+    shown = f"time{line.split()[0]}"
+    expect(page.locator("tr", has_text=re.compile("^time"))).to_have_text(shown)
+    return shown
 
 
 # --- while it is flown
@@ -182,13 +194,14 @@ def test_who_has_the_token_holds_and_continues(page: Page, flight: Flight) -> No
 def test_a_click_sets_a_target_where_it_was_or_is_refused_with_the_reason(page: Page) -> None:
     place, beside_the_map = (0.5, 0.6), (0.1, 0.95)
     assert "accepted" in clicked(page, place)
+    order(page, "hold")  # it would arrive, and end
     until_s = time.monotonic() + _PATIENCE_MS / 1e3
     while math.dist(foot := mast_foot(page), place) > 0.03:
         assert time.monotonic() < until_s, foot
     assert "give a place on the mission's map" in clicked(page, beside_the_map)
 
 
-def test_a_click_sets_a_keep_out_of_the_radius_that_is_asked_for(
+def test_a_click_sets_a_keep_out_of_the_radius_that_is_asked_for_and_another_lifts_it(
     page: Page, flight: Flight
 ) -> None:
     radius = page.get_by_role("textbox", name="radius, m")
@@ -197,6 +210,15 @@ def test_a_click_sets_a_keep_out_of_the_radius_that_is_asked_for(
     assert "accepted" in clicked(page, (0.4, 0.5), "keep-out")
     [given] = [entry for entry in flight.journal if entry.get("order") == "KEEP_OUT"]
     assert given["radius_m"] == 750.0
+    assert "accepted" in clicked(page, (0.4, 0.5), "lift keep-out")
+
+
+def test_an_event_that_is_clicked_is_shown_where_it_happened_though_it_flies_on(
+    page: Page,
+) -> None:
+    shown = shows_clicked_event(page)
+    page.get_by_role("button", name="newest").press("Enter")
+    expect(page.locator("tr", has_text=re.compile("^time"))).not_to_have_text(shown)
 
 
 def test_told_to_land_it_lands_where_it_is(page: Page) -> None:
@@ -241,5 +263,6 @@ def test_a_run_folder_is_shown_again_and_the_page_comes_back(
             expect(again.locator("tr", has_text=re.compile("^time"))).to_have_text("time0:00")
             again.get_by_role("button", name="next hold").click()
             expect(again.get_by_text("paused by a person").first).to_be_visible()
+            shows_clicked_event(again)
         with served(flight.folder, port):
             expect(again.locator("tr", has_text=re.compile("^time"))).not_to_have_text("time0:00")

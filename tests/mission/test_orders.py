@@ -592,6 +592,25 @@ def test_keep_outs_outlive_the_fence_the_settings_the_companion_and_the_autopilo
     assert craft.state.task.zones[-2:] == zones
 
 
+def test_a_radius_of_0_lifts_the_keep_outs_that_its_place_is_in_and_no_others() -> None:
+    craft, north_m = under_way(), -3_000.0
+    for east_m in (0.0, 150.0, 300.0):
+        assert keep_out(craft, (north_m, east_m), 100.0) is OrderResult.ACCEPTED
+    last = craft.state.keep_outs[2]
+    assert keep_out(craft, (north_m, 75.0), 0.0) is OrderResult.ACCEPTED
+    assert craft.sent(StatusText)[-1].text == "lifted: ordered keep-out 1, ordered keep-out 2"
+    assert craft.state.keep_outs == craft.state.task.zones == (last,)
+    assert keep_out(craft, (north_m, 75.0), 0.0) is OrderResult.INVALID
+    refused = Order(time_s=0.0, kind=OrderKind.KEEP_OUT, target_ne_m=(north_m, 75.0), radius_m=0.0)
+    assert changes.why_not(craft.state, refused).endswith(
+        "none that was ordered in flight is there"
+    )
+    restarted(craft)
+    assert craft.state.keep_outs == (last,)
+    assert keep_out(craft, (north_m, 0.0), 100.0) is OrderResult.ACCEPTED
+    assert len({zone.name for zone in craft.state.keep_outs}) == 2
+
+
 def test_a_keep_out_over_the_target_is_kept_and_told() -> None:
     craft = under_way()
     [target] = craft.state.targets_ne_m

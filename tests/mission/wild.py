@@ -520,12 +520,15 @@ class Wild:
         kind = list(OrderKind)[rng.integers(len(OrderKind))]
         at = tuple(float(value) for value in rng.uniform(-1100.0, 1100.0, 2))
         speed = float(rng.choice([1.0, 5.0, 50.0]))
+        radius = float(rng.choice([0.0, 20.0, 80.0, 300.0])) if kind is OrderKind.KEEP_OUT else None
+        if radius == 0.0 and (zones := self.state.keep_outs):  # one of them is lifted
+            at = zones[0].north_m + 5.0, zones[0].east_m - 5.0
         order = Order(
             time_s=self.now_s,
             kind=kind,
             target_ne_m=(at[0], at[1]) if kind in PLACED else None,
             speed_m_s=speed if kind in (OrderKind.SPEED, OrderKind.REPOSITION) else None,
-            radius_m=float(rng.choice([20.0, 80.0, 300.0])) if kind is OrderKind.KEEP_OUT else None,
+            radius_m=radius,
         )
         if changes.order_result(self.state, order) is changes.OrderResult.ACCEPTED:
             self.take(order)

@@ -17,8 +17,9 @@ from companion.mission import journal as noted
 from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
 from companion.mission.state import Phase as MissionPhase
+from companion.mission.state import with_circle
 from companion.telemetry.export.track import Track
-from companion.world.threats import Zone
+from companion.world.threats import CircleZone, Zone
 
 _LEG_POINTS = 2001
 _LATER_S = 60.0  # an autopilot that was restarted while no companion ran has a clock that fell
@@ -69,7 +70,7 @@ class Decided:
     """and its newest answer."""
     targets_ne_m: tuple[tuple[float, float], ...] = ()
     vehicle_zones: tuple[Zone, ...] = ()
-    keep_outs: tuple[Zone, ...] = ()
+    keep_outs: tuple[CircleZone, ...] = ()
     """Ordered in flight."""
     round_trip_s: float | None = None
     warning: str = ""
@@ -89,8 +90,8 @@ class Decided:
                 return replace(self, vehicle_zones=entry.zones)
             case noted.Targets():
                 return replace(self, targets_ne_m=entry.targets_ne_m)
-            case noted.OrderGiven() if (zone := entry.keep_out) is not None:
-                return replace(self, keep_outs=(*self.keep_outs, zone))
+            case noted.OrderGiven(target_ne_m=(_, _) as centre, radius_m=float(radius_m)):
+                return replace(self, keep_outs=with_circle(self.keep_outs, centre, radius_m))
             case noted.OrderGiven(target_ne_m=(north_m, east_m)):
                 return replace(self, targets_ne_m=((north_m, east_m),))
             case noted.LinkDelay():
