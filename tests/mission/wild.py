@@ -521,7 +521,8 @@ class Wild:
         at = tuple(float(value) for value in rng.uniform(-1100.0, 1100.0, 2))
         speed = float(rng.choice([1.0, 5.0, 50.0]))
         radius = float(rng.choice([0.0, 20.0, 80.0, 300.0])) if kind is OrderKind.KEEP_OUT else None
-        if radius == 0.0 and (zones := self.state.keep_outs):  # one of them is lifted
+        if (zones := self.state.keep_outs) and rng.random() < 0.3:  # one of them is lifted
+            kind, radius = OrderKind.KEEP_OUT, 0.0
             at = zones[0].north_m + 5.0, zones[0].east_m - 5.0
         order = Order(
             time_s=self.now_s,
