@@ -68,7 +68,7 @@ _COARSE = "fixedDpr=0.5"  # a quarter of the pixels, for want of a graphics proc
 _DRAGGED_S = 10.0
 _TIME_ROW = "tr:has(td:text-is('time'))"
 _IS_READ = "!document.body.textContent.includes('the ground is read until')"
-_READ_MS = 60_000.0
+_READ_MS = 300_000.0
 _COUNT = """() => {
     window.frames_drawn = 0; window.times_shown = new Set();
     const count = () => {
