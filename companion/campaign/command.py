@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import os
 import time
 from collections.abc import Generator
 from pathlib import Path
@@ -18,6 +17,7 @@ from companion.campaign.report_command import report_command
 from companion.campaign.row import Row
 from companion.campaign.store import Store
 from companion.errors import InputError
+from companion.runtime.worker_pool import processors
 
 if TYPE_CHECKING:
     from companion.campaign.file import Run
@@ -120,7 +120,7 @@ def run_command(
         rows = (
             execute.fly_on_cluster(todo, path, scheduler)
             if scheduler
-            else execute.fly_locally(todo, path, jobs or os.cpu_count() or 1)
+            else execute.fly_locally(todo, path, jobs or processors())
         )
         try:
             counts = _collect(rows, store, table.name, len(runs), console)

@@ -3,11 +3,10 @@
 Both take runs and give rows as they come, in any order; a worker that is lost takes no run with it.
 """
 
-import multiprocessing
 import os
 import signal
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ from companion.campaign.run import fly_run, lost_run
 from companion.errors import FlightInterrupted, InputError
 from companion.extras import need
 from companion.runtime.compiler import load_kernel
-from companion.runtime.signals import end_with_parent
+from companion.runtime.worker_pool import end_with_parent, worker_pool
 
 _RETRIES = 3
 """How often a run may lose its worker until that is held against it."""
@@ -43,34 +42,26 @@ def _until_broken(
     left: list[Run], lost: dict[int, int], out: Path, jobs: int
 ) -> Generator[Row, None, list[Run]]:
     """Fly until all are done or a worker is lost -> what is left, the next one last."""
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
-    )
     # After a loss nobody knows whose it was: so many fly that few are suspected.
     ahead = jobs if lost else _AHEAD * jobs
     waiting: dict[Future[Row], Run] = {}
-    try:
-        while left or waiting:
-            while left and len(waiting) < ahead:
-                run = left.pop()
-                waiting[pool.submit(fly_run, run, out)] = run
-            done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                if future.exception() is None:
-                    del waiting[future]
-                    yield future.result()
-            if waiting.keys() & done:
-                return (yield from _left(left, waiting.values(), lost))
-    except BrokenProcessPool:  # while one was handed out
-        left.append(run)
-        return (yield from _left(left, waiting.values(), lost))
-    except BaseException:  # Ctrl-C: what is being flown is flown again another time
-        for child in set(multiprocessing.active_children()) - others:
-            child.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
+    # by Ctrl-C: what is being flown is flown again another time
+    with worker_pool(jobs, _begin_worker) as submit:
+        try:
+            while left or waiting:
+                while left and len(waiting) < ahead:
+                    run = left.pop()
+                    waiting[submit(fly_run, run, out)] = run
+                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    if future.exception() is None:
+                        del waiting[future]
+                        yield future.result()
+                if waiting.keys() & done:
+                    return (yield from _left(left, waiting.values(), lost))
+        except BrokenProcessPool:  # while one was handed out
+            left.append(run)
+            return (yield from _left(left, waiting.values(), lost))
     return []
 
 
@@ -89,8 +80,7 @@ def _left(
 
 
 def _begin_worker() -> None:
-    """Ctrl-C is the parent's; a worker whose parent was killed ends too."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """A worker that is told to end, or whose parent was killed, ends its programs too."""
     signal.signal(signal.SIGTERM, lambda *_: _end_worker())
     end_with_parent(_end_worker)
 

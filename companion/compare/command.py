@@ -1,7 +1,6 @@
 """`companion compare`: the paper's table and figures, computed again."""
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from rich.table import Table
 from companion.compare import effects, table_1
 from companion.compare.missions import Case, Run, fly_all
 from companion.errors import InputError
+from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:
     shown = partial(
         track, description="flying", total=len(cases), console=Console(stderr=True), transient=True
     )
-    return fly_all(cases, jobs or len(os.sched_getaffinity(0)), shown)
+    return fly_all(cases, jobs or processors(), shown)
 
 
 def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:

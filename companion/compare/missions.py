@@ -1,10 +1,8 @@
 """Missions as the paper flies them, without a vehicle, and what they cost."""
 
-import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +15,7 @@ from companion.geodesy import FloatArray
 from companion.objective.scene import PAPER
 from companion.planner.offline import fly_offline
 from companion.planner.settings import Task
-from companion.runtime.signals import end_with_parent
+from companion.runtime.worker_pool import end_with_parent, worker_pool
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import PeakTerrain
@@ -113,20 +111,15 @@ def fly_all(
     """
     if jobs == 1:
         return [fly(case) for case in shown(cases)]
-    spawn = multiprocessing.get_context("spawn")  # threads and fork do not mix
-    pool = ProcessPoolExecutor(min(jobs, len(cases)), mp_context=spawn, initializer=_begin_worker)
     try:
-        futures = [pool.submit(fly, case) for case in cases]
-        for done in shown(as_completed(futures)):
-            done.result()
-        return [future.result() for future in futures]
+        with worker_pool(min(jobs, len(cases)), _begin_worker) as submit:
+            futures = [submit(fly, case) for case in cases]
+            for done in shown(as_completed(futures)):
+                done.result()
+            return [future.result() for future in futures]
     except BrokenProcessPool as error:
         raise CompanionError("a worker process ended early. Try fewer --jobs.") from error
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _begin_worker() -> None:
-    """Ctrl-C goes to all processes of a terminal, and ends this one without a word."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     end_with_parent(partial(os._exit, 1))

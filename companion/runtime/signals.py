@@ -1,11 +1,8 @@
-"""What ends a process: signals, and the end of its parent."""
+"""Signals that end a process."""
 
 import contextlib
-import multiprocessing
-import multiprocessing.connection
 import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import FrameType
 
 
@@ -27,15 +24,3 @@ def stop_signals() -> Iterator[list[int]]:
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
-
-
-def end_with_parent(end: Callable[[], None]) -> None:
-    """In a worker process: call this when its parent has ended, however it has."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        multiprocessing.connection.wait([parent.sentinel])
-        end()
-
-    threading.Thread(target=follow, daemon=True).start()
