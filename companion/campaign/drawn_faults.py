@@ -24,7 +24,7 @@ _STEADY_EVERY_S: Final = 120.0
 _STEADY_LASTS_S: Final = 60.0
 _STEADY: Final = (
     *("gps_noise", "gps_delay", "wind", "link_loss", "link_delay", "link_duplication"),
-    *("link_corruption", "radar_off", "radar_loss", "radar_delay", "setpoints_ignored"),
+    *("link_corruption", "radar_off", "radar_loss", "radar_delay"),
 )
 """None that alone ends a flight."""
 _FROM_S: Final = 35.0

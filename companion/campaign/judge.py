@@ -58,6 +58,7 @@ _BLIND: Final = ("POSITION_STALE", "POSITION_FROZEN", "POSITION_JUMPED", "POSITI
 _DEG_M: Final = 111_195.0
 _POSITION: Final = 33
 _SETPOINTS: Final = (75, 84, 86)
+_COMMAND, _SET_MODE = 76, 176  # COMMAND_LONG, MAV_CMD_DO_SET_MODE
 _MAVLINK_2, _HEAD = 0xFD, 10
 _VEHICLE: Final = 1  # MAV_COMP_ID_AUTOPILOT1
 
@@ -79,7 +80,7 @@ class _Table:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Told:
-    """Of flight.tlog: positions that came in, and when setpoints went out."""
+    """Of flight.tlog: positions that came in, and when setpoints and modes went out."""
 
     at_s: FloatArray
     """When it was told, vehicle time."""
@@ -158,7 +159,7 @@ def _told(log: Path) -> _Told:
                 at_us.append(us)
                 of_s.append(boot_ms * 1e-3)
                 places.append((lat * 1e-7, lon * 1e-7, alt_mm * 1e-3))
-            elif number in _SETPOINTS and frame[6] != _VEHICLE:
+            elif frame[6] != _VEHICLE and (number in _SETPOINTS or _sets_mode(number, frame)):
                 sent_us.append(us)
     # stamps count from an epoch of their own, positions from the vehicle's boot
     first_us, first_s = (at_us[0], of_s[0]) if at_us else (0, 0.0)
@@ -167,6 +168,12 @@ def _told(log: Path) -> _Told:
         of_s=np.array(of_s),
         deg_m=np.array(places).reshape(-1, 3),
         sent_s=[1e-6 * (us - first_us) + first_s for us in sent_us],
+    )
+
+
+def _sets_mode(number: int, frame: bytes) -> bool:
+    return (
+        number == _COMMAND and int.from_bytes(frame[_HEAD + 28 : _HEAD + 30], "little") == _SET_MODE
     )
 
 
