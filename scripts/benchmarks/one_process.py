@@ -9,9 +9,10 @@ usage: python scripts/benchmarks/one_process.py [--environment environment-1] [-
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import running
 
@@ -101,11 +102,17 @@ def told_again(vehicle: Simulation, ticks: list[Tick]) -> float:
     return time.process_time() - began_s
 
 
-def frames_alone(ticks: list[Tick]) -> float:
-    """Processor time of packing, finding and decoding all frames on both sides."""
+def understood(ticks: Sequence[Tick]) -> tuple[list[list[Any]], list[list[Any]]]:
+    """The messages of each tick: the vehicle's, and the companion's."""
     again, parser = Receiver(), StreamParser(datagrams=True)
     vehicles = [[message for _, message in parser.feed(b"".join(said))] for _, _, said in ticks]
-    companions = [again.feed(b"".join(told)) for _, told, _ in ticks]
+    return vehicles, [again.feed(b"".join(told)) for _, told, _ in ticks]
+
+
+def frames_alone(ticks: Sequence[Tick]) -> float:
+    """Processor time of packing, finding and decoding all frames on both sides."""
+    vehicles, companions = understood(ticks)
+    parser = StreamParser(datagrams=True)
     began_s, packer, link, receiver = time.process_time(), Packer(1, 1), codec(1), Receiver()
     for (_, told, said), theirs, ours in zip(ticks, vehicles, companions, strict=True):
         for message in theirs:

@@ -124,10 +124,12 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def start_vehicle(world: Path, port: int, *options: str) -> subprocess.Popen[bytes]:
+def start_vehicle(
+    world: Path, port: int, *options: str, log: Path | None = None
+) -> subprocess.Popen[bytes]:
     """vehicle-sim, in real time unless the options say otherwise."""
     command = [BIN / "vehicle-sim", world, "--connect", f"udpout:127.0.0.1:{port}", *options]
-    return _start(command)
+    return _start(command, log)
 
 
 def start_companion(

@@ -3,7 +3,8 @@
 Missions are flown once (`record`), and of each some plans are kept in best_known.json, as what
 they were asked: where was scanned, where the subpath begins, the target. The scenes are made from
 that again, by the planner's own code, so a fingerprint of each objective stands beside its best
-known value: a value found for another objective is not used.
+known value: a value found for another objective is not used. Both objectives, `flight` and the
+paper's, are of the same questions.
 """
 
 import hashlib
@@ -17,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.campaign import drawn_world
-from companion.objective.scene import FlightScene
+from companion.geodesy import wrap_rad
+from companion.objective import terms
+from companion.objective.scene import PAPER, FlightScene
 from companion.path.subpath import Pose
-from companion.planner import plan
+from companion.planner import plan, published
 from companion.planner.cost_to_go import cost_to_go
 from companion.planner.kernels import Kernel
 from companion.planner.offline import fly_offline
@@ -47,7 +50,8 @@ class Problem:
     """One search that the planner makes."""
 
     name: str
-    scene: FlightScene
+    scene: FlightScene | terms.Scene
+    """Of objective `flight`, or of the paper's."""
     seeds: FloatArray  # (K, D): its warm starts
     for_tuning: bool
     """Whether the settings of the search were chosen by it: every other mission."""
@@ -55,12 +59,18 @@ class Problem:
     @property
     def dimensions(self) -> int:
         """D."""
-        return self.scene.variables
+        return self.seeds.shape[1]
+
+    def costs(self, x: FloatArray, kernel: Kernel) -> FloatArray:
+        """Costs of candidates, (P, D) -> (P,)."""
+        if isinstance(self.scene, FlightScene):
+            return kernel.costs(np.ascontiguousarray(x), self.scene)
+        return terms.cost(x, self.scene)
 
     def fingerprint(self, kernel: Kernel) -> str:
         """A hash of the objective: of its values at random points, to six digits."""
         x = np.random.default_rng(0).random((_PROBES, self.dimensions))
-        values = " ".join(f"{value:.6g}" for value in kernel.costs(x, self.scene))
+        values = " ".join(f"{value:.6g}" for value in self.costs(x, kernel))
         return hashlib.sha256(values.encode()).hexdigest()[:16]
 
 
@@ -130,8 +140,8 @@ def _asked(world: str, number: int, request: PlanRequest, points: int) -> dict[s
     }
 
 
-def problems(data: dict[str, Any]) -> list[Problem]:
-    """The problems of the file, as the planner poses them today."""
+def problems(data: dict[str, Any], objective: str) -> list[Problem]:
+    """The problems of the file, as the planner poses them today; objective: flight or paper."""
     result = []
     for number, (name, scans) in enumerate(data["scans"].items()):
         world = drawn_world.by_name(name)
@@ -160,6 +170,9 @@ def problems(data: dict[str, Any]) -> list[Problem]:
                     target_ne_m=(each["target_ne_m"][0], each["target_ne_m"][1]),
                     route_ne_m=tuple((place[0], place[1]) for place in each["route_ne_m"]),
                 )
+                if objective == "paper":
+                    result += _as_published(request, name, for_tuning=number % 2 == 1)
+                    continue
                 scene = replace(_scene(request), points=each["points"])
                 result.append(
                     Problem(
@@ -182,6 +195,21 @@ def _scene(request: PlanRequest) -> FlightScene:
         request.route_ne_m,
     )
     return plan._scene(request, field)
+
+
+def _as_published(request: PlanRequest, world: str, *, for_tuning: bool) -> list[Problem]:
+    """The same question with the paper's four points, ten samples and tangent guide."""
+    settings = replace(request.task.settings, profile=PAPER)
+    scene = published._scene(replace(request, task=replace(request.task, settings=settings)))
+    north, east, _ = scene.start.tangent_nea
+    guide = 0.5 + wrap_rad(scene.guide_rad - math.atan2(east, north)) / math.pi
+    seeds = [
+        (0.5, 0.5, 0.5 * (0.5 + end), z, end, z)  # ahead, towards the guide, to both sides of it
+        for end in np.clip([0.5, guide, guide - 0.2, guide + 0.2], 0.0, 1.0)
+        for z in (0.0, 0.3, 0.7)
+    ]
+    name = f"{world}/{request.plan_id}, paper"
+    return [Problem(name=name, scene=scene, seeds=np.array(seeds), for_tuning=for_tuning)]
 
 
 def best_known(data: dict[str, Any], problem: Problem, kernel: Kernel) -> float:

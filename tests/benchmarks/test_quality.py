@@ -22,7 +22,7 @@ def problem() -> subpaths.Problem:
     world = "sparse-1"
     plans = [each for each in data["plans"] if each["world"] == world and each["scan"] == 0]
     few = {"scans": {world: data["scans"][world][:1]}, "plans": plans[:1], "best": data["best"]}
-    return subpaths.problems(few)[0]
+    return subpaths.problems(few, "flight")[0]
 
 
 @pytest.mark.parametrize("name", [OURS, *RIVALS])

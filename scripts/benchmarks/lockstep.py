@@ -1,0 +1,125 @@
+"""How fast a flight over UDP is in lockstep, and its replay, beside bare frames in the same run.
+
+    scripts/bench lockstep [--repeats 3] [--json FILE]
+
+vehicle-sim and `companion fly` as processes, an ArduPilot and a PX4 flight; the fastest counts.
+Then `companion replay --no-plans` of each.  The bare frames are those of the first flight: two
+processes that pack, send, receive and decode the same, tick by tick, and decide nothing.
+"""
+
+import multiprocessing
+import re
+import socket
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import running
+from one_process import ENVIRONMENTS, Overheard, Tick, flown, understood
+from pair_processes import end, free_port, start_companion, start_vehicle, udp_socket
+from replay import replayed
+
+from companion.mavlink.dialect import codec
+from companion.mavlink.frames import Receiver, packed
+from companion.runtime.compiler import Planner
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.world import read_world
+
+MISSIONS = ("environment-1", "sitl-px4")
+_BARS = {"flight": {"environment-1": 150.0}, "replay": {"environment-1": 600.0, "sitl-px4": 300.0}}
+_BAR_SHARE = 0.7  # of the bare frames
+_SAID = re.compile(rb"\((\d+\.\d) x real time\)")
+_PATIENCE_S = 600.0
+
+
+def flight(name: str, folder: Path) -> float:
+    """Both programs in lockstep, recorded in `folder`.  -> times real time, as the vehicle says."""
+    port, log = free_port(), folder / "vehicle.log"
+    vehicle = start_vehicle(ENVIRONMENTS / name / "world.toml", port, "--lockstep", log=log)
+    mission = ENVIRONMENTS / name / "mission.toml"
+    companion = start_companion(mission, port, folder / "run", "--lockstep")
+    try:
+        if (code := companion.wait(_PATIENCE_S)) != 0:
+            raise SystemExit(f"{name}: the companion ended with {code}")
+        vehicle.wait(_PATIENCE_S)
+    finally:
+        end(companion)
+        end(vehicle)
+    said = _SAID.search(log.read_bytes())
+    assert said is not None
+    return float(said[1])
+
+
+def again(folder: Path) -> float:
+    """The decisions of a flight once more, without its plans.  -> times real time"""
+    found = replayed(folder / "run", "--no-plans")
+    if not found["identical"]:
+        raise SystemExit(f"the replay differs: {found['difference']}")
+    return float(found["flown_s"] / found["took_s"])
+
+
+def bare(ticks: Sequence[Tick]) -> float:
+    """Seconds in which two processes exchange the frames of a flight."""
+    theirs, ours = understood(ticks)
+    link = udp_socket()
+    answering = multiprocessing.Process(target=_answer, args=(link, ours), daemon=True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.connect(link.getsockname())
+        vehicle.settimeout(_PATIENCE_S)
+        packer, parser = Packer(1, 1), StreamParser(datagrams=True)
+        answering.start()
+        began_s = time.perf_counter()
+        for messages in theirs:
+            vehicle.send(b"".join(map(packer.frame, messages)))
+            parser.feed(vehicle.recv(65_535))
+        took_s = time.perf_counter() - began_s
+    answering.join()
+    link.close()
+    return took_s
+
+
+def _answer(link: socket.socket, ours: Sequence[Sequence[object]]) -> None:
+    """The companion's side: each datagram read, what it said then packed and sent."""
+    receiver, own = Receiver(), codec(1)
+    for messages in ours:
+        data, sender = link.recvfrom(65_535)
+        receiver.read(data, 0.0)
+        link.sendto(b"".join(packed(message, own) for message in messages), sender)
+
+
+def main() -> int:
+    options, console = running.begin(__doc__, repeats=(3, "the fastest counts"))
+    found: dict[str, dict[str, float]] = {"flight": {}, "replay": {}}
+    with TemporaryDirectory() as scratch:
+        for name in MISSIONS:
+            folders = [Path(scratch) / f"{name}-{k}" for k in range(options.repeats)]
+            for folder in folders:
+                folder.mkdir()
+            found["flight"][name] = max(flight(name, folder) for folder in folders)
+            found["replay"][name] = max(again(folder) for folder in folders)
+    overheard = Overheard(Simulation(read_world(ENVIRONMENTS / MISSIONS[0] / "world.toml")))
+    planner = Planner(lockstep=True)
+    planner.wait()
+    flown(MISSIONS[0], overheard, planner)
+    took_s = min(bare(overheard.ticks) for _ in range(options.repeats))
+    times = overheard.now_us * 1e-6 / took_s
+    share = found["flight"][MISSIONS[0]] / times
+    table = running.figures("times real time", "", *MISSIONS, "bars")
+    for what, rates in found.items():
+        bars = ", ".join(f"{bar:g}" for bar in _BARS[what].values())
+        table.add_row(what, *(f"{rates[name]:.0f}" for name in MISSIONS), bars)
+    table.add_row("the bare frames", f"{times:.0f}", "", "")
+    table.add_row("flight / bare frames", f"{share:.2f}", "", f"{_BAR_SHARE:g}")
+    console.print(table)
+    running.store(options.json, {**found, "bare": times, "share": share})
+    kept = share >= _BAR_SHARE and all(
+        found[what][name] >= bar for what, bars in _BARS.items() for name, bar in bars.items()
+    )
+    return running.ended(console, kept=kept)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
