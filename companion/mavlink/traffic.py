@@ -25,6 +25,7 @@ _CLAIM: Final = wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
 _HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
 MESSAGES: Final = frozenset({_ADSB, _POSITION, _CLAIM, _HEARTBEAT})
 _MOST: Final = 64
+_MOST_BETWEEN: Final = 16 * _MOST  # between two positions of our own
 _PERIOD_S = 0.05  # between two reports of one aircraft that are read
 _SPAN_S = 10.0  # a claim is sent as the velocity that covers it in this time
 _LONGEST_M = 5000.0
@@ -51,7 +52,6 @@ class Listener:
         self._claims: dict[int, Claim] = {}
         self._disarmed: set[int] = set()
         self._read_at_s: dict[str, float] = {}
-        self._here: Vector = (0.0, 0.0, 0.0)
         self.refused = self.dropped = 0
         """Reports that make no sense, or of aircraft that are too many."""
         self._told: set[str] = set()
@@ -79,8 +79,13 @@ class Listener:
 
     def others(self, position: events.Position, ours: int) -> OthersHeard:
         """All that is known now; what is too old is forgotten."""
-        now_s, self._here = position.time_s, position.position_nea_m
-        self._tracks = {k: t for k, t in self._tracks.items() if _lasts(t.time_s, now_s)}
+        now_s = position.time_s
+        tracks = [(k, t) for k, t in self._tracks.items() if _lasts(t.time_s, now_s)]
+        if len(tracks) > _MOST:
+            self.dropped += len(tracks) - _MOST
+            here, speed_m_s = position.position_nea_m, self._task.limits.speed_m_s
+            tracks.sort(key=lambda kept: kept[1].reach_s(here, speed_m_s, now_s))
+        self._tracks = dict(tracks[:_MOST])
         self._read_at_s = {k: at for k, at in self._read_at_s.items() if _lasts(at, now_s)}
         self._claims = {
             k: claim
@@ -210,26 +215,21 @@ class Listener:
         """Whether to read another report of this aircraft: not those of a flood."""
         if 0.0 <= now_s - self._read_at_s.get(key, -math.inf) < _PERIOD_S:
             return False
-        if len(self._read_at_s) < 16 * _MOST:
+        if len(self._read_at_s) < _MOST_BETWEEN:
             self._read_at_s[key] = now_s
         return True
 
     def _keep(self, key: str, track: Track) -> None:
-        """Keep a track, if need be in place of the one that is met last."""
+        """Keep a track until `others` is asked, which leaves those that can be met first."""
         before = self._tracks.get(key)
         if before is not None:
             moves = math.hypot(*track.velocity_nea_m_s[:2]) > _MOVES_M_S
             resent = moves and before.position_nea_m == track.position_nea_m  # by ArduPilot, 5 s
             if resent or before.time_s > track.time_s:
                 return
-        self._tracks[key] = track
-        if len(self._tracks) > _MOST:
-            speed = self._task.limits.speed_m_s
-            reach = {
-                name: each.reach_s(self._here, speed, track.time_s)
-                for name, each in self._tracks.items()
-            }
-            del self._tracks[max(reach, key=reach.__getitem__)]
+        if before is not None or len(self._tracks) < _MOST_BETWEEN:
+            self._tracks[key] = track
+        else:
             self.dropped += 1
 
 
