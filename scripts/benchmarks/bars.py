@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import optimum
 import running
-from pair_processes import BIN
+from tapped import BIN
 
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.report import read_campaign

@@ -2,7 +2,7 @@
 
     scripts/bench events [--zones 50] [--corners 100] [--vehicle ardupilot-plane ...] [--json FILE]
 
-A companion flies a mission of the simulator's without sockets (`pair`); in flight the vehicle is
+A companion flies a short drawn mission without sockets, there and back; in flight the vehicle is
 given a fence of so many polygons, all over the area and one on the path, then another one around
 the vehicle, then none.  Measured is the processor time of each event in the mission's machine, of
 each fence as it is drawn, of checkpoints, and of each whole turn of the session.  What plans is
@@ -13,22 +13,29 @@ its bar, or a turn, which handles all events that came in at once, than its own.
 
 import math
 import sys
+import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import pair_worlds
 import running
 from numpy.typing import NDArray
-from pair import Pair
+from pymavlink.dialects.v20 import all as wire
 from rich.table import Table
 
+from companion.campaign import drawn_files, families
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.flight import Flight, FlightFiles
+from companion.campaign.in_process import Flying
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mission import checkpoint, entries, machine
-from companion.runtime.compiler import load_kernel
+from companion.mission.state import Phase
 from companion.runtime.loop import prompt_threads
 from companion.session import Session
 from companion.world.threats import PolygonZone
@@ -36,8 +43,9 @@ from vehicle_sim.plans import PlanItem, PlanKind
 
 _BAR_MS, _TURN_BAR_MS = 20.0, 50.0  # a turn is shorter than the period of a stream of 20 Hz
 _TURN = "whole turn"
-_FIRST_S, _AROUND_S, _NONE_S = 5.0, 75.0, 140.0
-"""After it began to fly; the companion reads a hundred items a second here."""
+_DRAWN_S = {"first": 5.0, "around": 75.0, "none": 140.0}
+"""When each fence is drawn, after it began to fly; a hundred items a second are read here."""
+VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 
 FloatArray = NDArray[np.float64]
 Times = defaultdict[str, list[float]]
@@ -54,12 +62,12 @@ def polygon(
 
 
 def polygons(
-    scene: pair_worlds.Scene, about: FloatArray, zones: int, corners: int, *, ahead: bool
+    drawn: DrawnWorld, about: FloatArray, zones: int, corners: int, *, ahead: bool
 ) -> list[PolygonZone]:
     """So many about a place; the first lies on the way from there to the target, or around it."""
     rng = np.random.default_rng(1)
-    task, target = scene.mission.task, np.array(scene.mission.targets_ne_m[-1])
-    reach_m = task.settings.scan_range_m
+    target = np.array(drawn.targets_ne_m[-1])
+    reach_m = drawn.task.settings.scan_range_m
     along = (target - about) / np.linalg.norm(target - about)
     first = about + (0.5 * reach_m if ahead else 0.0) * along
     found = [polygon(rng, first, 0.08 * reach_m, corners, "0")]
@@ -69,27 +77,22 @@ def polygons(
     return found
 
 
-def draw(zones: int, corners: int, *, ahead: bool) -> Callable[[Pair], None]:
-    """Give the vehicle a fence at once, as if it had been uploaded."""
-
-    def happen(pair: Pair) -> None:
-        about = np.array(pair.where()[:2])
-        drawn = polygons(pair.scene, about, zones, corners, ahead=ahead) if zones else []
-        pair.flown.fences.append((pair.now_s, tuple(drawn)))
-        items = [item for zone in drawn for item in pair.station.items_of(zone)]
-        pair.simulation.plans[PlanKind.FENCE] = tuple(
-            PlanItem(
-                frame=0,
-                command=command,
-                parameters=(first, 0.0, 0.0, 0.0),
-                x=round(latitude * 1e7),
-                y=round(longitude * 1e7),
+def give_fence(vehicle: Any, zones: list[PolygonZone]) -> None:
+    """At once, as if it had been uploaded."""
+    items = []
+    for zone in zones:
+        for corner in zone.vertices_ne_m:
+            latitude, longitude = drawn_files.FRAME.to_geodetic_deg(*corner)
+            items.append(
+                PlanItem(
+                    frame=0,
+                    command=wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+                    parameters=(float(len(zone.vertices_ne_m)), 0.0, 0.0, 0.0),
+                    x=round(float(latitude) * 1e7),
+                    y=round(float(longitude) * 1e7),
+                )
             )
-            for command, first, latitude, longitude in items
-        )
-        pair.note(f"{zones} zones of {corners} corners")
-
-    return happen
+    vehicle.plans[PlanKind.FENCE] = tuple(items)
 
 
 def timed(times: Times, name: Callable[..., str], function: Callable[..., Any]) -> Any:
@@ -105,14 +108,15 @@ def timed(times: Times, name: Callable[..., str], function: Callable[..., Any]) 
     return call
 
 
-def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple[Times, Pair]:
-    """One flight: processor times in seconds, by what they were taken for."""
-    scene = pair_worlds.scene_of(vehicle, 1)
-    (target,) = scene.mission.targets_ne_m
-    pair = Pair(scene.through(target, (0.0, 0.0), target), seed=1, kernel=load_kernel())
-    pair.at(_FIRST_S, draw(zones, corners, ahead=True))
-    pair.at(_AROUND_S, draw(zones, corners, ahead=False))
-    pair.at(_NONE_S, draw(0, 0, ahead=False))
+def fly(
+    vehicle: str, zones: int, corners: int, limit_s: float = 400.0
+) -> tuple[Times, Flight, list[PolygonZone]]:
+    """One flight, so long after it began to fly at most: processor times in seconds, by what they
+    were taken for; the flight; and its first fence."""
+    autopilot, kind = vehicle.split("-")
+    drawn = families.world(f"short-{kind}", 1, 1)
+    (target,) = drawn.targets_ne_m
+    drawn = replace(drawn, targets_ne_m=(target, drawn.start_nea_m[:2], target))
     times: Times = defaultdict(list)
     patched = (
         (machine, "step", lambda _state, event, *_: type(event).__name__),
@@ -126,15 +130,30 @@ def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple
         patch.object(owner, call, timed(times, name, getattr(owner, call)))
         for owner, call, name in patched
     ]
-    for each in patches:
-        each.start()
-    try:
-        with prompt_threads():  # as in flight
-            pair.fly(limit_s=limit_s)
-    finally:
+    first: list[PolygonZone] = []
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        world, mission = drawn_files.write(drawn, Path(folder), autopilot)  # type: ignore[arg-type]
+        files = FlightFiles(world=world, mission=mission, faults="", folder=Path(folder))
         for each in patches:
-            each.stop()
-    return times, pair
+            stack.enter_context(each)
+        stack.enter_context(prompt_threads())  # as in flight
+        flying = Flying(files, seed=1, limit_s=900.0, recorded=False)
+        session = flying.loop.session
+        while flying.flies and session.state.phase is not Phase.FLYING:
+            flying.fly_on(1e6 * (flying.now_s + 0.1))
+        began_s = flying.now_s
+        for which, after_s in _DRAWN_S.items():
+            if after_s > limit_s:
+                break
+            flying.fly_on(1e6 * (began_s + after_s))
+            about = np.array((session.state.vehicle.position_nea_m or drawn.start_nea_m)[:2])
+            is_ahead = which == "first"
+            fence = polygons(drawn, about, zones, corners, ahead=is_ahead)
+            give_fence(flying._vehicle, [] if which == "none" else fence)
+            first = first or fence
+        flying.fly_on(1e6 * (began_s + limit_s))
+        flying.close()
+        return times, flying.flight(), first
 
 
 def table_of(vehicle: str, times: dict[str, list[float]]) -> Table:
@@ -150,24 +169,24 @@ def table_of(vehicle: str, times: dict[str, list[float]]) -> Table:
 
 def main() -> int:
     """Fly with each vehicle."""
-    each = {"nargs": "+", "choices": pair_worlds.VEHICLES, "default": pair_worlds.VEHICLES}
+    each = {"nargs": "+", "choices": VEHICLES, "default": VEHICLES}
     options, console = running.begin(__doc__, zones=50, corners=100, vehicle=each)
     every: dict[str, dict[str, list[float]]] = {}
     slow = False
     for vehicle in options.vehicle:
-        (once, pair), (again, _) = (fly(vehicle, options.zones, options.corners) for _ in "12")
+        (once, flight, _), (again, _, _) = (
+            fly(vehicle, options.zones, options.corners) for _ in "12"
+        )
         pairs = {name: zip(taken, again[name], strict=True) for name, taken in once.items()}
         times = every[vehicle] = {name: [min(two) for two in pairs[name]] for name in pairs}
         console.print(table_of(vehicle, times))
-        told = [len(e["zones"]) for e in pair.flown.journal if e["kind"] == "fence"]
-        ended = pair.flown.died or f"{pair.flown.outcome} ({pair.flown.reason})"
-        console.print(f"fences told: {told} zones; {ended}\n", markup=False)
+        told = [len(e["zones"]) for e in flight.journal if e["kind"] == "fence"]
+        ended = [e["outcome"] for e in flight.journal if e["kind"] == "end"]
+        console.print(f"fences told: {told} zones; ended: {ended}\n", markup=False)
         slow |= any(
             max(taken) > 1e-3 * (_TURN_BAR_MS if name == _TURN else _BAR_MS)
             for name, taken in times.items()
         )
-        if pair.flown.died:
-            return 1
     running.store(options.json, every)
     return int(slow)
 

@@ -21,13 +21,14 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-import pair_processes as processes
-import pair_worlds
 import running
-from pair_files import Tapped
-from pair_processes import ORIGIN, POSITION, SETPOINT, TARGET, TO_COMPANION, frames
+import tapped
 from rich.console import Console
+from tapped import ORIGIN, POSITION, SETPOINT, TARGET, TO_COMPANION, Tapped, frames
 
+from companion.campaign import families
+from companion.campaign.drawn_files import FRAME, Autopilot
+from companion.campaign.drawn_world import DrawnWorld
 from vehicle_sim.geodesy import metres_per_degree
 
 _KILLS_A_LAP = 20.0
@@ -36,7 +37,7 @@ _PATIENCE_S = 1800.0
 _JUMP_M, _JUMP_M_S = 1.0, 1.0
 _FLIES_ON_S = {"ardupilot": 3.0, "px4": 0.0}
 """How long the autopilot moves its target on by itself."""
-_NORTH_M, _EAST_M = metres_per_degree(pair_worlds.LATITUDE_DEG)
+_NORTH_M, _EAST_M = metres_per_degree(FRAME.latitude_deg)
 
 
 @final
@@ -70,15 +71,15 @@ class Watcher:
     def seen(self, way: int, at_s: float, datagram: bytes) -> None:
         for number, frame in frames(datagram):
             if way == TO_COMPANION and number == POSITION:
-                self._vehicle = processes.position_of(frame)[1]
+                self._vehicle = tapped.position_of(frame)[1]
             elif way == TO_COMPANION and number == ORIGIN:
-                self._origin = processes.origin_of(frame)
+                self._origin = tapped.origin_of(frame)
             elif way == TO_COMPANION and number == TARGET and self._origin is not None:
-                place_ned_m, velocity = processes.target_of(frame)
+                place_ned_m, velocity = tapped.target_of(frame)
                 there = _moved((*self._origin, *place_ned_m), 1.0)[:3]  # metres: 1 s at m/s
                 self._target = at_s, (*there, *velocity)
             elif way != TO_COMPANION and number == SETPOINT:
-                self._on_setpoint(at_s, processes.setpoint_of(frame)[1])
+                self._on_setpoint(at_s, tapped.setpoint_of(frame)[1])
 
     def _on_setpoint(self, at_s: float, now: tuple[float, ...]) -> None:
         near: list[tuple[float, float, float]] = []
@@ -123,24 +124,24 @@ def _apart_m_s(one: Sequence[float], other: Sequence[float]) -> float:
     return math.dist(one[3:6], other[3:6])
 
 
-def scene_of(autopilot: str, kills: int) -> pair_worlds.Scene:
+def drawn_for(kills: int) -> DrawnWorld:
     """There and back, as often as so many kills take."""
-    scene = pair_worlds.scene(autopilot, "copter", 4)  # type: ignore[arg-type]
-    there = scene.mission.targets_ne_m[-1]
-    return scene.through(*(there, (0.0, 0.0)) * math.ceil(kills / _KILLS_A_LAP))
+    drawn = families.world("short-copter", 1, 4)
+    legs = (drawn.targets_ne_m[-1], drawn.start_nea_m[:2])
+    return dataclasses.replace(drawn, targets_ne_m=legs * math.ceil(kills / _KILLS_A_LAP))
 
 
-def fly(autopilot: str, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
+def fly(autopilot: Autopilot, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
     """One mission with so many kills; SystemExit if it does not arrive."""
     rng = np.random.default_rng(seed)
     watcher = Watcher(flies_on_s=_FLIES_ON_S[autopilot])
     began_s, lives = time.monotonic(), 1
     dies_s = began_s + 60.0 if autopilot == "ardupilot" else began_s + 20.0
-    with Tapped(scene_of(autopilot, kills), folder, watcher.seen) as pair:
+    with Tapped(drawn_for(kills), autopilot, folder, watcher.seen) as pair:
         while pair.companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
             pair.tap.pump(0.05)
             if lives <= kills and time.monotonic() > dies_s:
-                processes.end(pair.companion)
+                tapped.end(pair.companion)
                 watcher.life = lives
                 pair.start("--resume")
                 lives += 1

@@ -22,13 +22,14 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-import pair_processes as processes
-import pair_worlds
 import running
+import tapped
 from numpy.typing import NDArray
-from pair_files import Tapped
-from pair_processes import POSITION, SETPOINT, TO_COMPANION, frames
 from rich.table import Table
+from tapped import POSITION, SETPOINT, TO_COMPANION, Tapped, frames
+
+from companion.campaign import families
+from companion.campaign.drawn_files import Autopilot
 
 FloatArray = NDArray[np.float64]
 
@@ -48,10 +49,10 @@ class Clock:
     def seen(self, way: int, at_s: float, datagram: bytes) -> None:
         for number, frame in frames(datagram):
             if way == TO_COMPANION and number == POSITION:
-                self.in_s[processes.position_of(frame)[0]] = at_s
+                self.in_s[tapped.position_of(frame)[0]] = at_s
             elif way != TO_COMPANION and number == SETPOINT:
                 self.out_s.append(at_s)
-                asked_s = self.in_s.get(processes.setpoint_of(frame)[0])
+                asked_s = self.in_s.get(tapped.setpoint_of(frame)[0])
                 if asked_s is not None:
                     self.waits_s.append(at_s - asked_s)
 
@@ -91,15 +92,15 @@ class Echo:
             self.waits_s.append(time.monotonic() - self._asked_s)
 
 
-def measure(autopilot: str, rate_hz: float, folder: Path, *, loaded: bool) -> dict[str, Any]:
+def measure(autopilot: Autopilot, rate_hz: float, folder: Path, *, loaded: bool) -> dict[str, Any]:
     """One mission at this rate of positions: times in seconds."""
-    scene = pair_worlds.scene(autopilot, "copter", 1)  # type: ignore[arg-type]
-    clock, link = Clock(), processes.udp_socket()
+    drawn = families.world("short-copter", 1, 1)
+    clock, link = Clock(), tapped.udp_socket()
     helpers = [multiprocessing.Process(target=echo, args=(link,), daemon=True)]
     helpers += [multiprocessing.Process(target=busy, daemon=True)] if loaded else []
     asker = Echo(link.getsockname()[1], rate_hz)
     began_s = time.monotonic()
-    with Tapped(scene, folder, clock.seen, position_rate_hz=rate_hz) as pair:
+    with Tapped(drawn, autopilot, folder, clock.seen, rate_hz=rate_hz) as pair:
         try:
             for helper in helpers:
                 helper.start()

@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 
 import running
 from one_process import ENVIRONMENTS, Overheard, Tick, flown, understood
-from pair_processes import end, free_port, start_companion, start_vehicle, udp_socket
 from replay import replayed
+from tapped import end, free_port, start_companion, start_vehicle, udp_socket
 
 from companion.mavlink.dialect import codec
 from companion.mavlink.frames import Receiver, packed

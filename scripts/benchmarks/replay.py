@@ -22,8 +22,8 @@ from typing import Any, final
 
 import numpy as np
 import running
-from pair_processes import BIN, ENVIRONMENT, ROOT, end, free_port, start_companion, start_vehicle
 from rich.table import Table
+from tapped import BIN, ENVIRONMENT, ROOT, end, free_port, start_companion, start_vehicle
 
 _WORLDS = ("environment-1", "environment-2")
 _AUTOPILOTS = ("ardupilot", "px4")

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Any
 
 import running
-from pair_processes import frames, payload
 from pymavlink.dialects.v20 import all as mavlink
+from tapped import frames, payload
 
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import running
-from pair_processes import BIN, udp_socket
+from tapped import BIN, udp_socket
 
 from companion.campaign.truth import mountain
 from companion.config import load_mission

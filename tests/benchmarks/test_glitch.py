@@ -6,64 +6,78 @@ Both firmwares throw a receiver's position away that is 50 m off, and believe it
 
 import math
 from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-import pair_worlds
 import pytest
-from pair import Flown, Pair
 
+from companion.campaign import drawn_files, families
+from companion.campaign.drawn_files import Autopilot
+from companion.campaign.flight import FlightFiles
+from companion.campaign.in_process import Flying
 from companion.mission.state import Phase, Reason
-from companion.planner.kernels import NUMPY
 
-GLITCH_S, WRONG_M = 30.0, 12.0
+BEGINS_S, GLITCH_S, WRONG_M = 75.0, 30.0, 12.0
 GIVES_IN_S = 11.0
 """It has given in by then, and gives in to the end of the glitch as late again."""
 CLEARS_S = 10.0
 """So long after that ArduPilot says `Glitch cleared`."""
+SETPOINT = 86
 
 
-def flown(autopilot: pair_worlds.Firmware, kind: pair_worlds.Kind) -> tuple[Flown, float]:
-    """The flight until some seconds after the glitch, and when that began."""
-    pair = Pair(pair_worlds.scene(autopilot, kind, 2), seed=1, kernel=NUMPY)
-    began_s: list[float] = []
+class Seen(NamedTuple):
+    """What the companion thought and did in a tenth of a second."""
 
-    def glitch(pair: Pair) -> None:
-        began_s.append(pair.now_s)
-        pair.simulation.add_fault(f"for {GLITCH_S:g} s: gps_glitch 50 m north")
+    t_s: float
+    phase: Phase
+    believed_nea_m: tuple[float, float, float]
+    setpoints: int
 
-    def enough(pair: Pair) -> None:
-        assert pair.brain is not None
-        pair.brain.over = True
 
-    pair.at(5.0, glitch)
-    pair.at(5.0 + GLITCH_S + GIVES_IN_S + CLEARS_S + 5.0, enough)
-    return pair.fly(), began_s[0]
+def flown(
+    autopilot: Autopilot, kind: str, folder: Path
+) -> tuple[list[Seen], list[dict[str, Any]], list[dict[str, Any]]]:
+    """The flight until some seconds after the glitch: what was seen, the truth, the journal."""
+    drawn = families.world(f"short-{kind}", 1, 2)
+    world, mission = drawn_files.write(drawn, folder, autopilot)
+    glitch = f"at {BEGINS_S:g} s for {GLITCH_S:g} s: gps_glitch 50 m north\n"
+    files = FlightFiles(world=world, mission=mission, faults=glitch, folder=folder)
+    until_s = BEGINS_S + GLITCH_S + GIVES_IN_S + CLEARS_S + 5.0
+    flying = Flying(files, seed=1, limit_s=until_s, recorded=False, shared=frozenset({SETPOINT}))
+    seen = []
+    while flying.flies and flying.now_s < until_s:
+        flying.fly_on(1e6 * (flying.now_s + 0.1))
+        state, sent = flying.loop.session.state, len(flying.take_said())
+        if state.vehicle.position_nea_m is not None:
+            seen.append(Seen(flying.now_s, state.phase, state.vehicle.position_nea_m, sent))
+    flying.close()
+    flight = flying.flight()
+    return seen, flight.truth, flight.journal
 
 
 @pytest.mark.sample(4)
 @pytest.mark.parametrize("kind", ["copter", "plane"])
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_nothing_is_flown_by_a_position_that_the_estimator_has_given_in_to(
-    autopilot: pair_worlds.Firmware, kind: pair_worlds.Kind
+    autopilot: Autopilot, kind: str, tmp_path: Path
 ) -> None:
-    flight, began_s = flown(autopilot, kind)
-    assert not flight.died
-    times_s, track = flight.track()
+    seen, truth, journal = flown(autopilot, kind, tmp_path)
+    times_s = np.array([row["t_s"] for row in truth])
+    track = np.array([(row["north_m"], row["east_m"]) for row in truth])
     wrong_s = []
-    for sample in flight.samples:
-        if sample.believed_nea_m is None or sample.t_s < began_s:
-            continue
-        truly = track[min(np.searchsorted(times_s, sample.t_s), len(track) - 1)]
-        if math.dist(sample.believed_nea_m[:2], truly[:2]) > WRONG_M:
-            wrong_s.append(sample.t_s)
-            assert sample.phase == Phase.HOLDING.value
-    assert wrong_s[0] < began_s + GIVES_IN_S  # the scene is the one that is meant
-    assert wrong_s[-1] > began_s + GLITCH_S
-    assert not [at_s for at_s in wrong_s if at_s > began_s + GLITCH_S + GIVES_IN_S]
-    assert not [each for each in flight.sent if wrong_s[0] <= each.t_s <= wrong_s[-1]]
-    told = [entry["text"] for entry in flight.journal if entry["kind"] == "say"]
+    for each in seen:
+        truly = track[min(np.searchsorted(times_s, each.t_s), len(track) - 1)]
+        if each.t_s >= BEGINS_S and math.dist(each.believed_nea_m[:2], truly) > WRONG_M:
+            wrong_s.append(each.t_s)
+            assert each.phase is Phase.HOLDING
+    assert wrong_s[0] < BEGINS_S + GIVES_IN_S  # the scene is the one that is meant
+    assert wrong_s[-1] > BEGINS_S + GLITCH_S
+    assert not [at_s for at_s in wrong_s if at_s > BEGINS_S + GLITCH_S + GIVES_IN_S]
+    assert not [each for each in seen if wrong_s[0] < each.t_s <= wrong_s[-1] and each.setpoints]
+    told = [entry["text"] for entry in journal if entry["kind"] == "say"]
     [why] = [text for text in told if Reason.POSITION_ELSEWHERE.text in text]
     off_m = float(why.split()[-3])
     assert off_m == pytest.approx(50.0, abs=3.0)
-    phases = [sample.phase for sample in flight.samples if sample.t_s > wrong_s[-1]]
-    assert (Phase.HOLDING.value, Phase.FLYING.value) in pairwise(phases)  # it goes on
+    phases = [each.phase for each in seen if each.t_s > wrong_s[-1]]
+    assert (Phase.HOLDING, Phase.FLYING) in pairwise(phases)  # it goes on

@@ -8,8 +8,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
+
+from companion.campaign import drawn_files
+from companion.campaign.drawn_files import Autopilot
+from companion.campaign.drawn_world import DrawnWorld
+from companion.sources.files import toml_text
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[2]
@@ -109,6 +115,47 @@ class Tap:
     def close(self) -> None:
         self._vehicle.close()
         self._companion.close()
+
+
+@final
+class Tapped:
+    """A drawn world flown by both programs with a tap between them; all end with the `with`."""
+
+    def __init__(
+        self,
+        drawn: DrawnWorld,
+        autopilot: Autopilot,
+        folder: Path,
+        seen: Seen,
+        *,
+        rate_hz: float = 10.0,
+    ) -> None:
+        """rate_hz: of positions."""
+        world, self.mission = drawn_files.write(drawn, folder, autopilot)
+        mission = replace(drawn_files.mission_of(drawn, autopilot), position_rate_hz=rate_hz)
+        self.mission.write_text(toml_text(drawn_files.mission_table(mission)), encoding="utf-8")
+        self.run, self.log = folder / "run", folder / "companion.log"
+        self.tap = Tap(seen)
+        self.vehicle = start_vehicle(world, self.tap.vehicle_port)
+        self.start()
+
+    def start(self, *options: str) -> None:
+        """The companion, for the first time or once more."""
+        self.companion = start_companion(
+            self.mission, self.tap.companion_port, self.run, *options, log=self.log
+        )
+
+    def said(self) -> str:
+        """The last of what the companion printed."""
+        return self.log.read_text(encoding="utf-8")[-3000:]
+
+    def __enter__(self) -> "Tapped":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        end(self.companion)
+        end(self.vehicle)
+        self.tap.close()
 
 
 def udp_socket() -> socket.socket:
