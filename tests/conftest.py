@@ -5,6 +5,7 @@ marked `nightly` states a law that others state with fewer draws: it runs with `
 all but each nth of the cases of a test that is marked `sample(n)`.
 """
 
+import gc
 import os
 import shutil
 import zlib
@@ -51,6 +52,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if not item.get_closest_marker("xdist_group"):
             file = item.path.relative_to(config.rootpath).with_suffix("")
             item.add_marker(pytest.mark.xdist_group(".".join(file.parts[1:])))
+
+
+def pytest_collection_finish() -> None:
+    """What has been collected stays: no garbage collection looks through it again."""
+    gc.collect()
+    gc.freeze()
 
 
 def _nightly(items: list[pytest.Item]) -> Iterator[pytest.Item]:

@@ -74,7 +74,7 @@ def fly(
 @contextmanager
 def prompt_threads() -> Iterator[None]:
     """Short thread switch interval, and rare garbage collection without permanent objects."""
-    before_s, before = sys.getswitchinterval(), gc.get_threshold()
+    before_s, before, frozen = sys.getswitchinterval(), gc.get_threshold(), gc.get_freeze_count()
     sys.setswitchinterval(_SWITCH_S)
     gc.set_threshold(*_COLLECT)
     gc.collect()
@@ -82,7 +82,8 @@ def prompt_threads() -> Iterator[None]:
     try:
         yield
     finally:
-        gc.unfreeze()
+        if not frozen:  # by the caller
+            gc.unfreeze()
         gc.set_threshold(*before)
         sys.setswitchinterval(before_s)
 

@@ -40,8 +40,13 @@ def test_two_that_meet_head_on_keep_apart_arrive_and_say_to_whom_they_give_way(
     ]
     assert len(folders) == 2
     assert any("giving way to others in the air: system" in text for text in says)
-    again = fly_run(run_of(2), tmp_path)
-    assert replace(again, folder=row.folder).deterministic() == row.deterministic()
+
+
+@pytest.mark.closed_loop
+@pytest.mark.nightly  # of one vehicle: `test_running`
+def test_the_same_seed_flies_two_the_same(tmp_path: Path) -> None:
+    once, again = (fly_run(run_of(2), tmp_path).deterministic() for _ in range(2))
+    assert once == again
 
 
 def at(t_s: float, north_m: float, up_m: float, *, landed: bool = False) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from companion.world.threats import Radar
 
 FloatArray = NDArray[np.float64]
 SIZE, SPACING_M = 161, 10.0
+NIGHTLY = pytest.mark.nightly
 every_planner = pytest.mark.parametrize("name", sorted(PLANNERS))
 
 
@@ -65,7 +66,9 @@ def planned(name: str, problem: RouteProblem, seed: int = 1) -> FloatArray:
 
 
 @every_planner
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=NIGHTLY), pytest.param(2, marks=NIGHTLY)]
+)
 def test_routes_go_from_start_to_target_and_are_free_by_brute_force(name: str, seed: int) -> None:
     rate = with_discs(seed)
     problem = problem_in(rate, (103.0, 98.0), (1_480.0, 1_512.0))

@@ -14,6 +14,9 @@ from typing import Any
 import pytest
 from programs import BIN, ROOT, Program, free_port
 
+from companion.campaign.flight import FlightFiles
+from companion.campaign.in_process import fly_here
+
 ENVIRONMENTS = ROOT / "companion" / "environments"
 HILLS = str(Path(__file__).parent / "hills" / "world.toml")
 HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
@@ -44,34 +47,14 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
 _NIGHTLY = ("upper-valley", "valley", "environment-1", "environment-2")
 EACH_SCENE = each("hills", *_NIGHTLY, nightly=_NIGHTLY)
 """The hills are of the same kind as the paper's environments, and a third as long."""
-NIGHTLY_AUTOPILOTS = ("sitl-arducopter", "sitl-px4", "sitl-px4-plane")
-"""They fly elsewhere: `test_resume`, `test_no_radar` and `test_planes`."""
 NIGHTLY = pytest.mark.nightly
 
 
 @dataclass(kw_only=True)
-class Flight:
-    """One flight: both programs, and the folder into which both write."""
+class Recorded:
+    """What a flight has left in its folder."""
 
     folder: Path
-    companion: Program
-    simulator: Program
-
-    def wait(self) -> None:
-        """Wait for both sides to end by themselves."""
-        self.companion.wait()
-        self.simulator.wait()
-
-    def kill(self) -> None:
-        """End whatever still runs."""
-        self.companion.end()
-        self.simulator.end()
-
-    def ended_well(self) -> None:
-        """Both programs say so, and the journal."""
-        assert self.companion.returncode == 0, self.companion.transcript
-        assert self.simulator.returncode == 0, self.simulator.transcript
-        assert self.outcome == "arrived"
 
     @property
     def journal(self) -> list[dict[str, Any]]:
@@ -101,6 +84,44 @@ class Flight:
     def truth(self) -> list[dict[str, Any]]:
         lines = (self.folder / "truth.jsonl").read_text(encoding="utf-8").splitlines()
         return [json.loads(line) for line in lines[1:]]
+
+
+@dataclass(kw_only=True)
+class Flight(Recorded):
+    """One flight: both programs, and the folder into which both write."""
+
+    companion: Program
+    simulator: Program
+
+    def wait(self) -> None:
+        """Wait for both sides to end by themselves."""
+        self.companion.wait()
+        self.simulator.wait()
+
+    def kill(self) -> None:
+        """End whatever still runs."""
+        self.companion.end()
+        self.simulator.end()
+
+    def ended_well(self) -> None:
+        """Both programs say so, and the journal."""
+        assert self.companion.returncode == 0, self.companion.transcript
+        assert self.simulator.returncode == 0, self.simulator.transcript
+        assert self.outcome == "arrived"
+
+
+def flown_here(
+    folder: Path,
+    world: str | Path,
+    mission: str | Path,
+    *,
+    faults: str = "",
+    limit_s: float = 600.0,
+) -> Recorded:
+    """A flight in this process, in lockstep, recorded until it ends or is stopped by then."""
+    files = FlightFiles(world=Path(world), mission=Path(mission), faults=faults, folder=folder)
+    fly_here(files, seed=1, limit_s=limit_s, recorded=True)
+    return Recorded(folder=folder)
 
 
 @functools.cache

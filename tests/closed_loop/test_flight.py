@@ -14,6 +14,7 @@ from flights import (
     companion,
     edited,
     flown_as,
+    flown_here,
     folder_of,
     launch,
 )
@@ -50,6 +51,7 @@ def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -
     assert flight.outcome == "failed"
 
 
+@pytest.mark.nightly  # the time-out alone: `tests/vehicle_sim/test_ardupilot.py`
 def test_a_vehicle_whose_companion_dies_stops_by_itself(tmp_path: Path) -> None:
     flight = launch(tmp_path, HILLS, HILLS_MISSION, clock=("--speedup", "20"))
     flight.companion.expect("subpath  1")
@@ -69,6 +71,7 @@ def test_a_vehicle_whose_companion_dies_stops_by_itself(tmp_path: Path) -> None:
     assert flight.simulator.interrupt() == 0
 
 
+@pytest.mark.nightly  # stopped: `tests/runtime/test_loop.py`; seeds: `tests/test_library.py`
 @pytest.mark.xdist_group("hills")
 def test_an_interrupted_companion_leaves_the_vehicle_in_its_hold_mode(
     flown: Any, tmp_path: Path
@@ -100,9 +103,7 @@ def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(tmp_path: Path) 
     quick = ("planning_time_s = 5.0", "planning_time_s = 5.0\nevaluations = 300")
     world = edited(HILLS, tmp_path / "short.toml", short)
     mission = edited(HILLS_MISSION, tmp_path / "mission.toml", quick)
-    flight = launch(tmp_path / "run", world, mission)
-    flight.companion.expect("subpath  2")
-    flight.companion.interrupt(60.0)
+    flight = flown_here(tmp_path / "run", world, mission, limit_s=180.0)
     assert "radar sees 8.0 km of R = 20.0 km" in flight.says
     scanned: list[tuple[float, float]] = []
     for entry in flight.journal:

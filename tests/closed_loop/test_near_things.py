@@ -1,6 +1,6 @@
 """Flights by a lidar through a garden that nobody knows: trees, and a wall with a gap.
 
-The first one, and the one that is killed, are two programs; the others are flown in this process.
+All are flown in this process.
 """
 
 import math
@@ -10,7 +10,7 @@ from typing import Any
 import in_process
 import pytest
 import shapely
-from flights import ENVIRONMENTS, Flight, edited, kept, launch, run
+from flights import ENVIRONMENTS, Recorded, edited, flown_here
 
 from companion.config import load_mission
 from companion.mission.state import Reason
@@ -19,7 +19,6 @@ from companion.runtime.compiler import load_kernel
 from vehicle_sim.world import read_world
 
 pytestmark = pytest.mark.closed_loop
-TWO_PROGRAMS = pytest.mark.xdist_group("garden")
 
 TREES_NE_M = (
     *((10.0, 1.5), (12.0, -6.0), (14.0, 6.0), (18.0, -1.0), (19.0, -12.0), (20.0, 10.0)),
@@ -89,7 +88,7 @@ def flown_through(folder: Path, world: Path, faults: str = "") -> in_process.Fli
     return flight
 
 
-def arrived_clear(flight: Flight | in_process.Flight) -> None:
+def arrived_clear(flight: Recorded | in_process.Flight) -> None:
     """Every sample of the truth keeps d_s from all that stands there, and it is at the target."""
     assert flight.outcome == "arrived"
     in_air = [row for row in flight.truth if not row["landed"]]
@@ -103,22 +102,16 @@ def arrived_clear(flight: Flight | in_process.Flight) -> None:
 
 
 @pytest.fixture(scope="module")
-def by_lidar(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+def by_lidar(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     folder = tmp_path_factory.mktemp("garden")
-    mission(folder)
-    flight = launch(folder / "run", garden(folder), folder / "mission.toml")
-    flight.wait()
-    return flight
+    return flown_here(folder / "run", garden(folder), mission(folder))
 
 
-@TWO_PROGRAMS
-def test_a_lidar_with_noise_and_lost_echoes_leads_through_the_gap(by_lidar: Flight) -> None:
-    by_lidar.ended_well()
+def test_a_lidar_with_noise_and_lost_echoes_leads_through_the_gap(by_lidar: Recorded) -> None:
     arrived_clear(by_lidar)
 
 
-@TWO_PROGRAMS
-def test_that_flight_is_replayed_as_it_was(by_lidar: Flight) -> None:
+def test_that_flight_is_replayed_as_it_was(by_lidar: Recorded) -> None:
     path = str(by_lidar.folder.parent / "mission.toml")
     replay = Replay(
         by_lidar.folder, lambda start: load_mission(path, start.profile), kernel=load_kernel()
@@ -141,32 +134,21 @@ def test_a_lidar_that_is_dead_for_a_while_is_waited_for_in_a_hold(tmp_path: Path
     assert flight.says.count(Reason.SENSOR_SILENT.text) == 1
 
 
-@TWO_PROGRAMS
 def test_killed_between_the_trees_and_started_again_it_learns_them_anew_and_arrives(
     tmp_path: Path,
 ) -> None:
     """Things move: what was known of them is not kept, and no leg is planned on it."""
-    garden(tmp_path)
-    mission(tmp_path)
-    options = "--resume", "--system", 1
-    flight = launch(tmp_path / "run", tmp_path / "world.toml", tmp_path / "mission.toml", *options)
-    flight.companion.until(lambda: is_past_the_first_trees(kept(flight.folder)), every_s=0.01)
-    flight.companion.kill()
-    flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
-    flight.wait()
-    flight.ended_well()
+    killed = "at 60 s for 0.5 s: companion_off"
+    flight = flown_here(tmp_path / "run", garden(tmp_path), mission(tmp_path), faults=killed)
     arrived_clear(flight)
     assert not (flight.folder / "known.npz").exists()
     journal = flight.journal
     [_, again] = [number for number, row in enumerate(journal) if "schema" in row]
+    assert sum(row.get("kind") == "leg" for row in journal[:again]) > 4
     seen = {row["cells_seen"] for row in journal[:again] if row.get("kind") == "scan done"}
     anew = [row["cells_seen"] for row in journal[again:] if row.get("kind") == "scan done"]
     assert anew[0] < max(seen)
     assert not any(row.get("kind") in ("arm", "take off") for row in journal[again:])
-
-
-def is_past_the_first_trees(now: dict[str, Any] | None) -> bool:
-    return now is not None and now["phase"] == "FLYING" and now["legs_flown"] >= 4
 
 
 def is_hold(row: dict[str, Any], reason: Reason) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, final
 
 import pytest
-from flights import ENVIRONMENTS, NIGHTLY_AUTOPILOTS, Flight, companion, each, simulator
+from flights import ENVIRONMENTS, Flight, companion, each, simulator
 from ground_station import Box, Circle, GroundStation
 from programs import free_port
 
@@ -58,7 +58,7 @@ CASES = {
         near_m=120.0,
     ),
 }
-EACH = each(*CASES, nightly=NIGHTLY_AUTOPILOTS)
+EACH = each(*CASES, nightly=CASES)  # without sockets: `tests/benchmarks/test_events.py`
 
 
 @final

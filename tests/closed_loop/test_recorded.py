@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
-from flights import BAD_LINK, HILLS, HILLS_MISSION, Flight, launch
+from flights import BAD_LINK, HILLS, HILLS_MISSION, Flight, flown_here, launch
 from programs import BIN
 from tlog import frames_of
 
@@ -58,12 +58,8 @@ def test_the_journal_of_a_real_flight_holds_nothing_that_is_not_documented(flown
 
 def test_nor_does_that_of_a_flight_with_faults(tmp_path: Path) -> None:
     """A fix that is lost, a radar that falls silent, and the holds that follow."""
-    faults = tmp_path / "faults.txt"
-    faults.write_text(
-        "at 120 s for 20 s: gps_off\nat 190 s for 30 s: radar_off\n", encoding="utf-8"
-    )
-    flight = launch(tmp_path / "run", HILLS, HILLS_MISSION, simulator_options=("--faults", faults))
-    flight.wait()
+    faults = "at 120 s for 20 s: gps_off\nat 190 s for 30 s: radar_off\n"
+    flight = flown_here(tmp_path / "run", HILLS, HILLS_MISSION, faults=faults)
     journal = Journal(flight.folder / "journal.jsonl")
     codes = {entry.code for entry in journal.entries() if entry.kind == "phase"}
     assert journal.findings == ()
@@ -150,6 +146,7 @@ def test_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
 # --- kill -9, and a disk that is full
 
 
+@pytest.mark.nightly  # `tests/telemetry/test_run_folder.py`, `tests/replay/test_export_command.py`
 def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_record(
     tmp_path: Path,
 ) -> None:

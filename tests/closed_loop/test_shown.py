@@ -181,7 +181,8 @@ def test_on_a_terminal_a_table_is_drawn_and_the_cursor_is_given_back(shown: Show
     assert max(map(len, table)) <= WIDTH
 
 
-@pytest.mark.parametrize("reader", [pytest.param("leaves", marks=pytest.mark.nightly), "waits"])
+@pytest.mark.nightly  # of what is printed alone: `tests/views/test_output.py`
+@pytest.mark.parametrize("reader", ["leaves", "waits"])
 def test_a_reader_that_does_not_read_changes_nothing_of_the_flight(
     reader: str, shown: Shown, tmp_path: Path
 ) -> None:

@@ -17,6 +17,9 @@ from companion.session import Session
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
 
+SEEDS = pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))]
+)
 PERIOD_S, RANGE_M = 0.1, 16.0
 BODY, NORTH = wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_GLOBAL
 WIDTH_RAD = math.radians(5.0)
@@ -86,7 +89,7 @@ class Turned:
         self.scanner.seen(now_s)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@SEEDS
 @pytest.mark.parametrize(
     ("wrong", "turning"),
     [
@@ -114,7 +117,7 @@ def test_without_a_turn_or_anything_in_reach_nothing_is_told() -> None:
     assert alone.nearest is None
 
 
-@pytest.mark.parametrize("seed", range(3))
+@SEEDS
 def test_a_part_of_the_vehicle_turns_with_it_and_nothing_else_does(seed: int) -> None:
     assert Turned(some_posts(seed)).check.part is None
     found = Turned(some_posts(seed), part=(0.6, 60)).check.part
@@ -123,7 +126,7 @@ def test_a_part_of_the_vehicle_turns_with_it_and_nothing_else_does(seed: int) ->
     assert found.off_nose_rad == pytest.approx(math.radians(-60.0), abs=math.radians(7.5))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@SEEDS
 def test_the_nearest_thing_is_where_it_is_from_the_nose(seed: int) -> None:
     posts = some_posts(seed)
     it = Turned(posts)

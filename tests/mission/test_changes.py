@@ -395,6 +395,7 @@ def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> Non
 # --- restarts
 
 
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
 @pytest.mark.parametrize("after_s", [0.3, 3.1, 8.7, 14.9, 21.3, 27.7])
 def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(

@@ -180,6 +180,7 @@ def on_its_way_back(traits: VehicleTraits) -> Wild:
     return wild
 
 
+@pytest.mark.sample(5)
 @EVERY_DRIVING
 @pytest.mark.parametrize("what", ["pause", "restart", "paused restart"])
 def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
@@ -201,6 +202,7 @@ def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
     assert wild.state.phase is Phase.RETURNING or wild.state.flight.homeward
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("traits", [each for each in DRIVINGS if each.hovers], ids=NAME)
 @pytest.mark.parametrize("what", ["pause", "pause and at once on", "restart", "paused restart"])
 def test_the_way_back_is_the_flown_one_after_a_pause_or_a_restart_on_it(

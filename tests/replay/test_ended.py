@@ -1,7 +1,10 @@
 """A companion that dies of an error of its own leaves what it takes to see that error again."""
 
 import json
+import shutil
 import threading
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -41,15 +44,28 @@ class Paced(ScriptedLink):
         return super().receive(timeout_s)
 
 
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bool], Path]:
+    """Flies once in lockstep and once in real time -> run folder."""
+
+    @cache
+    def fly(lockstep: bool) -> Path:
+        folder, link = tmp_path_factory.mktemp("ended") / "run", Paced(Vehicle(lockstep=lockstep))
+        end = fly_short(folder, link=link, lockstep=lockstep, until_s=1e6).end
+        assert end.outcome is Outcome.FAILED
+        assert ERROR in end.reason
+        return folder
+
+    return fly
+
+
 @pytest.fixture
-def ended(tmp_path: Path, bug: None, request: pytest.FixtureRequest) -> Path:
+def ended(
+    tmp_path: Path, bug: None, flown: Callable[[bool], Path], request: pytest.FixtureRequest
+) -> Path:
     """The run folder of a flight that ended so."""
     del bug
-    link = Paced(Vehicle(lockstep=request.param))
-    end = fly_short(tmp_path / "run", link=link, lockstep=request.param, until_s=1e6).end
-    assert end.outcome is Outcome.FAILED
-    assert ERROR in end.reason
-    return tmp_path / "run"
+    return Path(shutil.copytree(flown(request.param), tmp_path / "run"))
 
 
 EITHER = pytest.mark.parametrize(

@@ -296,8 +296,8 @@ def test_a_log_of_many_hours_is_looked_through_in_little_memory(tmp_path: Path) 
     path = tmp_path / "flight.tlog"
     record = struct.pack(">Q", EPOCH_US) + bytes([0xFD, 255]) + bytes(265)
     with path.open("wb") as file:
-        for _ in range(20):
-            file.write(record * 5_000)  # 28 MB
+        for _ in range(12):
+            file.write(record * 5_000)  # 17 MB
         end = file.tell()
         file.write(b"\0" * 20_000_000)  # a hole that a power cut has left
     tracemalloc.start()
