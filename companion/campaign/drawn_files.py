@@ -28,9 +28,15 @@ _BEYOND_M = 1_000.0  # how much more of the ground is written than the map needs
 _DEG_M = 111_320.0
 
 
-def write(drawn: DrawnWorld, folder: Path, autopilot: Autopilot = "ardupilot") -> tuple[Path, Path]:
+def write(
+    drawn: DrawnWorld,
+    folder: Path,
+    autopilot: Autopilot = "ardupilot",
+    vehicle: Mapping[str, Any] | None = None,
+) -> tuple[Path, Path]:
     """Write world.toml, mission.toml and, of heights, terrain.tif -> (world, mission) paths.
 
+    vehicle: overrides keys of the vehicle's table of mission.toml.
     What is read back is the same world; heights that lie on a lattice in metres differ by as much
     as they bend within a quarter of its cells, since elevation files are in degrees.
     """
@@ -39,7 +45,8 @@ def write(drawn: DrawnWorld, folder: Path, autopilot: Autopilot = "ardupilot") -
     of_file = {}
     if isinstance(drawn.terrain, ArrayTerrain):
         of_file = _write_heights(drawn, folder / "terrain.tif")
-    mission.write_text(toml_text(mission_table(mission_of(drawn, autopilot))), encoding="utf-8")
+    table = mission_table(mission_of(drawn, autopilot), vehicle)
+    mission.write_text(toml_text(table), encoding="utf-8")
     world.write_text(toml_text(_world_table(drawn, autopilot) | of_file), encoding="utf-8")
     return world, mission
 

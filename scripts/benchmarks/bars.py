@@ -1,6 +1,6 @@
 """Every bar of design 10, measured anew, in one go: what holds, what does not.
 
-    scripts/bench bars [--seed 1] [--worlds 3] [--seeds 3] [--only speed quality ...] [--json FILE]
+    scripts/bench bars [--seed 1] [--worlds 10] [--seeds 3] [--only speed quality ...] [--json FILE]
 
 Each benchmark runs as a process of its own, one after the other; worlds are drawn from the seed.
 Let nothing else run.  1 if a bar is missed.
@@ -201,7 +201,7 @@ def main() -> int:
     options, console = running.begin(
         __doc__,
         seed=(1, "of the worlds"),
-        worlds=(3, "of each family"),
+        worlds=(10, "of each family"),
         seeds=(3, "of each search"),
         only={"nargs": "*", "choices": list(_ALL), "default": list(_ALL)},
     )

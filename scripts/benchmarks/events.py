@@ -43,8 +43,9 @@ from vehicle_sim.plans import PlanItem, PlanKind
 
 _BAR_MS, _TURN_BAR_MS = 20.0, 50.0  # a turn is shorter than the period of a stream of 20 Hz
 _TURN = "whole turn"
-_DRAWN_S = {"first": 5.0, "around": 75.0, "none": 140.0}
-"""When each fence is drawn, after it began to fly; a hundred items a second are read here."""
+_DRAWN_S = {"first": 5.0, "around": 125.0, "none": 250.0}
+"""When each fence is drawn, after it began to fly; fifty items a second are read here."""
+_RATE_HZ = 50.0  # of positions: in lockstep an item is read with each
 VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 
 FloatArray = NDArray[np.float64]
@@ -109,14 +110,14 @@ def timed(times: Times, name: Callable[..., str], function: Callable[..., Any]) 
 
 
 def fly(
-    vehicle: str, zones: int, corners: int, limit_s: float = 400.0
+    vehicle: str, zones: int, corners: int, limit_s: float = 500.0
 ) -> tuple[Times, Flight, list[PolygonZone]]:
     """One flight, so long after it began to fly at most: processor times in seconds, by what they
     were taken for; the flight; and its first fence."""
     autopilot, kind = vehicle.split("-")
     drawn = families.world(f"short-{kind}", 1, 1)
     (target,) = drawn.targets_ne_m
-    drawn = replace(drawn, targets_ne_m=(target, drawn.start_nea_m[:2], target))
+    drawn = replace(drawn, targets_ne_m=(target, drawn.start_nea_m[:2]) * 3)
     times: Times = defaultdict(list)
     patched = (
         (machine, "step", lambda _state, event, *_: type(event).__name__),
@@ -132,7 +133,8 @@ def fly(
     ]
     first: list[PolygonZone] = []
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        world, mission = drawn_files.write(drawn, Path(folder), autopilot)  # type: ignore[arg-type]
+        often = {"position_rate_hz": _RATE_HZ}
+        world, mission = drawn_files.write(drawn, Path(folder), autopilot, often)  # type: ignore[arg-type]
         files = FlightFiles(world=world, mission=mission, faults="", folder=Path(folder))
         for each in patches:
             stack.enter_context(each)

@@ -8,14 +8,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
 from companion.campaign import drawn_files
 from companion.campaign.drawn_files import Autopilot
 from companion.campaign.drawn_world import DrawnWorld
-from companion.sources.files import toml_text
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[2]
@@ -131,9 +129,8 @@ class Tapped:
         rate_hz: float = 10.0,
     ) -> None:
         """rate_hz: of positions."""
-        world, self.mission = drawn_files.write(drawn, folder, autopilot)
-        mission = replace(drawn_files.mission_of(drawn, autopilot), position_rate_hz=rate_hz)
-        self.mission.write_text(toml_text(drawn_files.mission_table(mission)), encoding="utf-8")
+        rate = {"position_rate_hz": rate_hz}
+        world, self.mission = drawn_files.write(drawn, folder, autopilot, rate)
         self.run, self.log = folder / "run", folder / "companion.log"
         self.tap = Tap(seen)
         self.vehicle = start_vehicle(world, self.tap.vehicle_port)
