@@ -25,7 +25,7 @@ def test_however_late_it_is_resumed_it_flies_on_along_its_leg(
     name: str, away_s: float, tmp_path: Path
 ) -> None:
     """ArduPlane has come to a circle by then, about the last point that it was sent to."""
-    files, killed = ENVIRONMENTS / name, f"at 62 s for {away_s} s: companion_off"
+    files, killed = ENVIRONMENTS / name, f"at 65 s for {away_s} s: companion_off"
     flight = flown_here(
         *(tmp_path / "run", files / "world.toml", files / "mission.toml"),
         faults=killed,
