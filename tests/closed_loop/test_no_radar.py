@@ -5,12 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import NIGHTLY, Flight, launch
+from flights import NIGHTLY
+from in_process import Flight
+
+from companion.config import load_mission
+from companion.mavlink.preflight import checks_of
+from vehicle_sim.world import flat_world
 
 pytestmark = pytest.mark.closed_loop
 
 HOME = (-35.3632621, 149.1652374, 584.0)
-LAUNCH = f"{HOME[0]},{HOME[1]},{HOME[2]},0"
 STATED = 'plan = "field.plan"\n[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = 584.0\n'
 
 
@@ -32,12 +36,21 @@ def plan(folder: Path, *waypoints: tuple[float, float]) -> Path:
     return path
 
 
-def flight_of(mission: Path, autopilot: str, *options: object) -> Flight:
+def flight_of(
+    mission: Path, autopilot: str, *, faults: str = "", scan_range_m: float | None = None
+) -> Flight:
     """Flown to its end, over level ground at launch."""
-    options = "--home", LAUNCH, *options
-    folder, world = mission.parent / "run", f"--autopilot={autopilot}"
-    flight = launch(folder, world, mission, simulator_options=options)
-    flight.wait()
+    world = flat_world(
+        "copter",
+        autopilot,  # type: ignore[arg-type]
+        latitude_deg=HOME[0],
+        longitude_deg=HOME[1],
+        altitude_amsl_m=HOME[2],
+        heading_deg=0.0,
+        scan_range_m=scan_range_m,
+    )
+    flight = Flight(load_mission(str(mission)), world, faults=faults)
+    flight.fly()
     return flight
 
 
@@ -51,9 +64,9 @@ def test_a_plan_for_a_vehicle_without_a_radar_is_refused_before_it_is_armed(
     tmp_path: Path, autopilot: str
 ) -> None:
     flight = flight_of(plan(tmp_path, (0.003, 40.0)), autopilot)
-    assert flight.companion.returncode == 1
-    assert not {"arm", "take off"} & set(flight.kinds)
-    said = " ".join(flight.companion.transcript.split())
+    assert flight.outcome == "failed"
+    assert not {"arm", "take off"} & {entry["kind"] for entry in flight.journal}
+    said = " ".join(f"{each.what}. {each.remedy}" for each in checks_of(flight.session))
     for part in ("did not answer TERRAIN_REQUEST", "scanner = false", "highest_amsl_m"):
         assert part in said
 
@@ -66,7 +79,7 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
     mission = tmp_path / "mission.toml"
     mission.write_text(STATED, encoding="utf-8")
     flight = flight_of(mission, autopilot)
-    flight.ended_well()
+    assert flight.outcome == "arrived"
     assert "mission field" in flight.says
     reached = [e["t_s"] for e in flight.journal if e.get("text") == "target reached"]
     truth = heights_m(flight)
@@ -89,13 +102,11 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
 def test_a_flight_that_fails_comes_back_the_way_it_came_and_lands(
     tmp_path: Path, autopilot: str, fault: str
 ) -> None:
-    faults = tmp_path / "faults.txt"
-    faults.write_text(f"at 100 s: {fault}\n", encoding="utf-8")
     mission = tmp_path / "mission.toml"
     mission.write_text('plan = "field.plan"\n[planner]\nscan_range_m = 600.0\n', encoding="utf-8")
     plan(tmp_path, (0.02, 60.0))
-    flight = flight_of(mission, autopilot, "--scan-range", 600, "--faults", faults)
-    assert flight.companion.returncode == 1
+    flight = flight_of(mission, autopilot, faults=f"at 100 s: {fault}\n", scan_range_m=600.0)
+    assert flight.outcome == "failed"
     assert any(text.endswith(": flying back and landing") for text in flight.says)
     assert flight.end["reason"].startswith("landed: ")
     assert heights_m(flight)[-1][1] < 1.0
