@@ -9,20 +9,19 @@ import socket
 import subprocess
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts/benchmarks"))
-import pair_files
-import pair_worlds
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
-from pair import Pair
 from recordings import recording
 
+from companion.campaign import drawn_files, families
+from companion.campaign.flight import FlightFiles
+from companion.campaign.in_process import Flying
 from companion.config import load_mission
 from companion.mavlink.link import Output
+from companion.mission.state import Phase
 from companion.replay.reproduce import Replay
 from companion.replay.shadow import watch
 from companion.runtime.compiler import load_kernel
@@ -65,9 +64,9 @@ def _record(folder: Path, how: dict[str, Any]) -> None:
             _watch(folder, how)
             return
         if "happens" in how:
-            _try_out(folder, how, Path(scratch))
-            return
-        _fly(how, Path(scratch), run)
+            _try_out(how, Path(scratch), run)
+        else:
+            _fly(how, Path(scratch), run)
         shutil.copy(run / "mission.toml", folder / "mission.toml")
         _cut(run, folder / inputs.FILE, float(how["until_s"]))
 
@@ -85,22 +84,24 @@ def _watch(folder: Path, how: dict[str, Any]) -> None:
     (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 
-def _try_out(folder: Path, how: dict[str, Any], scratch: Path) -> None:
-    """One flight of a pair, with faults so long after the companion began to fly."""
-    scene = pair_worlds.scene(how["autopilot"], how["kind"], how["world"])
-    pair_files.write(scene, scratch)
-    shutil.copy(scratch / "mission.toml", folder / "mission.toml")
-    scene = replace(scene, mission=load_mission(str(folder / "mission.toml")))
-    pair = Pair(scene, seed=how["seed"], kernel=load_kernel())
-    pair.flown.inputs = told = []
+def _try_out(how: dict[str, Any], scratch: Path, run: Path) -> None:
+    """A short drawn flight in this process, with faults so long after it began to fly."""
+    drawn = families.world(f"short-{how['kind']}", 1, how["world"])
+    world, mission = drawn_files.write(drawn, scratch, how["autopilot"])
+    files = FlightFiles(world=world, mission=mission, faults="", folder=run)
+    flying = Flying(files, seed=how["seed"], limit_s=900.0, recorded=True)
+    while flying.loop.session.state.phase is not Phase.FLYING:
+        flying.fly_on(1e6 * (flying.now_s + 0.1))
+    began_s = flying.now_s
     for at_s, what in how["happens"]:
+        flying.fly_on(1e6 * (began_s + at_s))
         name, *words = what.split()
         if name == "companion_off":
-            pair.at(at_s, lambda pair, words=words: pair.kill(float(words[1])))
+            flying.die(float(words[1]))
         else:
-            pair.at(at_s, lambda pair, what=what: pair.simulation.add_fault(what))
-    pair.fly(limit_s=how["until_s"])
-    (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
+            flying._vehicle.add_fault(what)
+    flying.fly_on(1e6 * how["until_s"])
+    flying.close()
 
 
 def _fly(how: dict[str, Any], scratch: Path, run: Path) -> None:
