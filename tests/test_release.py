@@ -149,7 +149,8 @@ def test_both_programs_say_their_version(user: OrdinaryUser, program: str) -> No
 def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
     """With a read-only home and without numba: nothing that is said sounds like a fault."""
     port = free_port()
-    (user.work / "mission.toml").write_text(one_target(), encoding="utf-8")
+    quick = one_target().replace("[planner]\n", "[planner]\nevaluations = 200\n")
+    (user.work / "mission.toml").write_text(quick, encoding="utf-8")
     simulator = user.starts(
         "vehicle-sim", "sitl-arducopter", "--lockstep", f"--connect=udpout:127.0.0.1:{port}"
     )

@@ -51,7 +51,6 @@ def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -
     assert flight.outcome == "failed"
 
 
-@pytest.mark.nightly  # the time-out alone: `tests/vehicle_sim/test_ardupilot.py`
 def test_a_vehicle_whose_companion_dies_stops_by_itself(tmp_path: Path) -> None:
     flight = launch(tmp_path, HILLS, HILLS_MISSION, clock=("--speedup", "20"))
     flight.companion.expect("subpath  1")
