@@ -40,7 +40,7 @@ from companion.world.traffic import (
 )
 
 _CLAIM_PERIOD_S = 0.2
-_AHEAD_S = 3.0  # of flight, and the braking distance: how long a claim is at most
+_AHEAD_S = 9.0  # of flight, and the braking distance: how long a claim is at most
 _PIECES = 48
 _SPEEDS = (1.0, 0.75, 0.5, 0.25, 0.0)
 _SHARES = (1.0, 0.5, 0.25)  # of the separation, if no speed keeps it all
@@ -77,13 +77,22 @@ class _Scene:
     """Of tracks."""
 
     def free(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Which pieces no claim comes near to, and which none that goes before this system."""
+        """Which pieces no claim comes near to, and which none that goes before this system.
+
+        A way that nowhere leads nearer to a claim than to the separation and what the other's path
+        bends is free of it all along: two that stopped for each other part again.
+        """
+        past = Separation(
+            horizontal_m=self.apart.horizontal_m - 2.0 * self.bent_m,
+            vertical_m=self.apart.vertical_m - 2.0 * self.bent_m,
+        )
         every = np.ones(len(points) - 1, dtype=bool)
         before = every.copy()
         for claim, grown_m in self.claims:
             free = free_pieces(points, claim, self.apart, grown_m)
+            free |= free_pieces(points, claim, past, grown_m).all()
             every &= free
-            if claim.system < self.ours or grown_m:
+            if claim.system < self.ours and not grown_m:
                 before &= free
         return every, before
 
@@ -126,7 +135,7 @@ def observe(state: State, context: Context) -> tuple[State, list[Command]]:
     scene = _scene(state, traffic, np.asarray(here))
     leg = state.flight.leg
     if leg is not None and traffic.rules.claims:
-        traffic = _claimed(traffic, scene)
+        traffic = _claimed(state, traffic, scene)
     elif leg is not None:
         traffic = replace(traffic, committed_m=math.inf)
     speed_m_s, forced = _fastest(state, traffic.rules.horizon_s, scene)
@@ -276,11 +285,17 @@ def _path_ahead(state: State, here: FloatArray, longest_m: float) -> tuple[Float
 # --- claims
 
 
-def _claimed(traffic: Traffic, scene: _Scene) -> Traffic:
-    """Claim the way ahead; enter what has been claimed for long enough, and nobody else claims."""
+def _claimed(state: State, traffic: Traffic, scene: _Scene) -> Traffic:
+    """Claim the way ahead; enter what has been claimed for long enough, and nobody else claims.
+
+    A copter leaves to those before it all but what it needs to stop.
+    """
     now_s, flown_m, ahead_m = scene.now_s, traffic.flown_m, scene.ahead_m
     nobodys_m, mine_m = (flown_m + _first_m(free, ahead_m) for free in scene.free(scene.points))
-    committed_m = traffic.committed_m
+    committed_m, limits = traffic.committed_m, state.task.limits
+    if limits.hovers:
+        stops_m = flown_m + limits.stopping_m(state.flight.reference.speed_m_s) + _THERE_M
+        committed_m = min(committed_m, max(mine_m, stops_m))
     most_m = max(mine_m, committed_m)
     asked = [(since_s, min(end_m, most_m)) for since_s, end_m in traffic.asked]
     from_path = int(scene.bent_m > STRAIGHT_M)  # a plane may be beside it
@@ -390,7 +405,7 @@ def _with_level(state: State, scene: _Scene) -> State:
         flight = replace(state.flight, hover_nea_m=(hover[0], hover[1], height_m))
         return replace(state, flight=flight)
     forced = math.isfinite(traffic.forced_since_s)
-    if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state))):
+    if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state, scene))):
         return state
     level_m = next(
         (
@@ -402,7 +417,12 @@ def _with_level(state: State, scene: _Scene) -> State:
         None,
     )
     if level_m is None and state.now_s - traffic.moved_at_s > _KNOT_S:
-        free = [each for each in _levels(state, scene) if _is_free(state, scene, each, _FREE_M)]
+        free = [
+            each
+            for each in _levels(state, scene)
+            if abs(each - float(scene.here[2])) >= scene.apart.vertical_m
+            and _is_free(state, scene, each, _FREE_M)
+        ]
         level_m = free[int(_GOLDEN * state.now_s % 1.0 * len(free))] if free else None
     if level_m is None:
         return state
@@ -418,14 +438,15 @@ def _leads_on(state: State, scene: _Scene, level_m: float, *, forced: bool) -> b
     return bool(scene.free(there)[0].all())
 
 
-def _is_stuck(state: State) -> bool:
+def _is_stuck(state: State, scene: _Scene) -> bool:
     """Whether it has been kept from going on for too long; the others had their time before."""
     traffic, flight = state.traffic, state.flight
     assert traffic is not None
     if flight.leg is None or flight.stop is not None:
         return False
-    first = any(claim.system < traffic.ours for claim in traffic.claims) or traffic.speed_m_s == 0.0
+    near = any(claim.system < traffic.ours for claim, _ in scene.claims)
     waited_s = state.now_s - traffic.moved_at_s
+    first = near or traffic.speed_m_s == 0.0
     return waited_s > (_PATIENCE_S if first else _LAST_PATIENCE_S)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -61,19 +61,22 @@ class Among:
         rules: TrafficRules = RULES,
         targets: tuple[tuple[float, float], ...] = (FAR,),
         others: Callable[[float], Heard] = lambda _now_s: NOBODY,
+        ours: int = OURS,
+        **limits: float,
     ) -> None:
         number = next(k for k, each in enumerate(ALL) if each.traits is traits)
-        task = replace(Wild(number).mission.task, claim_s=2.0 * CLAIM_S + 2.0)
+        task = Wild(number).mission.task
+        task = replace(task, claim_s=2.0 * CLAIM_S + 2.0, limits=replace(task.limits, **limits))
         self.wild = Wild.calmly(traits, traffic=rules, targets_ne_m=targets, task=task)
         self.wild.towards = lambda request: planned(request, 600.0)  # type: ignore[method-assign]
-        self.others = others
+        self.others, self.ours = others, ours
         self.places: list[tuple[float, Phase, bool, Vector]] = []
         """When, in which phase, whether on a leg, where."""
 
     def tick(self) -> None:
         wild = self.wild
         tracks, claims = self.others(wild.now_s)
-        heard = OthersHeard(time_s=0.0, ours=OURS, tracks=tracks, claims=claims)
+        heard = OthersHeard(time_s=0.0, ours=self.ours, tracks=tracks, claims=claims)
         wild.later.append((-math.inf, heard))
         wild.tick()
         state = wild.state
@@ -396,6 +399,38 @@ def test_a_copter_whose_way_is_closed_at_every_level_makes_room_at_one_after_the
     assert len({height_m for now_s, height_m in waits if now_s > stood_s}) > 1
     closed = False
     among.fly_to(Phase.ARRIVED)
+
+
+def test_all_whose_ways_cross_in_one_point_get_through_one_after_the_other() -> None:
+    """None has room above or below: who came near the point before stood in the way for good."""
+    said: dict[int, Claim] = {}
+    fleet: dict[int, Among] = {}
+    for system in (1, 2, 3):
+        turn = math.tau * system / 3.0
+        north, east = 150.0 * math.cos(turn), 150.0 * math.sin(turn)
+
+        def others(_now_s: float, ours: int = system) -> Heard:
+            return (), tuple(said[each] for each in said if each != ours)
+
+        fleet[system] = Among(
+            ARDUCOPTER.traits,
+            targets=((-north, -east),),
+            others=others,
+            ours=system,
+            ceiling_amsl_m=3045.0,
+        )
+        fleet[system].wild.here = (north, east, 3000.0)
+    while not all(among.wild.state.phase is Phase.DONE for among in fleet.values()):
+        for system, among in fleet.items():
+            among.tick()
+            now_s, sent = among.wild.now_s, reversed(among.wild.said_to)
+            assert now_s < 200.0
+            for claim in (each for each in sent if isinstance(each, ClaimWay)):
+                ends = {"begin_nea_m": claim.begin_nea_m, "end_nea_m": claim.end_nea_m}
+                said[system] = Claim(system=system, heard_s=now_s, **ends)
+                break
+        places = [among.wild.here[:2] for among in fleet.values()]
+        assert min(math.dist(a, b) for a, b in combinations(places, 2)) > RULES.separation_m
 
 
 def test_who_is_named_is_in_the_way() -> None:
