@@ -89,8 +89,9 @@ class _Scene:
         every = np.ones(len(points) - 1, dtype=bool)
         before = every.copy()
         for claim, grown_m in self.claims:
+            if free_pieces(points, claim, past, grown_m).all():
+                continue
             free = free_pieces(points, claim, self.apart, grown_m)
-            free |= free_pieces(points, claim, past, grown_m).all()
             every &= free
             if claim.system < self.ours and not grown_m:
                 before &= free
