@@ -50,7 +50,7 @@ def flight_of(
         scan_range_m=scan_range_m,
     )
     flight = Flight(load_mission(str(mission)), world, faults=faults)
-    flight.fly()
+    flight.fly(limit_s=2_000.0)
     return flight
 
 

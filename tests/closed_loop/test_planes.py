@@ -47,6 +47,7 @@ def test_a_plane_passes_its_target_and_ends_where_it_said_before_its_take_off(
     """Told to land, ArduPlane circles the target; PX4's comes down on a circle about it."""
     target = (1_000.0, 250.0)
     text = (ENVIRONMENTS / name / "mission.toml").read_text(encoding="utf-8")
+    text = text.replace('autopilot = "ardupilot"\n', "")  # a file that names it is refused
     head, *_, last = text.replace('action = "hold"', 'action = "land"').split("[[targets]]")
     place = "[[targets]]\nnorth_m = {}\neast_m = {}\n\n".format(*target)
     mission = tmp_path / "mission.toml"
