@@ -23,6 +23,7 @@ import optimum
 import running
 from tapped import BIN
 
+from companion.campaign import truth
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.report import read_campaign
 from companion.campaign.run import drawn_of
@@ -122,7 +123,7 @@ def routes(bench: Bench) -> Iterator[Bar]:
 
 
 def _jumps(world: DrawnWorld, seed: int) -> Iterator[float]:
-    """Of a mission: of position in R, of the tangent, of curvature in 1 / turn radius."""
+    """Of a mission: where each leg goes over to the next (`truth.jumps`)."""
     task, kernel = world.task, load_kernel()
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     flight = fly_offline(
@@ -134,15 +135,8 @@ def _jumps(world: DrawnWorld, seed: int) -> Iterator[float]:
         seed=seed,
         planner=partial(plan, kernel=kernel),
     )
-    for (leg, after), flown_m in zip(pairwise(flight.legs), flight.flown_m, strict=False):
-        if flown_m == leg.subpath.length_m:  # it stops there
-            continue
-        old, new = leg.subpath.pose(flown_m), after.subpath.pose(0.0)
-        jump_m = np.linalg.norm(old.position_nea_m - new.position_nea_m)
-        yield float(jump_m / task.settings.scan_range_m)
-        yield float(np.linalg.norm(old.tangent_nea - new.tangent_nea))
-        bend = np.linalg.norm(old.curvature_nea_1_m - new.curvature_nea_1_m)
-        yield float(bend * task.limits.turn_radius_m)
+    for before, after in pairwise(leg.subpath.control_nea_m for leg in flight.legs):
+        yield from truth.jumps(before, after, task) or ()  # None: from rest
 
 
 def growth(bench: Bench) -> Iterator[Bar]:
