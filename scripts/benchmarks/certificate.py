@@ -21,12 +21,12 @@ from brute_force import (
     Case,
     FloatArray,
     Truth,
-    column_distance_m,
     curve,
     random_case,
     stretches_nea_m,
     surface_distance_m,
     surface_truth_m,
+    terrain_m,
     truth,
 )
 
@@ -77,7 +77,9 @@ def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
         wrong.append("proven")
     if case.peaks is not None and told.proven:
         near = 1.5 * case.margins.clearance_m
-        if surface_distance_m(case.peaks, real.nearest_nea_m, near) < told.clearance_m - 1e-3:
+        around_m = case.limits.loiter_radius_m
+        far_m = surface_distance_m(case.peaks, real.nearest_nea_m, near, around_m)
+        if far_m < told.clearance_m - 1e-3:
             wrong.append("true surface")
     return wrong
 
@@ -129,8 +131,11 @@ def safe_by_far(case: Case, told: Certificate, real: Truth) -> bool:
     clearance_m = min(surface_truth_m(case, points), _unknown_m(case, points))
     if clearance_m < case.margins.clearance_m + curve_m:
         return False
-    ahead = stretches_nea_m(case)
-    dead_man_m = min(surface_truth_m(case, ahead), _unknown_m(case, ahead), _zones_m(case))
+    if case.limits.loiter_radius_m:
+        dead_man_m = min(clearance_m, real.keep_out_m)
+    else:
+        ahead = stretches_nea_m(case)
+        dead_man_m = min(surface_truth_m(case, ahead), _unknown_m(case, ahead), _zones_m(case))
     surface = replace(real, clearance_m=clearance_m, dead_man_m=dead_man_m)
     return keeps(case, surface, curve_m, ahead_m, margin)
 
@@ -140,7 +145,8 @@ def _unknown_m(case: Case, points: FloatArray) -> float:
     if np.isfinite(case.known.upper_m).all():
         return np.inf
     heights = np.where(np.isinf(case.known.upper_m), np.inf, -1e9)
-    return float(column_distance_m(replace(case.known, upper_m=heights), points).min())
+    unknown = replace(case, known=replace(case.known, upper_m=heights))
+    return float(terrain_m(unknown, points).min())
 
 
 def _zones_m(case: Case) -> float:

@@ -244,23 +244,24 @@ def terrain_m(case: Case, points_nea_m: FloatArray, within_m: float = np.inf) ->
     return far.reshape(points.shape[:2]).min(axis=1)
 
 
-def surface_distance_m(terrain: PeakTerrain, point_nea_m: FloatArray, near_m: float) -> float:
-    """Distance of one point from the true surface, 0 below it: search and scipy's refinement."""
+def surface_distance_m(
+    terrain: PeakTerrain, point_nea_m: FloatArray, near_m: float, around_m: float = 0.0
+) -> float:
+    """Distance of one point from the true surface, 0 below it: search and scipy's refinement.
+
+    around_m: of the level disc of this radius about the point, in which a plane may circle.
+    """
     n, e, z = (float(value) for value in point_nea_m)
 
-    def height(at: FloatArray) -> float:
-        return float(terrain.height_m(np.array([at[0]]), np.array([at[1]]))[0])
+    def far_m(north: FloatArray, east: FloatArray) -> FloatArray:
+        aside = np.maximum(np.hypot(north - n, east - e) - around_m, 0.0)
+        return np.hypot(aside, np.maximum(z - terrain.height_m(north, east), 0.0))
 
-    if z <= height(np.array([n, e])):
-        return 0.0
-    steps = np.linspace(-near_m, near_m, 41)
-    grid_n, grid_e = (n + steps)[:, None], (e + steps)[None, :]
-    far = np.hypot(
-        np.hypot(grid_n - n, grid_e - e), np.maximum(z - terrain.height_m(grid_n, grid_e), 0.0)
-    )
+    steps = np.linspace(-near_m - around_m, near_m + around_m, 41)
+    far = far_m((n + steps)[:, None], (e + steps)[None, :])
     i, j = np.unravel_index(int(far.argmin()), far.shape)
     best = minimize(
-        lambda at: np.hypot(np.hypot(at[0] - n, at[1] - e), max(z - height(at), 0.0)),
+        lambda at: float(far_m(at[:1], at[1:])[0]),
         np.array([n + steps[i], e + steps[j]]),
         method="Nelder-Mead",
         options={"xatol": 1e-4, "fatol": 1e-4, "maxfev": 150},
@@ -269,22 +270,23 @@ def surface_distance_m(terrain: PeakTerrain, point_nea_m: FloatArray, near_m: fl
 
 
 def surface_truth_m(case: Case, where_nea_m: FloatArray) -> float:
-    """Least distance of points from the true surface of a scene of peaks.  (S, 3) -> metres.
+    """Least distance of points, of a plane of its discs about them, from the true surface of peaks.
 
-    A tree of the surface's points finds where, scipy how near.
+    (S, 3) -> metres.  A tree of the surface's points finds where, scipy how near.
     """
     assert case.peaks is not None
     size = case.limits.north_m[1]
     steps = np.linspace(-0.2 * size, 1.2 * size, 200)
     n, e = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
     tree = cKDTree(np.stack([n, e, case.peaks.height_m(n, e)], axis=-1))
-    under = where_nea_m[:, 2] <= case.peaks.height_m(where_nea_m[:, 0], where_nea_m[:, 1])
-    if under.any():
+    discs = circles_nea_m(case, where_nea_m)
+    if (discs[..., 2] <= case.peaks.height_m(discs[..., 0], discs[..., 1])).any():
         return 0.0
-    far, _ = tree.query(where_nea_m)
+    far = tree.query(discs)[0].min(axis=1)
     nearest = where_nea_m[np.argsort(far)[:3]]
     near_m = 2.0 * float(far.min()) + 2.0 * (steps[1] - steps[0])
-    return min(surface_distance_m(case.peaks, point, near_m) for point in nearest)
+    around_m = case.limits.loiter_radius_m
+    return min(surface_distance_m(case.peaks, point, near_m, around_m) for point in nearest)
 
 
 @dataclass(frozen=True, kw_only=True)
