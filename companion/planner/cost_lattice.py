@@ -240,11 +240,12 @@ def _lowest_m(
     stride = cells
     if cells > 2 * reach:
         reach, stride = 1, 2
-    rows, columns = (
+    (rows, south_north), (columns, west_east) = (
         _cells_about(first[axis], count[axis], cells, reach, known.upper_m.shape[axis])
         for axis in (0, 1)
     )
     upper = believed_m(rows, columns).astype(np.float32)
+    upper = np.pad(upper, (south_north, west_east), mode="edge")
     lowest, part = np.full((2, count[0], count[1]), -np.inf, dtype=np.float32)
     if not (upper > task.limits.floor_amsl_m - clearance).any():
         return lowest.astype(np.float64)
@@ -263,13 +264,19 @@ def _lowest_m(
     return lowest.astype(np.float64)
 
 
-def _cells_about(first: int, count: int, cells: int, reach: int, size: int) -> IndexArray:
-    """Indices of the cells within reach of `count` vertices; beyond the map, its last cell."""
+def _cells_about(
+    first: int, count: int, cells: int, reach: int, size: int
+) -> tuple[IndexArray, tuple[int, int]]:
+    """Indices of the cells within reach of `count` vertices, and how many are beyond the map.
+
+    Before and behind it; there its last cell counts.
+    """
     if cells <= 2 * reach:  # neighbouring vertices share cells
-        index = np.arange(first - reach, first + cells * (count - 1) + reach)
-    else:
-        index = np.add.outer(first + cells * np.arange(count), np.arange(-reach, reach)).ravel()
-    return np.clip(index, 0, size - 1).astype(np.int32)
+        begin, end = first - reach, first + cells * (count - 1) + reach
+        index = np.arange(max(begin, 0), min(end, size), dtype=np.int32)
+        return index, (max(-begin, 0), max(end - size, 0))
+    index = np.add.outer(first + cells * np.arange(count), np.arange(-reach, reach)).ravel()
+    return np.clip(index, 0, size - 1).astype(np.int32), (0, 0)
 
 
 def _detection(
