@@ -21,7 +21,8 @@ STRAIGHT_M = 1.0
 """How far the path may be from the chord when it is claimed; from later ones, twice that."""
 FORGOTTEN_S, CLAIM_FORGOTTEN_S = 60.0, 30.0
 """After a silence of so long an aircraft, or what a vehicle has claimed, counts no more."""
-_CLAIM_PIECES = 8
+_CUTS = np.linspace(0.0, 1.0, 9)[:, None]
+"""Where a claim is cut into pieces: shares of its length, (9, 1)."""
 
 
 @final
@@ -127,8 +128,10 @@ def keeps_apart(
 
 def _least_norm(start: FloatArray, end: FloatArray) -> FloatArray:
     """Least distance of level segments from the origin.  (..., 2) x2 -> (...)."""
-    (x, y), (dx, dy) = (np.moveaxis(each, -1, 0) for each in (start, end - start))
-    share = np.clip(-(x * dx + y * dy) / np.maximum(dx * dx + dy * dy, 1e-12), 0.0, 1.0)
+    x, y = start[..., 0], start[..., 1]
+    dx, dy = end[..., 0] - x, end[..., 1] - y
+    share = -(x * dx + y * dy) / np.maximum(dx * dx + dy * dy, 1e-12)
+    share = np.minimum(np.maximum(share, 0.0), 1.0)
     return np.hypot(x + share * dx, y + share * dy)
 
 
@@ -142,11 +145,11 @@ def free_pieces(
     """
     begin, end = np.asarray(claim.begin_nea_m), np.asarray(claim.end_nea_m)
     level_m, up_m = separation.horizontal_m + grown_m, separation.vertical_m + grown_m
-    for axis, kept_m in ((0, level_m), (1, level_m), (2, up_m)):
-        low, high = min(begin[axis], end[axis]) - kept_m, max(begin[axis], end[axis]) + kept_m
-        if points_nea_m[:, axis].max() <= low or points_nea_m[:, axis].min() >= high:
-            return np.ones(len(points_nea_m) - 1, dtype=bool)
-    cuts = begin + np.linspace(0.0, 1.0, _CLAIM_PIECES + 1)[:, None] * (end - begin)
+    kept_m = np.array([level_m, level_m, up_m])
+    low, high = np.minimum(begin, end) - kept_m, np.maximum(begin, end) + kept_m
+    if (points_nea_m.max(axis=0) <= low).any() or (points_nea_m.min(axis=0) >= high).any():
+        return np.ones(len(points_nea_m) - 1, dtype=bool)
+    cuts = begin + _CUTS * (end - begin)
     start, stop = points_nea_m[:-1], points_nea_m[1:]
     half_m = 0.5 * np.hypot(*(stop - start).T[:2])
     middle = 0.5 * (start[:, None, :2] + stop[:, None, :2])  # (N, 1, 2)

@@ -34,10 +34,9 @@ schema = 1
 name = "planned"
 over = "planner"
 keep = "none"
-seeds = 1
+seeds = 2
 [[places]]
-family = "copter"
-count = 2
+world = "sitl-arducopter"
 [factors]
 budget = [200, 400]
 """

@@ -393,7 +393,7 @@ def test_a_copter_whose_way_is_closed_at_every_level_makes_room_at_one_after_the
     wild = among.run_until(lambda w: w.state.flight.reference.speed_m_s > 5.0).wild
     among.run_until(lambda w: w.state.flight.reference.speed_m_s == 0.0)
     stood_s = wild.now_s
-    among.run_for(150.0)
+    among.run_for(90.0)
     waits = [(now_s, round(place[2])) for now_s, _, on_leg, place in among.places if on_leg]
     assert len({height_m for now_s, height_m in waits if 0.0 < now_s - stood_s < 55.0}) == 1
     assert len({height_m for now_s, height_m in waits if now_s > stood_s}) > 1
@@ -441,7 +441,7 @@ def test_who_is_named_is_in_the_way() -> None:
         aside = aircraft(now_s, (-300.0, -40.0, 3030.0), name="system 9", system=9)
         return (ahead, aside), (claim_at(-300.0, now_s, system=9),)
 
-    among = Among(ARDUCOPTER.traits, others=others).run_for(60.0)
+    among = Among(ARDUCOPTER.traits, others=others).run_for(30.0)
     named = [text for text in among.said() if "giving way" in text]
     assert named
     assert all(text.endswith(": ADS-B 4B1234") for text in named)
