@@ -295,7 +295,7 @@ def test_the_battery(left: float, endurance_s: float | None, verdict: str) -> No
 def test_a_battery_that_says_nothing_is_noted() -> None:
     it = Pair()
     it.keeps = lambda message: message.get_type() not in ("SYS_STATUS", "BATTERY_STATUS")
-    it.looked_at()
+    it.looked_at(9.0)
     assert it.status("battery") == "note"
 
 
@@ -429,7 +429,7 @@ def test_what_fly_refuses_is_refused_here_and_the_other_way_round(setup: str) ->
     keywords, change, check, verdict, words = SETUPS[setup]
     looked = Pair(**keywords)
     change(looked)
-    looked.looked_at(20.0)
+    looked.looked_at(9.0)
     if check:
         assert looked.status(check) == verdict
         assert all(word in looked.words(check) for word in words), looked.words(check)
@@ -440,7 +440,7 @@ def test_what_fly_refuses_is_refused_here_and_the_other_way_round(setup: str) ->
         flown.session, session = Pair(**keywords, shadow=True).session, flown.session
         change(flown)
         flown.session = session
-    flown.run(30.0, until=lambda: flown.end is not None or climbs(flown))
+    flown.run(12.0, until=lambda: flown.end is not None or climbs(flown))
     goes = climbs(flown)
     if not goes and flown.session.vehicle is not None:  # its patience is over now, not in 120 s
         state = flown.session.state
