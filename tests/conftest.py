@@ -17,6 +17,7 @@ import pytest
 from hypothesis import settings
 from nudge import SEEDS, nudged_positions
 
+gc.disable()  # until all is collected: what tests are made of stays
 settings.register_profile("dev", max_examples=50, derandomize=True, database=None, deadline=None)
 settings.register_profile("ci", max_examples=200, derandomize=True, database=None, deadline=None)
 settings.load_profile("dev")
@@ -58,6 +59,7 @@ def pytest_collection_finish() -> None:
     """What has been collected stays: no garbage collection looks through it again."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 def _nightly(items: list[pytest.Item]) -> Iterator[pytest.Item]:

@@ -111,6 +111,6 @@ def test_a_growing_world_holds_the_smaller_one_unchanged() -> None:
 
 
 def test_no_map_has_more_cells_than_a_mission_may_have() -> None:
-    task = drawn_world.spread_out(100_000).task
+    task = drawn_world.spread_out(10_000).task
     cells = (task.limits.north_m[1] - task.limits.north_m[0]) / task.cell_m
     assert 4_900 < cells <= 5_000

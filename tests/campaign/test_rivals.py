@@ -1,5 +1,6 @@
 """Laws of the planners of whole routes that ours is held against, and of what flies them."""
 
+import functools
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -57,6 +58,27 @@ def with_discs(seed: int) -> FloatArray:
         away = np.hypot(axis[:, None] - north, axis[None, :] - east)
         rate[away < rng.uniform(40.0, 130.0)] = np.inf if k % 3 else 4.0
     return rate
+
+
+@functools.cache
+def copter_world(seed: int) -> DrawnWorld:
+    """A drawn world of copters as far as 40 % of its way, with 700 m about it."""
+    world = families.world("copter", seed, 0)
+    start = np.array(world.start_nea_m[:2])
+    target = start + 0.4 * (np.array(world.targets_ne_m[0]) - start)
+    (south, north), (west, east) = (
+        (max(limit[0], min(ends) - 700.0), min(limit[1], max(ends) + 700.0))
+        for limit, ends in zip(
+            (world.task.limits.north_m, world.task.limits.east_m),
+            np.stack([start, target], axis=-1).tolist(),
+            strict=True,
+        )
+    )
+    limits = replace(world.task.limits, north_m=(south, north), east_m=(west, east))
+    task, (to_north, to_east) = replace(world.task, limits=limits), target.tolist()
+    near = replace(world, task=task, targets_ne_m=((to_north, to_east),))
+    assert not drawn_world.is_straight_line_free(near)
+    return near
 
 
 def planned(name: str, problem: RouteProblem, seed: int = 1) -> FloatArray:
@@ -142,7 +164,7 @@ def test_a_star_over_the_grid_costs_what_dijkstra_finds(seed: int) -> None:
 
 @pytest.fixture(scope="module", params=["full", "scans"])
 def flown(request: pytest.FixtureRequest) -> tuple[DrawnWorld, flight.RouteFlight]:
-    world = families.world("copter", 5, 0)
+    world = copter_world(5)
     return world, flight.fly(world, a_star.plan, knowledge=request.param)
 
 
@@ -221,7 +243,7 @@ def test_a_field_costs_at_its_points_what_the_measure_says() -> None:
     ],
 )
 def test_an_answer_that_is_no_route_ends_the_flight_with_its_reason(answer, why) -> None:
-    found = flight.fly(families.world("copter", 5, 0), lambda _problem, _rng: answer)
+    found = flight.fly(copter_world(5), lambda _problem, _rng: answer)
     assert not found.arrived
     assert why in found.why
     assert len(found.points_nea_m) == 1
@@ -245,7 +267,7 @@ def test_a_turn_is_as_sharp_as_its_circle_and_a_corner_is_too_sharp() -> None:
 
 
 def test_ours_with_full_knowledge_costs_no_more_and_keeps_every_bound() -> None:
-    world = families.world("copter", 41, 0)
+    world = copter_world(41)
     costs = {}
     for knowledge in ("scans", "full"):
         found = ours.fly(world, knowledge=knowledge)

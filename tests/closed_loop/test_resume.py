@@ -49,12 +49,19 @@ PLANE_MOMENTS: tuple[Moment, ...] = (
     ("in a leg", _is_in_leg),
     ("at a join", lambda now: now["phase"] == "FLYING" and now["legs_flown"] >= 2),
 )
-COPTER_MOMENTS: tuple[Moment, ...] = (
-    ("before the first leg", _is_before_first_leg),
-    *PLANE_MOMENTS,
-    (PAUSED, lambda now: now["phase"] == "HOLDING" and now["standing"] == "PAUSED"),
-    ("while landing", lambda now: now["phase"] == "LANDING"),
+_PAUSED: Moment = (
+    PAUSED,
+    lambda now: now["phase"] == "HOLDING" and now["standing"] == "PAUSED",
 )
+MOMENTS: dict[str, tuple[Moment, ...]] = {
+    "sitl-arducopter": (PLANE_MOMENTS[0], _PAUSED),  # at any: `tests/mission/test_changes.py`
+    "sitl-px4": (
+        ("before the first leg", _is_before_first_leg),
+        *PLANE_MOMENTS,
+        _PAUSED,
+        ("while landing", lambda now: now["phase"] == "LANDING"),
+    ),
+}
 
 
 @final
@@ -123,7 +130,7 @@ def killed(folder: Path, name: str) -> Killed:
 
             return flight.companion.until(look, every_s=LOOK_S)
 
-        for what, is_now in COPTER_MOMENTS if name in FLIES_ON_S else PLANE_MOMENTS:
+        for what, is_now in MOMENTS.get(name, PLANE_MOMENTS):
             values = until(is_now, False if what is PAUSED else None)
             if what == "in a leg":
                 person.keeps_it_out(mission)
@@ -159,7 +166,7 @@ def test_it_arrives_however_often_it_was_killed(flown: Any, name: str) -> None:
 @ALL
 def test_a_keep_out_that_was_ordered_is_kept_by_all_lives_after(flown: Any, name: str) -> None:
     it = flown(name, by=killed)
-    before = 0 if name not in FLIES_ON_S else 1
+    before = [what for what, _ in MOMENTS.get(name, PLANE_MOMENTS)].index("in a leg")
     assert it.keep_outs == [0] * before + [1] * (len(it.killed_at_s) - before)
 
 

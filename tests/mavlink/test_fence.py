@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from held import HOME_DEG, HOME_M
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.geodesy import LocalFrame, deg_e7
@@ -111,7 +111,6 @@ _ROUND_M = 3.0
 """ArduPilot's flat earth is 0.1 % off, within 2 km."""
 
 
-@settings(max_examples=100)
 @given(drawn=st.lists(shapes(), min_size=1, max_size=4), points=st.lists(places, min_size=20))
 def test_what_zones_allow_both_autopilots_allow(drawn: Any, points: Any) -> None:
     items = list(itertools.chain(*drawn))

@@ -61,7 +61,7 @@ def ack(result: int, kind: int = FENCE, to: tuple[int, int] = OURS) -> Any:
 # --- against the simulator ------------------------------------------------------------------------
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(5)
 @ALL_FOUR
 @pytest.mark.parametrize(
     "fault", ["", "link_loss 25 %", "link_delay 400 ms", "link_duplication 50 %"]
@@ -85,7 +85,7 @@ def test_downloads_all_three_lists(firmware: Firmware, kind: Kind, fault: str) -
     assert [client.plans[each].version for each in KINDS] == [1, 1, 1]
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(5)
 @ALL_FOUR
 @pytest.mark.parametrize("waited_s", [0.0, 1.3, 2.9, 4.4])
 def test_a_fence_that_is_drawn_in_flight_is_known_in_time(
@@ -94,7 +94,7 @@ def test_a_fence_that_is_drawn_in_flight_is_known_in_time(
     held = Held(firmware, kind)
     held.upload(FENCE, polygon(5))
     client = PlanClient(1, OURS)
-    held.run(30.0 + waited_s, client)
+    held.run(10.0 + waited_s, client)
     bigger, moved = [*polygon(5), circle(80.0)], [*polygon(5), circle(80.0, east_m=40.0)]
     for fence in (bigger, moved, []):  # more items; the same number, elsewhere; none
         if fence:

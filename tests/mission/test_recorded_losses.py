@@ -1,9 +1,9 @@
 """The recorded flights of both autopilots through the session: what it does when the GPS is lost.
 
-The frames come in as they were recorded, and what the session asks for is noted.  Once as a shadow;
-once with the machine flying: it takes over on a made-up path along the recorded route, and a
-vehicle whose position is the recorded one takes the modes that it is asked for.  Times are seconds
-after the first record; those of the faults are the recordings' own (their README).
+The frames come in as they were recorded, and what the session asks for is noted, with the machine
+flying: it takes over on a made-up path along the recorded route, and a vehicle whose position is
+the recorded one takes the modes that it is asked for.  Times are seconds after the first record;
+those of the faults are the recordings' own (their README).  Watched only: replay/test_shadow.py.
 """
 
 import functools
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from held import recorded
-from made_up import not_planned, planned
+from made_up import planned
 from renewed import replace
 
 from companion.config import load_mission
@@ -24,7 +24,6 @@ from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot,
 from companion.mavlink.dialect import codec, wire
 from companion.mission import checkpoint
 from companion.mission.events import Mode
-from companion.mission.health import distrust
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State
 from companion.path.subpath import Subpath
@@ -40,15 +39,8 @@ ARDUPILOT_HOME, PX4_HOME = (-35.363262, 149.165237, 584.0), (47.397742, 8.545594
 FLIGHTS: dict[str, tuple[str, tuple[float, float, float]]] = {
     ARDUPILOT: ("sitl-arducopter", ARDUPILOT_HOME),
     PX4: ("sitl-px4", PX4_HOME),
-    "arducopter-guided-10mps.tlog": ("sitl-arducopter", ARDUPILOT_HOME),
-    "arducopter-guided-global-stream-faults.tlog": ("sitl-arducopter", PX4_HOME),
-    "arduplane-guided-reposition.tlog": ("sitl-arduplane", ARDUPILOT_HOME),
-    "px4-fixedwing-offboard.tlog": ("sitl-px4-plane", PX4_HOME),
-    "px4-offboard-8mps.tlog": ("sitl-px4", PX4_HOME),
-    "px4-offboard-short.tlog": ("sitl-px4", PX4_HOME),
 }
 """Which bundled mission a recording is flown with, and its home."""
-HEALTHY = [name for name in FLIGHTS if name not in (ARDUPILOT, PX4)]
 SEEN_S = 2.0
 """So long after it began a fault is seen: receiver at 5 Hz, estimator at 2 Hz, and it may flicker.
 
@@ -59,7 +51,6 @@ BAD: dict[str, tuple[tuple[float, float], ...]] = {
     PX4: ((76.3, 108.6),),
 }
 """From the fault until the position is right again: `Glitch cleared`, GPS fused again."""
-JUMPS = {ARDUPILOT: (123.3, 138.3, 188.5), PX4: (107.8,)}
 TRUSTED_AGAIN_S = 2.0
 PATH_M = 1000.0
 """Of a made-up plan; nobody flies it."""
@@ -117,11 +108,8 @@ class Replay:
     sent: list[tuple[float, Any]] = field(default_factory=list)
     planned_s: list[float] = field(default_factory=list)
     """When a plan was asked for."""
-    states: list[tuple[float, Phase, Reason | None, bool]] = field(default_factory=list)
-    """Whenever phase, reason or trust have changed: after that; and whether the position counts.
-
-    No states and no requests: each would keep a map of its own for as long as the tests run.
-    """
+    ends: tuple[Phase, Reason | None] = (Phase.WAITING, None)
+    """In which phase, and why."""
 
     @property
     def leads_s(self) -> list[float]:
@@ -136,19 +124,6 @@ class Replay:
             if (asked := _mode_asked(message, autopilot)) is not None
         ]
 
-    def doubted(self, *, from_s: float = 0.0) -> list[tuple[float, float, str]]:
-        """From when to when the position did not count, and why at first."""
-        spans, since = list[tuple[float, float, str]](), None
-        for at_s, _, reason, counts in self.states:
-            if at_s < from_s:
-                continue
-            if not counts and since is None:
-                since = (at_s, "" if reason is None else reason.name)
-            elif counts and since is not None:
-                spans.append((since[0], at_s, since[1]))
-                since = None
-        return spans if since is None else [*spans, (since[0], math.inf, since[1])]
-
 
 def replayed(
     name: str,
@@ -157,11 +132,9 @@ def replayed(
     from_s: float = 0.0,
     until_s: float = math.inf,
     obeys: bool = False,
-    plans: bool = True,
 ) -> Replay:
     """The recording through a session, in real time's way.
 
-    plans: whether there is a path whenever one is asked for; otherwise there never is.
     obeys: the heartbeats tell the mode that the session asked for, while the recorded vehicle is in
     guided mode.
     """
@@ -169,7 +142,7 @@ def replayed(
     answer: tuple[float, PlanOutcome] | None = None
     autopilot: Autopilot | None = None
     mode: Mode | None = None
-    heard_s, before = from_s, None
+    heard_s = from_s
     for at_s, message in _inbound(name):
         if not from_s <= at_s <= until_s:
             continue
@@ -193,13 +166,8 @@ def replayed(
                 mode = _mode_asked(told, autopilot) or mode
         if out.plan is not None:
             replay.planned_s.append(at_s)
-            answer = (at_s + 0.5, planned(out.plan, PATH_M) if plans else not_planned(out.plan))
-        state = session.state
-        counts = distrust(state.vehicle, state.now_s, state.task.limits) is None
-        now = (state.phase, state.reason, counts)
-        if now != before:
-            before = now
-            replay.states.append((at_s, *now))
+            answer = (at_s + 0.5, planned(out.plan, PATH_M))
+    replay.ends = session.state.phase, session.state.reason
     return replay
 
 
@@ -312,12 +280,6 @@ FLOWN = [
 
 
 @functools.cache
-def shadow(name: str) -> Replay:
-    session = Session(mission_for(name), seed=1, lockstep=False, shadow=True)
-    return replayed(name, session, plans=name in BAD)
-
-
-@functools.cache
 def flown(name: str, from_s: float, until_s: float, end_s: float, obeys: bool) -> Replay:
     session = on_route(name, from_s, until_s)
     return replayed(name, session, from_s=from_s, until_s=end_s, obeys=obeys)
@@ -357,45 +319,6 @@ def not_guided(name: str) -> list[tuple[float, float]]:
 
 def strategy(name: str) -> Autopilot:
     return ARDUCOPTER if name == ARDUPILOT else PX4_MULTICOPTER
-
-
-# --- only watched
-
-
-@pytest.mark.sample(3)
-@pytest.mark.parametrize("name", HEALTHY)
-def test_a_healthy_flight_is_never_doubted(name: str) -> None:
-    replay = shadow(name)
-    [(began_s, believed_s, _)] = replay.doubted()
-    assert began_s < 0.1
-    assert believed_s < 45.0  # ArduCopter's estimator takes 41.6 s
-    assert len(replay.planned_s) > 5
-    assert not [message for _, message in replay.sent if acts(message)]
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_each_fault_is_seen_before_the_position_jumps_and_until_it_is_right(name: str) -> None:
-    doubted = shadow(name).doubted(from_s=50.0)
-    assert len(doubted) == len(BAD[name])
-    for (since_s, until_s, _), (fault_s, right_s) in zip(doubted, BAD[name], strict=True):
-        assert fault_s <= since_s <= fault_s + SEEN_S
-        assert until_s >= right_s - 0.1
-        assert until_s < right_s + 1.0
-    for jump_s in JUMPS[name]:
-        assert any(since_s < jump_s < until_s for since_s, until_s, _ in doubted)
-        assert all(abs(jump_s - since_s) > 5.0 for since_s, _, _ in doubted)
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_a_shadow_moves_nothing_and_plans_from_no_wrong_position(name: str) -> None:
-    replay = shadow(name)
-    assert not [message for _, message in replay.sent if acts(message)]
-    planned_s = replay.planned_s
-    assert planned_s[0] < BAD[name][0][0] < BAD[name][-1][1] < planned_s[-1]
-    assert not [at_s for at_s in planned_s if is_bad(name, at_s)]
-
-
-# --- flying
 
 
 @pytest.mark.parametrize(("name", "bad", "times", "obeys"), FAULTS)
@@ -449,7 +372,7 @@ def test_it_never_begins_again_from_the_ground(obeys: bool) -> None:
     """ArduPilot's recording lands at 321.8 s, PX4's at about 197 s, and disarms."""
     for name in BAD:
         replay = flown(name, *TAKES_OVER[name][-1], obeys)
-        _, phase, reason, _ = replay.states[-1]
+        phase, reason = replay.ends
         assert phase is Phase.DONE
         assert reason in (Reason.GROUNDED, Reason.DISARMED)
         landed_s = 321.8 if name == ARDUPILOT else 195.0

@@ -20,7 +20,7 @@ LIMITS = limits(
     east_m=(0.0, 4_000.0),
 )
 MARGINS = Margins(clearance_m=60.0, contact_m=12.0, band_inset_m=10.0, dead_man_s=3.5)
-CASES, NIGHTLY_CASES = 30, 80
+CASES, NIGHTLY_CASES = 20, 80
 
 
 def a_map(upper: FloatArray | float = 0.0, cell_m: float = 100.0) -> KnownMap:

@@ -77,6 +77,12 @@ def copy(run_dir: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_dir, tmp_path / "run"))
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For the words alone: nine tenths of the time of a report goes into its figures."""
+    monkeypatch.setattr("companion.views.report.svg_figures", lambda _facts: {})
+
+
 def report_of(run: Path) -> str:
     write_report(run, None)
     return (run / "report.html").read_text(encoding="utf-8")
@@ -155,6 +161,7 @@ def test_the_worst_clearance_is_that_of_every_position_to_every_known_cell(
     assert facts.nearest.time_s == pytest.approx(where, abs=1e-6)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_far_from_all_terrain_the_clearance_is_a_bound(copy: Path) -> None:
     known = hill(copy)
     low = np.where(known.seen, -9000.0, np.inf)
@@ -393,18 +400,21 @@ def test_a_map_that_was_not_kept_grows_again_in_a_replay(tmp_path: Path) -> None
     assert digest_of(again) == digest_of(kept)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["run.json", "known.npz"])
 def test_damaged_files_beside_the_record_are_named(copy: Path, name: str) -> None:
     (copy / name).write_bytes(b"\x00{")
     assert f"{name}: " in words_of(report_of(copy))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_json_with_other_values_than_ours_is_told_without_them(copy: Path) -> None:
     odd = {"planning_s": ["x", None], "began": 5, "times_real_time": "fast", "companion": [1]}
     (copy / "run.json").write_text(json.dumps(odd))
     assert "Planning time, median not recorded" in words_of(report_of(copy))
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.97])
 def test_a_flight_that_was_cut_off_is_told_as_far_as_it_goes(copy: Path, share: float) -> None:
     for name in ("journal.jsonl", "flight.tlog"):
@@ -416,6 +426,7 @@ def test_a_flight_that_was_cut_off_is_told_as_far_as_it_goes(copy: Path, share: 
     assert ("None was planned" in words) is not planned
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failed_flight_says_why_and_what_led_to_it(copy: Path) -> None:
     text = (copy / "journal.jsonl").read_text()
     end = '"outcome":"arrived","reason":"target reached"'
@@ -448,6 +459,7 @@ def test_without_the_record_itself_it_is_one_line_and_exit_code_2(
     assert not (copy / "report.html").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_beside_the_flight_and_never_over_it(copy: Path) -> None:
     assert command("report", copy) == (0, "")
     assert (copy / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
