@@ -32,6 +32,7 @@ def looked(pilot: Any, near: NearMap) -> Any:
     return pilot
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("seed", range(20))
 def test_a_star_costs_what_dijkstra_finds(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -72,6 +73,7 @@ def test_clearances_are_distances_to_what_stands() -> None:
     np.testing.assert_allclose(found, expected)
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("seed", range(20))
 def test_bendy_takes_the_first_clear_direction_aside_of_the_target(seed: int) -> None:
     cells = np.random.default_rng(seed).integers(0, SIZE, size=(30, 2))
