@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 BLOCK = 10
-BLOCKS, ALL_BLOCKS = 10, 1_000
+BLOCKS, ALL_BLOCKS = 5, 1_000
 FRAME = LocalFrame(latitude_deg=0.0, longitude_deg=0.0)
 _ROUNDING_M = 1e-6
 
