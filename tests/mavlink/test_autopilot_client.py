@@ -101,7 +101,7 @@ def test_a_circle_without_an_end_that_is_drawn_later_is_said() -> None:
 def test_what_is_said_of_a_fence_is_said_once(firmware: Any) -> None:
     held, client = begun(firmware)
     held.upload(FENCE, polygon(5, command=5002), client)
-    held.run(40.0, client)
+    held.run(20.0, client)
     assert len(client.said) == len(set(client.said))
     assert any(isinstance(event, FenceChanged) and event.zones for event in client.events)
 
@@ -253,7 +253,7 @@ def test_a_parameter_that_was_set_back_once_is_set_again() -> None:
 
 
 def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever() -> None:
-    held, client = fought(8)
+    held, client = fought(6, seconds=9.0)
     assert value_of(client) == 0.0
     [line] = client.refusals
     assert line.startswith("COM_OBL_RC_ACT = 0: somebody keeps setting it back. End that")

@@ -174,8 +174,8 @@ def test_a_link_that_is_silent_changes_nothing(firmware: Firmware) -> None:
     client = PlanClient(1, OURS)
     held.run(3.0, client)
     before = dict(client.plans)
-    held.simulation.add_fault("for 60 s: link_off on link 0")
-    held.run(60.0, client)
+    held.simulation.add_fault("for 30 s: link_off on link 0")
+    held.run(30.0, client)
     assert client.plans == before
     assert client.trouble
     held.run(5.0, client)
@@ -193,9 +193,9 @@ def test_looks_are_cheap(firmware: Firmware) -> None:
     client = PlanClient(1, OURS)
     held.run(3.0, client)
     begun = len(held.sent)
-    held.run(60.0, client)
+    held.run(30.0, client)
     sent = sum(len(message.pack(held._ours)) for _, message in held.sent[begun:])
-    assert sent / 60.0 < (150.0 if firmware == "ardupilot" else 50.0)
+    assert sent / 30.0 < (150.0 if firmware == "ardupilot" else 50.0)
 
 
 def test_px4_tells_the_ids_of_its_lists() -> None:
