@@ -16,7 +16,7 @@ from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
-from companion.planner.settings import Task
+from companion.planner.settings import PlannerSettings, Task
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 
@@ -37,6 +37,26 @@ _COPTER = Limits(
     east_m=(0.0, 8_000.0),
     tracking_error_m=5.0,
 )
+PLANE_TASK = Task(
+    limits=Limits(
+        speed_m_s=18.0,
+        acceleration_m_s2=2.0,
+        climb_rate_m_s=3.0,
+        turn_radius_m=100.0,
+        climb_angle_rad=0.1,
+        dive_angle_rad=0.1,
+        floor_amsl_m=60.0,
+        ceiling_amsl_m=260.0,
+        north_m=(-2_000.0, 2_000.0),
+        east_m=(-2_000.0, 2_000.0),
+        tracking_error_m=12.0,
+        loiter_radius_m=80.0,
+    ),
+    settings=PlannerSettings(
+        scan_range_m=1_600.0, safety_distance_m=30.0, planning_time_s=1.0, scan_time_s=1.0
+    ),
+)
+"""Of a plane on 4 km x 4 km between 60 and 260 m."""
 
 
 @cache

@@ -30,47 +30,36 @@ HEALTHY = sorted(set(HOMES) - set(LOSSES))
 
 
 @functools.cache
-def events(name: str) -> list[tuple[float, Event]]:
-    """What the autopilot of a recording said, by the recording's clock."""
+def told(name: str) -> tuple[list[tuple[float, Event]], set[str]]:
+    """What the autopilot of a recording said, by the recording's clock, and its modes' names."""
     latitude, longitude = HOMES[name]
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     autopilot: Autopilot | None = None
-    origin, first_s, found = None, None, list[tuple[float, Event]]()
+    origin, first_s, found, modes = None, None, list[tuple[float, Event]](), set[str]()
     for at_s, message in recorded(name):
         first_s = at_s if first_s is None else first_s
         if (message.get_srcSystem(), message.get_srcComponent()) != (1, 1):
             continue
+        is_heartbeat = message.get_type() == "HEARTBEAT"
         if autopilot is None:
-            is_heartbeat = message.get_type() == "HEARTBEAT"
             autopilot = autopilot_of(message) if is_heartbeat else None
         if autopilot is None:
             continue
+        if is_heartbeat:
+            modes.add(autopilot.modes.name_of(message.custom_mode))
         event = autopilot.event_of(message, at_s - first_s, frame, origin)
         if isinstance(event, Origin):
             origin = event.position_nea_m
         if event is not None:
             found.append((at_s - first_s, event))
-    return found
-
-
-def mode_names(name: str) -> set[str]:
-    """What the modes of a recorded flight are called."""
-    heard = [
-        message
-        for _, message in recorded(name)
-        if message.get_type() == "HEARTBEAT"
-        and (message.get_srcSystem(), message.get_srcComponent()) == (1, 1)
-    ]
-    autopilot = autopilot_of(heard[0])
-    assert autopilot is not None
-    return {autopilot.modes.name_of(message.custom_mode) for message in heard}
+    return found, modes
 
 
 def doubted(name: str) -> list[tuple[float, float]]:
     """From when to when the position was not to be believed, once it had been."""
     good: dict[type, bool] = {}
     spans, since_s = list[tuple[float, float]](), None
-    for at_s, event in events(name):
+    for at_s, event in told(name)[0]:
         if not isinstance(event, GpsFix | Estimator):
             continue
         before = len(good) == 2 and all(good.values())
@@ -115,7 +104,7 @@ def test_a_fault_is_seen_at_once_and_before_the_estimate_jumps(
 
 def test_the_31_m_that_px4_jumps_are_over_before_it_has_been_good_for_two_seconds() -> None:
     """A position counts again when it was good for 2 s: until then no jump is followed."""
-    said = events("px4-gps-loss.tlog")
+    said, _ = told("px4-gps-loss.tlog")
     [(since_s, until_s)] = doubted("px4-gps-loss.tlog")
     positions = [(at_s, e) for at_s, e in said if isinstance(e, Position)]
     unflown = list[float]()
@@ -134,12 +123,11 @@ def test_the_31_m_that_px4_jumps_are_over_before_it_has_been_good_for_two_second
 
 @pytest.mark.parametrize("name", HOMES)
 def test_positions_are_where_the_flight_was_and_modes_have_names(name: str) -> None:
-    said = [event for _, event in events(name)]
-    places = [e.position_nea_m for e in said if isinstance(e, Position)]
+    said, modes = told(name)
+    places = [e.position_nea_m for _, e in said if isinstance(e, Position)]
     assert len(places) > 500
     assert max(math.hypot(*place[:2]) for place in places) < 3000.0
-    statuses = [e for e in said if isinstance(e, VehicleStatus)]
-    modes = mode_names(name)
+    statuses = [e for _, e in said if isinstance(e, VehicleStatus)]
     assert modes
     assert not [mode for mode in modes if not mode or mode.startswith("mode ")]
     assert any(e.armed for e in statuses)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from made_up import MISSION
 from numpy.typing import NDArray
+from planning import PLANE_TASK
 from renewed import replace
 
 from companion.mavlink.autopilots import ARDUPLANE, PX4_FIXED_WING, PX4_MULTICOPTER
@@ -27,33 +28,13 @@ from companion.mission.events import (
 )
 from companion.mission.state import Flight, Phase, Scanning, State, Vehicle
 from companion.mission.vehicle_traits import VehicleTraits
-from companion.path.limits import Limits
-from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
 from companion.world.threats import CircleZone, PolygonZone
 from companion.world.zone_index import ZoneIndex
 
 FloatArray = NDArray[np.float64]
 V, LOITER_M, HOVER = 18.0, 100.0, (0.0, 0.0, 100.0)
-TASK = Task(
-    limits=Limits(
-        speed_m_s=V,
-        acceleration_m_s2=2.0,
-        climb_rate_m_s=3.0,
-        turn_radius_m=100.0,
-        climb_angle_rad=0.1,
-        dive_angle_rad=0.1,
-        floor_amsl_m=60.0,
-        ceiling_amsl_m=260.0,
-        north_m=(-2_000.0, 2_000.0),
-        east_m=(-2_000.0, 2_000.0),
-        tracking_error_m=12.0,
-        loiter_radius_m=LOITER_M,
-    ),
-    settings=PlannerSettings(
-        scan_range_m=1_600.0, safety_distance_m=30.0, planning_time_s=1.0, scan_time_s=1.0
-    ),
-)
+TASK = replace(PLANE_TASK, limits=replace(PLANE_TASK.limits, loiter_radius_m=LOITER_M))
 PLANES = pytest.mark.parametrize(
     "traits", [ARDUPLANE.traits, PX4_FIXED_WING.traits], ids=lambda d: d.name
 )

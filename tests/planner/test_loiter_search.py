@@ -5,32 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planning import PLANE_TASK
 
-from companion.path.limits import Limits
 from companion.planner.loiter_search import LoiterQuery, loiter_point
-from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
 V, TURN_M, LOITER_M = 18.0, 100.0, 80.0
-LIMITS = Limits(
-    speed_m_s=V,
-    acceleration_m_s2=2.0,
-    climb_rate_m_s=3.0,
-    turn_radius_m=TURN_M,
-    climb_angle_rad=0.1,
-    dive_angle_rad=0.1,
-    floor_amsl_m=60.0,
-    ceiling_amsl_m=260.0,
-    north_m=(-2_000.0, 2_000.0),
-    east_m=(-2_000.0, 2_000.0),
-    tracking_error_m=12.0,
-    loiter_radius_m=LOITER_M,
-)
-SETTINGS = PlannerSettings(
-    scan_range_m=1_600.0, safety_distance_m=30.0, planning_time_s=1.0, scan_time_s=1.0
-)
-TASK = Task(limits=LIMITS, settings=SETTINGS)
+TASK = PLANE_TASK
+LIMITS, SETTINGS = TASK.limits, TASK.settings
 REQUIRED_M = TASK.required_clearance_m
 HEIGHT_M = 120.0
 STEP_S = 0.1

@@ -107,6 +107,7 @@ def test_a_reboot_is_told_however_long_it_takes(tmp_path: Path, silent_s: int) -
     assert "this mission is for" not in said
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("every", [6, 12])
 def test_a_mission_adds_no_holds_to_those_of_the_vehicle(tmp_path: Path, every: int) -> None:
     """Positions 0.6 s and 1.2 s apart are no loss of them, whenever a plan comes."""
