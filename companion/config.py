@@ -14,6 +14,7 @@ from companion.mission.mission import Mission
 from companion.planner.rules import check_area
 from companion.sources.elevation import read_terrain
 from companion.sources.files import (
+    RawTable,
     answer,
     plain,
     read_text,
@@ -105,12 +106,17 @@ def _whole(text: str, name_or_path: str) -> MissionFile:
         raise InputError(
             "MISSION", name_or_path, "this is a world, not a mission", "Give its mission.toml."
         )
-    return complete(table, _folder(name_or_path), name_or_path)
+    return complete(table, folder_of(name_or_path), name_or_path)
+
+
+def world_table(name_or_path: str) -> RawTable:
+    """A bundled world or a file, as it stands there."""
+    return toml_table(_read(name_or_path, "world"), name_or_path)
 
 
 def load_world(name_or_path: str) -> World:
     """A bundled world or a file."""
-    table = toml_table(_read(name_or_path, "world"), name_or_path)
+    table = world_table(name_or_path)
     if _OF_MISSIONS & table.keys():
         raise InputError(
             "WORLD", name_or_path, "this is a mission, not a world", "Give its world.toml."
@@ -136,7 +142,7 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
     sides_m = (area.north_min_m, area.north_max_m), (area.east_min_m, area.east_max_m)
     check_area(*sides_m, f"{name_or_path}: ")
     return read_terrain(
-        _folder(name_or_path) / model.terrain.file,
+        folder_of(name_or_path) / model.terrain.file,
         LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg),
         sides_m,
         vertical_datum=model.terrain.vertical_datum,
@@ -148,7 +154,7 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
 # --- files
 
 
-def _folder(name_or_path: str) -> Path:
+def folder_of(name_or_path: str) -> Path:
     """Where the other files of a world or a mission are."""
     if name_or_path in bundled():
         return Path(str(resources.files("companion"))) / "environments" / name_or_path

@@ -1,11 +1,7 @@
-"""The worlds that missions are measured in: random ones, and the bundled environments.
+"""A world to measure missions in, with its mission, and the proof that there is a way through it.
 
-Random worlds are drawn in the manner of environment-2 (dense) and environment-1 (sparse): 100 km x
-100 km, from (0, 0) to the far corner, with that mission's limits and settings. World k is always
-the same. Every one has a way through: at the floor of the band, clear of all terrain and outside
-all radars, wide enough for a disc of `SPARE_M` beside the clearance; a flood fill that knows
-nothing of planners proves it, and a world without one is drawn again. So is a world in which the
-straight line to the target is free.
+The proof is a flood fill that knows nothing of planners: at the floor of the band, clear of all
+terrain and outside all radars and keep-outs.
 """
 
 import functools
@@ -16,29 +12,17 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
-from companion.campaign.truth import height_m, mountain
+from companion.campaign.truth import height_m
 from companion.config import load_mission, load_world
+from companion.geodesy import BoolArray, FloatArray
 from companion.planner.settings import Task
-from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
-from companion.world.threats import Radar
+from companion.world.terrain import ArrayTerrain, PeakTerrain
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-SPARE_M = 750.0
-"""Half the width of the way through, beside the required clearance."""
 BAND_INSET = 1.1
 """How far inside the band plans keep, in tracking and navigation errors (`Task.band_amsl_m`)."""
 _CELLS_PER_RANGE = 80
-_Ring = tuple[float, float, float]
-"""Least and greatest north and east, and half the side of the hollow square about the origin."""
-_SQUARE: _Ring = (0.0, 100_000.0, 0.0)
-_DENSITY_1_KM2 = 0.004
-_MOST_EDGE_M = 620_000.0
-_STREAMS = {"dense": 1, "sparse": 2, "growth": 3}
 
 
 @final
@@ -102,124 +86,6 @@ def bundled(name: str) -> DrawnWorld:
         start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
         targets_ne_m=mission.targets_ne_m,
     )
-
-
-def dense(number: int, seed: int = 0) -> DrawnWorld:
-    """12 to 28 mountains and 10 to 14 radars."""
-    return _drawn("dense", number, seed, (12, 28), (10, 14), (6_000.0, 11_000.0))
-
-
-def sparse(number: int, seed: int = 0) -> DrawnWorld:
-    """4 to 8 mountains and 3 to 5 radars."""
-    return _drawn("sparse", number, seed, (4, 8), (3, 5), (9_000.0, 15_000.0))
-
-
-def by_name(name: str) -> DrawnWorld:
-    """`dense-7`, `sparse-2`, or a bundled name."""
-    kind, _, number = name.rpartition("-")
-    if kind in ("dense", "sparse"):
-        return dense(int(number)) if kind == "dense" else sparse(int(number))
-    return bundled(name)
-
-
-def spread_out(count: int, variant: int = 0) -> DrawnWorld:
-    """Obstacles at equal density (0.004 per km2, 60 % mountains) on an area that grows.
-
-    Worlds of one variant lie in each other: that of 100 holds that of 10 in its middle, so that
-    what is in sight there is the same and only the world's size differs. Start and target are
-    57 km apart about the middle; the task's map covers everything, or as much as a mission may
-    have (2.5e7 cells).  No way through is promised.
-    """
-    base, half = bundled("environment-2"), 20_000.0
-    room = [(-half, -half, 6_000.0), (half, half, 6_000.0)]
-    peaks: list[Peak] = []
-    radars: list[Radar] = []
-    inner_m, size = 0.0, 10
-    while len(peaks) + len(radars) < count:
-        size = min(size, count)
-        more = size - len(peaks) - len(radars)
-        rng = np.random.default_rng((_STREAMS["growth"], variant, size))
-        outer_m = 500.0 * math.sqrt(size / _DENSITY_1_KM2)
-        ring = (-outer_m, outer_m, inner_m)
-        mountains = round(0.6 * more)
-        peaks += _peaks(rng, mountains, ring, room)
-        radars += _radars(rng, more - mountains, (6_000.0, 11_000.0), ring, room)
-        inner_m, size = outer_m, 10 * size
-    edge_m = min(max(inner_m + 5_000.0, 60_000.0), _MOST_EDGE_M)
-    limits = replace(base.task.limits, north_m=(-edge_m, edge_m), east_m=(-edge_m, edge_m))
-    return DrawnWorld(
-        name=f"growth-{count}",
-        terrain=PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0),
-        task=replace(base.task, limits=limits, radars=tuple(radars)),
-        start_nea_m=(-half, -half, base.start_nea_m[2]),
-        targets_ne_m=((half, half),),
-    )
-
-
-@functools.cache
-def _drawn(
-    kind: str,
-    number: int,
-    seed: int,
-    mountains: tuple[int, int],
-    radars: tuple[int, int],
-    range_m: tuple[float, float],
-) -> DrawnWorld:
-    rng = np.random.default_rng(
-        (_STREAMS[kind], number, seed) if seed else (_STREAMS[kind], number)
-    )
-    base = bundled("environment-2")
-    ends = [(*base.start_nea_m[:2], 6_000.0), (*base.targets_ne_m[0], 6_000.0)]
-    while True:
-        peaks = _peaks(rng, int(rng.integers(*mountains, endpoint=True)), _SQUARE, ends)
-        threats = _radars(rng, int(rng.integers(*radars, endpoint=True)), range_m, _SQUARE, ends)
-        world = replace(
-            base,
-            name=f"{kind}-{seed}-{number}" if seed else f"{kind}-{number}",
-            terrain=PeakTerrain(peaks=peaks, ground_amsl_m=0.0),
-            task=replace(base.task, radars=threats, zones=()),
-        )
-        if has_way_through(world, SPARE_M) and not is_straight_line_free(world):
-            return world
-
-
-def _peaks(
-    rng: np.random.Generator, count: int, ring: _Ring, ends: list[tuple[float, float, float]]
-) -> tuple[Peak, ...]:
-    """Mountains of 3,600 to 6,000 m, none of which stands over a start or a target."""
-    result: list[Peak] = []
-    while len(result) < count:
-        north, east = _somewhere(rng, ring)
-        height = float(np.round(rng.uniform(3_600.0, 6_000.0), -1))
-        spreads = [float(v) for v in np.round(rng.uniform(3_000.0, 5_500.0, 2), -1)]
-        if all(math.hypot(north - n, east - e) >= far + max(spreads) for n, e, far in ends):
-            result.append(mountain(north, east, height, (spreads[0], spreads[1])))
-    return tuple(result)
-
-
-def _radars(
-    rng: np.random.Generator,
-    count: int,
-    range_m: tuple[float, float],
-    ring: _Ring,
-    ends: list[tuple[float, float, float]],
-) -> tuple[Radar, ...]:
-    """Radars on the plain, none of which sees a start or a target."""
-    result: list[Radar] = []
-    while len(result) < count:
-        north, east = _somewhere(rng, ring)
-        reach = float(np.round(rng.uniform(*range_m), -1))
-        if all(math.hypot(north - n, east - e) >= reach + 0.5 * far for n, e, far in ends):
-            name = f"radar {len(result) + 1}"
-            result.append(Radar(name=name, centre_nea_m=(north, east, 0.0), range_m=reach))
-    return tuple(result)
-
-
-def _somewhere(rng: np.random.Generator, ring: _Ring) -> tuple[float, float]:
-    while True:
-        north, east = (float(v) for v in np.round(rng.uniform(*ring[:2], 2), -1))
-        if max(abs(north), abs(east)) >= ring[2]:
-            return north, east
 
 
 def scaled(world: DrawnWorld, by: float) -> DrawnWorld:

@@ -12,12 +12,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label, map_coordinates, maximum_filter, uniform_filter
 
 from companion.campaign import drawn_world
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.truth import mountain
+from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
@@ -25,23 +24,33 @@ from companion.world.simulated_scan import Truth
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.threats import CircleZone, Radar
 
-FloatArray = NDArray[np.float64]
-
-SEED = 0
-"""The default: the families `dense` and `sparse` are then what they have always been."""
+SPREAD = "spread"
+"""A family whose index is how many obstacles there are, always as densely."""
 _SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
 _MOST_DRAWS = 2_000
+_DENSITY_1_KM2 = 0.004
+_SPREAD_STREAM = 3
+_MOST_EDGE_M = 620_000.0
+_Ring = tuple[float, float, float]
+"""Least and greatest north and east, and half the side of the hollow square about the origin."""
+_SQUARE: _Ring = (0.0, 100_000.0, 0.0)
 
 
 @functools.cache
 def world(family: str, seed: int, index: int) -> DrawnWorld:
     """One world, always the same for the same three."""
-    if family in ("dense", "sparse"):
-        return (drawn_world.dense if family == "dense" else drawn_world.sparse)(index, seed)
+    if family == SPREAD:
+        return _spread_out(index, seed)
     stream, draw = _FAMILIES[family]
-    rng = np.random.default_rng((stream, seed, index))
+    key: tuple[int, ...] = (stream, seed, index)
+    name = f"{family}-{seed}-{index}"
+    if family in ("dense", "sparse"):  # as they were drawn before there were seeds
+        key = (stream, index, seed)
+        if seed == 0:
+            key, name = key[:2], f"{family}-{index}"
+    rng = np.random.default_rng(key)
     for _ in range(_MOST_DRAWS):
-        drawn = draw(rng, f"{family}-{seed}-{index}")
+        drawn = draw(rng, name)
         if drawn is not None and has_way(drawn) and not drawn_world.is_straight_line_free(drawn):
             return drawn
     raise AssertionError(f"{family}: no world {index} of seed {seed} in {_MOST_DRAWS} draws")
@@ -91,6 +100,101 @@ def unseen_with_elevation(world: DrawnWorld, seed: int) -> KnownMap:
 # --- 100 km x 100 km, the mission of environment-2
 
 
+def _dense(rng: np.random.Generator, name: str) -> DrawnWorld:
+    """12 to 28 mountains and 10 to 14 radars, in the manner of environment-2."""
+    return _anywhere(rng, name, (12, 28), (10, 14), (6_000.0, 11_000.0))
+
+
+def _sparse(rng: np.random.Generator, name: str) -> DrawnWorld:
+    """4 to 8 mountains and 3 to 5 radars, in the manner of environment-1."""
+    return _anywhere(rng, name, (4, 8), (3, 5), (9_000.0, 15_000.0))
+
+
+def _anywhere(
+    rng: np.random.Generator,
+    name: str,
+    mountains: tuple[int, int],
+    radars: tuple[int, int],
+    range_m: tuple[float, float],
+) -> DrawnWorld:
+    base = drawn_world.bundled("environment-2")
+    ends = [(*base.start_nea_m[:2], 6_000.0), (*base.targets_ne_m[0], 6_000.0)]
+    peaks = _peaks_in(_SQUARE, rng, int(rng.integers(*mountains, endpoint=True)), ends)
+    count = int(rng.integers(*radars, endpoint=True))
+    return _with_obstacles(base, name, peaks, _radars_in(_SQUARE, rng, count, range_m, ends))
+
+
+def _spread_out(count: int, variant: int) -> DrawnWorld:
+    """Obstacles at equal density (0.004 per km2, 60 % mountains) on an area that grows.
+
+    Worlds of one variant lie in each other: that of 100 holds that of 10 in its middle, so that
+    what is in sight there is the same and only the world's size differs. Start and target are
+    57 km apart about the middle; the task's map covers everything, or as much as a mission may
+    have (2.5e7 cells).  No way through is promised.
+    """
+    base, half = drawn_world.bundled("environment-2"), 20_000.0
+    room = [(-half, -half, 6_000.0), (half, half, 6_000.0)]
+    peaks: list[Peak] = []
+    radars: list[Radar] = []
+    inner_m, size = 0.0, 10
+    while len(peaks) + len(radars) < count:
+        size = min(size, count)
+        more = size - len(peaks) - len(radars)
+        rng = np.random.default_rng((_SPREAD_STREAM, variant, size))
+        outer_m = 500.0 * math.sqrt(size / _DENSITY_1_KM2)
+        ring = (-outer_m, outer_m, inner_m)
+        mountains = round(0.6 * more)
+        peaks += _peaks_in(ring, rng, mountains, room)
+        radars += _radars_in(ring, rng, more - mountains, (6_000.0, 11_000.0), room)
+        inner_m, size = outer_m, 10 * size
+    edge_m = min(max(inner_m + 5_000.0, 60_000.0), _MOST_EDGE_M)
+    limits = replace(base.task.limits, north_m=(-edge_m, edge_m), east_m=(-edge_m, edge_m))
+    return replace(
+        _with_obstacles(base, f"growth-{count}", peaks, radars, limits),
+        start_nea_m=(-half, -half, base.start_nea_m[2]),
+        targets_ne_m=((half, half),),
+    )
+
+
+def _peaks_in(
+    ring: _Ring, rng: np.random.Generator, count: int, ends: list[tuple[float, float, float]]
+) -> list[Peak]:
+    """Mountains of 3,600 to 6,000 m, none of which stands over a start or a target."""
+    result: list[Peak] = []
+    while len(result) < count:
+        north, east = _somewhere(rng, ring)
+        height = float(np.round(rng.uniform(3_600.0, 6_000.0), -1))
+        spreads = [float(v) for v in np.round(rng.uniform(3_000.0, 5_500.0, 2), -1)]
+        if all(math.hypot(north - n, east - e) >= far + max(spreads) for n, e, far in ends):
+            result.append(mountain(north, east, height, (spreads[0], spreads[1])))
+    return result
+
+
+def _radars_in(
+    ring: _Ring,
+    rng: np.random.Generator,
+    count: int,
+    range_m: tuple[float, float],
+    ends: list[tuple[float, float, float]],
+) -> list[Radar]:
+    """Radars on the plain, none of which sees a start or a target."""
+    result: list[Radar] = []
+    while len(result) < count:
+        north, east = _somewhere(rng, ring)
+        reach = float(np.round(rng.uniform(*range_m), -1))
+        if all(math.hypot(north - n, east - e) >= reach + 0.5 * far for n, e, far in ends):
+            name = f"radar {len(result) + 1}"
+            result.append(Radar(name=name, centre_nea_m=(north, east, 0.0), range_m=reach))
+    return result
+
+
+def _somewhere(rng: np.random.Generator, ring: _Ring) -> tuple[float, float]:
+    while True:
+        north, east = (float(v) for v in np.round(rng.uniform(*ring[:2], 2), -1))
+        if max(abs(north), abs(east)) >= ring[2]:
+            return north, east
+
+
 def _gathered(rng: np.random.Generator, name: str) -> DrawnWorld:
     """12 mountains and 10 radars gathered about the straight line, where the mission must pass."""
     base = drawn_world.bundled("environment-2")
@@ -102,12 +206,7 @@ def _gathered(rng: np.random.Generator, name: str) -> DrawnWorld:
         if _leaves_ends(base, (north, east), max(spreads) * math.sqrt(math.log(height / 2_400.0))):
             peaks.append(mountain(north, east, height, (spreads[0], spreads[1])))
     radars = _radars(rng, base, 10, (6_000.0, 11_000.0), 20_000.0)
-    return replace(
-        base,
-        name=name,
-        terrain=PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0),
-        task=replace(base.task, radars=radars, zones=()),
-    )
+    return _with_obstacles(base, name, peaks, radars)
 
 
 def _walls(rng: np.random.Generator, name: str) -> DrawnWorld:
@@ -135,9 +234,7 @@ def _walls(rng: np.random.Generator, name: str) -> DrawnWorld:
         ])  # fmt: skip
         peaks += _ridge(base, line, np.full(len(line), rng.uniform(5_400.0, 6_400.0)))
     radars = _radars(rng, base, 3, (5_000.0, 9_000.0), 35_000.0)
-    terrain = PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0)
-    return replace(base, name=name, terrain=terrain,
-                   task=replace(base.task, radars=radars, zones=()))  # fmt: skip
+    return _with_obstacles(base, name, peaks, radars)
 
 
 def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak]:
@@ -324,6 +421,30 @@ def _small(
 # --- what they are made of
 
 
+def mountain(north: float, east: float, top: float, spreads: tuple[float, float]) -> Peak:
+    """A mountain of eq. 1: its place, its height AMSL, and how wide it is to the north and east."""
+    return Peak(
+        north_m=north,
+        east_m=east,
+        height_amsl_m=top,
+        spread_north_m=spreads[0],
+        spread_east_m=spreads[1],
+    )
+
+
+def _with_obstacles(
+    base: DrawnWorld,
+    name: str,
+    peaks: Sequence[Peak],
+    radars: Sequence[Radar],
+    limits: Limits | None = None,
+) -> DrawnWorld:
+    """On a plain at sea level; limits: others than those of the base."""
+    task = replace(base.task, radars=tuple(radars), zones=(), limits=limits or base.task.limits)
+    terrain = PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0)
+    return replace(base, name=name, terrain=terrain, task=task)
+
+
 def _limits(speed_m_s: float, turn_radius_m: float, climb_deg: float) -> Limits:
     """Of a vehicle in a map and a band that are still to be drawn."""
     return Limits(
@@ -426,6 +547,8 @@ def _leaves_ends(base: DrawnWorld, at_ne_m: tuple[float, float], reach_m: float)
 
 _Draw = Callable[[np.random.Generator, str], DrawnWorld | None]
 _FAMILIES: dict[str, tuple[int, _Draw]] = {
+    "dense": (1, _dense),
+    "sparse": (2, _sparse),
     "gathered": (11, _gathered),
     "walls": (12, _walls),
     "relief": (13, _relief),
@@ -434,4 +557,4 @@ _FAMILIES: dict[str, tuple[int, _Draw]] = {
     "short-copter": (16, _short_copter),
     "short-plane": (17, _short_plane),
 }
-FAMILIES = ("dense", "sparse", *_FAMILIES)
+FAMILIES = tuple(_FAMILIES)

@@ -6,8 +6,8 @@ and how many seeds of every combination.
 
 import difflib
 import itertools
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, final
@@ -16,7 +16,7 @@ from pydantic import Field
 
 from companion.campaign import bundled_campaigns, drawn_faults
 from companion.campaign.drawn_faults import FaultScript
-from companion.campaign.families import FAMILIES
+from companion.campaign.families import FAMILIES, SPREAD
 from companion.campaign.rivals.flight import Knowledge
 from companion.campaign.rivals.registry import PLANNERS
 from companion.config import bundled
@@ -33,8 +33,6 @@ Over = Literal["process", "udp", "planner"]
 Keep = Literal["all", "failures", "none"]
 Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane"]
 
-SPREAD = "spread"
-"""A family whose index is how many obstacles there are, always as densely."""
 _NONE, _OURS = "none", "ours"
 _MOST_RUNS = 1_000_000
 _OF_VEHICLES = ("vehicle", "sensor", "faults", "wind", "noise")
@@ -267,14 +265,14 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
             given: dict[str, Any] = {k: str(v) if isinstance(v, FaultScript) else v
                      for k, v in zip(factors, values, strict=True) if v is not None}  # fmt: skip
             chosen = [choices[v] for k, v in given.items() if k in _CHOSEN and v in choices]
+            several = [] if place.vehicles is None else [f"{place.vehicles}-vehicles"]
             if place.vehicle is not None:
                 given.setdefault("vehicle", place.vehicle)
+            names = [place.label, *several, *map(str, given.values()), f"seed-{seed}"]
             found.append(
                 Run(
                     number=len(found),
-                    key="/".join(
-                        [place.label, *_several(place), *map(str, given.values()), f"seed-{seed}"]
-                    ),
+                    key="/".join(names),
                     seed=seed,
                     place=place,
                     over=place.over or over,
@@ -290,39 +288,32 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
     return found
 
 
-def _several(place: Place) -> list[str]:
-    return [] if place.vehicles is None else [f"{place.vehicles}-vehicles"]
-
-
 def _joined(lists: Iterable[list[str]]) -> tuple[str, ...]:
     return tuple(itertools.chain.from_iterable(lists))
 
 
-def _places(table: PlaceTable, folder: Path) -> Sequence[Place]:
+def _places(table: PlaceTable, folder: Path) -> Iterator[Place]:
     how: Any = {"over": table.over, "vehicle": table.vehicle, "laps": table.laps}
     if table.family is not None:
-        indices = table.indices or range(table.first, table.first + table.count)
-        return [
+        found = [
             Place(
                 label=f"{table.family}-{table.seed}/{index}",
                 world=f"{table.family}-{table.seed}-{index}",
                 family=table.family,
                 family_seed=table.seed,
                 family_index=index,
-                vehicles=vehicles,
                 **how,
             )
-            for index in indices
-            for vehicles in table.vehicles or (None,)
+            for index in table.indices or range(table.first, table.first + table.count)
         ]
-    world, mission = str(table.world), table.mission
-    if world not in bundled():
-        path = folder / world
-        world, mission = str(path), mission or str(path.with_name("mission.toml"))
-    if mission is not None and mission not in bundled():
-        mission = str(folder / mission)
-    label = world if world in bundled() else Path(world).parent.name or Path(world).stem
-    return [
-        Place(label=label, world=world, mission=mission or world, vehicles=vehicles, **how)
-        for vehicles in table.vehicles or (None,)
-    ]
+    else:
+        world, mission = str(table.world), table.mission
+        if world not in bundled():
+            path = folder / world
+            world, mission = str(path), mission or str(path.with_name("mission.toml"))
+        if mission is not None and mission not in bundled():
+            mission = str(folder / mission)
+        label = world if world in bundled() else Path(world).parent.name or Path(world).stem
+        found = [Place(label=label, world=world, mission=mission or world, **how)]
+    for place in found:
+        yield from (replace(place, vehicles=count) for count in table.vehicles or (None,))

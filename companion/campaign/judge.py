@@ -22,26 +22,24 @@ unless no command could reach it then: a copter that hears nothing hovers.
 
 import bisect
 import math
-import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.campaign import truth
 from companion.campaign.drawn_faults import Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.flight import Flight
-from companion.geodesy import FloatArray
+from companion.geodesy import BoolArray, FloatArray
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
+from companion.mavlink.frames import decoded, number_of, sender_of
 from companion.mission.state import Reason
 from companion.telemetry.run_folder import Records
 from companion.world.terrain import PeakTerrain
 from companion.world.threats import CircleZone, Zone
-
-BoolArray = NDArray[np.bool_]
 
 GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})
@@ -56,11 +54,14 @@ _LET_GO: Final = (Reason.MODE_TAKEN.text, Reason.FAILSAFE.text, Reason.FENCE_BRE
 _BLIND: Final = ("POSITION_STALE", "POSITION_FROZEN", "POSITION_JUMPED", "POSITION_ELSEWHERE",
                  "NO_FIX", "ESTIMATOR")  # fmt: skip
 _DEG_M: Final = 111_195.0
-_POSITION: Final = 33
-_SETPOINTS: Final = (75, 84, 86)
-_COMMAND, _SET_MODE = 76, 176  # COMMAND_LONG, MAV_CMD_DO_SET_MODE
-_MAVLINK_2, _HEAD = 0xFD, 10
-_VEHICLE: Final = 1  # MAV_COMP_ID_AUTOPILOT1
+_POSITION: Final = wire.MAVLink_global_position_int_message
+_COMMAND: Final = wire.MAVLink_command_long_message
+_SET_MODE: Final = wire.MAV_CMD_DO_SET_MODE
+_SETPOINTS: Final = (
+    wire.MAVLINK_MSG_ID_COMMAND_INT,
+    wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+    wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+)
 
 
 @final
@@ -133,8 +134,7 @@ def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
         return flight, False
     until_s = flight.journal[stop]["t_s"]
     rows = [row for row in flight.truth if row["t_s"] <= until_s]
-    return Flight(mission=flight.mission, journal=flight.journal[:stop], truth=rows,
-                  plans_s=flight.plans_s, folder=flight.folder), True  # fmt: skip
+    return replace(flight, journal=flight.journal[:stop], truth=rows), True
 
 
 def _any(excuses: dict[str, BoolArray]) -> BoolArray:
@@ -150,16 +150,16 @@ def _told(log: Path) -> _Told:
     with Records(log) as records:
         while (record := records.take()) is not None:
             us, frame = record
-            if frame[0] != _MAVLINK_2:
-                continue
-            number = int.from_bytes(frame[7:10], "little")
-            if number == _POSITION and frame[6] == _VEHICLE:
-                body = frame[_HEAD : _HEAD + frame[1]].ljust(28, b"\0")
-                boot_ms, lat, lon, alt_mm = struct.unpack_from("<Iiii", body)
+            number, from_vehicle = number_of(frame), sender_of(frame)[1] == AUTOPILOT_COMPONENT
+            if number == _POSITION.id and from_vehicle:
+                told = decoded(frame, _POSITION)
                 at_us.append(us)
-                of_s.append(boot_ms * 1e-3)
-                places.append((lat * 1e-7, lon * 1e-7, alt_mm * 1e-3))
-            elif frame[6] != _VEHICLE and (number in _SETPOINTS or _sets_mode(number, frame)):
+                of_s.append(told.time_boot_ms * 1e-3)
+                places.append((told.lat * 1e-7, told.lon * 1e-7, told.alt * 1e-3))
+            elif not from_vehicle and (
+                number in _SETPOINTS
+                or (number == _COMMAND.id and decoded(frame, _COMMAND).command == _SET_MODE)
+            ):
                 sent_us.append(us)
     # stamps count from an epoch of their own, positions from the vehicle's boot
     first_us, first_s = (at_us[0], of_s[0]) if at_us else (0, 0.0)
@@ -168,12 +168,6 @@ def _told(log: Path) -> _Told:
         of_s=np.array(of_s),
         deg_m=np.array(places).reshape(-1, 3),
         sent_s=[1e-6 * (us - first_us) + first_s for us in sent_us],
-    )
-
-
-def _sets_mode(number: int, frame: bytes) -> bool:
-    return (
-        number == _COMMAND and int.from_bytes(frame[_HEAD + 28 : _HEAD + 30], "little") == _SET_MODE
     )
 
 

@@ -6,7 +6,6 @@ import math
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from operator import attrgetter
 from pathlib import Path
 from statistics import median
 from typing import Any, Final, final
@@ -16,7 +15,7 @@ from markupsafe import Markup
 from rich.table import Table
 from rich.text import Text
 
-from companion.campaign.file import SPREAD
+from companion.campaign.families import SPREAD
 from companion.campaign.row import TIMING, Row
 from companion.campaign.statistics import (
     FACTORS,
@@ -43,13 +42,6 @@ _MOST_VALUES: Final = 24
 """Of a factor that has a table without being asked for."""
 _WORST: Final = 10
 _FEW: Final = 20
-_IN_SHORT: Final = ("cost", "detour", "clearance_least_m", "separation_kept", "plan_ms_median")
-"""Sizes of the terminal's tables."""
-_DIGITS: Final = {
-    **dict.fromkeys(("plan_ms_median", "clearance_least_m"), 1),
-    **dict.fromkeys(("cost", "separation_kept"), 2),
-    "detour": 3,
-}
 _DRAWN_BY: Final = ("family_seed", "family_index")
 
 
@@ -292,11 +284,6 @@ def interval_text(found: Interval | None, digits: int = 2, scale: float = 1.0) -
     )
 
 
-def digits_of(measure: Measure) -> int:
-    """Decimals to show."""
-    return _DIGITS.get(measure.name, 0)
-
-
 def verdict(difference: Difference, comparison: Comparison) -> str:
     """What follows from a comparison, and what does not."""
     measure, d = difference.measure, difference
@@ -368,14 +355,14 @@ def terminal_tables(report: CampaignReport) -> list[Table]:
 
 
 def _table(by: str, groups: Sequence[Group]) -> Table:
-    sizes = [m for m in shown_sizes(groups) if m.name in _IN_SHORT]
+    sizes = [m for m in shown_sizes(groups) if m.in_short]
     table = Table(title=Text(f"by {by}" if by != "all" else "all runs"), title_justify="left")
     table.add_column(Text(by))
     for name in ("runs", *(m.words + ", %" for m in RATES), *(m.words for m in sizes)):
         table.add_column(name, justify="right")
     for each in groups:
         rates = [interval_text(each.rates[m.name][0], 1, 100.0) for m in RATES]
-        spreads = [(each.spreads[m.name], digits_of(m)) for m in sizes]
+        spreads = [(each.spreads[m.name], m.digits) for m in sizes]
         medians = [interval_text(s and s.median, digits) for s, digits in spreads]
         table.add_row(Text(label_text(each.label)), f"{each.runs:,}", *rates, *medians)
     return table
@@ -417,7 +404,6 @@ def report_html(report: CampaignReport) -> str:
         label=label_text,
         interval=_unbroken,
         shown_sizes=shown_sizes,
-        digits_of=digits_of,
         verdict=verdict,
         caveats=caveats,
         timing=TIMING,
@@ -518,8 +504,8 @@ def summary_csv(report: CampaignReport) -> str:
                 "against": label_text(comparison.reference),
             }
             for d in comparison.differences:
-                tested = attrgetter("wins", "ties", "losses", "p", "p_holm")(d)
-                found = dict(zip(("wins", "ties", "losses", "p", "p_holm"), tested, strict=True))
+                tested = ("wins", "ties", "losses", "p", "p_holm")
+                found = {name: getattr(d, name) for name in tested}
                 found |= {"kind": "pairs", "measure": d.measure.name, "n": d.pairs}
                 found |= asdict(d.medians) | {"mean": d.means.value}
                 found |= {"alone": alone, "alone_against": alone_against}

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.campaign import truth
 from companion.campaign.drawn_world import DrawnWorld
-
-FloatArray = NDArray[np.float64]
+from companion.geodesy import FloatArray
 
 
 @final

@@ -23,7 +23,6 @@ import numpy as np
 from companion.campaign import (
     airspace,
     drawn_faults,
-    drawn_world,
     families,
     in_process,
     judge,
@@ -32,29 +31,33 @@ from companion.campaign import (
 )  # fmt: skip
 from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.file import SPREAD, Place, Run
+from companion.campaign.file import Place, Run
 from companion.campaign.flight import Flight, FlightFiles, in_the_air
 from companion.campaign.rivals import flight as rivals
 from companion.campaign.rivals import ours
 from companion.campaign.rivals.measure import measured
 from companion.campaign.rivals.registry import PLANNERS
 from companion.campaign.row import Row
-from companion.config import load_mission, load_world, mission_text
+from companion.config import folder_of, load_mission, load_world, mission_text, world_table
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
 from companion.objective.scene import PROFILES
+from companion.path.limits import Limits
 from companion.planner.settings import Task
-from companion.sources.files import RawTable, toml_table, toml_text, with_settings
-from companion.world.terrain import PeakTerrain, Terrain
+from companion.sources.files import toml_table, toml_text, with_settings
+from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
 
 _SPACING_M = 1.0
 """Between the points of a subpath at which it is checked, as far as that makes a few thousand."""
 _MOST_POINTS = 20_000
+_HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
+"""Of elevation files: half of what a degree is; of the lattice that they are judged on, a side."""
 _OF_SHAPE = ("turn radius", "climb angle", "dive angle")
 _MOST_GROWTH_MB = 10.0
 """In use, from the first hour of a flight to its end."""
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
+_OF_PLACE = ("mission", "family", "family_seed", "family_index", "vehicles")
 _ROOT = "runs"
 _SUMS = (
     *("plans", "holds", "subpaths", "subpaths_checked", "violations", "straight_m", "length_m"),
@@ -98,28 +101,24 @@ def lost_run(run: Run, error: str) -> Row:
 
 def _row(run: Run, found: dict[str, Any], *, folder: str, took_s: float, cpu_s: float) -> Row:
     place = run.place
-    asked: dict[str, Any] = {
+    asked = {
         "profile": run.profile or "",
         "optimiser": run.optimiser or "",
         "budget": run.budget or 0,
     }
+    of_place = {name: getattr(place, name) for name in _OF_PLACE}
     return Row(
         run=run.number,
         key=run.key,
         seed=run.seed,
         world=Path(place.world).parent.name if place.world.endswith(".toml") else place.world,
-        mission=place.mission,
-        family=place.family,
-        family_seed=place.family_seed,
-        family_index=place.family_index,
-        vehicles=place.vehicles,
         over=run.over,
         folder=folder,
         version=version("companion"),
         took_s=took_s,
         cpu_s=cpu_s,
         worker=f"{platform.node()}/{os.getpid()}",
-        **({factor: getattr(run, factor) for factor in _FACTORS} | asked | found),
+        **({factor: getattr(run, factor) for factor in _FACTORS} | of_place | asked | found),
     )
 
 
@@ -194,8 +193,6 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
 
 def drawn_of(place: Place) -> DrawnWorld:
     """The world and mission of a place."""
-    if place.family == SPREAD:
-        return drawn_world.spread_out(place.family_index or 0, place.family_seed or 0)
     if place.family is not None:
         return families.world(place.family, place.family_seed or 0, place.family_index or 0)
     return _as_drawn(place.world, place.mission or place.world)
@@ -206,18 +203,29 @@ def _as_drawn(world: str, mission: str) -> DrawnWorld:
     place, read = load_world(world), load_mission(mission)
     return DrawnWorld(
         name=place.name,
-        terrain=_judgeable(place.terrain),
+        terrain=_judgeable(place.terrain, read.task.limits),
         task=read.task,
         start_nea_m=(*place.start_ne_m, read.task.take_off_amsl_m),
         targets_ne_m=read.targets_ne_m,
     )
 
 
-def _judgeable(terrain: Terrain) -> Any:
-    """The judge has its own mathematics: of peaks the highest, of heights the bilinear surface."""
+def _judgeable(terrain: Terrain, limits: Limits) -> Any:
+    """The judge has its own mathematics: of peaks the highest, of heights the bilinear surface.
+
+    Heights of a file, in degrees, are taken anew in metres, twice as close.
+    """
     if isinstance(terrain, PeakTerrain) and terrain.sum_of_peaks:
         raise ValueError("a world whose peaks are added up cannot be judged: combine the maximum")
-    return terrain
+    if not isinstance(terrain, GridTerrain):
+        return terrain
+    (south, north), (west, east) = limits.north_m, limits.east_m
+    step_m = max(
+        _HALF_DEG_M * terrain.step_north_deg, max(north - south, east - west) / _MOST_CELLS
+    )
+    rows, columns = np.arange(south, north + step_m, step_m), np.arange(west, east + step_m, step_m)
+    heights_m = terrain.height_m(rows[:, None], columns[None, :])
+    return ArrayTerrain(heights_m=heights_m, spacing_m=step_m, south_m=south, west_m=west)
 
 
 def _with_factors(drawn: DrawnWorld, run: Run) -> DrawnWorld:
@@ -239,9 +247,13 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         world_name, mission_name = str(folder / "world.toml"), str(folder / "mission.toml")
     else:
         world_name, mission_name = place.world, place.mission or place.world
-    world, mission = _world_table(world_name), toml_table(mission_text(mission_name), mission_name)
+    load_world(world_name)  # says in one line what is wrong with it
+    world, mission = world_table(world_name), toml_table(mission_text(mission_name), mission_name)
     for table, name in ((world, world_name), (mission, mission_name)):
-        _name_terrain(table, name)
+        terrain = table.get("terrain")
+        if isinstance(terrain, dict) and "file" in terrain:  # wherever the files are copied to
+            file = folder_of(name).absolute() / terrain["file"]
+            table["terrain"] = terrain | {"file": str(file)}
     if run.vehicle is not None:
         autopilot, kind = run.vehicle.split("-")
         for table in (world, mission):
@@ -275,29 +287,6 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         folder=folder,
         drawn=name,
     )
-
-
-def _folder_of(name: str, kind: str) -> Path:
-    """Of a file, or of a bundled environment."""
-    from importlib import resources
-
-    path = Path(name)
-    if not path.suffix:
-        path = Path(str(resources.files("companion"))) / "environments" / name / f"{kind}.toml"
-    return path.absolute().parent
-
-
-def _world_table(name: str) -> RawTable:
-    load_world(name)  # says in one line what is wrong with it
-    path = Path(name) if name.endswith(".toml") else _folder_of(name, "world") / "world.toml"
-    return toml_table(path.read_text(encoding="utf-8-sig"), name)
-
-
-def _name_terrain(table: RawTable, name: str) -> None:
-    """An elevation file is named from wherever the files are copied to."""
-    terrain = table.get("terrain")
-    if isinstance(terrain, dict) and "file" in terrain:
-        table["terrain"] = terrain | {"file": str(_folder_of(name, "world") / terrain["file"])}
 
 
 def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str, Any]:

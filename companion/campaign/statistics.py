@@ -52,22 +52,30 @@ class Interval:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Measure:
     """Something that is compared between runs."""
 
     name: str
     words: str
-    unit: str
-    of: Callable[[Row], float | None]
-    better: Literal["less", "more"]
+    of: Callable[[Row], float | None] | None = None
+    """None: the column of its name."""
+    unit: str = ""
+    digits: int = 0
+    """Decimals to show."""
+    in_short: bool = False
+    """Whether it is in the tables of the terminal, as rates are."""
+    better: Literal["less", "more"] = "less"
     is_rate: bool = False
     arrived_only: bool = False
     """Whether it means something only if the run arrived."""
 
     def value(self, row: Row) -> float | None:
         """That of a run; None: it has none."""
-        return None if self.arrived_only and not row.arrived else self.of(row)
+        if self.arrived_only and not row.arrived:
+            return None
+        value: float | None = getattr(row, self.name) if self.of is None else self.of(row)
+        return value
 
 
 def _violated(row: Row) -> float | None:
@@ -78,52 +86,18 @@ def _detour(row: Row) -> float | None:
     return row.length_m / row.straight_m if row.length_m and row.straight_m else None
 
 
-def _arrived_only(name: str, words: str, unit: str, of: Callable[[Row], float | None]) -> Measure:
-    return Measure(name=name, words=words, unit=unit, of=of, better="less", arrived_only=True)
-
-
 MEASURES: Final = (
+    Measure("arrived", "arrived", lambda row: float(row.arrived), better="more", is_rate=True),
+    Measure("violated", "violated a bound", _violated, is_rate=True),
+    Measure("cost", "cost J", digits=2, in_short=True, arrived_only=True),
+    Measure("detour", "length / straight", _detour, digits=3, in_short=True, arrived_only=True),
+    Measure("length_m", "length", unit="m", arrived_only=True),
+    Measure("flight_s", "flight time", unit="s", arrived_only=True),
     Measure(
-        name="arrived",
-        words="arrived",
-        unit="",
-        of=lambda row: float(row.arrived),
-        better="more",
-        is_rate=True,
+        "clearance_least_m", "least clearance", unit="m", digits=1, in_short=True, better="more"
     ),
-    Measure(
-        name="violated",
-        words="violated a bound",
-        unit="",
-        of=_violated,
-        better="less",
-        is_rate=True,
-    ),
-    _arrived_only("cost", "cost J", "", attrgetter("cost")),
-    _arrived_only("detour", "length / straight", "", _detour),
-    _arrived_only("length_m", "length", "m", attrgetter("length_m")),
-    _arrived_only("flight_s", "flight time", "s", attrgetter("flight_s")),
-    Measure(
-        name="clearance_least_m",
-        words="least clearance",
-        unit="m",
-        of=attrgetter("clearance_least_m"),
-        better="more",
-    ),
-    Measure(
-        name="separation_kept",
-        words="separation kept",
-        unit="",
-        of=attrgetter("separation_kept"),
-        better="more",
-    ),
-    Measure(
-        name="plan_ms_median",
-        words="planning time",
-        unit="ms",
-        of=attrgetter("plan_ms_median"),
-        better="less",
-    ),
+    Measure("separation_kept", "separation kept", digits=2, in_short=True, better="more"),
+    Measure("plan_ms_median", "planning time", unit="ms", digits=1, in_short=True),
 )
 RATES: Final = tuple(measure for measure in MEASURES if measure.is_rate)
 SIZES: Final = tuple(measure for measure in MEASURES if not measure.is_rate)

@@ -12,17 +12,15 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates, maximum_filter
 from scipy.spatial import cKDTree
 
+from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.planner.settings import Task
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.threats import CircleZone, Radar, Zone
-
-FloatArray = NDArray[np.float64]
 
 _STEEPEST = math.sqrt(2.0) * math.exp(-0.5)  # of exp(-x^2), times height over spread: 0.858
 _NEWTON_STEPS = 25
@@ -126,17 +124,6 @@ def _tangent_curvature(curve: BSpline, u: float) -> tuple[FloatArray, FloatArray
 
 
 # --- terrain
-
-
-def mountain(north: float, east: float, top: float, spreads: tuple[float, float]) -> Peak:
-    """A mountain of eq. 1: its place, its height AMSL, and how wide it is to the north and east."""
-    return Peak(
-        north_m=north,
-        east_m=east,
-        height_amsl_m=top,
-        spread_north_m=spreads[0],
-        spread_east_m=spreads[1],
-    )
 
 
 def height_m(

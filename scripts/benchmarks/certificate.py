@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import running
-
-from companion.campaign.truth import mountain
+from speed import request
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
@@ -30,23 +29,16 @@ from brute_force import (
     truth,
 )
 
-from companion.config import load_mission
 from companion.path.certificate import (
     Certificate,
-    Margins,
     Prover,
     certify,
     cubics_of,
-    pack_surroundings,
 )
 from companion.path.proof import prove
-from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.planner import plan as planning
 from companion.runtime.compiler import load_kernel
-from companion.world.known_map import empty_map
-from companion.world.simulated_scan import true_map
-from companion.world.terrain import PeakTerrain
-from companion.world.threats import CircleZone, PolygonZone, Radar
 
 _AT_MOST = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
 _AT_LEAST = ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "lowest_amsl_m")
@@ -177,13 +169,11 @@ def measure(case: Case, prover: Prover, tally: Tally) -> None:
 
 
 def seconds_each(prover: Prover, rounds: int) -> list[float]:
-    """Time of certificates of a typical subpath scene: 20 km, 250 m cells, 3 zones, 10 radars."""
-    rng = np.random.default_rng(5)
-    here = typical_surroundings(rng)
-    subpaths = [Subpath(control_nea_m=typical_control(rng)) for _ in range(50)]
-    taken = []
-    for subpath in subpaths:
-        best = np.inf
+    """Time of certificates of subpaths of 20 km amid the 20 obstacles of `speed`."""
+    rng, asked = np.random.default_rng(5), request(0)
+    here, taken = planning._surroundings(asked), []
+    for _ in range(50):
+        subpath, best = Subpath(control_nea_m=gentle(rng, asked.scan_nea_m)), np.inf
         for _ in range(rounds):
             start = time.perf_counter()
             certify(subpath, here, from_rest=False, prover=prover)
@@ -192,43 +182,10 @@ def seconds_each(prover: Prover, rounds: int) -> list[float]:
     return taken
 
 
-def typical_surroundings(rng: np.random.Generator) -> Surroundings:
-    """Mountains about a scan circle of 20 km, as dense as in environment-2."""
-    size = 5e4
-    peaks = tuple(
-        mountain(*rng.uniform(0, size, 2), rng.uniform(500, 2_500), rng.uniform(2_000, 6_000, 2))
-        for _ in range(25)
-    )
-    like = empty_map(250.0, (0.0, size), (0.0, size))
-    square = tuple((2.5e4 + n, 2.5e4 + e) for n, e in ((0, 0), (0, 2e3), (2e3, 2e3), (2e3, 0)))
-    return pack_surroundings(
-        true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), like),
-        replace(
-            load_mission("environment-2").task.limits,
-            floor_amsl_m=0.0,
-            ceiling_amsl_m=4_000.0,
-            north_m=(0.0, size),
-            east_m=(0.0, size),
-        ),
-        tuple(
-            Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=5_000.0)
-            for _ in range(10)
-        ),
-        (
-            CircleZone(name="a", north_m=1.8e4, east_m=3e4, radius_m=1e3),
-            CircleZone(name="b", north_m=3.2e4, east_m=2.2e4, radius_m=1e3),
-            PolygonZone(name="c", vertices_ne_m=square),
-        ),
-        Margins(clearance_m=515.0, contact_m=15.0, band_inset_m=15.0, dead_man_s=3.5),
-        centre_ne_m=(2.5e4, 1.5e4),
-        reach_m=22e3,
-    )
-
-
-def typical_control(rng: np.random.Generator) -> FloatArray:
+def gentle(rng: np.random.Generator, start_nea_m: tuple[float, float, float]) -> FloatArray:
     """Five control points of a gently turning subpath of about 20 km."""
     heading = rng.uniform(-0.5, 0.5)
-    control = [np.array([2.5e4, 1.5e4, rng.uniform(1_500, 2_800)])]
+    control = [np.array(start_nea_m)]
     for _ in range(4):
         step = np.array([np.sin(heading), np.cos(heading), rng.uniform(-0.06, 0.06)])
         control.append(control[-1] + 5_000.0 * step)
@@ -272,8 +229,8 @@ def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
     return result
 
 
-def main() -> None:
-    asked, _ = running.begin(__doc__, cases=10_000, seed=1)
+def main() -> int:
+    asked, console = running.begin(__doc__, cases=10_000, seed=1)
     kernel = load_kernel()
     fast = None if kernel.name == "numpy" else kernel.prove
     tally = Tally()
@@ -289,8 +246,13 @@ def main() -> None:
         table["compiled and plain apart by"] = largest_difference(fast, prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
-    running.store(asked.json, table)
+    rejected = 100.0 * len(tally.safe_rejected) / max(tally.safe, 1)
+    bars = (
+        running.most("optimistic certificates", len(tally.optimistic), 0),
+        running.most("safe curves that are rejected, %", rejected, 2.0),
+    )
+    return running.ended(console, asked.json, table, bars)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 from scipy.optimize import minimize
 
 from companion.campaign import truth
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.route_cost import Rates
+from companion.geodesy import FloatArray
 from companion.world.threats import CircleZone, Radar
-
-FloatArray = NDArray[np.float64]
 
 _SAMPLES_PER_POINT = 10
 

@@ -24,17 +24,17 @@ from typing import Any, final
 import numpy as np
 import running
 import tapped
-from numpy.typing import NDArray
+from pymavlink.dialects.v20 import all as wire
 from rich.table import Table
-from tapped import POSITION, SETPOINT, TO_COMPANION, Tapped, frames
+from tapped import TO_COMPANION, Tapped, messages
 
 from companion.campaign import families
 from companion.campaign.drawn_files import Autopilot
 
-FloatArray = NDArray[np.float64]
-
+_POSITION = wire.MAVLink_global_position_int_message
+_SETPOINT = wire.MAVLink_set_position_target_global_int_message
 _PATIENCE_S = 400.0
-_BARS_MS = {"thinking p99": 5.0, "gap p99.9": 100.0}
+_BARS_HZ, _BARS = 20.0, (("waits_s", 0.99), ("gaps_s", 0.999))
 
 
 @final
@@ -47,14 +47,15 @@ class Clock:
     waits_s: list[float] = field(default_factory=list)
 
     def seen(self, way: int, at_s: float, datagram: bytes) -> None:
-        for number, frame in frames(datagram):
-            if way == TO_COMPANION and number == POSITION:
-                self.in_s[tapped.position_of(frame)[0]] = at_s
-            elif way != TO_COMPANION and number == SETPOINT:
-                self.out_s.append(at_s)
-                asked_s = self.in_s.get(tapped.setpoint_of(frame)[0])
-                if asked_s is not None:
-                    self.waits_s.append(at_s - asked_s)
+        kind = _POSITION if way == TO_COMPANION else _SETPOINT
+        for message in messages(datagram, kind):
+            if kind is _POSITION:
+                self.in_s[message.time_boot_ms] = at_s
+                continue
+            self.out_s.append(at_s)
+            asked_s = self.in_s.get(message.time_boot_ms)
+            if asked_s is not None:
+                self.waits_s.append(at_s - asked_s)
 
 
 def echo(link: socket.socket) -> None:
@@ -161,8 +162,12 @@ def main() -> int:
     console.print(table_of(rows))
     for row in rows:
         console.print(f"inside the companion, {row['rate_hz']:g} Hz: {json.dumps(row['inside'])}")
-    running.store(options.json, rows)
-    return 0
+    bars = []
+    for row in (row for row in rows if row["rate_hz"] == _BARS_HZ):
+        wait_ms, gap_ms = (1e3 * np.quantile(row[key], share) for key, share in _BARS)
+        bars.append(running.most("gaps of the stream, 99.9 %, ms", gap_ms, 100.0))
+        bars.append(running.most("position to setpoint, 99 %, ms", wait_ms, 5.0))
+    return running.ended(console, options.json, rows, bars)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from companion.campaign import drawn_world
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.route_cost import Rates
-
-FloatArray = NDArray[np.float64]
+from companion.geodesy import FloatArray
 
 GRID_M = 500.0
 SURFACE_M = 125.0

@@ -129,9 +129,9 @@ def line(name: str, figures: dict[str, Any]) -> str:
     )
 
 
-def main() -> None:
+def main() -> int:
     only = {"choices": [*WRITERS, "rivals"]}
-    wanted, _ = running.begin(__doc__, megabytes=250.0, only=only)
+    wanted, console = running.begin(__doc__, megabytes=250.0, only=only)
     size, results = round(wanted.megabytes * 1e6), dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
         for kind, write in WRITERS.items():
@@ -140,8 +140,7 @@ def main() -> None:
             path = Path(folder) / f"log.{kind}"
             write(path, size if kind == "tlog" else size // 5)
             results[kind] = measured(READS, path)
-            bar = "   (bar 30,000 /s, 300 MB)" if kind == "tlog" else ""
-            print(line(f".{kind}, opened and read", results[kind]) + bar, flush=True)
+            print(line(f".{kind}, opened and read", results[kind]), flush=True)
             path.unlink()
         programs = {"and decoded (Receiver)": DECODES, "pymavlink": PYMAVLINK}
         if wanted.only not in (None, "rivals"):
@@ -151,8 +150,12 @@ def main() -> None:
         for name, program in programs.items():
             results[name] = measured(program, part)
             print(line(f".tlog, {name}", results[name]), flush=True)
-    running.store(wanted.json, results)
+    bars = []
+    if (tlog := results.get("tlog")) is not None:
+        bars.append(running.least("messages of a .tlog a second", tlog["per_s"], 30_000.0))
+        bars.append(running.most("memory for a .tlog, MB", tlog["peak_mb"], 300.0))
+    return running.ended(console, wanted.json, results, bars)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -29,7 +29,6 @@ from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.world import read_world
 
-BAR = 400.0
 ENVIRONMENTS = Path(companion.__file__).parent / "environments"
 Tick = tuple[int, list[bytes], list[bytes]]
 """Until when the vehicle flies, what it is told before, and what it says then."""
@@ -140,7 +139,7 @@ def main() -> int:
     frames_s = min(frames_alone(ticks) for _ in times)
     table = running.figures(f"{name}: {flight_s:.0f} s in one process", "", "s", "us a tick", "x")
     rows = {
-        f"the flight, recorded (bar {BAR:.0f})": whole_s,
+        "the flight, recorded": whole_s,
         "its plans": plans_s,
         "the simulator alone, told the same": alone_s,
         "companion, control loop and recording": whole_s - plans_s - alone_s,
@@ -150,8 +149,9 @@ def main() -> int:
         per_tick_us = took_s / len(ticks) * 1e6
         table.add_row(what, f"{took_s:.2f}", f"{per_tick_us:.0f}", f"{flight_s / took_s:.0f}")
     console.print(table)
-    running.store(wanted.json, {"flight_s": flight_s, "ticks": len(ticks), "processor_s": rows})
-    return running.ended(console, kept=flight_s / whole_s >= BAR)
+    found = {"flight_s": flight_s, "ticks": len(ticks), "processor_s": rows}
+    bar = running.least("in one process: times real time", flight_s / whole_s, 400.0)
+    return running.ended(console, wanted.json, found, [bar])
 
 
 if __name__ == "__main__":

@@ -165,9 +165,9 @@ def main() -> int:
                 f"{sum(run['touched'] for run in runs)}",
             )
     console.print(table)
-    running.store(given.json, found)
-    kept = not any(run["touched"] and (run["limit_m"] or 0.0) < run["ahead_m"] for run in found)
-    return running.ended(console, kept=kept)
+    avoidable = [run["touched"] and (run["limit_m"] or 0.0) < run["ahead_m"] for run in found]
+    bar = running.most("touched where it could have stopped", sum(avoidable), 0)
+    return running.ended(console, given.json, found, [bar])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """What every benchmark does alike: its options, its processes, what it prints and stores."""
 
 import json
+import operator
 import os
 import sys
 from argparse import ArgumentParser, Namespace
@@ -8,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import track
@@ -48,16 +49,42 @@ def figures(title: str, first: str, *headings: str, **options: Any) -> Table:
     return table
 
 
-def store(path: Path | None, found: Any) -> None:
-    """Write the numbers, if that was asked for."""
+class Bar(NamedTuple):
+    """What was asked of something, and what it came to."""
+
+    what: str
+    bar: str
+    measured: str
+    kept: bool
+
+
+def most(what: str, measured: Sequence[float] | float, bars: Sequence[float] | float) -> Bar:
+    """No value may be above its bar; without values the bar is missed."""
+    values, limits = (each if isinstance(each, Sequence) else [each] for each in (measured, bars))
+    kept = len(values) == len(limits) and all(map(operator.le, values, limits))
+    return Bar(what, _listed(limits), _listed(values), kept)
+
+
+def least(what: str, measured: float, bar: float) -> Bar:
+    """The value may not be below its bar."""
+    return Bar(what, f"{bar:g} or more", f"{measured:.4g}", measured >= bar)
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.4g}" for value in values)
+
+
+def ended(console: Console, path: Path | None, found: Any, bars: Sequence[Bar] = ()) -> int:
+    """Print the bars, and write them and the numbers if that was asked for.  -> the exit code"""
+    if bars:
+        table = figures("", "", "bar", "measured", "")
+        for bar in bars:
+            table.add_row(bar.what, bar.bar, bar.measured, "met" if bar.kept else "missed")
+        console.print(table)
     if path is not None:
-        path.write_text(json.dumps(found, indent=1, default=str) + "\n", encoding="utf-8")
-
-
-def ended(console: Console, *, kept: bool) -> int:
-    """Say whether the bars are kept.  -> the exit code"""
-    console.print("the bar is kept" if kept else "the bar is broken", style="bold")
-    return 0 if kept else 1
+        said = {"bars": bars, "found": found}
+        path.write_text(json.dumps(said, indent=1, default=str) + "\n", encoding="utf-8")
+    return 0 if all(bar.kept for bar in bars) else 1
 
 
 def in_processes(

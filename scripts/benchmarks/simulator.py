@@ -6,7 +6,6 @@ python scripts/benchmarks/simulator.py [--seconds 300] [--hours 10] [--json FILE
 import multiprocessing
 import resource
 import socket
-import struct
 import subprocess
 import sys
 import time
@@ -15,14 +14,14 @@ from typing import Any
 
 import running
 from pymavlink.dialects.v20 import all as mavlink
-from tapped import frames, payload
+from tapped import messages
 
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
 TICK_HZ = 20
 HOME = {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0}
-TIMESYNC, HEARTBEAT_EVERY = 111, TICK_HZ
+HEARTBEAT_EVERY = TICK_HZ
 
 
 def frame(mav: Any, message: Any) -> bytes:
@@ -33,12 +32,8 @@ def frame(mav: Any, message: Any) -> bytes:
 
 def time_syncs(datagram: bytes) -> int | None:
     """ts1 of a TIMESYNC question in this datagram."""
-    asked = [
-        struct.unpack_from("<qq", payload(each, 16))
-        for number, each in frames(datagram)
-        if number == TIMESYNC
-    ]
-    return next((ts1 for tc1, ts1 in reversed(asked) if tc1 == 0), None)
+    asked = [*messages(datagram, mavlink.MAVLink_timesync_message)]
+    return next((each.ts1 for each in reversed(asked) if each.tc1 == 0), None)
 
 
 def trivial_client(link: socket.socket, takeoff: bool) -> None:
@@ -149,8 +144,8 @@ def memory_mb(hours: float) -> list[tuple[float, float]]:
     return rows
 
 
-def main() -> None:
-    wanted, _ = running.begin(
+def main() -> int:
+    wanted, console = running.begin(
         __doc__,
         seconds=(300.0, "of vehicle time for each speed"),
         hours=(10.0, "of vehicle time for the memory"),
@@ -161,16 +156,20 @@ def main() -> None:
     flying = with_client(lambda port: lockstep(port, seconds), takeoff=True)
     print(f"bare pair of position and TIMESYNC, 20 Hz        {bare:6.0f} x real time")
     print(f"vehicle-sim in lockstep, on the ground           {ground:6.0f} x real time")
-    print(f"vehicle-sim in lockstep, flying after 45 s       {flying:6.0f} x real time   (bar 150)")
+    print(f"vehicle-sim in lockstep, flying after 45 s       {flying:6.0f} x real time")
     fleets = {name: many(50, 60.0, name) for name in ("ardupilot", "px4")}
     for name, times in fleets.items():
-        print(f"50 vehicles in one process, {name:9}            {times:6.1f} x real time   (bar 1)")
+        print(f"50 vehicles in one process, {name:9}            {times:6.1f} x real time")
     memory = memory_mb(wanted.hours)
     for hours, size in memory:
         print(f"resident after {hours:4.1f} simulated hours           {size:6.1f} MB")
     figures = {"bare": bare, "ground": ground, "flying": flying, "fleets": fleets}
-    running.store(wanted.json, {**figures, "memory": memory})
+    bars = (
+        running.least("flying in lockstep: times real time", flying, 150.0),
+        running.least("50 vehicles in one process", min(fleets.values()), 1.0),
+    )
+    return running.ended(console, wanted.json, {**figures, "memory": memory}, bars)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from companion.campaign import drawn_world
-from companion.geodesy import wrap_rad
+from companion.campaign import drawn_world, families
+from companion.campaign.drawn_world import DrawnWorld
+from companion.geodesy import FloatArray, wrap_rad
 from companion.objective import terms
 from companion.objective.scene import PAPER, FlightScene
 from companion.path.subpath import Pose
@@ -29,8 +29,6 @@ from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
-
-FloatArray = NDArray[np.float64]
 
 FILE = Path(__file__).with_name("best_known.json")
 WORLDS = (
@@ -74,6 +72,14 @@ class Problem:
         return hashlib.sha256(values.encode()).hexdigest()[:16]
 
 
+def world_of(name: str) -> DrawnWorld:
+    """A bundled environment, or a world of a family: `dense-7`."""
+    family, _, index = name.rpartition("-")
+    if family in families.FAMILIES:
+        return families.world(family, 0, int(index))
+    return drawn_world.bundled(name)
+
+
 def load() -> dict[str, Any]:
     """The file: `missions`, as recorded, and `best`, by problem."""
     return dict(json.loads(FILE.read_text(encoding="utf-8")))
@@ -97,7 +103,7 @@ def record(kernel: Kernel) -> dict[str, Any]:
     """Fly every mission and keep what some of its plans were asked; no best values yet."""
     scans, plans = {}, []
     for name in WORLDS:
-        world = drawn_world.by_name(name)
+        world = world_of(name)
         asked: list[PlanRequest] = []
 
         def ask(request: PlanRequest, asked: list[PlanRequest] = asked) -> PlanOutcome:
@@ -144,7 +150,7 @@ def problems(data: dict[str, Any], objective: str) -> list[Problem]:
     """The problems of the file, as the planner poses them today; objective: flight or paper."""
     result = []
     for number, (name, scans) in enumerate(data["scans"].items()):
-        world = drawn_world.by_name(name)
+        world = world_of(name)
         limits = world.task.limits
         known = empty_map(world.task.cell_m, limits.north_m, limits.east_m)
         truth = true_map(world.terrain, known)

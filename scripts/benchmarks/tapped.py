@@ -3,7 +3,6 @@
 import os
 import select
 import socket
-import struct
 import subprocess
 import sys
 import time
@@ -14,59 +13,25 @@ from typing import Any, final
 from companion.campaign import drawn_files
 from companion.campaign.drawn_files import Autopilot
 from companion.campaign.drawn_world import DrawnWorld
+from companion.mavlink.dialect import Message
+from companion.mavlink.frames import decoded, frame_extent
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = dict(os.environ)
 TO_COMPANION, TO_VEHICLE = 0, 1
-POSITION, SETPOINT, HEARTBEAT, TARGET, ORIGIN = 33, 86, 0, 85, 49
 Seen = Callable[[int, float, bytes], None]
 """Direction, time (monotonic seconds), datagram."""
 
 
-def frames(datagram: bytes) -> Iterator[tuple[int, bytes]]:
-    """Message ids and whole frames of MAVLink 2 in a datagram."""
-    at = 0
-    while at + 12 <= len(datagram) and datagram[at] == 0xFD:
-        size = 12 + datagram[at + 1] + (13 if datagram[at + 2] & 1 else 0)
-        frame = datagram[at : at + size]
-        yield number_of(frame), frame
-        at += size
-
-
-def number_of(frame: bytes) -> int:
-    """Message id of a frame of MAVLink 2."""
-    return int.from_bytes(frame[7:10], "little")
-
-
-def payload(frame: bytes, size: int) -> bytes:
-    """Of a frame, with the zeros that the wire leaves out."""
-    return frame[10 : 10 + frame[1]].ljust(size, b"\0")
-
-
-def setpoint_of(frame: bytes) -> tuple[int, tuple[float, ...]]:
-    """time_boot_ms; latitude, longitude (degrees), altitude, velocity NED of message 86."""
-    time_ms, lat, lon, alt, *velocity = struct.unpack_from("<Iii4f", payload(frame, 53))
-    return time_ms, (lat * 1e-7, lon * 1e-7, alt, *velocity)
-
-
-def target_of(frame: bytes) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Position (NED, metres from the origin) and velocity of message 85."""
-    values = struct.unpack_from("<I6f", payload(frame, 51))
-    return values[1:4], values[4:7]
-
-
-def origin_of(frame: bytes) -> tuple[float, float, float]:
-    """Latitude, longitude (degrees), altitude AMSL of message 49."""
-    lat, lon, alt_mm = struct.unpack_from("<iii", payload(frame, 20))
-    return lat * 1e-7, lon * 1e-7, alt_mm * 1e-3
-
-
-def position_of(frame: bytes) -> tuple[int, tuple[float, ...]]:
-    """time_boot_ms; latitude, longitude, altitude AMSL, velocity NED of message 33."""
-    time_ms, lat, lon, alt, _, vn, ve, vd = struct.unpack_from("<IiiiiHHH", payload(frame, 28))
-    signed = [v - 65536 if v > 32767 else v for v in (vn, ve, vd)]
-    return time_ms, (lat * 1e-7, lon * 1e-7, alt * 1e-3, *(v * 1e-2 for v in signed))
+def messages(datagram: bytes, *kinds: Any) -> Iterator[Message]:
+    """The messages of these kinds in a datagram of whole frames."""
+    wanted, at = {kind.id: kind for kind in kinds}, 0
+    while at < len(datagram):
+        end, number = frame_extent(datagram, at)
+        if number in wanted:
+            yield decoded(datagram[at:end], wanted[number])
+        at = end
 
 
 @final
@@ -198,6 +163,15 @@ def _start(command: list[Any], log: Path | None = None) -> subprocess.Popen[byte
     finally:
         if log is not None:
             where.close()  # type: ignore[union-attr]
+
+
+def fly_campaign(folder: Path, text: str, *options: str) -> Path:
+    """A campaign file without its head, flown.  -> what it has written, in `folder`"""
+    file, out = folder / "campaign.toml", folder / "campaign"
+    file.write_text(f'schema = 1\nname = "bench"\n{text}', encoding="utf-8")
+    command = [BIN / "companion", "campaign", "run", file, "--out", out, *options]
+    subprocess.run(command, check=True, cwd=ROOT, env=ENVIRONMENT)
+    return out
 
 
 def end(process: subprocess.Popen[bytes]) -> None:

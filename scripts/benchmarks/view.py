@@ -10,7 +10,6 @@ browser is sent (without drawing it, which is another computer's work), at last 
 reads.  One flight each; the gaps are those that `companion fly` notes itself, in run.json.
 """
 
-import argparse
 import json
 import os
 import re
@@ -22,14 +21,15 @@ import sys
 import tempfile
 import threading
 import time
+from argparse import Namespace
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import rich
+import running
 import viser
 from playwright.sync_api import Page, sync_playwright
-from rich.console import Console
-from rich.table import Table
+from tapped import BIN, ROOT, end, free_port, start_vehicle
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -43,8 +43,6 @@ from companion.config import load_mission, mission_text
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
 
-ROOT = Path(__file__).parents[2]
-BIN = Path(sys.executable).parent
 _HILLS = ROOT / "tests" / "closed_loop" / "hills"
 _READERS = (
     ("no view", None, 0),
@@ -55,7 +53,6 @@ _READERS = (
 )
 _PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 _STALLED_BYTES = 4096
-_OPENED_BAR_S = 5.0
 _BACK_AND_FORTH = "".join(
     f"\n[[targets]]\nnorth_m = {there}\neast_m = {there}\n" for there in (0.0, 1e5, 0.0)
 )
@@ -82,16 +79,14 @@ _COUNT = """() => {
 }"""
 
 
-def main() -> None:
+def main() -> int:
     """A row for each number of readers."""
-    parser = argparse.ArgumentParser(prog="scripts/bench view")
-    parser.add_argument("--speedup", type=float, default=4.0)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the wall clock, a flight")
-    options = parser.parse_args()
+    seconds = (60.0, "of the wall clock, a flight")
+    options, console = running.begin(__doc__, speedup=4.0, seconds=seconds)
     with tempfile.TemporaryDirectory() as folder:
-        _look_at(_hour(Path(folder)))
-    after = "position to setpoint p99, ms"
-    table = Table("browsers", "setpoints", "gap p99.9, ms", "longest, ms", after)
+        opened_s = _look_at(_hour(Path(folder)))
+    headings = "setpoints", "gap p99.9, ms", "longest, ms", "position to setpoint p99, ms"
+    table = running.figures("", "browsers", *headings)
     for name, readers, stalled in _READERS:
         with tempfile.TemporaryDirectory() as folder:
             facts = _flown(Path(folder) / "run", readers, stalled, options)
@@ -99,7 +94,9 @@ def main() -> None:
         # a flight of a second or two sends no setpoints
         timing = ["none" if facts[key] is None else f"{facts[key]:.1f}" for key in keys]
         table.add_row(name, f"{facts['setpoints']:,}", *timing)
-    Console(width=100).print(table)
+    console.print(table)
+    bar = running.most("a flight of an hour is shown after, s", opened_s, 5.0)
+    return running.ended(console, options.json, None, [bar])
 
 
 def _hour(folder: Path) -> Path:
@@ -115,8 +112,8 @@ def _hour(folder: Path) -> Path:
     return folder / "hour"
 
 
-def _look_at(folder: Path) -> None:
-    """Open a run folder in a browser, and drag its slider."""
+def _look_at(folder: Path) -> float:
+    """Open a run folder in a browser, and drag its slider.  -> seconds until it was shown"""
     with sync_playwright() as playwright, ExitStack() as stack:
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=list(_CHROMIUM)
@@ -140,9 +137,9 @@ def _look_at(folder: Path) -> None:
         _wait_for_row(page, address)
         opened_s = time.monotonic() - began_s
         print(
-            f"the flight is served after {served_s:.1f} s, shown after {opened_s:.1f} s "
-            f"(bar {_OPENED_BAR_S:g} s); companion view has computed "
-            f"{_processor_s(view.pid):.1f} s; load {os.getloadavg()[0]:.1f}"
+            f"the flight is served after {served_s:.1f} s, shown after {opened_s:.1f} s; "
+            f"companion view has computed {_processor_s(view.pid):.1f} s; "
+            f"load {os.getloadavg()[0]:.1f}"
         )
         page.wait_for_function(_IS_READ, timeout=_READ_MS, polling=1000)
         print(f"all of its ground is read after {time.monotonic() - began_s:.1f} s")
@@ -154,6 +151,7 @@ def _look_at(folder: Path) -> None:
                 f"slider {name}: {frames_hz:.1f} frames/s, {places_hz:.1f} moments shown/s, "
                 f"{used_s / _DRAGGED_S:.0%} of a processor; load {os.getloadavg()[0]:.1f}"
             )
+    return opened_s
 
 
 def _wait_for_row(page: Page, address: str) -> None:
@@ -187,20 +185,13 @@ def _watched(page: Page, *, is_dragged: bool) -> tuple[float, float]:
     return shown[0] / passed_s, shown[1] / passed_s
 
 
-def _flown(
-    folder: Path, readers: int | None, stalled: int, options: argparse.Namespace
-) -> dict[str, float]:
+def _flown(folder: Path, readers: int | None, stalled: int, options: Namespace) -> dict[str, float]:
     """What a flight says of its times."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     view = () if readers is None else ("--view", "--view-port", "0")
     with ExitStack() as stack:
-        simulator = [BIN / "vehicle-sim", _HILLS / "world.toml", "--speedup", str(options.speedup)]
-        simulator += ["--connect", f"udpout:127.0.0.1:{port}"]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        vehicle = stack.enter_context(subprocess.Popen(simulator, **quiet))
-        stack.callback(vehicle.terminate)
+        speedup = ("--speedup", str(options.speedup))
+        stack.callback(end, start_vehicle(_HILLS / "world.toml", port, *speedup))
         fly = [BIN / "companion", "fly", _HILLS / "mission.toml", "--out", folder, *view]
         fly += ["--connect", f"udpin:127.0.0.1:{port}"]
         flight = stack.enter_context(subprocess.Popen(fly, stdout=subprocess.PIPE, text=True))
@@ -252,4 +243,4 @@ def _stalled(place: str) -> socket.socket:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

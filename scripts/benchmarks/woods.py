@@ -121,7 +121,7 @@ def main() -> int:
         "why",
     )
     table = running.figures("Among near things", "", *headings)
-    kept = True
+    bars = []
     for name, pilot in product(worlds, pilots):
         mine = [each for each in found if (each["world"], each["pilot"]) == (name, pilot)]
         arrived = [each for each in mine if each["seconds"] < math.inf]
@@ -129,8 +129,10 @@ def main() -> int:
         nearest_m = min(each["nearest_m"] for each in mine)
         if pilot not in RIVALS:
             mission = tomlkit.parse((HERE / name / "mission.toml").read_text(encoding="utf-8"))
-            kept &= nearest_m >= mission["planner"]["safety_distance_m"]
-            kept &= all(each["end"] for each in mine if each not in arrived)
+            safety_m = mission["planner"]["safety_distance_m"]
+            bars.append(running.least(f"{name}: least distance, m", nearest_m, safety_m))
+            silent = sum(not each["end"] for each in mine if each not in arrived)
+            bars.append(running.most(f"{name}: ended without a reason", silent, 0))
         middle = {
             "ratio": [each["flown_m"] / each["straight_m"] for each in arrived],
             "speed": [each["flown_m"] / each["seconds"] for each in arrived],
@@ -151,8 +153,7 @@ def main() -> int:
             "; ".join(f"{each['seed']}: {each['end']}" for each in mine if each["end"]),
         )
     console.print(table)
-    running.store(options.json, found)
-    return running.ended(console, kept=kept)
+    return running.ended(console, options.json, found, bars)
 
 
 if __name__ == "__main__":

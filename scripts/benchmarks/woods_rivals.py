@@ -24,13 +24,13 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.campaign.rivals.a_star import EIGHT, step_costs
 from companion.campaign.rivals.a_star import a_star as search
+from companion.geodesy import FloatArray
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import Phase
 from companion.planner.kernels import compiled_alone
 from companion.world.near_map import NearMap
 from vehicle_sim.world import World
 
-FloatArray = NDArray[np.float64]
 _DEAR = 20.0  # what a metre costs nearer than the clearance: A* would find no way out else
 _DECIDES_S, _SENDS_S, _LIMIT_S, _TAKEN_OFF_S = 0.2, 0.05, 600.0, 90.0
 _AT_M, _SLOW_M_S = 1.0, 0.2

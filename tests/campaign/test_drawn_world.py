@@ -4,22 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.campaign import drawn_world
+from companion.campaign import drawn_world, families
 from companion.world.terrain import Peak
 from companion.world.threats import Radar
 
 
-def test_a_world_is_always_the_same_and_differs_from_the_next() -> None:
-    first = drawn_world.dense(3)
-    drawn_world._drawn.cache_clear()
-    assert drawn_world.dense(3) == first
-    assert drawn_world.dense(3).fingerprint == first.fingerprint
-    assert drawn_world.dense(4).fingerprint != first.fingerprint
-    assert drawn_world.by_name("dense-3") == first
-
-
 def test_the_fingerprint_follows_what_the_optimum_depends_on() -> None:
-    world = drawn_world.dense(0)
+    world = families.world("dense", 0, 0)
     limits = replace(world.task.limits, turn_radius_m=2_600.0)
     changed = replace(world, task=replace(world.task, limits=limits))
     assert changed.fingerprint != world.fingerprint
@@ -27,7 +18,7 @@ def test_the_fingerprint_follows_what_the_optimum_depends_on() -> None:
 
 @pytest.mark.parametrize("number", range(20))
 def test_dense_worlds_have_the_promised_obstacles_and_free_ends(number: int) -> None:
-    world = drawn_world.dense(number)
+    world = families.world("dense", 0, number)
     assert 12 <= len(world.terrain.peaks) <= 28
     assert 10 <= len(world.task.radars) <= 14
     for end in (world.start_nea_m, (*world.targets_ne_m[0], world.floor_amsl_m)):
@@ -61,17 +52,17 @@ def ridge(gap_m: float) -> tuple[Peak, ...]:
 def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
     gap_m: float, open_: bool
 ) -> None:
-    base = drawn_world.dense(0)
+    base = families.world("dense", 0, 0)
     terrain = replace(base.terrain, peaks=ridge(gap_m))
     world = replace(base, terrain=terrain, task=replace(base.task, radars=()))
-    assert drawn_world.has_way_through(world, drawn_world.SPARE_M) is open_
+    assert families.has_way(world) is open_
     watched = Radar(name="r", centre_nea_m=(50_000.0, 50_000.0, 0.0), range_m=9_000.0)
     closed = replace(world, task=replace(world.task, radars=(watched,)))
-    assert not drawn_world.has_way_through(closed, drawn_world.SPARE_M)
+    assert not families.has_way(closed)
 
 
 def test_the_lowest_safe_altitude_over_a_summit_is_the_clearance_above_it() -> None:
-    base = drawn_world.dense(0)
+    base = families.world("dense", 0, 0)
     summit = Peak(
         north_m=50_000.0,
         east_m=50_000.0,
@@ -87,7 +78,7 @@ def test_the_lowest_safe_altitude_over_a_summit_is_the_clearance_above_it() -> N
 
 @pytest.mark.parametrize("count", [10, 100, 1_000, 10_000])
 def test_growing_worlds_keep_their_density_and_the_length_of_the_way(count: int) -> None:
-    world = drawn_world.spread_out(count)
+    world = families.world("spread", 0, count)
     obstacles = np.array(places(world))
     assert len(obstacles) == count
     assert np.abs(obstacles).max() <= 500.0 * math.sqrt(count / 0.004) + 5.0
@@ -103,14 +94,14 @@ def places(world: drawn_world.DrawnWorld) -> list[tuple[float, float]]:
 
 
 def test_a_growing_world_holds_the_smaller_one_unchanged() -> None:
-    small, large = drawn_world.spread_out(10), drawn_world.spread_out(1_000)
+    small, large = families.world("spread", 0, 10), families.world("spread", 0, 1_000)
     assert set(places(small)) <= set(places(large))
     near = [place for place in places(large) if max(map(abs, place)) < 24_990.0]
     assert sorted(near) == sorted(places(small))
-    assert set(places(drawn_world.spread_out(10, variant=1))).isdisjoint(places(small))
+    assert set(places(families.world("spread", 1, 10))).isdisjoint(places(small))
 
 
 def test_no_map_has_more_cells_than_a_mission_may_have() -> None:
-    task = drawn_world.spread_out(10_000).task
+    task = families.world("spread", 0, 10_000).task
     cells = (task.limits.north_m[1] - task.limits.north_m[0]) / task.cell_m
     assert 4_900 < cells <= 5_000

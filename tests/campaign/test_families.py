@@ -16,26 +16,15 @@ from companion.world.terrain import ArrayTerrain
 FloatArray = NDArray[np.float64]
 
 
-def quick(family: str) -> drawn_world.DrawnWorld:
-    return families.world(family, families.SEED, 0)
-
-
 @pytest.mark.parametrize("family", families.FAMILIES)
 def test_a_world_follows_from_family_seed_and_index_alone(family: str) -> None:
     families.world.cache_clear()
-    drawn_world._drawn.cache_clear()
     last, first = families.world(family, 5, 1), families.world(family, 5, 0)
     families.world.cache_clear()
-    drawn_world._drawn.cache_clear()
     assert families.world(family, 5, 0).fingerprint == first.fingerprint
     assert families.world(family, 5, 1).fingerprint == last.fingerprint
     others = {families.world(family, *pair).fingerprint for pair in ((5, 2), (6, 0))}
     assert len(others | {first.fingerprint, last.fingerprint}) == 4
-
-
-def test_the_default_seed_of_dense_and_sparse_draws_what_was_always_drawn() -> None:
-    assert families.world("dense", families.SEED, 3) == drawn_world.dense(3)
-    assert families.world("sparse", families.SEED, 3) == drawn_world.by_name("sparse-3")
 
 
 def heights_m(world: drawn_world.DrawnWorld, north: FloatArray, east: FloatArray) -> FloatArray:
@@ -90,7 +79,7 @@ def test_worlds_of_small_vehicles_have_their_clearances_and_cells() -> None:
 
 
 def test_a_world_at_another_size_costs_the_same() -> None:
-    world = quick("plane")
+    world = families.world("plane", 0, 0)
     larger = drawn_world.scaled(world, 7.0)
     line = np.linspace(world.start_nea_m, (*world.targets_ne_m[0], world.ceiling_amsl_m), 4)
     small, large = (truth.sampled(control, 0.5 * k) for control, k in ((line, 1), (7 * line, 7)))

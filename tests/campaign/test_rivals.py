@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from companion import extras
-from companion.campaign import drawn_world, families, truth
+from companion.campaign import families, truth
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.rivals import a_star, flight, ours
 from companion.campaign.rivals.measure import measured
@@ -204,7 +204,7 @@ def test_a_rivals_cost_is_the_sum_along_what_it_flew(flown: Flown) -> None:
 
 
 def test_an_explorer_knows_nothing_behind_a_mountain_nor_beyond_its_range() -> None:
-    base = drawn_world.dense(0)
+    base = families.world("dense", 0, 0)
     mountain = Peak(
         north_m=50e3, east_m=50e3, height_amsl_m=6e3, spread_north_m=3e3, spread_east_m=3e3
     )
@@ -220,7 +220,7 @@ def test_an_explorer_knows_nothing_behind_a_mountain_nor_beyond_its_range() -> N
 
 
 def test_a_field_costs_at_its_points_what_the_measure_says() -> None:
-    base = drawn_world.dense(0)
+    base = families.world("dense", 0, 0)
     radar = Radar(name="r", centre_nea_m=(40e3, 55e3, 0.0), range_m=9e3)
     world = replace(base, task=replace(base.task, radars=(radar,)))
     field = flight.Explorer(world, everything=True).field(np.zeros(2))
@@ -250,7 +250,7 @@ def test_an_answer_that_is_no_route_ends_the_flight_with_its_reason(answer, why)
 
 
 def test_a_turn_is_as_sharp_as_its_circle_and_a_corner_is_too_sharp() -> None:
-    world = drawn_world.dense(0)
+    world = families.world("dense", 0, 0)
     radius_m = 1.2 * world.task.limits.turn_radius_m
     angle = np.linspace(0.0, math.pi, 2_000)
     high = np.full(len(angle), world.floor_amsl_m)

@@ -44,20 +44,16 @@ def fly(world: DrawnWorld, *, knowledge: Knowledge = "scans", seed: int = 1) -> 
         planner=timed,
     )
     step_m = world.task.settings.scan_range_m / _POINTS_PER_RANGE
-    pieces, stops = [np.array([world.start_nea_m])], list[int]()
-    for leg, flown_m in zip(flight.legs, flight.flown_m, strict=True):
-        count = max(int(np.ceil(flown_m / step_m)), 1)
-        if leg.subpath.length_m - flown_m < _STOPS_M:
-            stops.append(sum(len(each) for each in pieces) + count - 1)
-        pieces.append(leg.subpath.points_nea_m(np.linspace(0.0, flown_m, count + 1)[1:]))
-    failure = flight.failure
+    flown_m, failure = np.array(flight.flown_m), flight.failure
+    lengths_m = np.array([leg.subpath.length_m for leg in flight.legs])
+    ends = np.cumsum(np.maximum(np.ceil(flown_m / step_m), 1.0)).astype(int)  # points so far
     return RouteFlight(
-        points_nea_m=np.concatenate(pieces),
+        points_nea_m=flight.route_nea_m(step_m),
         arrived=failure is None,
         why="" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}",
         scans=len(flight.scans_nea_m),
         plan_s=tuple(plan_s),
-        stops=tuple(stops),
+        stops=tuple(ends[lengths_m - flown_m < _STOPS_M].tolist()),
         subpaths_nea_m=tuple(leg.subpath.control_nea_m for leg in flight.legs),
     )
 
