@@ -22,9 +22,9 @@ from companion.config import bundled, load_mission, load_world, mission_name, mi
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 from companion.live_view.command import (
     VIEW_PORT,
+    Asked,
     HostOption,
     PortOption,
-    ViewAsked,
     free_udp_port,
     started_view,
     stay,
@@ -231,10 +231,11 @@ def fly_command(
             version=version("companion"),
         )
         if view or view_control:
-            asked = ViewAsked(
-                folder=folder_path,
-                port=view_port,
+            asked = Asked(
+                paths=(str(folder_path),),
                 host=view_host,
+                port=view_port,
+                live=True,
                 ground=orders and f"udpout:{orders}",
             )
             stack.enter_context(started_view(asked, console))

@@ -9,7 +9,7 @@ from companion.errors import InputError
 
 PACKAGES = {
     "fast": ("numba",),
-    "view": ("viser",),
+    "view": ("trimesh", "viser"),
     "campaign": ("pyarrow",),
     "cluster": ("dask", "distributed"),
     "rivals": ("ompl",),

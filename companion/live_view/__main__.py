@@ -8,8 +8,11 @@ import os
 import sys
 import threading
 
+import msgspec
+
 from companion.errors import InputError
-from companion.live_view.server import Asked, serve
+from companion.live_view.command import Asked
+from companion.live_view.server import serve
 
 _NICE = 5
 
@@ -17,8 +20,7 @@ _NICE = 5
 def main() -> None:
     """Serve what the first line asks for."""
     os.nice(_NICE)
-    values = json.loads(sys.stdin.readline())
-    asked = Asked(**{**values, "paths": tuple(values["paths"])})
+    asked = msgspec.json.decode(sys.stdin.readline(), type=Asked)
     over = threading.Event()
 
     def watch() -> None:

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, final
 
+import msgspec
 import typer
 from rich.console import Console
 
@@ -33,6 +34,23 @@ HostOption = Annotated[
 _END_S, _POLL_S = 5.0, 0.2
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What is to be served, and how."""
+
+    paths: tuple[str, ...]
+    host: str = "127.0.0.1"
+    port: int = VIEW_PORT
+    """0: any that is free."""
+    system_id: int | None = None
+    """Of the vehicle, of several in a log."""
+    live: bool = False
+    """Whether the flight is flown now: it may not have begun to be recorded."""
+    ground: str | None = None
+    """The link to the companion by which orders are given; None: they are not."""
+
+
 def view_command(
     flights: Annotated[
         list[Path],
@@ -50,7 +68,7 @@ def view_command(
     A run folder that is still written is shown as it grows.  Ends with Ctrl-C.
     """
     extras.need("view", "companion view")
-    from companion.live_view.server import Asked, serve  # slow to import
+    from companion.live_view.server import serve  # slow to import
 
     asked = Asked(paths=tuple(map(str, flights)), host=view_host, port=view_port, system_id=system)
     with stop_signals() as stop_asked:
@@ -61,20 +79,8 @@ def _say_address(console: Console, address: str) -> None:
     console.print(f"view: {address}", highlight=False, soft_wrap=True, markup=False)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViewAsked:
-    """How a flight is to be shown while it is flown."""
-
-    folder: Path
-    port: int
-    host: str
-    ground: str | None
-    """A link to the companion, for orders; None: nobody gives any."""
-
-
 @contextlib.contextmanager
-def started_view(asked: ViewAsked, console: Console) -> Iterator[None]:
+def started_view(asked: Asked, console: Console) -> Iterator[None]:
     """Show a flight from a process of its own.  InputError if it cannot be shown."""
     extras.need("view", "--view")
     with subprocess.Popen(
@@ -87,14 +93,7 @@ def started_view(asked: ViewAsked, console: Console) -> Iterator[None]:
         assert process.stdin is not None
         assert process.stdout is not None
         try:
-            line = {
-                "paths": [str(asked.folder)],
-                "host": asked.host,
-                "port": asked.port,
-                "live": True,
-                "ground": asked.ground,
-            }
-            process.stdin.write(json.dumps(line) + "\n")
+            process.stdin.write(f"{msgspec.json.encode(asked).decode()}\n")
             process.stdin.flush()
             said: dict[str, Any] = json.loads(process.stdout.readline() or '{"error": null}')
             if "address" not in said:

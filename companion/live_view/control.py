@@ -27,24 +27,9 @@ _RESULTS: Final = {
 }
 
 
-def hold() -> Message:
-    """Stop, and stay."""
-    return _long(wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
-
-
-def proceed() -> Message:
-    """Go on to the target, or home if that had been asked for."""
-    return _long(wire.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
-
-
-def come_back() -> Message:
-    """Back along the flown path."""
-    return _long(wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-
-
-def land() -> Message:
-    """Land where it is."""
-    return _long(wire.MAV_CMD_NAV_LAND)
+def command(number: int, first: float = 0.0) -> Message:
+    """A command for where the vehicle is; first: its first parameter."""
+    return wire.MAVLink_command_long_message(0, COMPANION_COMPONENT, number, 0, first, *(0.0,) * 6)
 
 
 def keep_out(place_ne_m: tuple[float, float], frame: LocalFrame, radius_m: float) -> Message:
@@ -69,10 +54,6 @@ def _at(command: int, place_ne_m: tuple[float, float], frame: LocalFrame, first:
         *(first, 0.0, 0.0, 0.0),
         *(deg_e7(latitude_deg), deg_e7(longitude_deg), 0.0),
     )
-
-
-def _long(command: int, first: float = 0.0) -> Message:
-    return wire.MAVLink_command_long_message(0, COMPANION_COMPONENT, command, 0, first, *(0.0,) * 6)
 
 
 @final

@@ -10,7 +10,7 @@ import viser
 from companion.geodesy import LocalFrame
 from companion.live_view import control
 from companion.live_view.control import GroundStation
-from companion.mavlink.dialect import Message
+from companion.mavlink.dialect import Message, wire
 from companion.views.words import metres
 
 Place = tuple[float, float]
@@ -19,10 +19,18 @@ PlaceOf = Callable[[Sequence[float], Sequence[float]], Place | None]
 _SHOWN_S: Final = 12.0
 _RADIUS_M: Final = 500.0
 _PLAIN: Final = (
-    ("hold", "Stop, and hold?", control.hold),
-    ("continue", "Continue to the target?", control.proceed),
-    ("return", "Return along the flown path?", control.come_back),
-    ("land", "Land where it is?", control.land),
+    ("hold", "Stop, and hold?", partial(control.command, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)),
+    (
+        "continue",
+        "Continue to the target?",
+        partial(control.command, wire.MAV_CMD_DO_PAUSE_CONTINUE, 1.0),
+    ),
+    (
+        "return",
+        "Return along the flown path?",
+        partial(control.command, wire.MAV_CMD_NAV_RETURN_TO_LAUNCH),
+    ),
+    ("land", "Land where it is?", partial(control.command, wire.MAV_CMD_NAV_LAND)),
 )
 
 
@@ -67,7 +75,7 @@ class Orders:
     def _add_buttons(self, client: viser.ClientHandle, place_of: PlaceOf) -> None:
         for label, question, make in _PLAIN:
             button = client.gui.add_button(label)
-            button.on_click(self._asking(client, label, question, make))
+            button.on_click(partial(self._ask, client, label, question, make))
         target = client.gui.add_button("new target", hint="Then click on the ground.")
         radius = client.gui.add_number("radius, m", _RADIUS_M, min=1.0, step=1.0)
         keep_out = client.gui.add_button("keep-out", hint="Then click on its centre.")
@@ -86,16 +94,13 @@ class Orders:
         keep_out.on_click(ask_for_keep_out)
         lift.on_click(lambda _: self._pick(client, place_of, "lift keep-out", "", lift_there))
 
-    def _asking(
-        self, client: viser.ClientHandle, label: str, question: str, make: Callable[[], Message]
-    ) -> Callable[[Any], None]:
-        def ask(_: Any) -> None:
-            self._ask(client, label, question, make)
-
-        return ask
-
     def _ask(
-        self, client: viser.ClientHandle, label: str, question: str, make: Callable[[], Message]
+        self,
+        client: viser.ClientHandle,
+        label: str,
+        question: str,
+        make: Callable[[], Message],
+        _event: Any = None,
     ) -> None:
         """Ask first; then order, and show the answer."""
         with client.gui.add_modal(question) as modal:

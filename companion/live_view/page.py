@@ -9,7 +9,7 @@ import time
 import traceback
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -25,7 +25,6 @@ from companion.live_view.panel import (
     Charts,
     Moment,
     charts_of,
-    clock_text,
     near_ground,
     planning_of,
 )
@@ -33,6 +32,7 @@ from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.path.subpath import Subpath
 from companion.planner.plan import candidates_nea_m
+from companion.views.words import clock_text
 
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
@@ -54,10 +54,8 @@ class Flight:
     name: str
     recording: Recording
     replica: Replica | None = None
-    charts: Charts = field(default_factory=Charts)
     _last: Ground | None = None
     _ground: tuple[int, Ground | None] = (-1, None)
-    _charted: tuple[int, int] = (-1, -1)
 
     @staticmethod
     def of(path: Path, system_id: int | None = None) -> "Flight":
@@ -86,15 +84,6 @@ class Flight:
         if at != self._ground[0]:
             self._ground = at, None if at < 0 else replica.ground(at)
         return self._ground[1], behind if replica.ended is None else f"ground: {replica.ended}"
-
-    def chart(self) -> bool:
-        """Bring the charts up to date; whether anything is new."""
-        samples = 0 if self.replica is None else len(self.replica.samples)
-        if self._charted == (counts := (len(self.recording.times_s), samples)):
-            return False
-        self._charted = counts
-        self.charts = charts_of(self.recording, self.replica)
-        return True
 
     def moment(self, time_s: float) -> Moment:
         """What the panel shows."""
@@ -136,6 +125,7 @@ class Page:
         self._here: FloatArray = np.zeros(3)
         self._shown_s, self._shown_ground = -1.0, (False, -1)
         self._read_at_s = self._charted_at_s = -math.inf
+        self._charted: tuple[str, int, int] | None = None
         self._wants_candidates = False
         self._candidates_of: int | None = None
         """The plan whose candidates are drawn."""
@@ -373,9 +363,12 @@ class Page:
             if self._slider.max != ends_s:
                 self._slider.max = max(ends_s, 0.1)
             self._slider.value = round(self._time_s, 1)
-        if now_s - self._charted_at_s >= _CHARTS_S and flight.chart():
-            self._charted_at_s = now_s
-            for chart, data in zip(self._charts, _chart_data(flight.charts), strict=True):
+        samples = 0 if replica is None else len(replica.samples)
+        charted = flight.name, len(flight.recording.times_s), samples
+        if now_s - self._charted_at_s >= _CHARTS_S and charted != self._charted:
+            self._charted_at_s, self._charted = now_s, charted
+            charts = charts_of(flight.recording, replica)
+            for chart, data in zip(self._charts, _chart_data(charts), strict=True):
                 chart.scales = _scales(data)
                 chart.data = data
 

@@ -4,11 +4,10 @@ import html
 import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
-import scipy.spatial
 
 from companion.geodesy import FloatArray
 from companion.live_view.ground import Replica
@@ -17,13 +16,12 @@ from companion.live_view.recording import (
     Event,
     Recording,
 )
-from companion.mission.journal import PlanReady
 from companion.mission.state import Phase
 from companion.telemetry.export.flight import Decided
-from companion.views.words import metres
+from companion.telemetry.export.shapes import Chords
+from companion.views.words import clock_text, metres
 
 _CHART_POINTS: Final = 600
-_CURVE_POINTS: Final = 200
 _DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
 _BARS: Final = ("length", "height", "guide", "crash", "radar", "constraints")
 _SOUND, _ALARM = "#00705a", "#b3261e"
@@ -144,13 +142,6 @@ def _to_go_time(distance_m: float, speed_m_s: float) -> str:
     return clock_text(distance_m / speed_m_s) if speed_m_s > 0.5 else "standing"
 
 
-def clock_text(time_s: float) -> str:
-    """Minutes and seconds, or hours and minutes too."""
-    minutes, seconds = divmod(int(time_s), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
-
-
 def event_line(event: Event) -> str:
     """An event in the list of events."""
     return f"{clock_text(event.time_s)} {event.text}"
@@ -172,17 +163,17 @@ def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str
 
 
 @final
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Charts:
-    """What the charts show of one flight, at times of their own."""
+    """What the charts show of one flight; (N,) each, of plans (K,)."""
 
-    altitude_m: FloatArray = field(default_factory=lambda: np.empty(0))
-    under_m: FloatArray = field(default_factory=lambda: np.empty(0))
-    clearance_m: FloatArray = field(default_factory=lambda: np.empty(0))
-    aside_m: FloatArray = field(default_factory=lambda: np.empty(0))
-    times_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    plan_times_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    planning_ms: FloatArray = field(default_factory=lambda: np.empty(0))
+    times_s: FloatArray
+    altitude_m: FloatArray
+    under_m: FloatArray
+    clearance_m: FloatArray
+    aside_m: FloatArray
+    plan_times_s: FloatArray
+    planning_ms: FloatArray
 
 
 def charts_of(recording: Recording, replica: Replica | None) -> Charts:
@@ -233,30 +224,13 @@ def _aside_m(recording: Recording, rows: Any) -> FloatArray:
 
     The vehicle is behind the point that it is led by, so the subpath before counts too.
     """
-    aside = np.full(len(rows), np.inf)
-    of_plan: dict[int, tuple[PlanReady, list[int]]] = {}
+    aside, chords = np.full(len(rows), np.nan), dict[int, Chords]()
     for at, row in enumerate(rows):
         decided = recording.decided_at(float(recording.times_s[row]))
         for plan in (decided.leg, decided.leg_before):
             if plan is not None and decided.phase not in _DOWN:
-                of_plan.setdefault(plan.plan_id, (plan, []))[1].append(at)
-    for plan, those in of_plan.values():
-        away_m = _from_curve_m(plan, recording.places_nea_m[rows[those]])
-        aside[those] = np.minimum(aside[those], away_m)
-    return np.where(np.isfinite(aside), aside, np.nan)
-
-
-def _from_curve_m(plan: PlanReady, places_nea_m: FloatArray) -> FloatArray:
-    """Distance of points to a curve.  (N, 3) -> (N,)."""
-    subpath = plan.subpath
-    points = subpath.points_nea_m(np.linspace(0.0, subpath.length_m, _CURVE_POINTS))
-    nearest = scipy.spatial.KDTree(points).query(places_nea_m)[1]
-    least = np.full(len(places_nea_m), np.inf)
-    for shift in (-1, 0):
-        first = np.clip(nearest + shift, 0, len(points) - 2)
-        begin, along = points[first], points[first + 1] - points[first]
-        share = np.einsum("ij,ij->i", places_nea_m - begin, along)
-        share = np.clip(share / np.maximum(np.einsum("ij,ij->i", along, along), 1e-12), 0.0, 1.0)
-        away = np.linalg.norm(places_nea_m - begin - share[:, None] * along, axis=-1)
-        least = np.minimum(least, away)
-    return least
+                if plan.plan_id not in chords:
+                    chords[plan.plan_id] = Chords(plan.subpath)
+                away_m, _ = chords[plan.plan_id].nearest(recording.places_nea_m[row])
+                aside[at] = np.fmin(aside[at], away_m)
+    return aside

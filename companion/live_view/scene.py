@@ -16,7 +16,7 @@ from companion.live_view.shapes import Area, Mesh, Scale
 from companion.mission.journal import PlanReady
 from companion.path.subpath import Subpath
 from companion.telemetry.export.flight import Decided
-from companion.telemetry.export.shapes import circle_ne_m, outline_ne_m
+from companion.telemetry.export.shapes import circle_ne_m, local_nea_m, outline_ne_m
 from companion.views.words import metres
 from companion.world.threats import Zone
 
@@ -279,12 +279,7 @@ class Scene:
         if self._recording.frame == other.frame:
             places = other.places_nea_m[rows]
         else:
-            track = other.track.part(rows)
-            ne = [
-                self._recording.frame.to_local_m(float(north), float(east))
-                for north, east in zip(track.latitude_deg, track.longitude_deg, strict=True)
-            ]
-            places = np.column_stack([np.array(ne), track.altitude_amsl_m])
+            places = local_nea_m(other.track.part(rows), self._recording.frame)
         points = self.scale.scene(places)
         if len(points) > 1:
             self._lines(f"/others/{name}", shapes.segments(points), _OTHERS, 2.0)

@@ -6,7 +6,6 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 from urllib.parse import parse_qs, urlsplit
@@ -15,6 +14,7 @@ import rich
 import viser
 
 from companion.errors import InputError
+from companion.live_view.command import Asked
 from companion.live_view.control import GroundStation
 from companion.live_view.orders import Orders, is_token
 from companion.live_view.page import Flight, Page
@@ -24,23 +24,6 @@ _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 _EVERYWHERE: Final = ("", "0.0.0.0", "::")
 _REFUSED: Final = 1002  # the page then shows the reason, and does not try again
 _POLL_S: Final = 0.1
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
-    """What is to be served, and how."""
-
-    paths: tuple[str, ...]
-    host: str = "127.0.0.1"
-    port: int = 8080
-    """0: any that is free."""
-    system_id: int | None = None
-    """Of the vehicle, of several in a log."""
-    live: bool = False
-    """Whether the flight is flown now: it may not have begun to be recorded."""
-    ground: str | None = None
-    """The link to the companion by which orders are given; None: they are not."""
 
 
 def serve(asked: Asked, on_ready: Callable[[str], None], stopped: Callable[[], bool]) -> None:

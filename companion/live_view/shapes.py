@@ -3,16 +3,14 @@
 The scene is as wide whatever the flight: a forest of 300 m or a map of 110 km.
 """
 
-import json
 import math
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 import scipy.ndimage
+import trimesh
 from numpy.typing import NDArray
 
 from companion.geodesy import FloatArray
@@ -33,7 +31,6 @@ _TINTS: Final = np.array(
     [[231, 226, 190], [214, 198, 146], [188, 158, 104], [152, 120, 76], [116, 88, 58]]
 )
 """Altitudes in colours: darker is higher, whatever colours the reader sees."""
-_GLB, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 IndexArray = NDArray[np.uint32]
 
 
@@ -222,13 +219,9 @@ def _cells_mesh(
 
 def plate(scale: Scale, area: Area) -> Mesh:
     """What nothing is known of: the whole map, flat."""
-    (south, north), (west, east) = area.north_m, area.east_m
-    low = scale.base_amsl_m
-    corners = np.array(
-        [[south, west, low], [south, east, low], [north, east, low], [north, west, low]]
-    )
-    flat = scale.scene(corners) - [0.0, 0.0, _BELOW]
-    return Mesh(flat, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32))
+    north, east = np.meshgrid(area.north_m, area.east_m, indexing="ij")
+    corners = np.stack([north, east, np.full((2, 2), scale.base_amsl_m)], axis=-1)
+    return _grid_mesh(scale.scene(corners) - [0.0, 0.0, _BELOW])
 
 
 def grid_lines(scale: Scale, area: Area, step_m: float) -> FloatArray:
@@ -251,45 +244,17 @@ def grid_step_m(area: Area) -> float:
 
 def painted_glb(mesh: Mesh) -> bytes:
     """A mesh with colours of its own as binary glTF 2.0, to be drawn as painted: without light."""
-    assert mesh.colours is not None
-    opaque = np.insert(mesh.colours, 3, 255, axis=1).astype(np.uint8)
-    vertices = mesh.vertices.astype("<f4")
-    parts = [vertices.tobytes(), opaque.tobytes(), mesh.faces.astype("<u4").tobytes()]
-    begins = np.cumsum([0, *(len(part) for part in parts)]).tolist()
-    views = [{"buffer": 0, "byteOffset": a, "byteLength": b - a} for a, b in pairwise(begins)]
-    number, size = len(vertices), mesh.faces.size
-    accessors: list[dict[str, object]] = [
-        {"bufferView": 0, "componentType": 5126, "count": number, "type": "VEC3"},
-        {
-            "bufferView": 1,
-            "componentType": 5121,
-            "count": number,
-            "type": "VEC4",
-            "normalized": True,
-        },
-        {"bufferView": 2, "componentType": 5125, "count": size, "type": "SCALAR"},
-    ]
-    accessors[0] |= {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
-    drawn = {"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": 2, "material": 0}
-    unlit = "KHR_materials_unlit"
-    head = {
-        "asset": {"version": "2.0"},
-        "extensionsUsed": [unlit],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [drawn]}],
-        "materials": [{"extensions": {unlit: {}}, "doubleSided": True}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": begins[-1]}],
-    }
-    text = json.dumps(head).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = (
-        _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(begins[-1], b"BIN\0") + b"".join(parts)
-    )
-    return _GLB.pack(b"glTF", 2, _GLB.size + len(chunks)) + chunks
+
+    def paint(tree: dict[str, Any]) -> None:
+        unlit = "KHR_materials_unlit"
+        tree["extensionsUsed"] = [unlit]
+        tree["materials"] = [{"extensions": {unlit: {}}, "doubleSided": True}]
+        tree["meshes"][0]["primitives"][0]["material"] = 0
+
+    painted = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colours, process=False)
+    glb = painted.export(file_type="glb", tree_postprocessor=paint)
+    assert isinstance(glb, bytes)
+    return glb
 
 
 # --- threats

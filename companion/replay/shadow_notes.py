@@ -11,7 +11,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from companion.geodesy import FloatArray, LocalFrame
+from companion.geodesy import LocalFrame
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.parameter_checks import Severity
 from companion.mission import journal
@@ -33,6 +33,7 @@ from companion.replay.shadow_report import (
     VehicleReport,
 )
 from companion.session import Session
+from companion.telemetry.export.shapes import Chords
 
 MOST: Final = 2000
 """Of each kind of thing."""
@@ -40,8 +41,6 @@ _MAX_WHY: Final = 50
 _EVER: Final = -1e8  # before that: not heard of yet
 _BEGINS: Final = "it begins to watch"
 _AT_END_M: Final = 1.0
-_SPACING_M: Final = 5.0
-_MAX_CHORDS: Final = 400
 
 _DOUBTS: Final = {
     Reason.POSITION_STALE: "no position",
@@ -386,33 +385,21 @@ class Notes:
 
 @final
 class _Path:
-    """A planned subpath as chords, and how far the track was from it."""
+    """A planned subpath, and how far the track was from it."""
 
     def __init__(self, asked: PlanAttempt, subpath: Subpath) -> None:
         self.asked = asked
-        length_m = subpath.length_m
-        chords = min(max(math.ceil(length_m / _SPACING_M), 1), _MAX_CHORDS)
-        self._lengths_m = np.linspace(0.0, length_m, chords + 1)
-        points: FloatArray = subpath.points_nea_m(self._lengths_m)
-        self._starts, self._along = points[:-1], np.diff(points, axis=0)
-        self._squares = np.maximum(np.einsum("sk,sk->s", self._along, self._along), 1e-12)
+        self._chords, self._length_m = Chords(subpath), subpath.length_m
         self.last_m = self._at_m = 0.0
 
     @property
     def has_ended(self) -> bool:
         """Whether the vehicle has come to its end."""
-        return float(self._lengths_m[-1]) - self._at_m < _AT_END_M
+        return self._length_m - self._at_m < _AT_END_M
 
     def add(self, at_s: float, here: Vector) -> None:
         """One more position of the track."""
-        to = np.asarray(here) - self._starts  # (S, 3)
-        share = np.clip(np.einsum("sk,sk->s", to, self._along) / self._squares, 0.0, 1.0)
-        rest = to - share[:, None] * self._along
-        squares = np.einsum("sk,sk->s", rest, rest)
-        k = int(squares.argmin())
-        self.last_m = off_m = math.sqrt(float(squares[k]))
-        step_m = self._lengths_m[k + 1] - self._lengths_m[k]
-        self._at_m = at_m = float(self._lengths_m[k] + share[k] * step_m)
+        self.last_m, self._at_m = off_m, at_m = self._chords.nearest(here)
         here_alone = TrackDeviation(
             from_s=at_s,
             until_s=at_s,

@@ -18,6 +18,7 @@ from companion.errors import CompanionError
 from companion.mission.events import End, Outcome
 from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
 from companion.views.output import PatientOutput
+from companion.views.words import clock_text
 
 _SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
 _LOSS_S = 10.0  # of which the share of lost frames is told
@@ -248,10 +249,7 @@ def _to_go(status: FlightStatus) -> str:
         return "-"
     if status.time_left_s is None:
         return _length(status.to_go_m)
-    minutes, seconds = divmod(round(status.time_left_s), 60)
-    hours, minutes = divmod(minutes, 60)
-    clock = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
-    return f"{_length(status.to_go_m)}, in {clock}"
+    return f"{_length(status.to_go_m)}, in {clock_text(round(status.time_left_s))}"
 
 
 def _altitude(status: FlightStatus) -> str:

@@ -66,3 +66,10 @@ def metres(length_m: float) -> str:
     if abs(length_m) >= 10_000.0:
         return f"{length_m / 1000.0:,.1f} km"
     return f"{length_m:,.{0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2}f} m"
+
+
+def clock_text(time_s: float) -> str:
+    """Minutes and seconds, or hours and minutes too."""
+    minutes, seconds = divmod(int(time_s), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"

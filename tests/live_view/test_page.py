@@ -21,7 +21,8 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from programs import free_port
 
 from companion.geodesy import FloatArray
-from companion.live_view.server import Asked, serve
+from companion.live_view.command import Asked
+from companion.live_view.server import serve
 
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),

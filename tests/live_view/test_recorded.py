@@ -18,11 +18,12 @@ from websockets.typing import Subprotocol
 
 from companion.config import load_mission
 from companion.errors import InputError
+from companion.live_view.command import Asked
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
 from companion.live_view.page import Flight, Page
 from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
-from companion.live_view.server import Asked, serve
+from companion.live_view.server import serve
 from companion.live_view.shapes import Area, Scale, met
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed

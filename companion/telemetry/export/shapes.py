@@ -1,10 +1,13 @@
 """Curves, circles and polygons as rows of longitude, latitude (WGS84 degrees) and altitude AMSL."""
 
+import math
 from datetime import UTC, datetime, timedelta
+from typing import final
 
 import numpy as np
 
 from companion.geodesy import FloatArray, LocalFrame
+from companion.mission.events import Vector
 from companion.path.subpath import Subpath
 from companion.telemetry.export.track import IntArray, Track
 from companion.world.threats import CircleZone, Radar, Zone
@@ -12,6 +15,7 @@ from companion.world.threats import CircleZone, Radar, Zone
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CURVE_POINTS = 2000
 _CURVE_ERROR_M = 0.25  # a hand's breadth off the curve, which nobody sees
+_CHORD_M, _MAX_CHORDS = 5.0, 400
 _CIRCLE_POINTS, _BALL_RINGS = 72, 13
 MAX_POINTS = 50_000
 """Of a drawn track: more than that, and map programs become slow."""
@@ -123,3 +127,25 @@ def corners(points_m: FloatArray, error_m: float) -> IntArray:
             middle = first + 1 + farthest
             open_parts += [(first, middle), (middle, last)]
     return np.flatnonzero(keeps)
+
+
+@final
+class Chords:
+    """A subpath as chords, from which distances are soon told."""
+
+    def __init__(self, subpath: Subpath) -> None:
+        count = min(max(math.ceil(subpath.length_m / _CHORD_M), 1), _MAX_CHORDS)
+        self._lengths_m = np.linspace(0.0, subpath.length_m, count + 1)
+        points = subpath.points_nea_m(self._lengths_m)
+        self._starts, self._along = points[:-1], np.diff(points, axis=0)
+        self._squares = np.maximum(np.einsum("sk,sk->s", self._along, self._along), 1e-12)
+
+    def nearest(self, place_nea_m: Vector | FloatArray) -> tuple[float, float]:
+        """Distance of a place from the subpath, and the length along it where it is nearest."""
+        to = np.asarray(place_nea_m) - self._starts  # (S, 3)
+        share = np.clip(np.einsum("sk,sk->s", to, self._along) / self._squares, 0.0, 1.0)
+        rest = to - share[:, None] * self._along
+        squares = np.einsum("sk,sk->s", rest, rest)
+        k = int(squares.argmin())
+        step_m = self._lengths_m[k + 1] - self._lengths_m[k]
+        return math.sqrt(float(squares[k])), float(self._lengths_m[k] + share[k] * step_m)
