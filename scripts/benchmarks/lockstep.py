@@ -17,10 +17,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import running
-from one_process import ENVIRONMENTS, Overheard, Tick, flown, understood
+from one_process import Overheard, Tick, flown, understood
 from replay import replayed
 from tapped import end, free_port, start_companion, start_vehicle, udp_socket
 
+from companion.config import folder_of
 from companion.mavlink.dialect import codec
 from companion.mavlink.frames import Receiver, packed
 from companion.runtime.compiler import Planner
@@ -36,8 +37,8 @@ _PATIENCE_S = 600.0
 def flight(name: str, folder: Path) -> float:
     """Both programs in lockstep, recorded in `folder`.  -> times real time, as the vehicle says."""
     port, log = free_port(), folder / "vehicle.log"
-    vehicle = start_vehicle(ENVIRONMENTS / name / "world.toml", port, "--lockstep", log=log)
-    mission = ENVIRONMENTS / name / "mission.toml"
+    vehicle = start_vehicle(folder_of(name) / "world.toml", port, "--lockstep", log=log)
+    mission = folder_of(name) / "mission.toml"
     companion = start_companion(mission, port, folder / "run", "--lockstep")
     try:
         if (code := companion.wait(_PATIENCE_S)) != 0:
@@ -98,7 +99,7 @@ def main() -> int:
                 folder.mkdir()
             found["flight"][name] = max(flight(name, folder) for folder in folders)
             found["replay"][name] = max(again(folder) for folder in folders)
-    overheard = Overheard(Simulation(read_world(ENVIRONMENTS / MISSIONS[0] / "world.toml")))
+    overheard = Overheard(Simulation(read_world(folder_of(MISSIONS[0]) / "world.toml")))
     planner = Planner(lockstep=True)
     planner.wait()
     flown(MISSIONS[0], overheard, planner)

@@ -16,8 +16,7 @@ from typing import Any
 
 import running
 
-import companion
-from companion.config import load_mission, mission_text
+from companion.config import folder_of, load_mission, mission_text
 from companion.mavlink.dialect import codec
 from companion.mavlink.frames import Receiver, packed
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -29,7 +28,6 @@ from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.world import read_world
 
-ENVIRONMENTS = Path(companion.__file__).parent / "environments"
 Tick = tuple[int, list[bytes], list[bytes]]
 """Until when the vehicle flies, what it is told before, and what it says then."""
 
@@ -129,7 +127,7 @@ def main() -> int:
     )
     name, planner = wanted.environment, Planner(lockstep=True)
     planner.wait()
-    world = read_world(ENVIRONMENTS / name / "world.toml")
+    world = read_world(folder_of(name) / "world.toml")
     overheard = Overheard(Simulation(world))
     flown(name, overheard, planner)
     ticks, flight_s = overheard.ticks, overheard.now_us * 1e-6

@@ -23,14 +23,12 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 import in_process
 from pymavlink.dialects.v20 import all as wire
 
-import vehicle_sim
-from companion.config import load_mission
+from companion.config import folder_of, load_mission
 from companion.geodesy import deg_e7
 from companion.mission.state import Reason
 from vehicle_sim.scene import Scene, Upright
 from vehicle_sim.world import World, read_world
 
-_WORLDS = Path(vehicle_sim.__file__).parents[1] / "companion" / "environments"
 _MISSIONS = ("forest", "street")
 _AHEAD_M = (15.0, 10.0, 6.0, 4.0)
 _RADIUS_M = 0.3
@@ -42,7 +40,7 @@ _SETPOINT = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 
 def open_world(name: str) -> World:
     """That of a bundled mission, without anything that stands in it."""
-    world = read_world(_WORLDS / name / "world.toml")
+    world = read_world(folder_of(name) / "world.toml")
     return replace(world, woods=(), walls=(), buildings=(), trees=(), wires=())
 
 

@@ -11,16 +11,15 @@ of the way to all things there are.  Held: not arrived, nothing touched.
 import math
 import sys
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import running
-import tomlkit
 import woods_rivals
 from numpy.typing import NDArray
 from popup import Flight
 
+from companion.config import folder_of, load_mission
 from companion.mission.state import OVER, Phase
 from vehicle_sim.world import World, read_world
 
@@ -30,14 +29,13 @@ RIVALS: dict[str, type[woods_rivals.Bendy | woods_rivals.AStar]] = {
     "A*": woods_rivals.AStar,
 }
 PILOTS = ("companion", *RIVALS)
-HERE = Path(__file__).parents[2] / "companion" / "environments"
 
 LIMIT_S = 900.0
 
 
 def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
     """One flight: what came of it."""
-    truth = read_world(HERE / name / "world.toml").with_woods_of(seed)
+    truth = read_world(folder_of(name) / "world.toml").with_woods_of(seed)
     if pilot in RIVALS:
         seconds, track = woods_rivals.fly(name, truth, seed, RIVALS[pilot])
         found = {"seconds": seconds, "holds": None, "end": None, **_told(truth, track)}
@@ -128,8 +126,7 @@ def main() -> int:
         touched = [each for each in mine if each["nearest_m"] <= 0.0]
         nearest_m = min(each["nearest_m"] for each in mine)
         if pilot not in RIVALS:
-            mission = tomlkit.parse((HERE / name / "mission.toml").read_text(encoding="utf-8"))
-            safety_m = mission["planner"]["safety_distance_m"]
+            safety_m = load_mission(name).task.settings.safety_distance_m
             bars.append(running.least(f"{name}: least distance, m", nearest_m, safety_m))
             silent = sum(not each["end"] for each in mine if each not in arrived)
             bars.append(running.most(f"{name}: ended without a reason", silent, 0))

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
-from woods import HERE, true_gap_m
+from woods import true_gap_m
 from woods_rivals import AStar, Bendy, Clearances, a_star
 
+from companion.config import folder_of
 from companion.world.near_map import NearMap, Rules
 from companion.world.rays import Lattice
 from vehicle_sim.world import read_world
@@ -117,7 +118,7 @@ def test_where_nothing_stands_both_fly_to_the_target() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_least_distance_is_that_of_the_simulators_scene(seed: int) -> None:
-    world = read_world(HERE / "forest" / "world.toml")
+    world = read_world(folder_of("forest") / "world.toml")
     ends = np.random.default_rng(seed).uniform((0, 0, 395), (300, 300, 425), size=(3, 3))
     along = np.linspace(0.0, 1.0, 5000)[:, None]
     way = np.concatenate([a + along * (b - a) for a, b in pairwise(ends)])
@@ -126,5 +127,5 @@ def test_the_least_distance_is_that_of_the_simulators_scene(seed: int) -> None:
 
 
 def test_who_flies_through_a_house_has_touched_it() -> None:
-    world = read_world(HERE / "street" / "world.toml")
+    world = read_world(folder_of("street") / "world.toml")
     assert true_gap_m(world, np.array([[50.0, -30.0, 415.0], [50.0, 0.0, 415.0]])) < 0.051

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from companion import extras
-from companion.campaign import families, truth
+from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.rivals import a_star, flight, ours
 from companion.campaign.rivals.measure import measured
