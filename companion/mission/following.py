@@ -9,7 +9,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import traffic
+from companion.mission import joining, traffic
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
 from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
@@ -26,8 +26,6 @@ from companion.planner.procedure import (
     off_path_m,
     sent_pose,
 )
-from companion.planner.request import FlownSegment
-from companion.planner.settings import Task
 
 _DEPARTURE = 3.0  # tracking errors off the path
 _NOT_TAKEN_S = 2.0
@@ -99,26 +97,7 @@ def advance_reference(state: State, event: Position) -> Flight:
     )
     if flight.next_leg is None or reference.length_m < leg.successor_at_m(task) - _ROUNDING_M:
         return flight
-    return switched_to_next_leg(flight, leg, task)
-
-
-def switched_to_next_leg(flight: Flight, leg: Leg, task: Task) -> Flight:
-    """Switch to the next leg: the reference point has reached p_prog of this one."""
-    over_at_m, reference = leg.successor_at_m(task), flight.reference
-    return replace(
-        flight,
-        leg=flight.next_leg,
-        next_leg=None,
-        reference=Reference(
-            length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
-        ),
-        joined_m=0.0,
-        search=None,
-        troubles=0,
-        shortfall=Reason.NO_PLAN,
-        legs_flown=flight.legs_flown + 1,
-        flown=_flown_segments(flight, over_at_m),
-    )
+    return joining.switched_to_next_leg(flight, leg, task)
 
 
 def departure_reason(state: State, flight: Flight, event: Position) -> Reason | None:
@@ -300,7 +279,7 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
     """The flight without a leg: the next one begins where the vehicle stops."""
     return replace(
         flight,
-        flown=_flown_segments(flight, flight.reference.length_m),
+        flown=joining.flown_segments(flight, flight.reference.length_m),
         leg=None,
         next_leg=None,
         reference=Reference(),
@@ -319,17 +298,6 @@ def at_rest_at_end(flight: Flight) -> Flight:
         return at_rest(flight, flight.hover_nea_m)
     end_m = leg.subpath.length_m if flight.stop is None else flight.stop.at_m
     return at_rest(flight, leg.subpath.pose(end_m).point_nea_m)
-
-
-def _flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
-    """The flown segments, including this leg up to a length."""
-    leg = flight.leg
-    if leg is None or flight.returning:
-        return flight.flown
-    control = leg.subpath.control_nea_m
-    return *flight.flown, FlownSegment(
-        control_nea_m=control, from_m=flight.joined_m, until_m=until_m
-    )
 
 
 def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight, list[Command]]:

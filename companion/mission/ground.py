@@ -194,6 +194,7 @@ def _in_flight(state: State) -> Step:
         return state, [], None
     if not state.targets_ne_m:
         return give_up(state, Reason.NO_TARGETS)
+    state = replace(state, flight=joining.along_leg(state))
     mode = state.vehicle.mode
     if state.orders.active is not None or state.taken or state.flight.returning:
         ours = mode in (Mode.GUIDED, Mode.HOLD) and not state.taken

@@ -1,4 +1,4 @@
-"""Rejoining a path: after a restart, and for the backtrack."""
+"""From leg to leg, and back to a path: after a restart, and for the backtrack."""
 
 import math
 
@@ -6,9 +6,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission.events import Vector
-from companion.mission.state import Answered, Flight, State
+from companion.mission.state import Answered, Flight, Reason, State
 from companion.planner import join
 from companion.planner.procedure import Leg, Reference
+from companion.planner.request import FlownSegment
+from companion.planner.settings import Task
 
 _SPACING_M = 1.0
 _MAX_SAMPLES = 1000
@@ -38,30 +40,67 @@ def joined(state: State) -> Flight | None:
     limits = state.task.limits
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
-    went_over = leg is flight.next_leg
+    if leg is flight.next_leg:
+        flight = switched_to_next_leg(flight, flight.leg, state.task)
     pose = leg.subpath.pose(at_m)
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
-    ends = went_over or flight.next_leg is None
-    if vehicle.traits.hovers and ends:  # what it cannot brake from by then is offset
+    if vehicle.traits.hovers and flight.next_leg is None:  # what it cannot brake from is offset
         speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m, limits.overrun_m))
     circling = not vehicle.traits.hovers and off_m > limits.tracking_error_m
     flight = replace(
         flight,
-        leg=leg,
-        next_leg=None if went_over else flight.next_leg,
-        legs_flown=flight.legs_flown + (1 if went_over else 0),
+        flown=flown_segments(flight, at_m),
         reference=Reference(length_m=at_m, speed_m_s=speed),
         circling=circling,
         joined_m=at_m,
         progress_at_s=state.now_s,
         hover_nea_m=pose.point_nea_m if circling else None,
-        search=None if went_over or flight.next_leg is None else Answered(),
+        search=None if flight.next_leg is None else Answered(),
     )
     if vehicle.traits.hovers:
         offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
         flight = replace(flight, offset=offset)
     return flight
+
+
+def switched_to_next_leg(flight: Flight, leg: Leg, task: Task) -> Flight:
+    """Switch to the next leg: the reference point has reached p_prog of this one."""
+    over_at_m, reference = leg.successor_at_m(task), flight.reference
+    return replace(
+        flight,
+        leg=flight.next_leg,
+        next_leg=None,
+        reference=Reference(
+            length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
+        ),
+        joined_m=0.0,
+        search=None,
+        troubles=0,
+        shortfall=Reason.NO_PLAN,
+        legs_flown=flight.legs_flown + 1,
+        flown=flown_segments(flight, over_at_m),
+    )
+
+
+def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
+    """The flown segments, including this leg up to a length."""
+    leg = flight.leg
+    if leg is None or flight.returning:
+        return flight.flown
+    control = leg.subpath.control_nea_m
+    return *flight.flown, FlownSegment(
+        control_nea_m=control, from_m=flight.joined_m, until_m=until_m
+    )
+
+
+def along_leg(state: State) -> Flight:
+    """The flight with its reference where the leg is nearest to the vehicle: it has come so far."""
+    flight, here = state.flight, state.vehicle.position_nea_m
+    if flight.leg is None or here is None:
+        return flight
+    _, at_m = nearest(flight.leg, here)
+    return replace(flight, reference=Reference(length_m=max(at_m, flight.joined_m)))
 
 
 def _led(state: State) -> tuple[Vector, Vector] | None:

@@ -12,6 +12,8 @@ from companion.ranges import Positive
 from companion.world.known_map import KnownMap
 from companion.world.near_map import NearSensor
 
+_LEFT = 0.1  # of the vehicle's errors: the lowest band that a path is planned in
+
 
 class EndAction(enum.Enum):
     """What the vehicle does at the last target."""
@@ -109,9 +111,10 @@ class Mission:
     def task_to(self, target: int, task: Task) -> Task:
         """The task on the way to a target: with its altitude as the lowest to plan for.
 
-        Lowest is cheapest, so that is where it is flown.  task: as it is now.
+        Lowest is cheapest, so that is where it is flown.  task: as it is now; where the vehicle's
+        own fence has lowered its ceiling below the altitude, a little of the band is left.
         """
         wanted_m = self.altitudes_amsl_m[target] if target < len(self.altitudes_amsl_m) else None
         if wanted_m is None:
             return task
-        return task.no_lower_than(min(wanted_m, task.band_amsl_m[1]))
+        return task.no_lower_than(min(wanted_m, task.band_amsl_m[1] - _LEFT * task.error_m))

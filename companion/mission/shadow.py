@@ -103,7 +103,7 @@ def _follow(state: State, at_m: float) -> Step:
     length_m = max(flight.reference.length_m, at_m)
     flight = replace(flight, reference=Reference(length_m=length_m, speed_m_s=speed))
     if flight.next_leg is not None and length_m >= leg.successor_at_m(task):
-        flight = following.switched_to_next_leg(flight, leg, task)
+        flight = joining.switched_to_next_leg(flight, leg, task)
         return replace(state, flight=flight), [], None
     if leg.subpath.length_m - length_m < 1.0:
         return replace(state, flight=following.at_rest(flight, None)), [], None

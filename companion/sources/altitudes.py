@@ -31,10 +31,16 @@ def about_altitudes(mission: Mission, targets: list[TargetTable], where: str) ->
     Raises InputError about a target that nothing of the band is high enough for, or whose ground
     is not known.
     """
+    lowest_m, top_m = mission.task.band_amsl_m
+    for number, table in enumerate(targets):
+        if table.altitude_amsl_m is not None and table.altitude_amsl_m >= top_m:
+            rule = f"no path lies higher than {top_m:g} m, the ceiling less the vehicle's errors"
+            remedy = "Lower it, or raise altitude.ceiling_amsl_m."
+            field = f"{where}: targets[{number}].altitude_amsl_m"
+            raise InputError(field, table.altitude_amsl_m, rule, remedy)
     may_scan = mission.near is not None or mission.scanner_component_id is not None
     if mission.known is None or may_scan:
         return
-    lowest_m, _ = mission.task.band_amsl_m
     altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
     places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
     for number, (place, wanted_m, table) in enumerate(places):

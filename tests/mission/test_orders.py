@@ -1,6 +1,7 @@
 """What a person has ordered, and was told is done, is done: no older plan or order undoes it."""
 
 import json
+import math
 import operator
 
 import pytest
@@ -124,6 +125,20 @@ def test_a_return_that_is_paused_is_a_return_again(pauses_s: float, continues_s:
     assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
     assert all(plan.request.flown is not None for plan in craft.sent(Plan)[plans:])
     assert craft.end().reason == f"landed: {Reason.RETURN_ASKED.text}"
+
+
+@pytest.mark.parametrize("found_in", [Mode.GUIDED, Mode.HOLD])
+def test_a_companion_started_again_in_flight_knows_the_whole_way_back(found_in: Mode) -> None:
+    craft = under_way().run_for(30.0)
+    restarted(craft)
+    craft.mode = found_in
+    craft.run_for(20.0)
+    tell(craft, OrderKind.RETURN)
+    craft.run_until(lambda craft: craft.state.flight.planning_backtrack is not None)
+    flown = craft.sent(Plan)[-1].request.flown
+    assert flown is not None
+    away_m = math.hypot(*craft.here[:2])
+    assert sum(each.until_m - each.from_m for each in flown) == pytest.approx(away_m, rel=0.01)
 
 
 def test_a_pause_while_the_way_back_is_planned_waits_for_a_word() -> None:

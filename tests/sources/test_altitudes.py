@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -131,6 +132,24 @@ def test_what_the_elevation_file_says_against_an_altitude_is_said_before_take_of
     assert "at 520 is planned at 520 m AMSL and flown at 585 m" in low
     [cut] = over_the_valley(tmp_path, in_the_valley, (2000.0, -1000.0, 521.0)).notes
     assert "straight way to at 521 the ground is too high for 521 m AMSL" in cut
+
+
+@pytest.mark.parametrize("altitude_m", [650.0, 10_000.0])
+def test_an_altitude_above_the_band_is_refused_with_a_radar_too(
+    tmp_path: Path, altitude_m: float
+) -> None:
+    raw, target = (VALLEY / "mission.toml").read_text(encoding="utf-8"), "east_m = 800.0\n"
+    path = tmp_path / "mission.toml"
+    path.write_text(raw.replace(target, f"{target}altitude_amsl_m = {altitude_m}\n"), "utf-8")
+    with pytest.raises(InputError, match=r"targets\[0\].altitude_amsl_m = .*no path lies higher"):
+        load_mission(str(path))
+
+
+def test_a_fence_below_a_targets_altitude_leaves_room_to_plan(tmp_path: Path) -> None:
+    mission = blind(tmp_path, 40.0, 80.0)
+    lowered = replace(mission.task.limits, ceiling_amsl_m=HOME[2] + 75.0)
+    low_m, high_m = mission.task_to(1, replace(mission.task, limits=lowered)).band_amsl_m
+    assert low_m < high_m <= HOME[2] + 75.0
 
 
 def test_a_target_in_a_mountain_is_refused_before_take_off(tmp_path: Path) -> None:
