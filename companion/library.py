@@ -7,7 +7,7 @@ import functools
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import final
 
@@ -24,8 +24,10 @@ from companion.path.limits import Limits
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.offline import OfflineFlight, Scanner, fly_offline
 from companion.planner.plan import plan
+from companion.planner.rules import check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.runtime.compiler import load_kernel
+from companion.sources.schema import keys_of, validated
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain, Terrain
@@ -38,6 +40,7 @@ __all__ = [
 ]  # fmt: skip
 
 _SPACING = 400  # points of the flown path to a scan range
+_NO_NUMBERS = {"overrun_m", "profile", "weights"}  # may be infinite, or are objects
 
 
 @final
@@ -108,6 +111,9 @@ def fly(
 
     InputError: an argument is not understood.
     """
+    if seed < 0 or (most_legs is not None and most_legs < 1):
+        rule = "a seed is 0 or more, and a flight has one leg or more"
+        raise InputError("seed, most_legs", (seed, most_legs), rule, "Raise it.")
     task, start_nea_m, targets, known = _mission(world, mission, start_nea_m, targets_ne_m, known)
     terrain = _terrain(world, task, spacing_m, corner_ne_m)
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
@@ -162,19 +168,49 @@ def _mission(
     known: KnownMap | None,
 ) -> _Mission:
     """The task, start, targets and what is known, from files where they are not given."""
-    targets = tuple((float(north), float(east)) for north, east in targets_ne_m)
+    targets = tuple(
+        (float(north), float(east))
+        for north, east in (_numbers(at, 2, "targets_ne_m") for at in targets_ne_m)
+    )
     if isinstance(mission, str):
         read = load_mission(mission)
+        if read.near is not None:
+            rule = "its scanner is a sensor of near things, and only a terrain radar is simulated"
+            raise InputError("mission", mission, rule, "Fly it: scripts/fly.")
         task, targets, known = read.task, targets or read.targets_ne_m, known or read.known
         if start_nea_m is None and isinstance(world, str):
             start_nea_m = (*load_world(world).start_ne_m, read.task.take_off_amsl_m)
     else:
-        task = mission
+        task = _checked(mission)
     if start_nea_m is None:
         raise InputError("start_nea_m", None, "it is not known", "Give north, east, altitude.")
+    north_m, east_m, altitude_m = _numbers(start_nea_m, 3, "start_nea_m")
     if not targets:
         raise InputError("targets_ne_m", (), "there is none", "Give (north, east) of each.")
-    return task, start_nea_m, targets, known
+    return task, (north_m, east_m, altitude_m), targets, known
+
+
+def _numbers(place: Sequence[float], count: int, field: str) -> list[float]:
+    """A place as so many finite numbers."""
+    if np.shape(place) != (count,) or not np.isfinite(found := np.asarray(place, float)).all():
+        raise InputError(field, place, f"it is not {count} finite numbers", "Give metres.")
+    return found.tolist()
+
+
+def _checked(task: Task) -> Task:
+    """Hold a task that comes from no file to the rules of mission files."""
+    for where, held in (("limits", task.limits), ("settings", task.settings)):
+        values = {each.name: getattr(held, each.name) for each in fields(held)}
+        table = {
+            name: value.item() if isinstance(value, np.generic) else value
+            for name, value in values.items()
+            if name not in _NO_NUMBERS
+        }
+        validated(keys_of(type(held), *table), table, where)
+    check_task(task)
+    if task.settings.optimiser is not None:
+        OPTIMISERS.chosen(task.settings.optimiser, "settings.optimiser")
+    return task
 
 
 def _terrain(

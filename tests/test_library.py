@@ -1,5 +1,6 @@
 """The planner as researchers call it: docs/library.md runs, and what it returns was flown."""
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -143,13 +144,35 @@ def test_numpy_flies_only_where_it_is_asked_for(page: dict[str, Any]) -> None:
         ({"targets_ne_m": ()}, "targets_ne_m"),
         ({"spacing_m": None}, "spacing_m"),
         ({"optimiser": "hope"}, "optimiser"),
+        ({"start_nea_m": (500.0, 500.0)}, "start_nea_m"),
+        ({"targets_ne_m": [(math.nan, 500.0)]}, "targets_ne_m"),
+        ({"seed": -1}, "seed, most_legs"),
+        ({"mission": "forest"}, "mission"),
     ],
 )
 def test_what_is_not_understood_is_named(
     page: dict[str, Any], changes: dict[str, Any], field: str
 ) -> None:
     with pytest.raises(InputError) as refused:
-        fly(page["heights"], page["task"], **WHERE | changes)
+        fly(page["heights"], **{"mission": page["task"]} | WHERE | changes)
+    assert refused.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"scan_range_m": -5.0}, "settings: scan_range_m"),
+        ({"planning_time_s": math.nan}, "settings: planning_time_s"),
+        ({"planning_time_s": 500.0}, "planner.planning_time_s"),
+        ({"optimiser": "hope"}, "settings.optimiser"),
+    ],
+)
+def test_a_task_keeps_to_the_rules_of_mission_files(
+    page: dict[str, Any], changes: dict[str, Any], field: str
+) -> None:
+    task: Task = page["task"]
+    with pytest.raises(InputError) as refused:
+        fly(page["heights"], replace(task, settings=replace(task.settings, **changes)), **WHERE)
     assert refused.value.field == field
 
 
