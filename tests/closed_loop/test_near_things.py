@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import in_process
 import pytest
 import shapely
 from flights import ENVIRONMENTS, Recorded, edited, flown_here
@@ -16,7 +15,6 @@ from companion.config import load_mission
 from companion.mission.state import Reason
 from companion.replay.reproduce import Replay
 from companion.runtime.compiler import load_kernel
-from vehicle_sim.world import read_world
 
 pytestmark = pytest.mark.closed_loop
 
@@ -80,15 +78,11 @@ def mission(folder: Path, *changes: tuple[str, str]) -> Path:
     return edited(forest, folder / "mission.toml", smaller, nearer, *changes)
 
 
-def flown_through(folder: Path, world: Path, faults: str = "") -> in_process.Flight:
-    flight = in_process.Flight(
-        load_mission(str(folder / "mission.toml")), read_world(world), faults=faults
-    )
-    flight.fly()
-    return flight
+def flown_through(folder: Path, world: Path, faults: str = "") -> Recorded:
+    return flown_here(folder / "run", world, folder / "mission.toml", faults=faults)
 
 
-def arrived_clear(flight: Recorded | in_process.Flight) -> None:
+def arrived_clear(flight: Recorded) -> None:
     """Every sample of the truth keeps d_s from all that stands there, and it is at the target."""
     assert flight.outcome == "arrived"
     in_air = [row for row in flight.truth if not row["landed"]]

@@ -5,11 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import NIGHTLY
-from in_process import Flight
+from flights import NIGHTLY, Recorded
 
 from companion.config import load_mission
 from companion.mavlink.preflight import checks_of
+from companion.runtime.compiler import Planner
+from companion.runtime.in_process import fly_in_process
+from companion.session import Session
+from companion.telemetry.run_folder import RunFolder
+from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
 pytestmark = pytest.mark.closed_loop
@@ -38,7 +42,7 @@ def plan(folder: Path, *waypoints: tuple[float, float]) -> Path:
 
 def flight_of(
     mission: Path, autopilot: str, *, faults: str = "", scan_range_m: float | None = None
-) -> Flight:
+) -> tuple[Recorded, Session]:
     """Flown to its end, over level ground at launch."""
     world = flat_world(
         "copter",
@@ -49,12 +53,19 @@ def flight_of(
         heading_deg=0.0,
         scan_range_m=scan_range_m,
     )
-    flight = Flight(load_mission(str(mission)), world, faults=faults)
-    flight.fly(limit_s=2_000.0)
-    return flight
+    session = Session(load_mission(str(mission)), seed=1, lockstep=True)
+    vehicle, flight = (
+        Simulation(world, seed=1, faults=faults),
+        Recorded(folder=mission.parent / "run"),
+    )
+    with RunFolder(flight.folder, mission_toml="", epoch_us=0, durable=False) as run:
+        fly_in_process(session, vehicle, planner=Planner(lockstep=True), folder=run)
+    truth = "\n".join(vehicle.take_truth())
+    (flight.folder / "truth.jsonl").write_text(truth, encoding="utf-8")
+    return flight, session
 
 
-def heights_m(flight: Flight) -> list[tuple[float, float]]:
+def heights_m(flight: Recorded) -> list[tuple[float, float]]:
     """When, and how far above launch it truly was."""
     return [(entry["t_s"], entry["altitude_amsl_m"] - HOME[2]) for entry in flight.truth]
 
@@ -63,10 +74,10 @@ def heights_m(flight: Flight) -> list[tuple[float, float]]:
 def test_a_plan_for_a_vehicle_without_a_radar_is_refused_before_it_is_armed(
     tmp_path: Path, autopilot: str
 ) -> None:
-    flight = flight_of(plan(tmp_path, (0.003, 40.0)), autopilot)
+    flight, session = flight_of(plan(tmp_path, (0.003, 40.0)), autopilot)
     assert flight.outcome == "failed"
-    assert not {"arm", "take off"} & {entry["kind"] for entry in flight.journal}
-    said = " ".join(f"{each.what}. {each.remedy}" for each in checks_of(flight.session))
+    assert not {"arm", "take off"} & set(flight.kinds)
+    said = " ".join(f"{each.what}. {each.remedy}" for each in checks_of(session))
     for part in ("did not answer TERRAIN_REQUEST", "scanner = false", "highest_amsl_m"):
         assert part in said
 
@@ -78,7 +89,7 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
     plan(tmp_path, (0.0012, 40.0), (0.0024, 60.0))
     mission = tmp_path / "mission.toml"
     mission.write_text(STATED, encoding="utf-8")
-    flight = flight_of(mission, autopilot)
+    flight, _ = flight_of(mission, autopilot)
     assert flight.outcome == "arrived"
     assert "mission field" in flight.says
     reached = [e["t_s"] for e in flight.journal if e.get("text") == "target reached"]
@@ -105,7 +116,7 @@ def test_a_flight_that_fails_comes_back_the_way_it_came_and_lands(
     mission = tmp_path / "mission.toml"
     mission.write_text('plan = "field.plan"\n[planner]\nscan_range_m = 600.0\n', encoding="utf-8")
     plan(tmp_path, (0.02, 60.0))
-    flight = flight_of(mission, autopilot, faults=f"at 100 s: {fault}\n", scan_range_m=600.0)
+    flight, _ = flight_of(mission, autopilot, faults=f"at 100 s: {fault}\n", scan_range_m=600.0)
     assert flight.outcome == "failed"
     assert any(text.endswith(": flying back and landing") for text in flight.says)
     assert flight.end["reason"].startswith("landed: ")
