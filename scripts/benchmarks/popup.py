@@ -14,19 +14,19 @@ nobody can stop it.  1 if one was touched that was farther away.
 import math
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import running
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-import in_process
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import folder_of, load_mission
 from companion.geodesy import deg_e7
 from companion.mission.state import Reason
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_kernel
+from companion.session import Session
 from vehicle_sim.scene import Scene, Upright
+from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import World, read_world
 
 _MISSIONS = ("forest", "street")
@@ -44,20 +44,40 @@ def open_world(name: str) -> World:
     return replace(world, woods=(), walls=(), buildings=(), trees=(), wires=())
 
 
-class Flight(in_process.Flight):
+class Flight:
     """One flight, until some seconds after the post has appeared."""
 
     def __init__(self, name: str, seed: int, world: World | None = None) -> None:
         """world: by default that of the mission, without anything that stands in it."""
-        super().__init__(load_mission(name), world or open_world(name), seed=seed)
+        self.mission = load_mission(name)
+        self.session = Session(self.mission, seed=seed, lockstep=True)
+        self.simulation = Simulation(world or open_world(name), seed=seed)
         self.setpoints: list[float] = []
         """When they were sent."""
-        self._parser = wire.MAVLink(None)
+        self._parser, self._kernel = wire.MAVLink(None), load_kernel()
+        self._asked: Any = None
 
-    def sends(self, frame: bytes) -> None:
-        for message in self._parser.parse_buffer(frame) or ():
-            if message.get_msgId() == _SETPOINT:
-                self.setpoints.append(self.now_s)
+    @property
+    def now_s(self) -> float:
+        return self.simulation.now_us * 1e-6
+
+    def step(self) -> None:
+        """One step of the simulator, and all that the companion says to it."""
+        self.simulation.step()
+        for _, frame in self.simulation.take_frames():
+            self.session.receive(frame, self.now_s)
+            out = self.session.run()
+            while True:
+                self._asked = out.plan or self._asked
+                for sent in out.frames:
+                    for message in self._parser.parse_buffer(sent) or ():
+                        if message.get_msgId() == _SETPOINT:
+                            self.setpoints.append(self.now_s)
+                    self.simulation.receive(0, sent)
+                if not out.awaits_plan:
+                    break
+                self.session.deliver(plan(self._asked, lambda: False, self._kernel))
+                out = self.session.run()
 
     def place(self, ahead_m: float) -> Upright:
         """A post before the copter, and in the simulator's world from now on."""
