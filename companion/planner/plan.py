@@ -333,7 +333,7 @@ class _Plan:
 
     def _price(self, planned: Planned) -> float:
         """The cost by which candidates of different searches are compared."""
-        task, total = self._request.task, planned.cost + planned.to_go
+        task, total = self._request.task, self._cost(planned)
         if planned.reaches_target:
             return total
         scan, end = self._request.scan_nea_m, planned.subpath.control_nea_m[-1]
@@ -346,7 +346,15 @@ class _Plan:
         range_m = self._request.task.settings.scan_range_m
         cost_of_r = self._per_metre * range_m
         promised_m = self._promised_m(self._request.start.point_nea_m)
-        return (planned.cost + planned.to_go) / max(cost_of_r, 1e-9) - promised_m / range_m
+        return self._cost(planned) / max(cost_of_r, 1e-9) - promised_m / range_m
+
+    def _cost(self, planned: Planned) -> float:
+        """Cost of a subpath and of what follows; the mean of the radar term stands for R."""
+        total, settings = planned.cost + planned.to_go, self._request.task.settings
+        if planned.reaches_target:
+            share = planned.subpath.length_m / settings.scan_range_m
+            total -= (1.0 - min(share, 1.0)) * settings.weights.radar * planned.terms["radar"]
+        return total
 
     def _promised_m(self, place_nea_m: tuple[float, float, float]) -> float:
         """The predicted minimum cost from a place to the target, in metres of level flight."""

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequ
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.terrain import PeakTerrain
+from companion.world.threats import Radar
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)
@@ -81,6 +83,17 @@ def test_the_flight_arrives_at_the_target(flight: OfflineFlight) -> None:
     assert [leg.number for leg in flight.legs] == list(range(1, len(flight.legs) + 1))
     assert not any(leg.reaches_target for leg in flight.legs[:-1])
     assert len(flight.plans) == len(flight.scans_nea_m) == len(flight.legs) >= 4
+
+
+def test_a_target_in_the_middle_of_a_radar_is_flown_to(
+    task: Task, blank: KnownMap, truth: KnownMap
+) -> None:
+    target = (1_200.0, 3_000.0)
+    watched = Radar(name="r", centre_nea_m=(*target, 0.0), range_m=1_200.0)
+    among = replace(task, radars=(watched,))
+    flight = fly(among, blank, truth, Refusing(), targets=(target,))
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 2.0 * math.dist(START[:2], target)
 
 
 def curvature_1_m(first: np.ndarray, second: np.ndarray) -> np.ndarray:
