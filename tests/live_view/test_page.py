@@ -132,13 +132,17 @@ def clicked(page: Page, place: Place, label: str = "new target") -> str:
     """An order with a place, by a click on the scene; what the page says that came of it."""
     button = page.get_by_role("button", name=label, exact=True)
     told = page.locator(".mantine-Notification-root", has_text=re.compile(f"^{label}click on"))
-    for _ in range(2):  # who is impatient is asked once all the same
+    expect(told).to_have_count(0)  # of an order before
+    for times in (1, 2):  # who is impatient is asked once all the same
         button.press("Enter")
-    expect(told.last).to_be_visible()
-    scene = page.locator(_SCENE)
-    box = scene.bounding_box()
+        expect(told).to_have_count(times)
+    box = page.locator(_SCENE).bounding_box()
     assert box is not None
-    scene.click(position={"x": place[0] * box["width"], "y": place[1] * box["height"]})
+    at = [box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"]]
+    # no click of the locator: that waits until the picture stands still, half a minute here
+    free = f"at => document.elementFromPoint(...at).matches('{_SCENE}')"  # no question is over it
+    page.wait_for_function(free, arg=at, polling=100)
+    page.mouse.click(*at)
     return confirmed(page, label)
 
 
