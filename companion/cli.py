@@ -1,6 +1,8 @@
 """The command line: fly, plan, check, compare."""
 
 import contextlib
+import io
+import os
 import platform
 import sys
 import time
@@ -45,7 +47,7 @@ from companion.runtime.loop import fly
 from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
 from companion.session import Session
-from companion.sources.files import picture_file, writing
+from companion.sources.files import picture_file, remove_torn, writing
 from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
@@ -400,8 +402,19 @@ def _common(
     """Options that come before the command."""
 
 
+def _make_streams_usable() -> None:
+    """Closed standard streams become empty ones; what they cannot encode is written as numbers."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115, PTH123 - kept
+        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="backslashreplace")
+
+
 def main() -> None:
     """Entry point: every expected failure is one line and an exit code."""
+    _make_streams_usable()
     try:
         code = app(standalone_mode=False)
     except CompanionError as error:
@@ -556,16 +569,17 @@ def _keep_time(key: SigningKey, signing: Signing | None) -> None:
 
 def _show(flown: FlightSummary, folder: RunFolder, console: Console) -> None:
     """The summary and the picture of a flight; without a terminal, or on a full disk, less."""
-    lines = [f"run folder: {folder.path}"]
+    lines, picture = [f"run folder: {folder.path}"], folder.path / "flight.png"
     if folder.failure is not None:
         lines.insert(0, f"recording stopped: {folder.failure}")
     with contextlib.suppress(OSError):
         console.print(flight_table(flown))
     try:
         if flown.heard:
-            draw_flown(flown, folder.path / "flight.png")
+            draw_flown(flown, picture)
     except OSError as error:
-        lines.insert(0, f"no picture: {error}")
+        remove_torn(picture, error)
+        lines.insert(0, f"no picture: {error.strerror or error}")
     with contextlib.suppress(OSError):
         for line in lines:
             console.out(line, highlight=False)

@@ -1,8 +1,11 @@
+import io
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
+import companion
 from companion import cli
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 
@@ -58,3 +61,29 @@ def test_a_crash_is_a_traceback_and_an_exit_code_that_no_decision_has(
         cli.main()
     assert ended.value.code == CRASHED
     assert "ZeroDivisionError: made up" in capsys.readouterr().err
+
+
+def test_ctrl_c_while_the_program_is_loaded_is_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "main", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        companion.main()
+    assert ended.value.code == STOPPED
+
+
+def test_closed_streams_and_poor_encodings_are_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, "stdin", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii"))
+    monkeypatch.setattr(sys, "argv", ["companion", "check", "nowhere"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == InputError.exit_code
+    with sys.stdin, sys.stderr:
+        assert sys.stdin.read() == ""
+    sys.stdout.write("run folder: Übung")
+    sys.stdout.flush()
+    assert shown.getvalue() == rb"run folder: \xdcbung"

@@ -4,8 +4,9 @@ import dataclasses
 import importlib.metadata
 import importlib.util
 import math
+import os
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -188,9 +189,14 @@ def _ending(simulations: list[Simulation], wall_s: float) -> str:
 
 
 def _say(line: str) -> None:
-    """Print and flush: the parent process waits for the port in the first line."""
-    typer.echo(line)
-    sys.stdout.flush()
+    """Print and flush: the parent process waits for the port in the first line.
+
+    A reader that has gone, or a full disk, does not end a flight.
+    """
+    try:
+        typer.echo(line)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _open_all(stack: ExitStack, endpoints: list[Endpoint]) -> list[Link]:
@@ -358,8 +364,9 @@ def _world_path(name: str) -> Path:
     bundled = bundled_worlds()
     if name in bundled:
         return bundled[name]
-    if Path(name).is_file():
-        return Path(name)
+    with suppress(OSError):  # of a name that is too long
+        if Path(name).is_file():
+            return Path(name)
     known = ", ".join(bundled) or "(none is installed)"
     rule = "neither a bundled world nor a file"
     raise InputError(

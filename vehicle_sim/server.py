@@ -5,7 +5,7 @@ import select
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO, final
@@ -163,7 +163,7 @@ class Server:
             if flush:
                 file.flush()
         except OSError as error:
-            self._say(f"{file.name} stopped: {error}")
+            self._say(f"{file.name} stopped: {error.strerror or error}")
             self._truths[number] = None
 
     # --- in -----------------------------------------------------------------------------------
@@ -297,6 +297,12 @@ class Server:
         return time.monotonic() - start_s
 
 
+def _close(file: TextIO) -> None:
+    """Close it; of a full disk it has been told."""
+    with suppress(OSError):
+        file.close()
+
+
 @contextmanager
 def truth_files(folder: Path | None, names: Sequence[str]) -> Iterator[list[TextIO | None]]:
     """FOLDER/NAME for each name, opened for writing; None for each without a folder."""
@@ -306,10 +312,11 @@ def truth_files(folder: Path | None, names: Sequence[str]) -> Iterator[list[Text
     with ExitStack() as stack:
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            files: list[TextIO | None] = [
-                stack.enter_context((folder / name).open("w", encoding="utf-8", newline="\n"))
-                for name in names
-            ]
+            files: list[TextIO | None] = []
+            for name in names:
+                file = (folder / name).open("w", encoding="utf-8", newline="\n")
+                stack.callback(_close, file)
+                files.append(file)
         except OSError as error:
             rule = f"cannot be written to ({error.strerror})"
             raise InputError("--out", str(folder), rule, "Name another folder.") from None

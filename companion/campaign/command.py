@@ -127,6 +127,13 @@ def run_command(
                 "The same command goes on."
             )
             raise typer.Exit(_INTERRUPTED) from None
+        except OSError as error:
+            where = error.filename or path
+            rule = f"{where} cannot be written to ({error.strerror or error})"
+            remedy = (
+                f"Make room: the same command goes on from {len(store.done)} of {len(runs)} runs."
+            )
+            raise InputError("--out", str(path), rule, remedy) from error
     took_s = time.perf_counter() - began_s
     said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     console.print(f"{len(todo)} runs in {took_s:.0f} s: {said or 'nothing to do'}", highlight=False)

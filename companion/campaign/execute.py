@@ -28,7 +28,7 @@ _AHEAD = 4
 
 
 def fly_locally(runs: Sequence[Run], out: Path, jobs: int) -> Iterator[Row]:
-    """On so many cores, each run in one of as many processes."""
+    """On so many cores, each run in one of as many processes.  OSError: no room for a folder."""
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
     if runs:
@@ -54,7 +54,9 @@ def _until_broken(
                     waiting[submit(fly_run, run, out)] = run
                 done, _ = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in done:
-                    if future.exception() is None:
+                    if isinstance(error := future.exception(), OSError):
+                        raise error
+                    if error is None:
                         del waiting[future]
                         yield future.result()
                 if waiting.keys() & done:

@@ -4,6 +4,7 @@ A run is a function of its values: wherever and however often it is flown, the r
 but for the columns of `row.TIMING`.
 """
 
+import errno
 import math
 import os
 import platform
@@ -59,6 +60,7 @@ _MOST_GROWTH_MB = 10.0
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
 _OF_PLACE = ("mission", "family", "family_seed", "family_index", "vehicles")
 _ROOT = "runs"
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 _SUMS = (
     *("plans", "holds", "subpaths", "subpaths_checked", "violations", "straight_m", "length_m"),
     *("cost", "cost_length", "cost_height", "cost_radar", "radar_m"),
@@ -67,7 +69,10 @@ _SUMS = (
 
 
 def fly_run(run: Run, out: Path) -> Row:
-    """Fly a run; its folder, if it is kept, is in `out`.  Whatever it raises is in the row."""
+    """Fly a run; its folder, if it is kept, is in `out`.  Whatever it raises is in the row.
+
+    OSError if there is no room for its folder: that is no result of the run.
+    """
     began_s, cpu_s = time.perf_counter(), _cpu_s()
     kept = run.keep != "none"
     room = out / _ROOT if kept else Path(tempfile.gettempdir())
@@ -76,6 +81,10 @@ def fly_run(run: Run, out: Path) -> Row:
     try:
         found = _flown(run, folder)
     except Exception as error:  # noqa: BLE001 - one run does not end a campaign
+        cause = error.__cause__ or error
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise OSError(cause.errno, cause.strerror, str(room)) from None
         text = " ".join(f"{type(error).__name__}: {error}".split())
         found = {"outcome": "error", "arrived": False, "error": text}
     failed = not found["arrived"] or bool(found.get("violations"))

@@ -69,7 +69,7 @@ class Store:
     def _begin(self, text: str, facts: dict[str, Any]) -> None:
         runs = self.folder / _RUNS
         if runs.exists():
-            if json.loads(runs.read_bytes())["digest"] != facts["digest"]:
+            if facts_of(self.folder).get("digest") != facts["digest"]:
                 rule = "it holds another campaign, or the same with other options"
                 raise InputError("--out", str(self.folder), rule, "Give a new folder.")
             return

@@ -53,6 +53,7 @@ class Batch:
 
 WRITER = "writer"
 """The name of the part."""
+_STATE = "state for --resume"
 
 
 class Writer(Protocol):
@@ -130,7 +131,7 @@ class WriterThread:
         self._recorder, self._on_loss = recorder, on_loss
         self._batches: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
         self._put_bytes = self._written_bytes = 0  # each is changed by one thread only
-        self._told = False
+        self._told = set[str]()
         self._done = threading.Event()
 
     def put(self, batch: Batch) -> None:
@@ -176,10 +177,11 @@ class WriterThread:
         return first
 
     def _tell(self) -> None:
-        failure = self._recorder.folder.failure
-        if failure is not None and not self._told:
-            self._told = True
-            self._on_loss(Failure(part=WRITER, error=failure))
+        folder = self._recorder.folder
+        for part, error in ((WRITER, folder.failure), (_STATE, folder.unsaved)):
+            if error is not None and part not in self._told:
+                self._told.add(part)
+                self._on_loss(Failure(part=part, error=error))
 
     def close(self) -> None:
         """Wait until all is written, as long as there is progress."""

@@ -1,5 +1,6 @@
 """Text files as users have them: read, or refused in one line."""
 
+import errno
 import json
 import re
 import tomllib
@@ -64,8 +65,15 @@ def writing(option: str, path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        remove_torn(path, error)
         rule = f"not written ({error.strerror or error})"
         raise InputError(option, str(path), rule, "Give a file that can be written.") from error
+
+
+def remove_torn(path: Path, error: OSError) -> None:
+    """Remove the file that a full disk took only a part of."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT) and answer(path.is_file):
+        path.unlink()
 
 
 def picture_file(option: str, path: Path) -> Path:

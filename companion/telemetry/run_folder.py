@@ -16,6 +16,7 @@ replaced as a whole: there is always a whole one, older or newer.  They are forc
 so that a power cut does not take them, except where the vehicle is simulated and waits (`durable`).
 """
 
+import fcntl
 import io
 import os
 import struct
@@ -81,13 +82,15 @@ class RunFolder:
 
         durable: replaced files survive a power cut, not only this process.
 
-        resume: append to the folder's contents.  InputError if it cannot be written to, or holds a
-        flight that is not to be resumed; a resumed flight goes on without being recorded
-        (`failure`).
+        resume: append to the folder's contents.  InputError if it cannot be written to, is
+        written to by another process, or holds a flight that is not to be resumed; a resumed
+        flight goes on without being recorded (`failure`).
         """
         self.path = path
         self.failure: str | None = None
         """Why recording has stopped; the flight goes on."""
+        self.unsaved: str | None = None
+        """Why the flight's state could not be saved for a restart; what grows is still recorded."""
         self.facts: dict[str, Any] = {}
         """More for run.json."""
         self.epoch_us = epoch_us
@@ -96,6 +99,7 @@ class RunFolder:
         self._tlog: io.FileIO | None = None
         self._journal: io.FileIO | None = None
         self._inputs: io.FileIO | None = None
+        self._locked: io.FileIO | None = None
         held: list[str] = []
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -105,6 +109,7 @@ class RunFolder:
                 raise InputError("--out", str(path), rule, "Give a new folder, or --resume.")
             if "mission.toml" not in held:
                 _replace(path / "mission.toml", mission_toml.encode(), durable=durable)
+            self._lock()
             if held:
                 self._go_on(set_aside)
             self._tlog = (path / "flight.tlog").open("ab", buffering=0)
@@ -116,6 +121,18 @@ class RunFolder:
                 return
             rule = f"it cannot be written to ({error.strerror})"
             raise InputError("--out", str(path), rule, "Give a folder that can be.") from error
+
+    def _lock(self) -> None:
+        """Keep others from appending to the same files, until it is closed or this process ends."""
+        self._locked = (self.path / "mission.toml").open("rb", buffering=0)
+        try:
+            fcntl.flock(self._locked, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self._locked.close()
+            rule, remedy = "another companion records its flight there", "End it, or give another."
+            raise InputError("--out", str(self.path), rule, remedy) from error
+        except OSError:
+            return  # a file system without locks
 
     def _go_on(self, set_aside: Sequence[str]) -> None:
         """Truncate the incomplete records of a killed companion."""
@@ -186,7 +203,8 @@ class RunFolder:
             inputs_bytes=0 if self._inputs is None else self._inputs.tell(),
             values=dict(values),
         )
-        self._replace("resume.json", lambda: journal_line(head))
+        error = self._replace("resume.json", lambda: journal_line(head))
+        self.unsaved = self.unsaved or error
 
     def known_map(self, known: KnownMap) -> None:
         """Replace the known map.  A full disk leaves the previous one."""
@@ -207,7 +225,7 @@ class RunFolder:
 
     def close(self) -> None:
         """Close the files."""
-        for file in (self._tlog, self._journal, self._inputs):
+        for file in (self._tlog, self._journal, self._inputs, self._locked):
             if file is not None:
                 file.close()
 

@@ -22,7 +22,7 @@ from companion.views.words import clock_text
 
 _SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
 _LOSS_S = 10.0  # of which the share of lost frames is told
-_CRASHED = 70
+_CRASHED, _INTERRUPTED = 70, 130
 
 _CELL, _CELLS = 40, 3  # columns that a value takes with its heading, and values in a row at most
 _HEADING = 9
@@ -129,7 +129,9 @@ class MachineLines:
         self, _: object, error: BaseException | None, _trace: TracebackType | None
     ) -> None:
         code = 0 if error is None else getattr(error, "exit_code", _CRASHED)
-        if self.end is None or isinstance(error, CompanionError):
+        if isinstance(error, KeyboardInterrupt):
+            outcome, reason, code = Outcome.STOPPED, "stopped by a person", _INTERRUPTED
+        elif self.end is None or isinstance(error, CompanionError):
             outcome, reason = Outcome.FAILED, f"{error}"
         else:
             outcome, reason = self.end.outcome, self.end.reason

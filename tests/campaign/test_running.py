@@ -1,5 +1,6 @@
 """A campaign's data set is the same however it is flown, and whatever dies meanwhile."""
 
+import errno
 import json
 import os
 import shlex
@@ -232,6 +233,32 @@ def test_a_run_that_raises_is_a_row(tmp_path: Path) -> None:
     assert row.outcome == "error"
     assert row.error
     assert "\n" not in row.error
+
+
+@pytest.mark.parametrize(
+    "place", ["companion.campaign.run._flown", "companion.campaign.store.Store.add"]
+)
+def test_a_full_disk_is_one_line_and_no_result(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither of a run, nor of the campaign: it is gone on with when there is room."""
+
+    def in_this_process(runs: list[Run], out: Path, _jobs: int) -> Iterator[Row]:
+        yield from (fly_run(run, out) for run in runs)
+
+    def full(*_: object) -> Any:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    file = campaign_file(tmp_path, PLANNED)
+    command = ["run", str(file), "--out", str(tmp_path / "out"), "--only", "0"]
+    monkeypatch.setattr("companion.campaign.execute.fly_locally", in_this_process)
+    with monkeypatch.context() as filled:
+        filled.setattr(place, full)
+        with pytest.raises(InputError, match=r"No space left.*goes on from 0 of 1 runs") as refused:
+            campaign_command(*command)
+    assert "\n" not in str(refused.value)
+    campaign_command(*command)
+    assert {row.error for row in read_campaign(tmp_path / "out").rows} == {None}
 
 
 @pytest.mark.parametrize(

@@ -384,6 +384,27 @@ def test_a_disk_that_is_full_does_not_end_the_flight_and_is_told_of_once(
     assert rig.flown.end.outcome is Outcome.STOPPED
 
 
+def test_a_folder_that_is_moved_away_is_told_of_once_and_what_grows_is_recorded_there(
+    folder: RunFolder, tmp_path: Path
+) -> None:
+    def moves(session: StubSession, number: int) -> None:
+        if number == 10:
+            folder.path.rename(tmp_path / "moved")
+        session.out.checkpoint = {"number": number}
+        session.out.journal.append({"t_s": session.now_s, "kind": "x"})
+
+    session = StubSession(moves)
+    rig = Rig(folder, session)
+    with rig.flying():
+        rig.link.wait_until(lambda: bool(session.complaints))
+        size = (tmp_path / "moved" / "journal.jsonl").stat().st_size
+        count = len(rig.link.times_of(SETPOINT))
+        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+    assert session.complaints == ["state for --resume is lost: No such file or directory"]
+    assert session.stopped == rig.link.times_of(HOLD) == []
+    assert (tmp_path / "moved" / "journal.jsonl").stat().st_size > size
+
+
 class FullFile:
     """A file on a full disk."""
 

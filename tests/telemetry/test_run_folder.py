@@ -261,6 +261,20 @@ def test_every_restart_is_counted(folder: RunFolder) -> None:
         assert strict(last)["resumed"] == number
 
 
+def test_a_folder_that_another_companion_writes_to_is_refused_and_left_as_it_is(
+    folder: RunFolder,
+) -> None:
+    """Else both append to the same files, and neither flight can be replayed."""
+    folder.frames(frames()[:3])
+    torn = (folder.path / "flight.tlog").read_bytes()[:-5]
+    (folder.path / "flight.tlog").write_bytes(torn)
+    with pytest.raises(InputError, match="another companion records its flight there"):
+        again(folder)
+    assert (folder.path / "flight.tlog").read_bytes() == torn
+    close(folder)
+    close(again(folder))
+
+
 def test_to_resume_what_has_not_begun_is_to_begin_it(tmp_path: Path) -> None:
     with RunFolder(tmp_path / "new", mission_toml="m", epoch_us=5, resume=True) as folder:
         folder.header({})

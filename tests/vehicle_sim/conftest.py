@@ -166,11 +166,10 @@ def start() -> Iterator[Start]:
     def begin(*arguments: object, **keywords: Any) -> "subprocess.Popen[str]":
         process = subprocess.Popen(
             [sys.executable, "-m", "vehicle_sim.cli", *map(str, arguments)],
-            stdout=subprocess.PIPE,
+            **{"stdout": subprocess.PIPE, **keywords},
             stderr=subprocess.PIPE,
             text=True,
             cwd=ROOT,
-            **keywords,
         )
         running.append(process)
         return process

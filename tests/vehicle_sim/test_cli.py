@@ -37,6 +37,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     ("arguments", "words"),
     [
         (["atlantis"], ["WORLD = 'atlantis'", "environment-1", "environment-2"]),
+        (["a" * 300], ["WORLD = 'aaa", "neither a bundled world nor a file"]),
         (["WORLD", "--connect", "tcp:1.2.3.4:5"], ["--connect = 'tcp:1.2.3.4:5'", "udpout:HOST"]),
         (["WORLD", "--connect", "udpout:host:port"], ["--connect", "udpout:HOST:PORT"]),
         (["WORLD", "--connect", "udpout:host:70000"], ["--connect", "udpout:HOST:PORT"]),
@@ -122,6 +123,17 @@ def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
     header, *rows = map(json.loads, (folder / "truth.jsonl").read_text("utf-8").splitlines())
     assert header["seed"] == 7
     assert (len(rows), rows[-1]["t_s"]) == (51, 5.0)
+
+
+def test_a_full_disk_does_not_end_a_flight(start: Start, world_file: Path, tmp_path: Path) -> None:
+    """Neither that of its truth, which is cut, nor that of what it prints."""
+    arguments = (world_file, "--speedup", "50", "--duration", "20", "--out", tmp_path)
+    with Path("/dev/full").open("w") as full:
+        (tmp_path / "truth.jsonl").symlink_to(full.name)
+        assert result(start(*arguments, stdout=full)) == (0, None, "")
+    code, out, err = result(start(*arguments))
+    assert (code, err) == (0, "")
+    assert out.count("truth.jsonl stopped: No space left on device") == 1
 
 
 @pytest.mark.parametrize(

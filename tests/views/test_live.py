@@ -211,11 +211,12 @@ def lines_of(buffer: io.StringIO) -> list[dict[str, Any]]:
         (("FAILED", "silent"), FlightFailed("silent", "Look."), ("failed", "silent. Look.", 1)),
         (None, InputError("a", 1, "no", "Give 2."), ("failed", "a = 1: no. Give 2.", 2)),
         (None, ZeroDivisionError("division"), ("failed", "division", 70)),
+        (("STOPPED", "asked"), KeyboardInterrupt(), ("stopped", "stopped by a person", 130)),
     ],
-    ids=["arrived", "failed", "wrong input", "crashed"],
+    ids=["arrived", "failed", "wrong input", "crashed", "stopped again while it draws"],
 )
 def test_the_last_line_is_how_it_ended(
-    end: tuple[str, str] | None, error: Exception | None, expected: tuple[str, str, int]
+    end: tuple[str, str] | None, error: BaseException | None, expected: tuple[str, str, int]
 ) -> None:
     buffer = io.StringIO()
     with PatientOutput(buffer) as output:
