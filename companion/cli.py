@@ -503,59 +503,60 @@ def _flown(
     if planner is not None:  # in real time nothing waits for a compiler
         with console.status(_LOADING):
             planner.wait()
-    with (
-        open_link(connect) as link,
-        open_links(ground, "--ground") as grounds,
-        RunFolder(
-            folder_path,
-            mission_toml=mission_text(mission),
-            epoch_us=round(began.timestamp() * 1e6),
-            resume=recalled is not None,
-            set_aside=() if recalled is None else recalled.unreadable,
-            durable=not lockstep,
-        ) as folder,
-        Progress(console, shows.output) as progress,
-        stop_signals() as stop_asked,
-    ):
-        begun = FlightBegun(
-            schema=SCHEMA,
-            version=VERSION,
-            mission=session.mission.name,
-            run_folder=str(folder.path),
-            profile=session.mission.task.settings.profile.name,
-            seed=session.context.seed,
-            lockstep=lockstep,
-            shadow=session.context.shadow,
-            companion=version("companion"),
-        )
-        if shows.machine is not None:
-            shows.machine.say(begun)
-        told = ("mission", "seed", "profile", "lockstep")
-        folder.header({name: getattr(begun, name) for name in told})
-
-        def show(flown: FlightSummary) -> None:
-            status = flight_status(flown)
-            progress.show(status)
+    with contextlib.ExitStack() as until_shown:
+        with (
+            open_link(connect) as link,
+            open_links(ground, "--ground") as grounds,
+            RunFolder(
+                folder_path,
+                mission_toml=mission_text(mission),
+                epoch_us=round(began.timestamp() * 1e6),
+                resume=recalled is not None,
+                set_aside=() if recalled is None else recalled.unreadable,
+                durable=not lockstep,
+            ) as folder,
+            Progress(console, shows.output) as progress,
+        ):
+            stop_asked = until_shown.enter_context(stop_signals())
+            begun = FlightBegun(
+                schema=SCHEMA,
+                version=VERSION,
+                mission=session.mission.name,
+                run_folder=str(folder.path),
+                profile=session.mission.task.settings.profile.name,
+                seed=session.context.seed,
+                lockstep=lockstep,
+                shadow=session.context.shadow,
+                companion=version("companion"),
+            )
             if shows.machine is not None:
-                shows.machine.show(status)
+                shows.machine.say(begun)
+            told = ("mission", "seed", "profile", "lockstep")
+            folder.header({name: getattr(begun, name) for name in told})
 
-        flown = fly(
-            session,
-            link,
-            folder,
-            ground=grounds,
-            lockstep=lockstep,
-            on_progress=show,
-            stop_asked=lambda: bool(stop_asked),
-            planner=planner,
-            persist=None if key is None else partial(_keep_time, key, session.signing),
-        )
-        folder.run_json(_run_facts(flown, began, connect))
-    if shows.machine is not None:
-        shows.machine.say(flight_status(flown))
-        shows.machine.end = flown.end
-    flown.resumed = recalled is not None and recalled.resume is not None
-    _show(flown, folder, console)
+            def show(flown: FlightSummary) -> None:
+                status = flight_status(flown)
+                progress.show(status)
+                if shows.machine is not None:
+                    shows.machine.show(status)
+
+            flown = fly(
+                session,
+                link,
+                folder,
+                ground=grounds,
+                lockstep=lockstep,
+                on_progress=show,
+                stop_asked=lambda: bool(stop_asked),
+                planner=planner,
+                persist=None if key is None else partial(_keep_time, key, session.signing),
+            )
+            folder.run_json(_run_facts(flown, began, connect))
+        if shows.machine is not None:
+            shows.machine.say(flight_status(flown))
+            shows.machine.end = flown.end
+        flown.resumed = recalled is not None and recalled.resume is not None
+        _show(flown, folder, console, draws=len(stop_asked) < 2)  # who asks twice will not wait
     return flown
 
 
@@ -567,7 +568,7 @@ def _keep_time(key: SigningKey, signing: Signing | None) -> None:
 # --- the end of a command
 
 
-def _show(flown: FlightSummary, folder: RunFolder, console: Console) -> None:
+def _show(flown: FlightSummary, folder: RunFolder, console: Console, *, draws: bool) -> None:
     """The summary and the picture of a flight; without a terminal, or on a full disk, less."""
     lines, picture = [f"run folder: {folder.path}"], folder.path / "flight.png"
     if folder.failure is not None:
@@ -575,7 +576,7 @@ def _show(flown: FlightSummary, folder: RunFolder, console: Console) -> None:
     with contextlib.suppress(OSError):
         console.print(flight_table(flown))
     try:
-        if flown.heard:
+        if flown.heard and draws:
             draw_flown(flown, picture)
     except OSError as error:
         remove_torn(picture, error)

@@ -1,5 +1,6 @@
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -282,9 +283,12 @@ def test_a_shadow_watches_and_never_commands(vehicles: Vehicles, tmp_path: Path)
         companion.until(lambda: journal.exists() and b'"phase":"shadow"' in journal.read_bytes())
         rows = len(truth.read_bytes().splitlines())
         companion.until(lambda: len(truth.read_bytes().splitlines()) > rows + WATCHED_ROWS)
-        assert companion.interrupt(60.0) == 130, companion.transcript
+        companion.process.send_signal(signal.SIGINT)
+        companion.expect("outcome")
+        assert companion.interrupt(60.0) == 130, companion.transcript  # while it draws the picture
     finally:
         companion.end()
+    assert companion.transcript.endswith(f"run folder: {out}\n")
     lines = journal.read_text(encoding="utf-8").splitlines()
     kinds = {json.loads(line).get("kind") for line in lines}
     assert not kinds & {"arm", "take off", "set mode"}
