@@ -88,7 +88,7 @@ class InputsFile:
                     yield tuple(told)
             except UNREADABLE:
                 is_whole = False
-        self.torn_bytes = size - end
+        self.torn_bytes = max(size - end, 0)  # it may have grown meanwhile
         self.is_damaged = not is_whole and not is_hole(self.path, end)
 
 

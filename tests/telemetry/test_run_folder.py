@@ -19,6 +19,7 @@ from tlog import recorded_frames
 
 from companion.errors import InputError
 from companion.mission.start import Resume
+from companion.telemetry.inputs import InputsFile
 from companion.telemetry.run_folder import RunFolder, resume_head, whole_records
 from companion.telemetry.run_folder import known_map as read_known_map
 from companion.world.known_map import KnownMap, empty_map
@@ -386,6 +387,16 @@ def test_a_kill_at_any_moment_leaves_a_whole_checkpoint_map_and_record(tmp_path:
     text = (tmp_path / "journal.jsonl").read_text(encoding="utf-8")
     assert text.endswith("\n")
     assert all(strict(line) for line in text.splitlines())
+
+
+def test_inputs_that_grow_while_they_are_read_are_no_torn_ones(folder: RunFolder) -> None:
+    folder.inputs([("stop",)])
+    told = InputsFile(folder.path / "inputs.msgpack")
+    reading = iter(told)
+    assert next(reading) == ("stop",)
+    folder.inputs([("stop",)])
+    assert list(reading) == [("stop",)]
+    assert (told.torn_bytes, told.is_damaged) == (0, False)
 
 
 # --- a disk that is full
