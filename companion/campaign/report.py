@@ -106,17 +106,11 @@ class CampaignReport:
 def read_campaign(folder: Path) -> Campaign:
     """The data set of a campaign.  Raises InputError."""
     need("campaign", "FOLDER", str(folder))
-    import pyarrow as pa
-
-    remedy = "Give the folder that companion campaign has written."
-    try:
-        found = read_rows(folder, [field.name for field in fields(Row)])
-    except (OSError, pa.ArrowException) as error:
-        rule = f"its rows cannot be read ({str(error).splitlines()[0]})"
-        raise InputError("FOLDER", str(folder), rule, remedy) from error
+    found = read_rows("FOLDER", folder, [field.name for field in fields(Row)])
     facts = facts_of(folder)
     expected = facts.get("runs")
     if not found and expected is None:
+        remedy = "Give the folder that companion campaign has written."
         raise InputError("FOLDER", str(folder), "it holds no campaign", remedy)
     rows = {row["run"]: Row(**row) for row in reversed(found)}
     return Campaign(

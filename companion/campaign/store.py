@@ -47,15 +47,15 @@ class Store:
             self._lock = (folder / _LOCK).open("w")
             self._take_lock()
             self._begin(text, {"digest": digest, "runs": count, "source": [*source]})
+            self._remove_unfinished()
+            self.done = {row["run"] for row in read_rows("--out", folder, ["run"])}
+            """The runs whose rows are there."""
         except OSError as error:
             rule = f"it cannot be written to ({error.strerror})"
             raise InputError("--out", str(folder), rule, "Give a folder that can be.") from error
         except InputError:
             self._lock.close()
             raise
-        self._remove_unfinished()
-        self.done = {row["run"] for row in read_rows(folder, ["run"])}
-        """The runs whose rows are there."""
         self._parts = len(list((folder / ROWS).glob("*.parquet")))
 
     def _take_lock(self) -> None:
@@ -126,15 +126,20 @@ def _write(path: Path, content: bytes) -> None:
         os.close(folder)
 
 
-def read_rows(folder: Path, columns: Sequence[str]) -> list[dict[str, Any]]:
-    """These columns of all rows that are there, part by part.
-
-    Raises OSError or pyarrow.ArrowException.
-    """
+def read_rows(field: str, folder: Path, columns: Sequence[str]) -> list[dict[str, Any]]:
+    """These columns of all rows that are there, part by part.  InputError about the field."""
+    import pyarrow as pa
     import pyarrow.dataset as ds
 
     parts = [str(part) for part in sorted((folder / ROWS).glob("*.parquet"))]
-    found = ds.dataset(parts, schema=schema()).to_table(columns=[*columns]) if parts else None
+    try:
+        found = ds.dataset(parts, schema=schema()).to_table(columns=[*columns]) if parts else None
+    except (OSError, pa.ArrowException) as error:
+        rule = f"its rows cannot be read ({str(error).splitlines()[0].rstrip('.')})"
+        remedy = (
+            "Remove that part: its runs are flown again by the command that began the campaign."
+        )
+        raise InputError(field, str(folder), rule, remedy) from error
     return [] if found is None else list(found.to_pylist())
 
 

@@ -310,3 +310,19 @@ def test_a_row_is_written_once(tmp_path: Path) -> None:
     written = read_campaign(tmp_path)
     assert written.rows == (once,)
     assert written.repeated == 0
+
+
+def test_a_damaged_part_is_named_and_without_it_its_runs_are_flown_again(tmp_path: Path) -> None:
+    def store() -> Store:
+        return Store(tmp_path, text="", digest="a", count=1, source=[])
+
+    with store() as first:
+        first.add([campaign_rows.row(0)])
+    [part] = (tmp_path / "rows").glob("*.parquet")
+    part.write_bytes(part.read_bytes()[:100])
+    for read in (store, lambda: read_campaign(tmp_path)):
+        with pytest.raises(InputError, match=rf"{part.name}.*Remove that part"):
+            read()
+    part.unlink()
+    with store() as again:
+        assert again.done == set()
