@@ -266,7 +266,8 @@ def preflight_command(
 ) -> None:
     """Check a vehicle against a mission, every point with its reason and remedy; never arms.
 
-    What `fly` refuses is refused here. Exit code: 0 it may fly, 1 it may not, 2 wrong input.
+    What `fly` refuses is refused here. Exit code: 0 it may fly, 1 it may not, 2 wrong input,
+    130 stopped by Ctrl-C.
     """
     console = Console(soft_wrap=True)
     chosen = _for_system(load_mission(mission, profile), system)
@@ -296,6 +297,8 @@ def preflight_command(
         checks.append(flight_check(session))
         refused = [check for check in checks[-1:] if check.status is CheckStatus.REFUSED]
     console.print(checks_table(checks))
+    if stop_asked:
+        raise typer.Exit(_INTERRUPTED)
     if refused:
         raise FlightFailed(f"{len(refused)} of {len(checks)} checks refuse the flight", "")
 

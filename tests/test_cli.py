@@ -1,3 +1,4 @@
+import contextlib
 import json
 import os
 import signal
@@ -12,6 +13,8 @@ import pytest
 from answers import answered
 from programs import BIN, HURRIED, Program, free_port
 from recorded import run_folder
+
+from companion import cli
 
 COMPANION = BIN / "companion"
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
@@ -267,6 +270,12 @@ def test_no_vehicle_may_not_fly() -> None:
     assert code == 1
     assert "none was heard" in shown
     assert len(errors.splitlines()) == 1
+
+
+def test_a_preflight_that_is_stopped_refuses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "stop_signals", lambda: contextlib.nullcontext([signal.SIGINT]))
+    code, _, said = answered("preflight", "sitl-px4", *connect(free_port()))
+    assert (code, said) == (130, "")
 
 
 WATCHED_ROWS = 150
