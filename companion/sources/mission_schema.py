@@ -14,6 +14,8 @@ from companion.planner.settings import PlannerSettings
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
 from companion.sources.elevation import VerticalDatum
 from companion.sources.schema import (
+    NAME,
+    SENDER,
     Altitude,
     AreaTable,
     Horizontal,
@@ -27,7 +29,7 @@ from companion.world.near_map import Kind, NearSensor
 Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
-Sender = Annotated[str, Field(pattern=r"^\d{1,3}/\d{1,3}$")]
+Sender = Annotated[str, Field(pattern=SENDER)]
 
 
 class BandTable(Table):
@@ -192,7 +194,7 @@ class MissionTable(Table):
     """A mission.toml, with what other files that it names hold."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
+    name: Annotated[str, Field(pattern=NAME)]
     plan: FileName | None = None
     threats: FileName | None = None
     origin: OriginTable

@@ -139,6 +139,11 @@ class FileWorldTable(WorldTable):
     area: AreaTable
 
 
+NAME, SENDER = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$", r"^\d{1,3}/\d{1,3}$"
+_IN_WORDS = {
+    NAME: "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, beginning with a letter or digit",
+    SENDER: "it must be SYSTEM/COMPONENT",
+}
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -157,6 +162,7 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
         key = first["loc"][-1]
         raise InputError(field, None, "it is missing", f"Add {key}; see docs/files.md.")
     message = first["msg"].replace("Input should be", "it must be")
+    message = _IN_WORDS.get(first.get("ctx", {}).get("pattern", ""), message)
     if first["type"] == "union_tag_invalid":
         message = f"its type must be one of {first['ctx']['expected_tags']}"
     remedy = f"Give a valid value{_unit_of(field)}."

@@ -204,6 +204,11 @@ def test_a_commander_is_a_system_and_a_component(folder: Path, text: str) -> Non
     assert "link.commanders[0]" in refused(folder, f'{COPTER}[link]\ncommanders = ["{text}"]\n')
 
 
+def test_what_a_name_may_hold_is_said_in_words(folder: Path) -> None:
+    said = refused(folder, re.sub(r"name = .*", 'name = "Über den Wald"', COPTER, count=1))
+    assert "name = 'Über den Wald': it must be up to 64 of A-Z, a-z, 0-9, space" in said
+
+
 def test_nobody_may_be_the_one_who_commands(folder: Path) -> None:
     assert load(folder, f"{COPTER}[link]\ncommanders = []\n").commanders == ()
 
