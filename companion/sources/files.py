@@ -72,7 +72,7 @@ def writing(option: str, path: Path) -> Iterator[None]:
 
 def remove_torn(path: Path, error: OSError) -> None:
     """Remove the file that a full disk took only a part of."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT) and answer(path.is_file):
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) and answer(path.is_file):
         path.unlink()
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import InputError
-from companion.sources.files import json_table, plain, read_text, toml_table, toml_text
+from companion.sources.files import json_table, plain, read_text, toml_table, toml_text, writing
 
 SCALARS = (
     st.booleans()
@@ -21,6 +21,17 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner),
     max_leaves=8,
 )
+
+
+def test_what_a_full_disk_took_a_part_of_is_removed_and_a_device_is_not(tmp_path: Path) -> None:
+    torn = tmp_path / "report.html"
+    with pytest.raises(InputError, match="No space left on device"), writing("--out", torn):
+        torn.write_text("half", encoding="utf-8")
+        Path("/dev/full").write_text("the other half", encoding="utf-8")
+    assert not torn.exists()
+    with pytest.raises(InputError, match="No space left"), writing("--out", Path("/dev/full")):
+        Path("/dev/full").write_text("all of it", encoding="utf-8")
+    assert Path("/dev/full").is_char_device()
 
 
 @given(st.dictionaries(st.text(), VALUES, max_size=5))
