@@ -25,8 +25,8 @@ VALUES = st.recursive(
 
 def test_what_a_full_disk_took_a_part_of_is_removed_and_a_device_is_not(tmp_path: Path) -> None:
     torn = tmp_path / "report.html"
+    torn.write_text("half", encoding="utf-8")
     with pytest.raises(InputError, match="No space left on device"), writing("--out", torn):
-        torn.write_text("half", encoding="utf-8")
         Path("/dev/full").write_text("the other half", encoding="utf-8")
     assert not torn.exists()
     with pytest.raises(InputError, match="No space left"), writing("--out", Path("/dev/full")):
