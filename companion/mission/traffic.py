@@ -50,9 +50,10 @@ _STILL_M_S = 0.05
 _PATIENCE_S, _LAST_PATIENCE_S = 20.0, 40.0
 _KNOT_S = 60.0  # without any way on: then others need this vehicle's level
 _AGAIN_S, _NO_LEVEL_S = 10.0, 5.0
-_THERE_M = 1.0
+_THERE_M, _CIRCLES_THERE_M = 1.0, 5.0
 _LEVELS = 32  # of the band, that are looked at
 _FREE_M = 5.0  # by more than that a level is free when it is chosen: it stays so for a while
+_TURN_S = 20.0  # half of it a plane claims its way, half of it others may go where that leads
 _GOLDEN = 0.618034  # of a time: any of several, each as often
 
 
@@ -69,10 +70,14 @@ class _Scene:
     claims: tuple[tuple[Claim, float], ...]
     """Those that lie near the way ahead, with how far they may have grown since they were heard."""
     tracks: tuple[Track, ...]
+    there_m: float
+    """Nearer than that to a level it is there."""
     bent_m: float
     """How far the path may be from the chord that is claimed."""
     apart: Separation
     """Of claims."""
+    past: Separation
+    """Of a claim from where the vehicle is known to be: only the other's path bends."""
     clear: Separation
     """Of tracks."""
 
@@ -82,14 +87,10 @@ class _Scene:
         A way that nowhere leads nearer to a claim than to the separation and what the other's path
         bends is free of it all along: two that stopped for each other part again.
         """
-        past = Separation(
-            horizontal_m=self.apart.horizontal_m - 2.0 * self.bent_m,
-            vertical_m=self.apart.vertical_m - 2.0 * self.bent_m,
-        )
         every = np.ones(len(points) - 1, dtype=bool)
         before = every.copy()
         for claim, grown_m in self.claims:
-            if free_pieces(points, claim, past, grown_m).all():
+            if free_pieces(points, claim, self.past, grown_m).all():
                 continue
             free = free_pieces(points, claim, self.apart, grown_m)
             every &= free
@@ -97,10 +98,12 @@ class _Scene:
                 before &= free
         return every, before
 
-    def is_claimed(self) -> bool:
-        """Whether one that goes before this system is to come near to where it stands."""
+    def is_claimed(self, height_m: float) -> bool:
+        """Whether one that goes before this system is to come near to a height where it stands."""
+        place = np.array([self.here[0], self.here[1], height_m])
+        near = dataclasses.replace(self.apart, vertical_m=self.past.vertical_m)
         return any(
-            claim.system < self.ours and not grown_m and _is_near(self.here, claim, self.apart)
+            claim.system < self.ours and not grown_m and _is_near(place, claim, near)
             for claim, grown_m in self.claims
         )
 
@@ -120,7 +123,7 @@ def _is_near(place: FloatArray, claim: Claim, apart: Separation, grown_m: float 
 
 def observe(state: State, context: Context) -> tuple[State, list[Command]]:
     """At each position: how far and fast it may go, whether to leave the path, and its claim."""
-    traffic, here = state.traffic, state.vehicle.position_nea_m
+    traffic, here = state.traffic, _place(state)
     if traffic is None or here is None:
         return state, []
     if not (state.phase in ON_PATH or isinstance(state.hold, OnSetpoints)):
@@ -141,7 +144,7 @@ def observe(state: State, context: Context) -> tuple[State, list[Command]]:
         traffic = replace(traffic, committed_m=math.inf)
     speed_m_s, forced = _fastest(state, traffic.rules.horizon_s, scene)
     still = leg is None or state.flight.reference.speed_m_s <= _STILL_M_S
-    forced = forced or (still and scene.is_claimed())
+    forced = forced or (still and scene.is_claimed(here[2]))
     flies = state.task.limits
     needed_m = flies.lead_m + _SLACK_S * flies.speed_m_s
     needed_m = min(needed_m, float(scene.ahead_m[-1])) - _THERE_M
@@ -158,6 +161,16 @@ def observe(state: State, context: Context) -> tuple[State, list[Command]]:
     state, says = _told(state, scene)
     state, claims = _with_claim(state, here, _end_of_claim(state, scene))
     return state, [*says, *claims]
+
+
+def _place(state: State) -> Vector | None:
+    """Where it is; of a plane that is on its circle the middle of that, at its own height."""
+    here, flight, task = state.vehicle.position_nea_m, state.flight, state.task
+    middle = flight.hover_nea_m
+    if here is None or middle is None or not (flight.leg is None or flight.circling):
+        return here
+    on_circle = math.dist(here[:2], middle[:2]) <= task.limits.loiter_radius_m + task.error_m
+    return here if task.limits.hovers or not on_circle else (middle[0], middle[1], here[2])
 
 
 def _with_claim(state: State, here: Vector, end: Vector | None) -> tuple[State, list[Command]]:
@@ -253,8 +266,13 @@ def _scene(state: State, traffic: Traffic, here: FloatArray) -> _Scene:
             if track.system not in agreed
             and track.reach_s(here.tolist(), limits.speed_m_s, now_s) < rules.horizon_s
         ),
+        there_m=_THERE_M if limits.hovers else _CIRCLES_THERE_M,
         bent_m=bent_m,
         apart=apart,
+        past=Separation(
+            horizontal_m=apart.horizontal_m - 2.0 * bent_m,
+            vertical_m=apart.vertical_m - 2.0 * bent_m,
+        ),
         clear=Separation(
             horizontal_m=rules.separation_m + wide_m,
             vertical_m=rules.vertical_separation_m + error_m,
@@ -289,7 +307,8 @@ def _path_ahead(state: State, here: FloatArray, longest_m: float) -> tuple[Float
 def _claimed(state: State, traffic: Traffic, scene: _Scene) -> Traffic:
     """Claim the way ahead; enter what has been claimed for long enough, and nobody else claims.
 
-    A copter leaves to those before it all but what it needs to stop.
+    A copter leaves to those before it all but what it needs to stop; a plane that has waited for
+    long leaves now and then what it cannot enter to all, one of whom may stand in another's way.
     """
     now_s, flown_m, ahead_m = scene.now_s, traffic.flown_m, scene.ahead_m
     nobodys_m, mine_m = (flown_m + _first_m(free, ahead_m) for free in scene.free(scene.points))
@@ -298,6 +317,10 @@ def _claimed(state: State, traffic: Traffic, scene: _Scene) -> Traffic:
         stops_m = flown_m + limits.stopping_m(state.flight.reference.speed_m_s) + _THERE_M
         committed_m = min(committed_m, max(mine_m, stops_m))
     most_m = max(mine_m, committed_m)
+    waited_s = now_s - traffic.moved_at_s
+    if not limits.hovers and waited_s > _LAST_PATIENCE_S:
+        turn = (now_s / _TURN_S + _GOLDEN * traffic.ours) % 1.0
+        most_m = committed_m if turn < 0.5 else most_m
     asked = [(since_s, min(end_m, most_m)) for since_s, end_m in traffic.asked]
     from_path = int(scene.bent_m > STRAIGHT_M)  # a plane may be beside it
     last = straight_until(scene.points[from_path:], scene.bent_m) + from_path
@@ -393,8 +416,10 @@ def _with_level(state: State, scene: _Scene) -> State:
     traffic, hover, height_m = state.traffic, state.flight.hover_nea_m, float(scene.here[2])
     assert traffic is not None
     may = state.phase in ON_PATH or isinstance(state.hold, Replan)
+    if state.flight.returning and not state.task.limits.hovers:
+        may = False  # a plane's way back leads along what it has flown, at those heights
     if (level_m := traffic.level_m) is not None:
-        done = abs(height_m - level_m) < _THERE_M
+        done = abs(height_m - level_m) < scene.there_m
         if may and not done and _is_free(state, scene, level_m):
             climbs = traffic.climbs or state.now_s - traffic.level_since_s >= CLAIM_S
             return replace(state, traffic=replace(traffic, climbs=climbs))
@@ -406,7 +431,7 @@ def _with_level(state: State, scene: _Scene) -> State:
         flight = replace(state.flight, hover_nea_m=(hover[0], hover[1], height_m))
         return replace(state, flight=flight)
     forced = math.isfinite(traffic.forced_since_s)
-    if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state, scene))):
+    if not (may and (forced or _is_stuck(state, scene))):
         return state
     level_m = next(
         (
@@ -417,7 +442,8 @@ def _with_level(state: State, scene: _Scene) -> State:
         ),
         None,
     )
-    if level_m is None and state.now_s - traffic.moved_at_s > _KNOT_S:
+    knot = state.task.limits.hovers and state.now_s - traffic.moved_at_s > _KNOT_S
+    if level_m is None and knot:
         free = [
             each
             for each in _levels(state, scene)
@@ -432,8 +458,11 @@ def _with_level(state: State, scene: _Scene) -> State:
 
 def _leads_on(state: State, scene: _Scene, level_m: float, *, forced: bool) -> bool:
     """Whether a level is out of the way, or without force one on which the way is free."""
+    height_m = float(scene.here[2])
+    if forced and scene.is_claimed(height_m):
+        return not scene.is_claimed(level_m)
     if forced:  # of tracks only those count that are here when it could be there
-        return scene.is_claimed() or not _is_clear(state, scene, float(scene.here[2]), level_m)
+        return not _is_clear(state, scene, height_m, level_m)
     there = scene.points.copy()
     there[:, 2] = level_m
     return bool(scene.free(there)[0].all())
@@ -452,40 +481,45 @@ def _is_stuck(state: State, scene: _Scene) -> bool:
 
 
 def _levels(state: State, scene: _Scene) -> list[float]:
-    """Levels in the band, the nearest first."""
+    """Levels in the band, the nearest first; of planes few, that are apart and the same for all."""
     low_m, high_m = state.task.band_amsl_m
     height_m = float(scene.here[2])
-    step_m = max((high_m - low_m) / _LEVELS, 2.0 * _THERE_M)
-    levels = np.arange(low_m, high_m, step_m).tolist()
-    away = (each for each in levels if abs(each - height_m) > _THERE_M)
+    if state.task.limits.hovers:
+        step_m = max((high_m - low_m) / _LEVELS, 2.0 * _THERE_M)
+        levels, least_m = np.arange(low_m, high_m, step_m), _THERE_M
+    else:
+        high_m -= scene.there_m
+        apart_m = scene.past.vertical_m
+        levels = np.linspace(low_m, high_m, 1 + max(int((high_m - low_m) / apart_m), 0))
+        least_m = 0.5 * apart_m
+    away = (each for each in levels.tolist() if abs(each - height_m) > least_m)
     return sorted(away, key=lambda level_m: (abs(level_m - height_m), -level_m))
 
 
 def _is_free(state: State, scene: _Scene, level_m: float, slack_m: float = 0.0) -> bool:
     """Whether the vehicle may go to a level: nobody else is there, or on the way to it.
 
-    Through what is claimed about the vehicle itself it goes away from where that comes from: the
-    other cannot have entered what lies on that side (docs/decisions/0023).
+    Through what is claimed about the vehicle itself it may go if none of that lies so far above (or
+    below) that the other could have entered it, over the vehicle's head (docs/decisions/0023).
     """
     here = scene.here
     column = np.linspace(here, [here[0], here[1], level_m], 9)
     committed = state.traffic is not None and state.traffic.climbs
     for claim, grown_m in () if committed else scene.claims:
-        if free_pieces(column, claim, scene.apart, grown_m).all():
+        if free_pieces(column, claim, scene.past, grown_m).all():
             continue
-        over_m = claim.begin_nea_m[2] - float(here[2])
-        away = level_m > here[2] if over_m < -_THERE_M else level_m < here[2]
-        level = abs(over_m) <= _THERE_M
-        if grown_m or not (away or level) or not _is_near(here, claim, scene.apart):
+        ahead = math.copysign(1.0, level_m - float(here[2]))
+        ends_m = (ahead * (end[2] - here[2]) for end in (claim.begin_nea_m, claim.end_nea_m))
+        beyond = max(ends_m) >= scene.past.vertical_m - 2.0 * scene.bent_m
+        if grown_m or beyond or not _is_near(here, claim, scene.past):
             return False
-        if _is_near(column[-1], claim, scene.apart):
+        if _is_near(column[-1], claim, scene.past):
             return False
     if not _is_clear(state, scene, level_m, level_m, slack_m):
         return False
     required_m = state.task.required_clearance_m
-    return level_m > here[2] or (
-        distance_to_terrain_m(state.flight.known, column[-1], required_m) >= required_m
-    )
+    known = state.flight.known.grown(state.task.limits.loiter_radius_m)
+    return level_m > here[2] or (distance_to_terrain_m(known, column[-1], required_m) >= required_m)
 
 
 def _is_clear(

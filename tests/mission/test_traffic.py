@@ -220,7 +220,7 @@ def test_a_plane_waits_on_its_circle_until_the_way_is_free(traits: VehicleTraits
     def others(now_s: float) -> Heard:
         return (), () if now_s > freed_s else (claim_at(700.0, now_s),)
 
-    among = Among(traits, others=others)
+    among = Among(traits, others=others, ceiling_amsl_m=3080.0)  # no other level
     wild, limits = among.wild, among.wild.mission.task.limits
     among.run_until(lambda wild: wild.state.flight.reference.length_m > 0.0)
     first = wild.state.flight.leg
@@ -401,23 +401,33 @@ def test_a_copter_whose_way_is_closed_at_every_level_makes_room_at_one_after_the
     among.fly_to(Phase.ARRIVED)
 
 
-def test_all_whose_ways_cross_in_one_point_get_through_one_after_the_other() -> None:
-    """None has room above or below: who came near the point before stood in the way for good."""
+@pytest.mark.parametrize(
+    ("traits", "count", "radius_m", "ceiling_amsl_m"),
+    [
+        (ARDUCOPTER.traits, 3, 150.0, 3045.0),  # none has room above or below
+        (ALL[-1].traits, 4, 600.0, 3150.0),
+    ],
+    ids=["copters", "planes"],
+)
+def test_all_whose_ways_cross_in_one_point_get_through_one_after_the_other(
+    traits: VehicleTraits, count: int, radius_m: float, ceiling_amsl_m: float
+) -> None:
+    """Copters that came near the point before, and all planes, stood in the way for good."""
     said: dict[int, Claim] = {}
     fleet: dict[int, Among] = {}
-    for system in (1, 2, 3):
-        turn = math.tau * system / 3.0
-        north, east = 150.0 * math.cos(turn), 150.0 * math.sin(turn)
+    for system in range(1, count + 1):
+        turn = math.tau * system / count
+        north, east = radius_m * math.cos(turn), radius_m * math.sin(turn)
 
         def others(_now_s: float, ours: int = system) -> Heard:
             return (), tuple(said[each] for each in said if each != ours)
 
         fleet[system] = Among(
-            ARDUCOPTER.traits,
+            traits,
             targets=((-north, -east),),
             others=others,
             ours=system,
-            ceiling_amsl_m=3045.0,
+            ceiling_amsl_m=ceiling_amsl_m,
         )
         fleet[system].wild.here = (north, east, 3000.0)
     while not all(among.wild.state.phase is Phase.DONE for among in fleet.values()):
@@ -429,8 +439,9 @@ def test_all_whose_ways_cross_in_one_point_get_through_one_after_the_other() -> 
                 ends = {"begin_nea_m": claim.begin_nea_m, "end_nea_m": claim.end_nea_m}
                 said[system] = Claim(system=system, heard_s=now_s, **ends)
                 break
-        places = [among.wild.here[:2] for among in fleet.values()]
-        assert min(math.dist(a, b) for a, b in combinations(places, 2)) > RULES.separation_m
+        for here, there in combinations([among.wild.here for among in fleet.values()], 2):
+            above = abs(here[2] - there[2]) > RULES.vertical_separation_m
+            assert above or math.dist(here[:2], there[:2]) > RULES.separation_m
 
 
 def test_who_is_named_is_in_the_way() -> None:
