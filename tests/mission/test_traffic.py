@@ -11,6 +11,7 @@ from made_up import planned
 from renewed import replace
 from wild import Wild
 
+from companion.geodesy import FloatArray
 from companion.mavlink.autopilots import ALL, ARDUCOPTER
 from companion.mission import following
 from companion.mission.events import (
@@ -29,7 +30,7 @@ from companion.mission.traffic import limits, observe
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
-from companion.world.traffic import CLAIM_S, Claim, Track
+from companion.world.traffic import CLAIM_S, STRAIGHT_M, Claim, Track
 
 OURS = 2
 RULES = TrafficRules(separation_m=20.0, vertical_separation_m=10.0)
@@ -442,6 +443,50 @@ def test_all_whose_ways_cross_in_one_point_get_through_one_after_the_other(
         for here, there in combinations([among.wild.here for among in fleet.values()], 2):
             above = abs(here[2] - there[2]) > RULES.vertical_separation_m
             assert above or math.dist(here[:2], there[:2]) > RULES.separation_m
+
+
+def test_who_goes_to_another_level_leaves_room_for_what_others_may_have_entered() -> None:
+    """Of claims that lead by where it stands and end over or under it, drawn at random."""
+    among = Among(ARDUCOPTER.traits, others=lambda now_s: ((), (claim_at(80.0, now_s),)))
+    among.run_until(lambda wild: wild.state.phase is Phase.FLYING and bool(wild.sent(Setpoint)))
+    among.run_for(15.0)
+    state, context = among.wild.state, among.wild.context
+    traffic, now_s, here = state.traffic, state.now_s, np.array(state.vehicle.position_nea_m)
+    assert traffic is not None
+    errors_m = 2.0 * state.task.error_m
+    kept_m = np.array([RULES.separation_m, RULES.vertical_separation_m]) + errors_m
+
+    def is_near(places: FloatArray, low_m: float, high_m: float, bends_m: float) -> FloatArray:
+        level_m = np.hypot(*(places - here)[:, :2].T)
+        up_m = np.maximum(np.maximum(low_m - places[:, 2], places[:, 2] - high_m), 0.0)
+        return (level_m < kept_m[0] + bends_m) & (up_m < kept_m[1] + bends_m)
+
+    rng, gone = np.random.default_rng(0), 0
+    for _ in range(300):
+        turn, side = rng.uniform(0.0, math.tau), rng.choice([-1.0, 1.0])
+        far_m, high_m = kept_m * rng.uniform(0.7, 1.5, 2)
+        edge = here + [far_m, far_m, side * high_m] * np.array(
+            [math.cos(turn), math.sin(turn), 1.0]
+        )
+        end = here + rng.uniform([-20.0, -20.0, 0.0], [20.0, 20.0, 40.0]) * [1.0, 1.0, side]
+        end[2] += side * high_m
+        begin = edge - rng.uniform(0.3, 1.5) * (end - edge)
+        way = np.linspace(begin, end, 200)
+        blocked = is_near(way, here[2], here[2], 4.0 * STRAIGHT_M)
+        if blocked[0]:
+            continue  # it is not where the vehicle stands
+        system = int(rng.choice([1, 3]))
+        ends = {"begin_nea_m": tuple(begin.tolist()), "end_nea_m": tuple(end.tolist())}
+        claims = (Claim(system=system, heard_s=now_s, **ends),)
+        among_it = replace(traffic, claims=claims, level_m=None, moved_at_s=now_s - 50.0)
+        after = observe(replace(state, traffic=among_it), context)[0].traffic
+        assert after is not None
+        if (level_m := after.level_m) is None:
+            continue
+        gone += 1
+        entered = way[: int(blocked.argmax())] if blocked.any() else way
+        assert not is_near(entered, min(here[2], level_m), max(here[2], level_m), 0.0).any()
+    assert gone > 100
 
 
 def test_who_is_named_is_in_the_way() -> None:
