@@ -25,9 +25,7 @@ from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
-from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
-from vehicle_sim.wire.mission_protocol import MissionProtocol
-from vehicle_sim.wire.mission_px4 import Px4Missions
+from vehicle_sim.wire.missions import ArduPilotMissions, Px4Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
 from vehicle_sim.wire.radio import Radio
@@ -50,7 +48,7 @@ _STREAM_PARAMETERS = {
     11: "EXTRA2",
     12: "EXTRA3",
 }
-_MISSIONS: dict[str, type[MissionProtocol]] = {
+_MISSIONS: dict[str, type[ArduPilotMissions | Px4Missions]] = {
     "ardupilot": ArduPilotMissions,
     "px4": Px4Missions,
 }
@@ -226,7 +224,7 @@ class FlightController:
     def add_to_fence(self, item: PlanItem) -> None:
         """As if somebody had uploaded the fence with this item added."""
         items = (*self.autopilot.plans[PlanKind.FENCE], item)
-        self.answer(self._mission_protocol.store(PlanKind.FENCE, items))
+        self.answer(store(self.autopilot, PlanKind.FENCE, items))
 
     def receive(self, message: Any, sender: Sender, now_us: int) -> None:
         """Handle a message that is for the autopilot."""

@@ -27,9 +27,7 @@ from vehicle_sim.autopilots import (
 )
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
 from vehicle_sim.wire.frames import Packer, StreamParser
-from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
-from vehicle_sim.wire.mission_protocol import MissionResult
-from vehicle_sim.wire.mission_px4 import Px4Missions, opaque_id
+from vehicle_sim.wire.missions import ArduPilotMissions, Px4Missions, opaque_id
 
 Firmware = Literal["ardupilot", "px4"]
 BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
@@ -38,7 +36,7 @@ THERE = Sender(system=1, component=191, link=1)
 HOME = Place(latitude_deg=-35.3632621, longitude_deg=149.1652374, altitude_amsl_m=584.0)
 STEP_US = 10_000
 MISSION, FENCE, RALLY = PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY
-ACCEPTED = MissionResult.ACCEPTED
+ACCEPTED = mavlink.MAV_MISSION_ACCEPTED
 
 
 class Vehicle:
@@ -146,16 +144,14 @@ def mission() -> list[Any]:
     ]
 
 
-def upload(
-    vehicle: Vehicle, items: list[Any], kind: PlanKind, sender: Sender = HERE
-) -> MissionResult:
+def upload(vehicle: Vehicle, items: list[Any], kind: PlanKind, sender: Sender = HERE) -> int:
     """As a ground station does it; the result of the last MISSION_ACK."""
     answers = vehicle.say(count(len(items), kind), sender)
     for _ in range(3 * len(items) + 3):
         (answer,) = answers
         if answer.get_type() == "MISSION_ACK":
             assert answer.mission_type == kind
-            return MissionResult(answer.type)
+            return int(answer.type)
         assert answer.mission_type == kind
         answers = vehicle.say(items[answer.seq], sender)
     raise AssertionError("the upload never ended")
@@ -366,7 +362,7 @@ def test_ardupilot_asks_again_after_1_s_and_gives_up_after_8_s_with_a_text() -> 
     (seconds, ack) = got[-1]
     assert (ack.get_type(), ack.type, ack.mission_type) == (
         "MISSION_ACK",
-        MissionResult.OPERATION_CANCELLED,
+        mavlink.MAV_MISSION_OPERATION_CANCELLED,
         1,
     )
     assert seconds == pytest.approx(8.0, abs=0.02)
@@ -392,7 +388,7 @@ def test_the_wrong_item_is_refused_and_the_right_one_asked_for_again() -> None:
     vehicle = Vehicle("ardupilot")
     vehicle.say(count(3, FENCE))
     (ack,) = vehicle.say(circle(2))
-    assert ack.type == MissionResult.INVALID_SEQUENCE
+    assert ack.type == mavlink.MAV_MISSION_INVALID_SEQUENCE
     (again, *_) = vehicle.run(1.1)
     assert (again[1].get_type(), again[1].seq) == ("MISSION_REQUEST", 0)
 
@@ -407,7 +403,7 @@ def test_while_one_uploads_the_others_are_denied_both_ways() -> None:
         circle(0),
     ):
         (ack,) = vehicle.say(message, THERE)
-        assert (ack.get_type(), ack.type) == ("MISSION_ACK", MissionResult.DENIED)
+        assert (ack.get_type(), ack.type) == ("MISSION_ACK", mavlink.MAV_MISSION_DENIED)
     assert vehicle.say(count(1, MISSION), THERE)[0].get_type() == "MISSION_REQUEST"
     (begun_again,) = vehicle.say(count(1, FENCE))
     assert begun_again.seq == 0
@@ -448,25 +444,23 @@ def bow_tie() -> list[Any]:
     ("items", "result", "text"),
     [
         (bow_tie(), ACCEPTED, None),
-        (polygon(3)[:2], MissionResult.ERROR, "Incorrect item count"),
-        (polygon(2), MissionResult.ERROR, "Invalid vertex count (2)"),
-        ([*polygon(3)[:2], circle(2)], MissionResult.ERROR, "Received incorrect type"),
+        (polygon(3)[:2], mavlink.MAV_MISSION_ERROR, "Incorrect item count"),
+        (polygon(2), mavlink.MAV_MISSION_ERROR, "Invalid vertex count (2)"),
+        ([*polygon(3)[:2], circle(2)], mavlink.MAV_MISSION_ERROR, "Received incorrect type"),
         (
             [*polygon(3)[:2], *polygon(3, at=2, command=5002)[:1]],
-            MissionResult.ERROR,
+            mavlink.MAV_MISSION_ERROR,
             "Received incorrect vertex type (want=98 got=97)",
         ),
-        ([circle(0, 0.0)], MissionResult.ERROR, "Non-positive circle radius"),
-        ([circle(0, math.nan)], MissionResult.ERROR, "Non-positive circle radius"),
-        ([circle(0, x=10**9)], MissionResult.ERROR, "Bad lat or lon"),
-        ([circle(0, frame=1)], MissionResult.UNSUPPORTED_FRAME, None),
-        ([item(0, FENCE, 16)], MissionResult.UNSUPPORTED, None),
-        ([item(0, FENCE, 5000), item(1, FENCE, 5000)], MissionResult.ERROR, "Multiple return"),
+        ([circle(0, 0.0)], mavlink.MAV_MISSION_ERROR, "Non-positive circle radius"),
+        ([circle(0, math.nan)], mavlink.MAV_MISSION_ERROR, "Non-positive circle radius"),
+        ([circle(0, x=10**9)], mavlink.MAV_MISSION_ERROR, "Bad lat or lon"),
+        ([circle(0, frame=1)], mavlink.MAV_MISSION_UNSUPPORTED_FRAME, None),
+        ([item(0, FENCE, 16)], mavlink.MAV_MISSION_UNSUPPORTED, None),
+        ([item(k, FENCE, 5000) for k in (0, 1)], mavlink.MAV_MISSION_ERROR, "Multiple return"),
     ],
 )
-def test_which_fences_ardupilot_takes(
-    items: list[Any], result: MissionResult, text: str | None
-) -> None:
+def test_which_fences_ardupilot_takes(items: list[Any], result: int, text: str | None) -> None:
     vehicle = Vehicle("ardupilot")
     upload(vehicle, [circle(0, 77.0)], FENCE)
     assert upload(vehicle, items, FENCE) is result
@@ -479,21 +473,21 @@ def test_which_fences_ardupilot_takes(
 @pytest.mark.parametrize(
     ("bad", "result"),
     [
-        (item(1, MISSION, 9999), MissionResult.UNSUPPORTED),
-        (item(1, MISSION, 16, frame=1), MissionResult.UNSUPPORTED_FRAME),
-        (item(1, MISSION, 16, math.nan), MissionResult.INVALID_PARAM1),
-        (item(1, MISSION, 16, 0, math.inf), MissionResult.INVALID_PARAM2),
-        (item(1, MISSION, 178, 1, 5, math.nan), MissionResult.INVALID_PARAM3),
-        (item(1, MISSION, 178, 1, 5, 0, math.nan), MissionResult.INVALID_PARAM4),
-        (item(1, MISSION, 16, x=900_000_001), MissionResult.INVALID_PARAM5_X),
-        (item(1, MISSION, 16, y=-1_800_000_001), MissionResult.INVALID_PARAM6_Y),
-        (item(1, MISSION, 16, z=math.nan), MissionResult.INVALID_PARAM7),
-        (item(1, MISSION, 16, z=1e6), MissionResult.INVALID_PARAM7),
-        (item(1, MISSION, 177, 9, 1), MissionResult.ERROR),
-        (item(1, RALLY, 16), MissionResult.UNSUPPORTED),
+        (item(1, MISSION, 9999), mavlink.MAV_MISSION_UNSUPPORTED),
+        (item(1, MISSION, 16, frame=1), mavlink.MAV_MISSION_UNSUPPORTED_FRAME),
+        (item(1, MISSION, 16, math.nan), mavlink.MAV_MISSION_INVALID_PARAM1),
+        (item(1, MISSION, 16, 0, math.inf), mavlink.MAV_MISSION_INVALID_PARAM2),
+        (item(1, MISSION, 178, 1, 5, math.nan), mavlink.MAV_MISSION_INVALID_PARAM3),
+        (item(1, MISSION, 178, 1, 5, 0, math.nan), mavlink.MAV_MISSION_INVALID_PARAM4),
+        (item(1, MISSION, 16, x=900_000_001), mavlink.MAV_MISSION_INVALID_PARAM5_X),
+        (item(1, MISSION, 16, y=-1_800_000_001), mavlink.MAV_MISSION_INVALID_PARAM6_Y),
+        (item(1, MISSION, 16, z=math.nan), mavlink.MAV_MISSION_INVALID_PARAM7),
+        (item(1, MISSION, 16, z=1e6), mavlink.MAV_MISSION_INVALID_PARAM7),
+        (item(1, MISSION, 177, 9, 1), mavlink.MAV_MISSION_ERROR),
+        (item(1, RALLY, 16), mavlink.MAV_MISSION_UNSUPPORTED),
     ],
 )
-def test_one_item_that_is_wrong_ends_the_upload(bad: Any, result: MissionResult) -> None:
+def test_one_item_that_is_wrong_ends_the_upload(bad: Any, result: int) -> None:
     vehicle = Vehicle("ardupilot")
     kind = PlanKind(bad.mission_type)
     upload(vehicle, [item(0, kind, 5100 if kind is RALLY else 16)], kind)
@@ -535,10 +529,14 @@ def test_beyond_the_end_there_is_an_error() -> None:
     upload(vehicle, mission(), MISSION)
     upload(vehicle, [circle(0)], FENCE)
     told, ack = vehicle.say(request(6, MISSION))
-    assert (told.get_type(), told.count, ack.type) == ("MISSION_COUNT", 6, MissionResult.ERROR)
-    assert vehicle.say(request(1, FENCE))[0].type == MissionResult.ERROR
-    assert vehicle.say(request(2, FENCE))[0].type == MissionResult.INVALID_SEQUENCE
-    assert vehicle.say(request(0, RALLY))[0].type == MissionResult.INVALID_SEQUENCE
+    assert (told.get_type(), told.count, ack.type) == (
+        "MISSION_COUNT",
+        6,
+        mavlink.MAV_MISSION_ERROR,
+    )
+    assert vehicle.say(request(1, FENCE))[0].type == mavlink.MAV_MISSION_ERROR
+    assert vehicle.say(request(2, FENCE))[0].type == mavlink.MAV_MISSION_INVALID_SEQUENCE
+    assert vehicle.say(request(0, RALLY))[0].type == mavlink.MAV_MISSION_INVALID_SEQUENCE
 
 
 def test_some_items_can_be_replaced() -> None:
@@ -554,15 +552,15 @@ def test_some_items_can_be_replaced() -> None:
     assert after[2].z_m == 333.0
     assert (after[:2], after[3:]) == (before[:2], before[3:])
     beyond = mavlink.MAVLink_mission_write_partial_list_message(1, 1, 2, 9, 0)
-    assert vehicle.say(beyond)[0].type == MissionResult.ERROR
+    assert vehicle.say(beyond)[0].type == mavlink.MAV_MISSION_ERROR
 
 
 def test_a_list_that_there_is_not_and_one_that_is_too_long() -> None:
     vehicle = Vehicle("ardupilot")
-    assert vehicle.say(count(1, 7))[0].type == MissionResult.UNSUPPORTED
-    assert vehicle.say(count(256, FENCE))[0].type == MissionResult.NO_SPACE
+    assert vehicle.say(count(1, 7))[0].type == mavlink.MAV_MISSION_UNSUPPORTED
+    assert vehicle.say(count(256, FENCE))[0].type == mavlink.MAV_MISSION_NO_SPACE
     assert vehicle.texts == ["Only 255 items are supported"]
-    assert vehicle.say(circle(0))[0].type == MissionResult.ERROR  # nobody asked
+    assert vehicle.say(circle(0))[0].type == mavlink.MAV_MISSION_ERROR  # nobody asked
 
 
 def test_an_item_with_current_2_is_a_place_to_fly_to() -> None:
@@ -650,7 +648,7 @@ def test_px4_refuses_a_second_uploader_on_any_link(sender: Sender) -> None:
     vehicle = Vehicle("px4")
     vehicle.say(count(2, FENCE))
     (ack,) = vehicle.say(count(1, FENCE), sender)
-    assert ack.type == MissionResult.ERROR
+    assert ack.type == mavlink.MAV_MISSION_ERROR
     vehicle.say(circle(0))
     assert vehicle.say(circle(1))[0].type == ACCEPTED
 
@@ -674,9 +672,9 @@ def test_px4_hands_out_in_order_and_ends_when_it_is_left() -> None:
     got = [vehicle.say(request(seq, MISSION)) for seq in (0, 1, 1, 2)]
     assert [each.seq for (each,) in got] == [0, 1, 1, 2]
     assert [each.current for (each,) in got] == [0, 1, 1, 0]
-    assert vehicle.say(count(1, MISSION))[0].type == MissionResult.ERROR  # busy
+    assert vehicle.say(count(1, MISSION))[0].type == mavlink.MAV_MISSION_ERROR  # busy
     (ack,) = vehicle.say(request(5, MISSION))
-    assert ack.type == MissionResult.ERROR
+    assert ack.type == mavlink.MAV_MISSION_ERROR
     assert vehicle.texts[-1] == "WPM: REJ. CMD: Req. WP was unexpected"
     vehicle.say(listing)
     for seq in range(6):
@@ -698,15 +696,15 @@ def test_px4_clears_all_three_at_once_if_asked() -> None:
 @pytest.mark.parametrize(
     ("bad", "result"),
     [
-        (item(1, MISSION, 9999), MissionResult.UNSUPPORTED),
-        (item(1, MISSION, 16, frame=10), MissionResult.UNSUPPORTED_FRAME),
-        (item(1, MISSION, 16, frame=2), MissionResult.UNSUPPORTED),
-        (item(1, MISSION, 5004, 3), MissionResult.ERROR),
-        (item(1, FENCE, 5001, 2), MissionResult.ERROR),
-        (item(1, FENCE, 5001, math.nan), MissionResult.ERROR),
+        (item(1, MISSION, 9999), mavlink.MAV_MISSION_UNSUPPORTED),
+        (item(1, MISSION, 16, frame=10), mavlink.MAV_MISSION_UNSUPPORTED_FRAME),
+        (item(1, MISSION, 16, frame=2), mavlink.MAV_MISSION_UNSUPPORTED),
+        (item(1, MISSION, 5004, 3), mavlink.MAV_MISSION_ERROR),
+        (item(1, FENCE, 5001, 2), mavlink.MAV_MISSION_ERROR),
+        (item(1, FENCE, 5001, math.nan), mavlink.MAV_MISSION_ERROR),
     ],
 )
-def test_which_items_px4_refuses(bad: Any, result: MissionResult) -> None:
+def test_which_items_px4_refuses(bad: Any, result: int) -> None:
     vehicle = Vehicle("px4")
     kind = PlanKind(bad.mission_type)
     good = circle(0) if kind is FENCE else item(0, MISSION, 16)
