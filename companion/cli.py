@@ -1,6 +1,7 @@
 """The command line: fly, plan, check, compare."""
 
 import contextlib
+import errno
 import io
 import os
 import platform
@@ -60,6 +61,7 @@ from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
 _INTERRUPTED, _CRASHED = 130, 70
+_NO_OUTPUT = (errno.ENOSPC, errno.EPIPE, errno.EIO)
 _LOADING = "loading the planner (compiled the first time, in some fifteen seconds)"
 _USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
 
@@ -426,6 +428,10 @@ def main() -> None:
     except typer.Abort:
         sys.exit(_INTERRUPTED)
     except Exception as error:  # noqa: BLE001 - whatever it is, a crash has a code of its own
+        if isinstance(error, OSError) and error.filename is None and error.errno in _NO_OUTPUT:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is not yet written
+            sys.stderr.write(f"error: the output cannot be written ({error.strerror})\n")
+            sys.exit(InputError.exit_code)
         if not isinstance(error, _USAGE_ERROR):
             traceback.print_exc()
             sys.exit(_CRASHED)

@@ -89,6 +89,14 @@ def refused(*arguments: str | Path) -> str:
     return said
 
 
+def test_what_is_asked_for_and_cannot_be_printed_is_an_error_of_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        asked = [COMPANION, "--version"]
+        done = subprocess.run(asked, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    said = "error: the output cannot be written (No space left on device)\n"
+    assert (done.returncode, done.stderr) == (2, said)
+
+
 @pytest.mark.parametrize("how", [("view", str(HILLS)), ("fly", "environment-1", "--view")])
 def test_without_what_shows_flights_it_is_named(
     how: tuple[str, ...], monkeypatch: pytest.MonkeyPatch

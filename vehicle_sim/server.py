@@ -305,7 +305,7 @@ def _close(file: TextIO) -> None:
 
 @contextmanager
 def truth_files(folder: Path | None, names: Sequence[str]) -> Iterator[list[TextIO | None]]:
-    """FOLDER/NAME for each name, opened for writing; None for each without a folder."""
+    """FOLDER/NAME for each name, empty; None for each without a folder.  Raises InputError."""
     if folder is None:
         yield [None] * len(names)
         return
@@ -314,9 +314,12 @@ def truth_files(folder: Path | None, names: Sequence[str]) -> Iterator[list[Text
             folder.mkdir(parents=True, exist_ok=True)
             files: list[TextIO | None] = []
             for name in names:
-                file = (folder / name).open("w", encoding="utf-8", newline="\n")
+                file = (folder / name).open("a", encoding="utf-8", newline="\n")
                 stack.callback(_close, file)
                 files.append(file)
+                if file.tell():
+                    rule = f"has the {name} of another flight"
+                    raise InputError("--out", str(folder), rule, "Name another folder.")
         except OSError as error:
             rule = f"cannot be written to ({error.strerror})"
             raise InputError("--out", str(folder), rule, "Name another folder.") from None

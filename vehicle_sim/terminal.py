@@ -1,5 +1,7 @@
 """How both programs end: an error is one line on stderr and an exit code, never a traceback."""
 
+import errno
+import os
 import sys
 
 import typer
@@ -16,6 +18,12 @@ def run(app: typer.Typer, program: str) -> None:
         sys.exit(error.exit_code)
     except typer.Abort:
         sys.exit(0)
+    except OSError as error:
+        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EPIPE, errno.EIO):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is not yet written
+        sys.stderr.write(f"error: the output cannot be written ({error.strerror})\n")
+        sys.exit(InputError.exit_code)
     except Exception as error:
         wrong = _wrong_options(error)
         if wrong is None:

@@ -69,8 +69,10 @@ class Store:
     def _begin(self, text: str, facts: dict[str, Any]) -> None:
         runs = self.folder / _RUNS
         if runs.exists():
-            if facts_of(self.folder).get("digest") != facts["digest"]:
+            known = facts_of(self.folder).get("digest")
+            if known != facts["digest"]:
                 rule = "it holds another campaign, or the same with other options"
+                rule = rule if known else f"its {_RUNS} cannot be read"
                 raise InputError("--out", str(self.folder), rule, "Give a new folder.")
             return
         if any((self.folder / ROWS).iterdir()):

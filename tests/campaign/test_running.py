@@ -299,6 +299,9 @@ def test_a_folder_of_something_else_and_a_busy_one_are_refused(tmp_path: Path) -
         again()
     with pytest.raises(InputError, match="another campaign"):
         Store(tmp_path, text="", digest="b", count=1, source=[])
+    (tmp_path / "runs.json").write_text('{"digest": "a', encoding="utf-8")
+    with pytest.raises(InputError, match=r"runs\.json cannot be read"):
+        again()
 
 
 def test_a_row_is_written_once(tmp_path: Path) -> None:

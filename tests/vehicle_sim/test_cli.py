@@ -123,6 +123,8 @@ def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
     header, *rows = map(json.loads, (folder / "truth.jsonl").read_text("utf-8").splitlines())
     assert header["seed"] == 7
     assert (len(rows), rows[-1]["t_s"]) == (51, 5.0)
+    code, _, err = result(start(world_file, "--out", folder))  # nothing recorded is written over
+    assert (code, "truth.jsonl of another flight" in err) == (2, True)
 
 
 def test_a_full_disk_does_not_end_a_flight(start: Start, world_file: Path, tmp_path: Path) -> None:
@@ -134,6 +136,12 @@ def test_a_full_disk_does_not_end_a_flight(start: Start, world_file: Path, tmp_p
     code, out, err = result(start(*arguments))
     assert (code, err) == (0, "")
     assert out.count("truth.jsonl stopped: No space left on device") == 1
+
+
+def test_what_is_asked_for_and_cannot_be_printed_is_an_error_of_one_line(start: Start) -> None:
+    with Path("/dev/full").open("w") as full:
+        code, _, err = result(start("--help", stdout=full))
+    assert (code, err) == (2, "error: the output cannot be written (No space left on device)\n")
 
 
 @pytest.mark.parametrize(
