@@ -1,6 +1,7 @@
 """The buttons that matter: for who has the token, each behind a question."""
 
 import hmac
+import html
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final, final
@@ -16,7 +17,6 @@ from companion.views.words import metres
 Place = tuple[float, float]
 PlaceOf = Callable[[Sequence[float], Sequence[float]], Place | None]
 """North and east of where a ray meets the ground."""
-_SHOWN_S: Final = 12.0
 _RADIUS_M: Final = 500.0
 _PLAIN: Final = (
     ("hold", "Stop, and hold?", partial(control.command, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)),
@@ -56,8 +56,9 @@ class Orders:
     def _offer(self, client: viser.ClientHandle, place_of: PlaceOf, *, trusted: bool) -> None:
         folder = client.gui.add_folder("control", order=-1.0)
         with folder:
+            says = client.gui.add_html("")
             if trusted:
-                self._add_buttons(client, place_of)
+                self._add_buttons(client, says, place_of)
                 return
             asked = client.gui.add_text("token", "", hint="The terminal has printed it.")
             button = client.gui.add_button("unlock")
@@ -68,14 +69,16 @@ class Orders:
                 self._offer(client, place_of, trusted=True)
             else:
                 why = "this is not the token that the terminal has printed"
-                _tell(client, "refused", why, is_good=False)
+                _tell(says, "refused", why, is_good=False)
 
         button.on_click(unlock)
 
-    def _add_buttons(self, client: viser.ClientHandle, place_of: PlaceOf) -> None:
+    def _add_buttons(
+        self, client: viser.ClientHandle, says: viser.GuiHtmlHandle, place_of: PlaceOf
+    ) -> None:
         for label, question, make in _PLAIN:
             button = client.gui.add_button(label)
-            button.on_click(partial(self._ask, client, label, question, make))
+            button.on_click(partial(self._ask, client, says, label, question, make))
         target = client.gui.add_button("new target", hint="Then click on the ground.")
         radius = client.gui.add_number("radius, m", _RADIUS_M, min=1.0, step=1.0)
         keep_out = client.gui.add_button("keep-out", hint="Then click on its centre.")
@@ -87,16 +90,18 @@ class Orders:
         def ask_for_keep_out(_: Any) -> None:
             radius_m = float(radius.value)
             of, make = f" of radius {metres(radius_m)}", partial(circle_there, radius_m=radius_m)
-            self._pick(client, place_of, "keep-out", of, make)
+            pick("keep-out", of, make)
 
         lift_there = partial(circle_there, radius_m=0.0)
-        target.on_click(lambda _: self._pick(client, place_of, "new target", "", go_there))
+        pick = partial(self._pick, client, says, place_of)
+        target.on_click(lambda _: pick("new target", "", go_there))
         keep_out.on_click(ask_for_keep_out)
-        lift.on_click(lambda _: self._pick(client, place_of, "lift keep-out", "", lift_there))
+        lift.on_click(lambda _: pick("lift keep-out", "", lift_there))
 
     def _ask(
         self,
         client: viser.ClientHandle,
+        says: viser.GuiHtmlHandle,
         label: str,
         question: str,
         make: Callable[[], Message],
@@ -109,14 +114,16 @@ class Orders:
 
         def order(_: Any) -> None:
             modal.close()
+            _tell(says, label, "ordered", is_good=True)
             answer = self._station.order(make)
-            _tell(client, label, answer, is_good=answer.startswith("accepted"))
+            _tell(says, label, answer, is_good=answer.startswith("accepted"))
 
         yes.on_click(order)
 
     def _pick(
         self,
         client: viser.ClientHandle,
+        says: viser.GuiHtmlHandle,
         place_of: PlaceOf,
         label: str,
         of: str,
@@ -128,15 +135,15 @@ class Orders:
             client.scene.remove_click_callback()
             place = place_of(event.ray_origin, event.ray_direction)
             if place is None:
-                _tell(client, label, "there is no ground there", is_good=False)
+                _tell(says, label, "there is no ground there", is_good=False)
                 return
             where = f"{metres(place[0])} north, {metres(place[1])} east"
             question = f"{label.capitalize()}{of}: {where}?"
-            self._ask(client, label, question, lambda: make(place))
+            self._ask(client, says, label, question, lambda: make(place))
 
         client.scene.remove_click_callback()  # of a place that was wanted before
         client.scene.on_click()(picked)
-        _tell(client, label, "click on the ground", is_good=True)
+        _tell(says, label, "click on the ground", is_good=True)
 
 
 def is_token(given: str, token: str) -> bool:
@@ -144,7 +151,8 @@ def is_token(given: str, token: str) -> bool:
     return hmac.compare_digest(given.strip().encode(), token.encode())
 
 
-def _tell(client: viser.ClientHandle, title: str, text: str, *, is_good: bool) -> None:
-    client.add_notification(
-        title, text, auto_close_seconds=_SHOWN_S, color="teal" if is_good else "red"
-    )
+def _tell(says: viser.GuiHtmlHandle, title: str, text: str, *, is_good: bool) -> None:
+    """In the panel: what lies over the scene takes the clicks that are meant for the ground."""
+    how = "" if is_good else " class=r"
+    said = f"<b>{html.escape(title)}</b>: <span{how}>{html.escape(text)}</span>"
+    says.content = f"<div class=fl role=status>{said}</div>"

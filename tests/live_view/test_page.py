@@ -1,24 +1,22 @@
 """The page in a real browser: what it shows of a flight, and what can be done there.
 
-One flight for all: it is led from the page while it is flown, then opened again from its folder.
+One flight for all: it is led from the page while it is flown, then shown again from its folder.
 """
 
 import io
 import math
 import re
-import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from flights import HILLS, HILLS_MISSION, Flight, launch
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
-from programs import free_port
+from playwright.sync_api import Page, expect, sync_playwright
 
 from companion.geodesy import FloatArray
 from companion.live_view.command import Asked
@@ -32,16 +30,7 @@ _PATIENCE_MS = 60_000.0
 _COARSE = "fixedDpr=0.5"  # a quarter of the pixels: there is no graphics processor
 _SCENE = "canvas[data-engine]"  # the charts have canvases too
 _ENDURING = ("--param", "BATT_CAPACITY=100000")
-Start = Callable[[], Browser]
 expect.set_options(timeout=_PATIENCE_MS)
-
-
-@pytest.fixture(scope="module")
-def browser(chromium: Path) -> Iterator[Start]:
-    """Starts one.  Without a graphics processor one draws one page, and never another."""
-    with sync_playwright() as playwright:
-        start = playwright.chromium.launch
-        yield lambda: start(executable_path=chromium, args=list(_OPTIONS))
 
 
 @pytest.fixture(scope="module")
@@ -63,29 +52,39 @@ def address(flight: Flight) -> str:
 
 
 @pytest.fixture(scope="module")
-def page(browser: Start, address: str) -> Iterator[Page]:
-    """The page of the flight, for who has the token."""
-    with opened(browser, address) as page:
-        expect(page.get_by_text("flying", exact=True)).to_be_visible()
-        yield page
+def errors() -> list[str]:
+    """What the browser's console says of errors."""
+    return []
 
 
-@contextmanager
-def opened(browser: Start, address: str, *, forgiving: bool = False) -> Iterator[Page]:
-    """A page whose console has no word of an error in the end.
+@pytest.fixture(scope="module")
+def locked(chromium: Path, address: str, errors: list[str]) -> Iterator[Page]:
+    """The page of the flight, without the token.
 
-    forgiving: its server goes away meanwhile, and it says so.
+    All tests look at one: without a graphics processor a browser draws one page, never another.
     """
-    started = browser()
-    page = started.new_page(viewport={"width": 1000, "height": 640})
-    page.set_default_timeout(_PATIENCE_MS)
-    said: list[str] = []
-    page.on("console", lambda told: said.append(told.text) if told.type == "error" else None)
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(f"{address}{'&' if '?' in address else '?'}{_COARSE}")
-    yield page
-    started.close()
-    assert forgiving or said == []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=list(_OPTIONS))
+        page = browser.new_page(viewport={"width": 1000, "height": 640})
+        page.set_default_timeout(_PATIENCE_MS)
+        page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(f"{address.partition('?')[0]}?{_COARSE}")
+        yield page
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def page(locked: Page, address: str) -> Page:
+    """The page for who has the token."""
+    unlock(locked, address.rpartition("=")[2])
+    expect(locked.get_by_text("flying", exact=True)).to_be_visible()
+    return locked
+
+
+def unlock(page: Page, token: str) -> None:
+    page.get_by_role("textbox").first.fill(token)
+    page.get_by_role("button", name="unlock").press("Enter")
 
 
 def row(page: Page, name: str) -> str:
@@ -119,8 +118,8 @@ def order(page: Page, label: str) -> str:
 
 def confirmed(page: Page, label: str) -> str:
     page.get_by_role("button", name=f"yes, {label}").press("Enter")
-    told = page.locator(".mantine-Notification-root", has_text=label).last
-    expect(told).to_contain_text(re.compile("accepted|refused|no answer"))
+    told = page.get_by_role("status")
+    expect(told).to_have_text(re.compile(f"^{label}: (accepted|refused|no answer)"))
     return told.inner_text()
 
 
@@ -130,18 +129,15 @@ Place = tuple[float, float]
 
 def clicked(page: Page, place: Place, label: str = "new target") -> str:
     """An order with a place, by a click on the scene; what the page says that came of it."""
-    button = page.get_by_role("button", name=label, exact=True)
-    told = page.locator(".mantine-Notification-root", has_text=re.compile(f"^{label}click on"))
-    expect(told).to_have_count(0)  # of an order before
-    for times in (1, 2):  # who is impatient is asked once all the same
-        button.press("Enter")
-        expect(told).to_have_count(times)
+    for each in ("keep-out" if label == "new target" else "new target", label):
+        page.get_by_role("button", name=each, exact=True).press("Enter")  # the last one counts
+        expect(page.get_by_role("status")).to_have_text(f"{each}: click on the ground")
     box = page.locator(_SCENE).bounding_box()
     assert box is not None
     at = [box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"]]
     # no click of the locator: that waits until the picture stands still, half a minute here
-    free = f"at => document.elementFromPoint(...at).matches('{_SCENE}')"  # no question is over it
-    page.wait_for_function(free, arg=at, polling=100)
+    free = f"at => document.elementFromPoint(...at).matches('{_SCENE}')"
+    page.wait_for_function(free, arg=at, polling=100)  # a question before may still fade
     page.mouse.click(*at)
     return confirmed(page, label)
 
@@ -174,12 +170,10 @@ def shows_clicked_event(page: Page) -> str:
 # --- while it is flown
 
 
-def test_who_has_no_token_is_refused(browser: Start, address: str) -> None:
-    with opened(browser, address.partition("?")[0]) as page:
-        page.get_by_role("textbox").first.fill("a guess")
-        page.get_by_role("button", name="unlock").press("Enter")
-        expect(page.get_by_text("this is not the token")).to_be_visible()
-        assert page.get_by_role("button", name="hold", exact=True).count() == 0
+def test_who_has_no_token_is_refused(locked: Page) -> None:
+    unlock(locked, "a guess")
+    expect(locked.get_by_role("status")).to_contain_text("this is not the token")
+    assert locked.get_by_role("button", name="hold", exact=True).count() == 0
 
 
 def test_what_is_flown_is_on_the_page_and_changes(page: Page) -> None:
@@ -240,7 +234,7 @@ def test_told_to_land_it_lands_where_it_is(page: Page) -> None:
 
 
 @contextmanager
-def served(folder: Path, port: int) -> Iterator[str]:
+def served(folder: Path, port: int) -> Iterator[None]:
     """The page of a run folder, from this process."""
     over, ready = threading.Event(), threading.Event()
     asked = Asked(paths=(str(folder),), port=port)
@@ -249,30 +243,24 @@ def served(folder: Path, port: int) -> Iterator[str]:
     )
     serving.start()
     assert ready.wait(_PATIENCE_MS / 1e3)
-    yield f"http://127.0.0.1:{port}/"
+    yield
     over.set()
     serving.join()
 
 
-def test_a_run_folder_is_shown_again_and_the_page_comes_back(
-    browser: Start, flight: Flight, page: Page
+def test_its_run_folder_is_shown_again_and_the_page_comes_back(
+    flight: Flight, page: Page, address: str, errors: list[str]
 ) -> None:
     if not any(entry.get("order") == "PAUSE" for entry in flight.journal):  # it is run alone
         order(page, "hold")
         expect(page.get_by_text("paused by a person").first).to_be_visible()
-    page.close()
+    assert errors == []
     flight.companion.interrupt(60.0)
-    port = free_port(socket.SOCK_STREAM)
-    with ExitStack() as stack:
-        with served(flight.folder, port) as address:
-            again = stack.enter_context(opened(browser, address, forgiving=True))
-            expect(again.get_by_text("next plan")).to_be_visible()
-            again.get_by_role("button", name="next hold").click()
-            slider = again.get_by_role("slider")
-            slider.press("Home")
-            expect(again.locator("tr", has_text=re.compile("^time"))).to_have_text("time0:00")
-            again.get_by_role("button", name="next hold").click()
-            expect(again.get_by_text("paused by a person").first).to_be_visible()
-            shows_clicked_event(again)
-        with served(flight.folder, port):
-            expect(again.locator("tr", has_text=re.compile("^time"))).not_to_have_text("time0:00")
+    clock = page.locator("tr", has_text=re.compile("^time"))
+    with served(flight.folder, int(re.findall(r":(\d+)", address)[0])):
+        expect(page.get_by_role("button", name="hold", exact=True)).to_have_count(0)
+        page.get_by_role("slider").press("Home")
+        expect(clock).to_have_text("time0:00")
+        page.get_by_role("button", name="next hold").click()
+        expect(page.get_by_text("paused by a person").first).to_be_visible()
+        shows_clicked_event(page)

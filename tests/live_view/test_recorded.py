@@ -7,14 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 import rich
 import viser
+from programs import free_port
 from recorded import flown, mission_file, record
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
+from zstandard import ZstdDecompressor
 
 from companion.config import load_mission
 from companion.errors import InputError
@@ -31,6 +34,17 @@ from companion.telemetry.inputs import HEADER, packed
 _PIECES = 5
 _PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 _PATIENCE_S = 60.0
+_LOOKS = msgspec.msgpack.encode(
+    {
+        **dict.fromkeys(("fov", "near", "far", "image_height", "image_width"), 1),
+        "type": "ViewerCameraMessage",
+        "wxyz": (1.0, 0.0, 0.0, 0.0),
+        "position": (1.0, 0.0, 0.0),
+        "look_at": (0.0, 0.0, 0.0),
+        "up_direction": (0.0, 0.0, 1.0),
+    }
+)
+"""What a browser sends of its camera once it shows the page: it is welcomed then."""
 
 
 @pytest.fixture(scope="module")
@@ -226,18 +240,18 @@ def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
 
 
 @pytest.fixture
-def served(run_dir: tuple[Path, Session]) -> Iterator[Callable[[str], str]]:
+def served(run_dir: tuple[Path, Session]) -> Iterator[Callable[..., str]]:
     """Serves the flight on a host, from this process; gives the address that is printed."""
     over, threads = threading.Event(), list[threading.Thread]()
 
-    def start(host: str) -> str:
+    def start(host: str, ground: str | None = None) -> str:
         said, ready = list[str](), threading.Event()
 
         def on_ready(address: str) -> None:
             said.append(address)
             ready.set()
 
-        asked = Asked(paths=(str(run_dir[0]),), host=host, port=0)
+        asked = Asked(paths=(str(run_dir[0]),), host=host, port=0, ground=ground)
         threads.append(threading.Thread(target=serve, args=(asked, on_ready, over.is_set)))
         threads[-1].start()
         assert ready.wait(_PATIENCE_S)
@@ -249,9 +263,21 @@ def served(run_dir: tuple[Path, Session]) -> Iterator[Callable[[str], str]]:
         thread.join()
 
 
-def test_elsewhere_than_on_loopback_the_token_is_asked_for(
-    served: Callable[[str], str],
+def test_who_comes_with_the_token_has_the_buttons_and_who_comes_without_is_asked_for_it(
+    served: Callable[..., str],
 ) -> None:
+    address = served("127.0.0.1", f"udpout:127.0.0.1:{free_port()}")
+    websocket = address.partition("websocket=")[2]
+    for place, offered in ((websocket, b"lift keep-out"), (websocket.split("?")[0], b"unlock")):
+        with connect(place, subprotocols=[_PROTOCOL], max_size=None) as socket:
+            socket.send(_LOOKS)
+            got = b""
+            while not any(button in got for button in (b"lift keep-out", b"unlock")):
+                got = ZstdDecompressor().decompress(socket.recv(_PATIENCE_S)[16:])
+            assert offered in got
+
+
+def test_elsewhere_than_on_loopback_the_token_is_asked_for(served: Callable[..., str]) -> None:
     address = served("0.0.0.0")
     found = re.search(r":(\d+)/\?websocket=ws://.*/\?token=(\S+)", address)
     assert found is not None
