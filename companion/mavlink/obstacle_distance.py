@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.mavlink.dialect import Message, wire

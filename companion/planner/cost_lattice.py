@@ -25,7 +25,7 @@ from typing import final
 
 import numpy as np
 import numpy.typing as npt
-import scipy.ndimage
+import scipy
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.settings import Task

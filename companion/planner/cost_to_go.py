@@ -14,9 +14,7 @@ from typing import final
 
 import numpy as np
 import numpy.typing as npt
-import scipy.ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+import scipy
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.cost_lattice import (
@@ -348,8 +346,10 @@ def _solve(lattice: Lattice, seeds: _Seeds) -> _Solved:
     data[neighbours.size :] = seeds.cost_m + _NOT_ZERO_M
     index = np.concatenate([neighbours.ravel(), seeds.index])
     start = np.append(np.arange(0, count * each + 1, each), len(data)).astype(np.int32)
-    graph = csr_array((data, index, start), shape=(count + 1, count + 1))
-    cost, before = dijkstra(graph, directed=True, indices=[count], return_predecessors=True)
+    graph = scipy.sparse.csr_array((data, index, start), shape=(count + 1, count + 1))
+    cost, before = scipy.sparse.csgraph.dijkstra(
+        graph, directed=True, indices=[count], return_predecessors=True
+    )
     return _Solved(lattice=lattice, cost_m=cost[0, :count], next_index=before[0, :count])
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from companion.geodesy import BoolArray
 from companion.planner.cost_lattice import IndexArray, Place, sampled

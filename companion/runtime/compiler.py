@@ -1,6 +1,7 @@
 """Loads the planner's compiled kernel without ever waiting for the compiler in flight."""
 
 import hashlib
+import importlib
 import os
 import shutil
 import subprocess
@@ -47,6 +48,12 @@ def load_kernel() -> Kernel:
         with suppress(OSError):
             (cache / _COMPLETE).touch()
     return kernel or NUMPY
+
+
+def load_libraries() -> None:
+    """What scipy loads when it is first asked for, in up to 0.5 s: before anybody waits for it."""
+    for name in ("linalg", "ndimage", "sparse.csgraph"):
+        importlib.import_module(f"scipy.{name}")
 
 
 def load_beside_plans() -> Kernel:

@@ -18,7 +18,7 @@ from typing import final
 from companion.mavlink.link import VEHICLE_LINK
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
-from companion.runtime.compiler import Planner
+from companion.runtime.compiler import Planner, load_libraries
 from companion.runtime.control_loop import ControlLoop
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import GroundLinks, Link
@@ -63,6 +63,7 @@ def fly(
     ground: links to ground stations, for a session that `has_ground`.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
+    load_libraries()
     if planner is None:
         planner = Planner(lockstep=True) if lockstep else PlannerProcess()
     flight = _Flight(session, link, ground, folder, lockstep, planner, persist, stop_asked, clock)

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from typing import IO, Any, final
 
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.runtime.compiler import Planner, load_beside_plans
+from companion.runtime.compiler import Planner, load_beside_plans, load_libraries
 
 _LOOK_S = 0.02
 _READY = "ready"
@@ -141,6 +141,7 @@ def main() -> None:
     os.dup2(2, 1)  # printed output must not mix with the answers
     planner = Planner(lockstep=False, load=load_beside_plans)
     planner.start()
+    load_libraries()
     questions: queue.SimpleQueue[PlanRequest | None] = queue.SimpleQueue()
     enough: set[int] = set()
     threading.Thread(target=_hear, args=(sys.stdin.buffer, questions, enough), daemon=True).start()

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import TypeVar, final
 
 import numpy as np
-import scipy.linalg
-import scipy.ndimage
+import scipy
 from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray

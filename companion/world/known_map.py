@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-import scipy.ndimage
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from companion.geodesy import BoolArray, FloatArray

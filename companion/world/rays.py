@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from companion.geodesy import BoolArray, FloatArray
 
@@ -126,7 +126,7 @@ def overlooking_line_m(
     classes = np.ceil(np.log(np.maximum(half, 1.0)) / math.log(_WIDER)).astype(np.intp)
     for each in np.unique(classes[able]):
         wide = 2 * math.ceil(_WIDER ** int(each)) + 1
-        strip = maximum_filter1d(steepest, wide, axis=1, mode="wrap")
+        strip = scipy.ndimage.maximum_filter1d(steepest, wide, axis=1, mode="wrap")
         np.minimum.accumulate(strip[::-1], axis=0, out=strip[::-1])
         at = able & (classes == each)
         slope[at] = strip[first[at], ray[at]]

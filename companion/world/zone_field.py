@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.threats import CircleZone
