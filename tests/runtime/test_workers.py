@@ -26,6 +26,7 @@ from stub_session import (
 from companion.mission.events import End, Outcome
 from companion.planner.request import PlanRequest
 from companion.runtime import loop, recorder, watchdog, workers
+from companion.runtime.compiler import load_libraries
 from companion.runtime.planner_process import PlannerProcess
 from companion.runtime.watchdog import Worker
 from companion.telemetry.flight_summary import FlightSummary
@@ -70,6 +71,7 @@ class Rig:
 
     @contextmanager
     def flying(self) -> Iterator[None]:
+        load_libraries()  # as `fly` would, while what the vehicle says piles up
         self._flight.start()
         self._vehicle.start()
         try:
