@@ -1,6 +1,7 @@
 """Lockstep against everything that could stop or disturb it: real sockets, real processes."""
 
 import hashlib
+import math
 import socket
 import subprocess
 import threading
@@ -85,18 +86,18 @@ def ended(process: "subprocess.Popen[str]") -> tuple[int, str, str]:
 
 def test_it_goes_on_through_a_reboot_over_udp(start: Start, tmp_path: Path) -> None:
     faults = tmp_path / "faults.txt"
-    faults.write_text("at 5 s: reboot\n", encoding="utf-8")
+    faults.write_text("at 3 s: reboot\n", encoding="utf-8")
     with udp() as (follower, port):
         process = start(
             *("--autopilot", "px4", "--lockstep", "--faults", faults),
-            *("--connect", f"udpout:127.0.0.1:{port}", "--duration", 12),
+            *("--connect", f"udpout:127.0.0.1:{port}", "--duration", 7),
         )
         follower.read()
         follower.beat()
-        before = follower.follow(4.9).address
-        after = follower.follow(11.8).address
+        before = follower.follow(2.9).address
+        after = follower.follow(6.8).address
         assert before != after  # another source port, as the real one's
-        assert follower.newest_ns < 7e9  # the question counts from the boot, as all stamps do
+        assert follower.newest_ns < 5e9  # the question counts from the boot, as all stamps do
         follower.beat(7)
         code, _, err = ended(process)
     assert (code, err) == (0, "")
@@ -106,9 +107,9 @@ def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(
     start: Start, tmp_path: Path
 ) -> None:
     faults = tmp_path / "faults.txt"
-    faults.write_text("at 2 s: reboot\n", encoding="utf-8")
+    faults.write_text("at 1 s: reboot\n", encoding="utf-8")
     process = start(
-        *("--lockstep", "--faults", faults, "--connect", "tcpin:127.0.0.1:0", "--duration", 6),
+        *("--lockstep", "--faults", faults, "--connect", "tcpin:127.0.0.1:0", "--duration", 4),
     )
     assert process.stdout is not None
     opening = process.stdout.readline()
@@ -117,7 +118,7 @@ def test_over_tcp_a_client_that_was_cut_off_connects_again_and_it_goes_on(
         first = Follower(link)
         first.beat()
         with pytest.raises((ConnectionError, TimeoutError)):  # the reboot ends the connection
-            first.follow(6.0)
+            first.follow(4.0)
     with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
         second = Follower(link).follow(1.0)
         second.beat(7)
@@ -129,12 +130,12 @@ def run_late(start: Start, wait_s: float, *options: object) -> str:
     """What a client gets from the first question on, if it comes so late."""
     with udp() as (follower, port):
         process = start(
-            *("--lockstep", "--connect", f"udpout:127.0.0.1:{port}", "--duration", 8, *options)
+            *("--lockstep", "--connect", f"udpout:127.0.0.1:{port}", "--duration", 4, *options)
         )
         follower.read()
         threading.Event().wait(wait_s)
         follower.beat()
-        digest = follower.follow(7.9).digest.hexdigest()
+        digest = follower.follow(3.9).digest.hexdigest()
         process.terminate()
         code, _, err = ended(process)
     assert (code, err) == (0, "")
@@ -164,7 +165,7 @@ def test_links_that_are_bad_from_the_start_neither_stop_it_nor_depend_on_when_on
 
 
 def test_who_answers_with_a_time_of_its_own_is_told_so(serve: Any, companion: Any) -> None:
-    with serve(companion.port, lockstep=True, silence_s=1.5) as run:
+    with serve(companion.port, lockstep=True, silence_s=0.5) as run:
         companion.datagram()
         companion.send(companion.heartbeat())
         deadline_s = time.monotonic() + 20.0
@@ -208,7 +209,7 @@ def test_vehicles_on_one_port_ask_different_questions_and_wait_for_all(start: St
 
 
 def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(start: Start) -> None:
-    process = start("--connect", "tcpin:127.0.0.1:0", "--speedup", 20, "--duration", 400)
+    process = start("--connect", "tcpin:127.0.0.1:0", "--duration", 40)
     assert process.stdout is not None
     port = int(process.stdout.readline().split("tcpin:127.0.0.1:")[1].split(",")[0])
     with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
@@ -228,8 +229,8 @@ def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(sta
 
 def test_on_shared_links_a_heartbeat_is_passed_on_once(start: Start, companion: Any) -> None:
     process = start(
-        *("--count", 4, "--connect", f"udpout:127.0.0.1:{companion.port}"),
-        *("--connect", "udpin:127.0.0.1:0", "--speedup", 5, "--duration", 300),
+        *("--count", 2, "--connect", f"udpout:127.0.0.1:{companion.port}"),
+        *("--connect", "udpin:127.0.0.1:0", "--duration", 60),
     )
     assert process.stdout is not None
     opening = process.stdout.readline()
@@ -243,9 +244,11 @@ def test_on_shared_links_a_heartbeat_is_passed_on_once(start: Start, companion: 
         companion.datagram()
         companion.send(companion.heartbeat(5))  # a status that nobody else here has
         got: list[Any] = []
-        deadline_s = time.monotonic() + 1.5
+        deadline_s = math.inf
         while time.monotonic() < deadline_s and len(got) < 2:
             got += [m for m in station.read() if m.get_type() == "HEARTBEAT" and m.type == 18]
+            if got:
+                deadline_s = min(deadline_s, time.monotonic() + 0.5)
     assert len(got) == 1
     process.terminate()
     ended(process)

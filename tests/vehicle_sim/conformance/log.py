@@ -4,6 +4,7 @@ A .tlog is a sequence of records: 8 bytes of big-endian microseconds since 1970,
 MAVLink frame; both directions, in time order (tests/recordings/README.md).
 """
 
+import functools
 import io
 import itertools
 import lzma
@@ -229,7 +230,7 @@ class Place:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Recording:
     """One flight.  All times are seconds since the autopilot's boot."""
 
@@ -246,6 +247,11 @@ class Recording:
     begin_s: float
     end_s: float
     clock: Clock = field(repr=False)
+
+    @functools.cached_property
+    def side(self) -> Side:
+        """What the autopilot said, each message decoded once."""
+        return Side(self.said)
 
 
 def read_recording(path: Path) -> Recording:

@@ -75,7 +75,7 @@ class Comparison:
         return cls(
             recording=recording,
             flight=flight,
-            real=Side(recording.said),
+            real=recording.side,
             simulated=simulated,
             causes=tuple(sorted(_causes(recording, flight))),
         )

@@ -25,8 +25,8 @@ COPTER, PX4, PLANE = (
 TARGET_FIELDS = ("x", "y", "z")
 
 
-def rows_of(recording: Recording, said: Iterable[TimedFrame]) -> list[Row]:
-    return compare(recording, flight_of(recording), Side(said))
+def rows_of(recording: Recording, said: Side) -> list[Row]:
+    return compare(recording, flight_of(recording), said)
 
 
 def failing(rows: Iterable[Row]) -> set[str]:
@@ -36,7 +36,7 @@ def failing(rows: Iterable[Row]) -> set[str]:
 @pytest.mark.sample(9)
 def test_a_flight_agrees_with_itself_in_every_row(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
-    rows = rows_of(flight, flight.said)
+    rows = rows_of(flight, flight.side)
     assert [row for row in rows if not row.agrees] == []
     assert max(row.difference for row in rows) == 0.0
     assert len(rows) > 200
@@ -46,13 +46,13 @@ def test_a_flight_agrees_with_itself_in_every_row(recorded: Recorded, name: str)
 def test_a_flight_does_not_agree_with_another_one(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     other = recorded(COPTER if name != COPTER else "arducopter-guided-10mps.tlog")
-    assert Summary.of(rows_of(flight, other.said)).share < 0.75
+    assert Summary.of(rows_of(flight, other.side)).share < 0.75
 
 
 @pytest.mark.sample(9)
 def test_silence_agrees_with_nothing(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
-    assert {row.kind for row in rows_of(flight, ()) if row.agrees} == set()
+    assert {row.kind for row in rows_of(flight, Side(())) if row.agrees} == set()
 
 
 # --- each kind of row can fail --------------------------------------------------------------------
@@ -175,7 +175,7 @@ def test_all_kinds_of_rows_fail_when_all_that_they_look_at_is_changed(
         if name == name_of:
             said = [changed for h in said for changed in change(h)]
             kinds.add(kind)
-    assert kinds <= failing(rows_of(flight, sorted(said, key=lambda h: h.time_s)))
+    assert kinds <= failing(rows_of(flight, Side(sorted(said, key=lambda h: h.time_s))))
 
 
 @pytest.mark.nightly
@@ -189,7 +189,7 @@ def test_a_kind_of_row_fails_when_what_it_looks_at_is_changed(
 ) -> None:
     flight = recorded(name_of)
     said = sorted((x for h in flight.said for x in change(h)), key=lambda h: h.time_s)
-    found = failing(rows_of(flight, said))
+    found = failing(rows_of(flight, Side(said)))
     assert kind in found
     assert found <= {kind} | others
 
@@ -198,7 +198,7 @@ def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
     kinds = {
         row.kind
         for name in (COPTER, PX4, PLANE)
-        for row in rows_of(recorded(name), recorded(name).said)
+        for row in rows_of(recorded(name), recorded(name).side)
     }
     assert kinds == {kind for kind, *_ in CHANGES}
 
@@ -209,7 +209,7 @@ def test_a_twentieth_of_a_second_is_within_every_tolerance(
 ) -> None:
     flight = recorded("arducopter-guided-10mps.tlog")
     moved = [h._replace(time_s=h.time_s + shift_s) for h in flight.said]
-    summary = Summary.of(rows_of(flight, moved))
+    summary = Summary.of(rows_of(flight, Side(moved)))
     assert summary.agree >= summary.rows - (
         20 if shift_s < 0 else 0
     )  # an answer before its question
@@ -219,14 +219,14 @@ def test_nothing_of_a_stretch_that_is_left_out_is_compared(recorded: Recorded) -
     flight = recorded("px4-fixedwing-offboard.tlog")
     known = flight_of(flight)
     (stretch,) = known.left_out
-    lost_there = [
+    lost_there = Side(
         h
         for h in flight.said
         if h.number not in (30, 32, 33, 0)
         or not stretch.begin_s + 12 < flight.clock.log_s(h.time_s) < stretch.end_s - 12
-    ]
-    rows = compare(flight, known, Side(lost_there))
+    )
+    rows = compare(flight, known, lost_there)
     assert failing(rows) == {"count", "longest silence"}  # which are of the whole flight
-    whole = compare(flight, dataclasses.replace(known, left_out=()), Side(lost_there))
+    whole = compare(flight, dataclasses.replace(known, left_out=()), lost_there)
     assert {"track", "motion"} <= failing(whole)
     assert isinstance(known, Flight)

@@ -93,6 +93,7 @@ def test_a_packed_log_is_the_same_flight_and_a_damaged_one_is_refused_in_words(
             read_recording(path)
 
 
+@pytest.mark.sample(3)
 def test_every_frame_is_either_sent_or_said(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     assert {(h.system, h.component) for h in flight.said} == {(1, 1)}
@@ -105,6 +106,7 @@ def test_every_frame_is_either_sent_or_said(recorded: Recorded, name: str) -> No
         assert times[-1] <= flight.end_s
 
 
+@pytest.mark.sample(3)
 def test_vehicle_time_is_what_the_vehicle_stamped(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     late = [
@@ -117,6 +119,7 @@ def test_vehicle_time_is_what_the_vehicle_stamped(recorded: Recorded, name: str)
     assert np.quantile(late, 0.9) < 0.1
 
 
+@pytest.mark.sample(3)
 def test_what_flew_is_read_from_the_heartbeat(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     assert flight.firmware == ("px4" if name.startswith("px4") else "ardupilot")

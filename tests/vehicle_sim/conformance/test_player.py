@@ -70,6 +70,7 @@ def test_what_comes_back_has_the_time_at_which_it_came(recorded: Recorded) -> No
     assert {(h.system, h.component) for h in back} == {(1, 1)}
 
 
+@pytest.mark.sample(3)
 def test_the_world_is_where_and_what_the_recording_was(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     world = world_of(flight, flight_of(flight))

@@ -13,7 +13,7 @@ Recorded = Callable[[str], Recording]
 LEAST_SHARE = 0.95
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(3)
 def test_the_simulated_autopilot_is_like_the_recorded_one(recorded: Recorded, name: str) -> None:
     recording = recorded(name)
     flight = flight_of(recording)

@@ -57,6 +57,7 @@ def test_a_reason_must_match_as_a_whole(
     assert ROWS[2].is_explained_by(reason) is explains
 
 
+@pytest.mark.sample(3)
 def test_reasons_are_narrow_say_something_and_belong_to_their_recordings(
     recorded: Recorded, name: str
 ) -> None:
