@@ -23,7 +23,7 @@ _target = Target()
 
 @given(st.binary(max_size=300))
 @settings(
-    max_examples=300,
+    max_examples=100,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow],

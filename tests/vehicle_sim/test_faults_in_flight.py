@@ -70,8 +70,8 @@ class Flight(Link):
     def depart(self) -> None:
         """Into the air, and on the way by setpoints."""
         self.fly(READY_S[self.firmware, self.kind])
-        for number in QUIET if self.firmware == "px4" else ():
-            self.command(511, number, -1)
+        for number, link in itertools.product(QUIET if self.firmware == "px4" else (), (0, 1)):
+            self.command(511, number, -1, link=link)
         for number, hz in STREAMS.items():
             self.command(511, number, S / hz)
         take_off(self)

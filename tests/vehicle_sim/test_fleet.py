@@ -48,8 +48,8 @@ def test_three_vehicles_on_one_port_are_told_apart_by_their_systems(
     start: Start, companion: Any, tmp_path: Path
 ) -> None:
     process = start(
-        *("--count", 3, "--connect", f"udpout:127.0.0.1:{companion.port}", "--speedup", 50),
-        *("--duration", 60, "--out", tmp_path),
+        *("--count", 3, "--connect", f"udpout:127.0.0.1:{companion.port}", "--speedup", 20),
+        *("--duration", 20, "--autopilot", "px4", "--out", tmp_path),
     )
     seen: set[int] = set()
     while seen != {1, 2, 3}:
@@ -117,7 +117,7 @@ def test_clients_on_two_links_hear_each_other_through_the_vehicle(
 ) -> None:
     process = start(
         *("--connect", f"udpout:127.0.0.1:{companion.port}", "--connect", "tcpin:127.0.0.1:0"),
-        *("--speedup", 10, "--duration", 200),
+        *("--duration", 60),
     )
     assert process.stdout is not None
     opening = process.stdout.readline()

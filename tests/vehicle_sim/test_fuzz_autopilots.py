@@ -4,6 +4,8 @@ Commands, setpoints, sticks, parameters, plans, faults and waiting, with NaN, in
 largest floats that a frame can carry, thrown at each of the four personalities.
 """
 
+import copy
+import functools
 import math
 from typing import Any
 
@@ -103,14 +105,25 @@ def is_somewhere(place: Place) -> bool:
     )
 
 
+@functools.cache
+def begun(machine: type["Fuzz"], airborne: bool) -> dict[str, Any]:
+    """What such a machine consists of, once it may be armed or flies."""
+    one = object.__new__(machine)
+    one.boot(airborne)
+    return vars(one)
+
+
 class Fuzz(RuleBasedStateMachine):
     """Everything that can happen to an autopilot."""
 
     kind = ""
 
     @initialize(airborne=st.booleans())
-    def boot(self, airborne: bool) -> None:
+    def begin(self, airborne: bool) -> None:
         """Past the boot; perhaps in the air already."""
+        vars(self).update(copy.deepcopy(begun(type(self), airborne)))
+
+    def boot(self, airborne: bool) -> None:
         self.autopilot, receiver = make(self.kind)
         self.gps = Gps(receiver, np.random.default_rng(2))
         self.conditions = GpsConditions(fix_type=receiver.fix_type)

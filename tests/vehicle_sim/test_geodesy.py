@@ -10,17 +10,17 @@ from vehicle_sim.geodesy import LocalFrame, metres_per_degree
 
 WGS84 = Geod(ellps="WGS84")
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+PROJECTION = Transformer.from_crs(
+    "EPSG:4326", "+proj=aeqd +lat_0=47 +lon_0=8 +ellps=WGS84", always_xy=True
+)
 
 
 @given(north_m=st.floats(-2e5, 2e5), east_m=st.floats(-2e5, 2e5))
 def test_the_local_frame_is_the_azimuthal_equidistant_projection(
     north_m: float, east_m: float
 ) -> None:
-    projection = Transformer.from_crs(
-        "EPSG:4326", "+proj=aeqd +lat_0=47 +lon_0=8 +ellps=WGS84", always_xy=True
-    )
     latitude_deg, longitude_deg = FRAME.to_geographic(north_m, east_m)
-    x, y = projection.transform(longitude_deg, latitude_deg)
+    x, y = PROJECTION.transform(longitude_deg, latitude_deg)
     assert (y, x) == pytest.approx((north_m, east_m), abs=1e-3)
     assert FRAME.to_local(latitude_deg, longitude_deg) == pytest.approx((north_m, east_m), abs=1e-6)
 

@@ -41,12 +41,13 @@ def fixes(
     *,
     copter: Copter | None = None,
     seed: int = 1,
+    step_us: int = STEP_US,
 ) -> list[Fix]:
     """Every solution up to then, of a vehicle that keeps its velocity."""
     gps, vehicle = Gps(receiver, np.random.default_rng(seed)), copter or standing()
     found, last = [], None
-    for now_us in range(STEP_US, round(until_s * S) + 1, STEP_US):
-        vehicle.advance(0.0, 0.0, 0.0, STEP_US * 1e-6)
+    for now_us in range(step_us, round(until_s * S) + 1, step_us):
+        vehicle.advance(0.0, 0.0, 0.0, step_us * 1e-6)
         fix = gps.step(now_us, vehicle, conditions)
         if fix is not last:
             found.append(fix)
@@ -256,7 +257,7 @@ def test_waves_have_their_size_and_period() -> None:
 
 
 def test_noise_has_the_standard_deviation_that_is_asked_for() -> None:
-    found = fixes(ARDUCOPTER, 4000.0, GpsConditions(sigma_m=3.0))[3:]
+    found = fixes(ARDUCOPTER, 4000.0, GpsConditions(sigma_m=3.0), step_us=100_000)[3:]
     away = offsets_m(found)
     assert away.std(axis=0) == pytest.approx([3.0, 3.0, 4.5], rel=0.15)
     lag = round(5.0 / 0.2)

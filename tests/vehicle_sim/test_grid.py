@@ -27,7 +27,7 @@ def random_grid(rng: np.random.Generator, place: tuple[float, float]) -> GridTer
     )
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), place=PLACES)
 def test_the_grid_is_bilinear_in_latitude_and_longitude(
     seed: int, place: tuple[float, float]
@@ -63,7 +63,7 @@ def turned_quads(rng: np.random.Generator, size_m: float) -> FloatArray:
     return np.asarray(centre + square @ turn.T)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), place=PLACES, size_m=st.sampled_from([19.0, 60.0, 250.0]))
 def test_the_highest_of_a_quadrilateral_bounds_what_is_in_it(
     seed: int, place: tuple[float, float], size_m: float

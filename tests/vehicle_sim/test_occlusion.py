@@ -22,7 +22,7 @@ Height = Callable[[FloatArray, FloatArray], FloatArray]
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 VALLEY = Path(__file__).parents[2] / "companion" / "environments" / "valley" / "world.toml"
 ROWS, COLUMNS = 28, 32
-STEPS = 800
+STEPS = 400
 """Of a ray."""
 
 
@@ -126,10 +126,13 @@ def check(got: Look, *, steepest: float, range_m: float) -> None:
 @pytest.mark.parametrize(
     ("seed", "combine", "spacing_m", "above_ground_m"),
     [
-        *((0, "maximum", 50, 150.0), (3, "sum", 160, 5.0), (7, "maximum", 160, 150.0)),
+        *((0, "maximum", 50, 150.0), (3, "sum", 160, 5.0)),
         *(
             pytest.param(*row, marks=pytest.mark.nightly)
-            for row in ((0, "maximum", 160, 5.0), (3, "sum", 50, 150.0), (7, "maximum", 50, 5.0))
+            for row in (
+                *((0, "maximum", 160, 5.0), (3, "sum", 50, 150.0)),
+                *((7, "maximum", 160, 150.0), (7, "maximum", 50, 5.0)),
+            )
         ),
     ],
 )
@@ -147,6 +150,7 @@ def test_random_worlds(seed: int, combine: str, spacing_m: int, above_ground_m: 
     check(got, steepest=1.5, range_m=4000.0)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("north_m", "east_m", "above_ground_m"),
     [(71.0, 2252.0, 20.0), (1966.0, -454.0, 20.0), (1521.0, 190.0, 150.0)],

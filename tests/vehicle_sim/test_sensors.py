@@ -80,7 +80,7 @@ def cells(radar: TerrainRadar, request: ScanRequest, view: Viewpoint) -> NDArray
     return grid
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(seed=st.integers(0, 10**6), far=st.booleans())
 def test_a_seen_cell_is_its_highest_terrain_rounded_up(seed: int, *, far: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -144,7 +144,7 @@ def test_a_peak_far_out_is_where_the_message_definition_puts_it() -> None:
 
 
 @given(mask=st.integers(0, ALL_BLOCKS))
-@settings(max_examples=20)
+@settings(max_examples=10)
 def test_the_mask_picks_blocks_and_changes_nothing_in_them(mask: int) -> None:
     terrain = hills(np.random.default_rng(1), (0.0, 0.0))
     radar, view = TerrainRadar(terrain, FRAME, range_m=RANGE_M), viewpoint((0.0, 0.0), 1000.0)

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vehicle_sim.terrain import Combine, PeakTerrain
@@ -44,6 +44,7 @@ def turned_quad(rng: np.random.Generator, size_m: float) -> np.ndarray:
     return centre + square @ turn.T
 
 
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), combine=st.sampled_from(["maximum", "sum"]))
 def test_the_highest_point_of_a_quadrilateral_bounds_samples_and_is_attained(
     seed: int, combine: Combine
@@ -68,6 +69,7 @@ def test_the_highest_point_of_a_quadrilateral_bounds_samples_and_is_attained(
         assert np.all(highest <= brute + 30.0)  # 10 m between samples, slopes up to about 3
 
 
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), combine=st.sampled_from(["maximum", "sum"]))
 def test_the_grid_bounds_the_terrain_from_below(seed: int, combine: Combine) -> None:
     rng = np.random.default_rng(seed)

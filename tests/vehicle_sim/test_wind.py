@@ -1,5 +1,6 @@
 """Gusts against the closed forms of their spectra, and wind as a vehicle meets it."""
 
+import functools
 import math
 
 import numpy as np
@@ -22,6 +23,7 @@ def wind_of(copter: Copter) -> tuple[float, float, float]:
     return copter.wind_north_m_s, copter.wind_east_m_s, copter.wind_up_m_s
 
 
+@functools.cache
 def gusts(level_s: float, vertical_s: float, dt_s: float, count: int) -> FloatArray:
     """(count, 3): along, across, up."""
     made = Gusts(np.random.default_rng(5))
