@@ -124,7 +124,7 @@ def mission(autopilot: str, kind: str) -> Mission:
     return Mission(
         name="fuzzed",
         frame=LocalFrame(latitude_deg=_LATITUDE_DEG, longitude_deg=_LONGITUDE_DEG),
-        targets_ne_m=((150.0, 50.0), (0.0, 100.0)),
+        targets_ne_m=((60.0, 20.0), (0.0, 40.0)),
         task=Task(limits=limits, settings=settings),
         end_action=EndAction.LAND,
         autopilot=autopilot,

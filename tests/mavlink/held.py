@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterator
 from typing import Any, Literal, Protocol
 
 from recordings import recording
-from tlog import frames_of
+from tlog import recorded_frames
 
 from companion.mavlink.dialect import codec, wire
+from companion.mavlink.frames import IGNORED_MESSAGES, Receiver, number_of
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
@@ -43,10 +44,10 @@ class Held:
         )
         self.simulation = Simulation(world, seed=1, links=2, faults=faults)
         self.sent: list[tuple[float, Any]] = []
-        self.others: list[Any] = []
+        self.others: list[bytes] = []
         """What link 1 has heard."""
         self._ours = codec(OURS[0])
-        self._reader = codec(OURS[0])
+        self._heard = Receiver(ignored=IGNORED_MESSAGES)
         self._theirs = wire.MAVLink(None, srcSystem=255, srcComponent=190)
         self.run(1.5)
 
@@ -75,10 +76,10 @@ class Held:
         while frames := self.simulation.take_frames():
             for link, frame in frames:
                 if link == 1:
-                    self.others.append(self._reader.decode(bytearray(frame)))
+                    self.others.append(frame)
                 elif client is not None:
-                    for message in self._ours.parse_buffer(frame) or []:
-                        if message.get_type() != "BAD_DATA":
+                    for message in self._heard.feed(frame):
+                        if message is not None:
                             self.say(client.on_message(message, self.now_s))
 
     def say(self, messages: list[Any]) -> None:
@@ -106,15 +107,24 @@ class Held:
 
     def _answer(self, kind: int, items: list[Stored]) -> bool:
         heard, self.others = self.others, []
-        for message in heard:
-            if getattr(message, "mission_type", None) != kind:
+        for frame in heard:
+            if number_of(frame) not in _OF_UPLOADS:
+                continue
+            message: Any = self._theirs.decode(bytearray(frame))
+            if message.mission_type != kind:
                 continue
             if message.get_type() == "MISSION_ACK":
                 assert message.type == wire.MAV_MISSION_ACCEPTED
                 return True
-            if message.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
-                self.other(item_message(items[message.seq], message.seq, kind))
+            self.other(item_message(items[message.seq], message.seq, kind))
         return False
+
+
+_OF_UPLOADS = (
+    wire.MAVLINK_MSG_ID_MISSION_REQUEST,
+    wire.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+    wire.MAVLINK_MSG_ID_MISSION_ACK,
+)
 
 
 def item_message(item: Stored, seq: int, kind: int) -> Any:
@@ -160,10 +170,13 @@ def waypoints(count: int) -> list[Stored]:
     return [Stored(frame=3, command=16, x=x, y=y, z_m=40.0) for x, y in places]
 
 
-def recorded(name: str) -> Iterator[tuple[float, Any]]:
-    """The messages of a recorded flight."""
-    for stamp_us, message in frames_of(recording(name).read_bytes()):
-        yield stamp_us * 1e-6, message
+def recorded(name: str, ignored: frozenset[int] = IGNORED_MESSAGES) -> Iterator[tuple[float, Any]]:
+    """Seconds since the first record, and message, of a recorded flight: of those that are read."""
+    receiver, frames = Receiver(ignored=ignored), recorded_frames(recording(name))
+    for stamp_us, frame in frames:
+        for message in receiver.feed(frame):
+            if message is not None:
+                yield (stamp_us - frames[0][0]) * 1e-6, message
 
 
 def from_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:

@@ -35,9 +35,8 @@ def told(name: str) -> tuple[list[tuple[float, Event]], set[str]]:
     latitude, longitude = HOMES[name]
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     autopilot: Autopilot | None = None
-    origin, first_s, found, modes = None, None, list[tuple[float, Event]](), set[str]()
+    origin, found, modes = None, list[tuple[float, Event]](), set[str]()
     for at_s, message in recorded(name):
-        first_s = at_s if first_s is None else first_s
         if (message.get_srcSystem(), message.get_srcComponent()) != (1, 1):
             continue
         is_heartbeat = message.get_type() == "HEARTBEAT"
@@ -47,11 +46,11 @@ def told(name: str) -> tuple[list[tuple[float, Event]], set[str]]:
             continue
         if is_heartbeat:
             modes.add(autopilot.modes.name_of(message.custom_mode))
-        event = autopilot.event_of(message, at_s - first_s, frame, origin)
+        event = autopilot.event_of(message, at_s, frame, origin)
         if isinstance(event, Origin):
             origin = event.position_nea_m
         if event is not None:
-            found.append((at_s - first_s, event))
+            found.append((at_s, event))
     return found, modes
 
 

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import all as wire
 from test_near_scanner import HERE_NEA_M, distances, mission
 
 import companion
+from companion.geodesy import FloatArray
 from companion.mavlink.mounting import MountingCheck, Turning
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.preflight import CheckStatus, checks_of
@@ -35,16 +36,15 @@ def some_posts(seed: int) -> Posts:
     ]
 
 
-def range_m(posts: Posts, bearing_rad: float) -> float:
-    """Where a ray from the sensor first meets a post; inf: nowhere in reach."""
-    met = [math.inf]
-    for away_m, at_rad, radius_m in posts:
-        along_m = away_m * math.cos(at_rad - bearing_rad)
-        aside_m = away_m * math.sin(at_rad - bearing_rad)
-        if along_m > 0.0 and abs(aside_m) < radius_m:
-            met.append(along_m - math.sqrt(radius_m**2 - aside_m**2))
-    nearest_m = min(met)
-    return nearest_m if nearest_m < RANGE_M else math.inf
+def ranges_m(posts: Posts, bearings_rad: FloatArray) -> FloatArray:
+    """Where rays from the sensor first meet a post; inf: nowhere in reach."""
+    away_m, at_rad, radius_m = np.array(posts).reshape(-1, 3).T[:, :, None]  # (P, 1) each
+    along_m = away_m * np.cos(at_rad - bearings_rad)
+    aside_m = away_m * np.sin(at_rad - bearings_rad)
+    meets = (along_m > 0.0) & (np.abs(aside_m) < radius_m)
+    half_m = np.sqrt(np.where(meets, radius_m**2 - aside_m**2, 0.0))
+    met_m = np.where(meets & (along_m - half_m < RANGE_M), along_m - half_m, np.inf)
+    return np.min(met_m, axis=0, initial=np.inf)
 
 
 class Turned:
@@ -67,11 +67,10 @@ class Turned:
         now_s, self.yaw_rad = 100.0, math.radians(200.0)
         for step_deg in np.linspace(0.0, by_deg, 30):
             self.yaw_rad = math.radians(200.0 + step_deg)
-            told = []
-            for k in range(72):
-                bearing_rad = sense * (k * WIDTH_RAD - share * self.yaw_rad)
-                away_m = min(range_m(posts, bearing_rad + d * WIDTH_RAD) for d in (-0.4, 0.0, 0.4))
-                told.append(1601 if math.isinf(away_m) else round(100.0 * away_m))
+            middles_rad = sense * (np.arange(72) * WIDTH_RAD - share * self.yaw_rad)
+            rays_rad = middles_rad[:, None] + WIDTH_RAD * np.array([-0.4, 0.0, 0.4])
+            away_m = ranges_m(posts, rays_rad.ravel()).reshape(rays_rad.shape).min(axis=1)
+            told = [1601 if math.isinf(each) else round(100.0 * each) for each in away_m.tolist()]
             if part is not None:
                 told[part[1]] = round(100.0 * part[0])
             self.tell(distances(now_s, distances=told, frame=frame), now_s)

@@ -50,6 +50,7 @@ def names_of_requests(messages: list[Any]) -> list[str]:
 # --- against the simulator ------------------------------------------------------------------------
 
 
+@pytest.mark.sample(5)
 @ALL_FOUR
 @pytest.mark.parametrize(
     "fault", ["", "link_loss 25 %", "link_delay 700 ms", "link_duplication 50 %"]
@@ -73,6 +74,7 @@ def test_reads_what_the_vehicle_has_and_knows_what_it_has_not(
     assert client.missing == {group[0] for group in groups if not known.intersection(group)}
 
 
+@pytest.mark.sample(2)  # of both firmwares
 @ALL_FOUR
 def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
     firmware: Firmware, kind: Kind

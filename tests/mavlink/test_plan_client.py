@@ -118,13 +118,14 @@ def test_a_long_fence_that_is_changed_in_place_is_known_in_time(firmware: Firmwa
     assert took_s < 31.0
 
 
+@pytest.mark.sample(2)  # of both firmwares
 @ALL_FOUR
 def test_a_list_that_somebody_is_uploading_meanwhile_is_never_seen_half(
     firmware: Firmware, kind: Kind
 ) -> None:
     """Uploads in a row, of which ArduPilot denies all others any part while they last."""
     held = Held(firmware, kind)
-    versions = [polygon(12, size_m=100.0 + 10.0 * k) for k in range(6)]
+    versions = [polygon(12, size_m=100.0 + 10.0 * k) for k in range(4)]
     held.upload(FENCE, versions[0])
     client = PlanClient(1, OURS)
     held.simulation.add_fault("link_loss 10 % on link 0")
@@ -138,7 +139,7 @@ def test_a_list_that_somebody_is_uploading_meanwhile_is_never_seen_half(
             assert now in [drawn(each) for each in versions[: number + 1]]
             seen.add([drawn(each) for each in versions].index(now))
         assert placed(client.plans[FENCE]) == drawn(fence)
-    assert len(seen) >= 5
+    assert len(seen) >= 3
 
 
 @BOTH

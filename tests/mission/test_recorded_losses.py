@@ -22,6 +22,7 @@ from companion.config import load_mission
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot, autopilot_of
 from companion.mavlink.dialect import codec, wire
+from companion.mavlink.frames import IGNORED_MESSAGES
 from companion.mission import checkpoint
 from companion.mission.events import Mode
 from companion.mission.mission import Mission
@@ -54,18 +55,12 @@ BAD: dict[str, tuple[tuple[float, float], ...]] = {
 TRUSTED_AGAIN_S = 2.0
 PATH_M = 1000.0
 """Of a made-up plan; nobody flies it."""
-CHATTER = frozenset(
-    {
-        "ATTITUDE",
-        "ATTITUDE_QUATERNION",
-        "HIGHRES_IMU",
-        "LOCAL_POSITION_NED",
-        "SERVO_OUTPUT_RAW",
-        "VFR_HUD",
-        "WIND_COV",
-    }
-)
-"""Two thirds of the frames, which mean nothing to a companion: left out, they cost time."""
+CHATTER = IGNORED_MESSAGES | {
+    wire.MAVLINK_MSG_ID_ATTITUDE,
+    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    wire.MAVLINK_MSG_ID_WIND_COV,
+}
+"""Two thirds of the frames, which mean nothing to a companion here: left out, they cost time."""
 LEADS = frozenset({"SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED"})
 ACTS = (
     wire.MAV_CMD_DO_SET_MODE,
@@ -174,12 +169,7 @@ def replayed(
 @functools.cache
 def _read(name: str) -> list[tuple[float, Any]]:
     """Time since the first record, and message, of all but the chatter."""
-    first_s, kept = None, list[tuple[float, Any]]()
-    for at_s, message in recorded(name):
-        first_s = at_s if first_s is None else first_s
-        if message.get_type() not in CHATTER:
-            kept.append((at_s - first_s, message))
-    return kept
+    return list(recorded(name, CHATTER))
 
 
 def _inbound(name: str) -> Iterator[tuple[float, Any]]:

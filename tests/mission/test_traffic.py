@@ -214,6 +214,7 @@ def test_no_path_is_changed_nearer_than_where_a_vehicle_can_claim_it_before(
 # --- planes
 
 
+@pytest.mark.sample(2)
 @PLANES
 def test_a_plane_waits_on_its_circle_until_the_way_is_free(traits: VehicleTraits) -> None:
     freed_s = math.inf
@@ -249,6 +250,7 @@ def test_a_plane_waits_on_its_circle_until_the_way_is_free(traits: VehicleTraits
     among.fly_to(Phase.ARRIVED)
 
 
+@pytest.mark.sample(2)
 @PLANES
 def test_a_plane_before_which_nobody_is_does_not_wait(traits: VehicleTraits) -> None:
     among = Among(traits, others=lambda now_s: ((), (claim_at(1300.0, now_s),)))
@@ -257,6 +259,7 @@ def test_a_plane_before_which_nobody_is_does_not_wait(traits: VehicleTraits) -> 
     assert among.wild.state.flight.legs_flown > 1  # past a join
 
 
+@pytest.mark.sample(2)
 @PLANES
 def test_a_plane_told_to_return_waits_where_it_is_and_comes_home(traits: VehicleTraits) -> None:
     freed_s = math.inf

@@ -181,7 +181,8 @@ class Wild:
         made.watch = Watch(made.mission, traits, ALL[number], made.context)
         made.lasting, made.lasting_in = (math.inf, ""), None
         made.busy, made.battery = False, 1.0
-        made.calm, made.trouble, made.bad_plans, made.tick_s, made.now_s = True, 0.0, 0.0, 0.1, 0.0
+        made.calm, made.trouble, made.bad_plans, made.now_s = True, 0.0, 0.0, 0.0
+        made.tick_s = 0.2 if traits.hovers else 0.1  # 2 m either way
         made.mode, made.armed, made.landed = Mode.OTHER, False, Landed.ON_GROUND
         made.here = (0.0, 0.0, HOME_AMSL_M)
         return made
