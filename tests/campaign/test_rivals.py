@@ -81,10 +81,16 @@ def copter_world(seed: int) -> DrawnWorld:
     return near
 
 
-def planned(name: str, problem: RouteProblem, seed: int = 1) -> FloatArray:
-    route = PLANNERS[name](problem, np.random.default_rng(seed))
+def planned(name: str, problem: RouteProblem) -> FloatArray:
+    route = PLANNERS[name](problem, np.random.default_rng(1))
     assert not isinstance(route, NoRoute), route
     return route
+
+
+@functools.cache
+def among_discs(name: str, seed: int) -> tuple[RouteProblem, FloatArray]:
+    problem = problem_in(with_discs(seed), (103.0, 98.0), (1_480.0, 1_512.0))
+    return problem, planned(name, problem)
 
 
 @every_planner
@@ -92,13 +98,11 @@ def planned(name: str, problem: RouteProblem, seed: int = 1) -> FloatArray:
     "seed", [0, pytest.param(1, marks=NIGHTLY), pytest.param(2, marks=NIGHTLY)]
 )
 def test_routes_go_from_start_to_target_and_are_free_by_brute_force(name: str, seed: int) -> None:
-    rate = with_discs(seed)
-    problem = problem_in(rate, (103.0, 98.0), (1_480.0, 1_512.0))
-    route = planned(name, problem)
+    problem, route = among_discs(name, seed)
     np.testing.assert_allclose(route[0, :2], problem.start_ne_m, atol=1e-9)
     np.testing.assert_allclose(route[-1, :2], problem.target_ne_m, atol=1e-9)
     assert (route[:, 2] == 120.0).all()
-    closed = problem.field.place_m(np.argwhere(np.isinf(rate)))
+    closed = problem.field.place_m(np.argwhere(np.isinf(problem.field.rate)))
     for a, b in pairwise(route[:, :2]):
         for share in np.linspace(0.0, 1.0, max(math.ceil(math.dist(a, b)), 2)):
             at = a + share * (b - a)
@@ -116,9 +120,8 @@ def test_in_an_empty_world_the_route_is_the_straight_line(name: str) -> None:
 
 @every_planner
 def test_a_plan_is_a_function_of_problem_and_seed(name: str) -> None:
-    problem = problem_in(with_discs(4), (103.0, 98.0), (1_480.0, 1_512.0))
-    first, again = planned(name, problem, 7), planned(name, problem, 7)
-    assert np.array_equal(first, again)
+    problem, first = among_discs(name, 0)
+    assert np.array_equal(first, planned(name, problem))
 
 
 @every_planner

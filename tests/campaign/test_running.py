@@ -82,6 +82,10 @@ def campaign_command(*words: str) -> None:
     typer.main.get_command(app)(["campaign", *words], standalone_mode=False)
 
 
+def fly_in_this_process(runs: list[Run], out: Path, _jobs: int) -> Iterator[Row]:
+    yield from (fly_run(run, out) for run in runs)
+
+
 def wait_until(so: Callable[[], Any]) -> Any:
     until_s = time.monotonic() + PATIENCE_S
     while not (found := so()):
@@ -98,7 +102,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 
 def test_a_local_worker_that_is_killed_takes_no_run_with_it(planned: Any, tmp_path: Path) -> None:
-    flying = fly_locally(runs(tmp_path, PLANNED), tmp_path, 2)
+    flying = fly_locally(runs(tmp_path, PLANNED), tmp_path, 1)
     rows = [next(flying)]
     os.kill(int(rows[0].worker.rpartition("/")[2]), signal.SIGKILL)
     rows += flying
@@ -158,7 +162,10 @@ def test_a_cluster_that_loses_a_worker_half_way_brings_the_same(
 
 
 def test_killed_and_started_again_it_is_as_if_it_had_not_been(
-    planned: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    planned: Any,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
     command = [*COMMAND, str(campaign_file(tmp_path, PLANNED)), "--out", str(out), "--jobs", "1"]
@@ -166,6 +173,7 @@ def test_killed_and_started_again_it_is_as_if_it_had_not_been(
         wait_until(lambda: list((out / "rows").glob("part-*.parquet")))
         first.kill()
     there = len(read_campaign(out).rows)
+    monkeypatch.setattr("companion.campaign.execute.fly_locally", fly_in_this_process)
     campaign_command(*command[4:])
     if there < len(planned):
         assert f"{there} of {len(planned)} runs are there already" in capsys.readouterr().out
@@ -243,15 +251,12 @@ def test_a_full_disk_is_one_line_and_no_result(
 ) -> None:
     """Neither of a run, nor of the campaign: it is gone on with when there is room."""
 
-    def in_this_process(runs: list[Run], out: Path, _jobs: int) -> Iterator[Row]:
-        yield from (fly_run(run, out) for run in runs)
-
     def full(*_: object) -> Any:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     file = campaign_file(tmp_path, PLANNED)
     command = ["run", str(file), "--out", str(tmp_path / "out"), "--only", "0"]
-    monkeypatch.setattr("companion.campaign.execute.fly_locally", in_this_process)
+    monkeypatch.setattr("companion.campaign.execute.fly_locally", fly_in_this_process)
     with monkeypatch.context() as filled:
         filled.setattr(place, full)
         with pytest.raises(InputError, match=r"No space left.*goes on from 0 of 1 runs") as refused:
