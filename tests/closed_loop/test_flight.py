@@ -17,6 +17,7 @@ from flights import (
     flown_here,
     folder_of,
     launch,
+    short_mission,
 )
 from programs import HURRIED, free_port
 
@@ -52,7 +53,8 @@ def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -
 
 
 def test_a_vehicle_whose_companion_dies_stops_by_itself(tmp_path: Path) -> None:
-    flight = launch(tmp_path, HILLS, HILLS_MISSION, clock=("--speedup", "20"))
+    mission = short_mission("sitl-arducopter", tmp_path)
+    flight = launch(tmp_path, "sitl-arducopter", mission, clock=("--speedup", "20"))
     flight.companion.expect("subpath  1")
     flight.companion.kill()
     killed_s = flight.truth[-1]["t_s"]
@@ -61,7 +63,7 @@ def test_a_vehicle_whose_companion_dies_stops_by_itself(tmp_path: Path) -> None:
 
     def much_later() -> Any:
         rows = [line for line in truth if line.startswith("{") and line.endswith("}\n")]
-        return next((row for row in map(json.loads, rows) if row["t_s"] > killed_s + 40.0), None)
+        return next((row for row in map(json.loads, rows) if row["t_s"] > killed_s + 20.0), None)
 
     with truth:
         stands = flight.simulator.until(much_later)

@@ -97,8 +97,10 @@ def arrived_clear(flight: Recorded) -> None:
 
 @pytest.fixture(scope="module")
 def by_lidar(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Its companion is killed between the trees, and started again."""
     folder = tmp_path_factory.mktemp("garden")
-    return flown_here(folder / "run", garden(folder), mission(folder))
+    killed = "at 60 s for 0.5 s: companion_off"
+    return flown_here(folder / "run", garden(folder), mission(folder), faults=killed)
 
 
 def test_a_lidar_with_noise_and_lost_echoes_leads_through_the_gap(by_lidar: Recorded) -> None:
@@ -128,15 +130,10 @@ def test_a_lidar_that_is_dead_for_a_while_is_waited_for_in_a_hold(tmp_path: Path
     assert flight.says.count(Reason.SENSOR_SILENT.text) == 1
 
 
-def test_killed_between_the_trees_and_started_again_it_learns_them_anew_and_arrives(
-    tmp_path: Path,
-) -> None:
+def test_killed_between_the_trees_and_started_again_it_learns_them_anew(by_lidar: Recorded) -> None:
     """Things move: what was known of them is not kept, and no leg is planned on it."""
-    killed = "at 60 s for 0.5 s: companion_off"
-    flight = flown_here(tmp_path / "run", garden(tmp_path), mission(tmp_path), faults=killed)
-    arrived_clear(flight)
-    assert not (flight.folder / "known.npz").exists()
-    journal = flight.journal
+    assert not (by_lidar.folder / "known.npz").exists()
+    journal = by_lidar.journal
     [_, again] = [number for number, row in enumerate(journal) if "schema" in row]
     assert sum(row.get("kind") == "leg" for row in journal[:again]) > 4
     seen = {row["cells_seen"] for row in journal[:again] if row.get("kind") == "scan done"}

@@ -10,9 +10,10 @@ from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
-from flights import BAD_LINK, HILLS, HILLS_MISSION, Flight, flown_here, launch
+from flights import HILLS, HILLS_MISSION, flown_here, launch
 from programs import BIN
-from tlog import frames_of
+from shown import MOST_BYTES, Shown
+from tlog import frames_of, recorded_frames
 
 from companion.replay.export_command import Format, export
 from companion.replay.exporting import recorded
@@ -23,6 +24,8 @@ pytestmark = pytest.mark.closed_loop
 
 SEED = ("--seed", "3")
 IN_TURN = pytest.mark.xdist_group("hills")  # they look at the same flight
+FRAMES = 5_000
+"""Of all kinds; the other programs read the whole log."""
 GPX = "{http://www.topografix.com/GPX/1/0}"
 
 
@@ -93,9 +96,13 @@ def log(flown: Any, tmp_path: Path) -> Path:
 
 @IN_TURN
 def test_mavlogdump_prints_every_frame_at_its_time(log: Path) -> None:
+    beginning = recorded_frames(log / "flight.tlog")[:FRAMES]
+    records = [us.to_bytes(8, "big") + frame for us, frame in beginning]
+    (log / "flight.tlog").write_bytes(b"".join(records))
     printed = tool(BIN / "mavlogdump.py", "--format", "json", "flight.tlog", folder=log)
     rows = [json.loads(line)["meta"] for line in printed.splitlines()]
     expected = frames(log)
+    assert len(expected) == FRAMES
     assert [row["type"] for row in rows] == [message.get_type() for _, message in expected]
     for row, (stamp_us, _) in zip(rows, expected, strict=True):
         assert row["timestamp"] == pytest.approx(stamp_us * 1e-6, abs=1e-5)
@@ -169,24 +176,10 @@ def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_recor
     assert recorded(flight.folder)[0].planned
 
 
-MOST_BYTES = 900_000
-LIMITED = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BYTES},) * 2)"
-"""The operating system refuses more than so many bytes of any file."""
-
-
-def on_a_full_disk(folder: Path) -> Flight:
-    """The flight that all look at, once more: `--seed 03`, to be read as a number."""
-    seed, truth = ("--seed", "03"), folder.parent / "truth"
-    hills = HILLS, HILLS_MISSION, *seed
-    flight = launch(folder, *hills, simulator_options=BAD_LINK, truth=truth, patch=LIMITED)
-    flight.wait()
-    return flight
-
-
 @IN_TURN
 def test_the_same_seed_writes_the_same_journal(flown: Any) -> None:
     """As far as there is one of both."""
-    once, again = flown(HILLS, HILLS_MISSION, *SEED), flown(by=on_a_full_disk)
+    once, again = flown(HILLS, HILLS_MISSION, *SEED), flown(by=Shown)
     journals = [each.folder.joinpath("journal.jsonl").read_bytes() for each in (once, again)]
     assert journals[0].startswith(journals[1])
     assert journals[1].count(b'"kind":"plan ready"') > 1
@@ -196,10 +189,9 @@ def test_the_same_seed_writes_the_same_journal(flown: Any) -> None:
 def test_a_flight_whose_disk_is_full_goes_on_says_so_and_leaves_whole_records(
     flown: Any, tmp_path: Path
 ) -> None:
-    flight = flown(by=on_a_full_disk)
-    folder = flight.folder
-    said = flight.companion.transcript
-    assert flight.companion.returncode == 0, said
+    flight = flown(by=Shown)
+    folder, said = flight.folder, flight.text
+    assert flight.code == 0, said
     assert "arrived" in said
     assert "not recorded any more: File too large" in said
     assert "recording stopped: File too large" in said
