@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Self, final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
@@ -105,15 +106,17 @@ class GridTerrain:
 
         (2, ...) rows and columns in the part -> (R, C), and row and column of its first point.
         """
-        from scipy.ndimage import maximum_filter  # takes 0.2 s that peaks do not need
-
         last = np.array(self.heights_m.shape) - 1
         low = np.clip(np.floor(grid.reshape(2, -1).min(axis=1)).astype(np.intp) - 3, 0, last)
         high = np.clip(np.ceil(grid.reshape(2, -1).max(axis=1)).astype(np.intp) + 3, 0, last)
         part = self.heights_m[low[0] : high[0] + 1, low[1] : high[1] + 1].astype(np.float64)
         part = np.pad(part, ((0, 1), (0, 1)), mode="edge")
-        along_north = maximum_filter(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self.steps_m[0]
-        along_east = maximum_filter(np.abs(np.diff(part, axis=1))[:-1], 5) / self.steps_m[1]
+        along_north = (
+            scipy.ndimage.maximum_filter(np.abs(np.diff(part, axis=0))[:, :-1], 5) / self.steps_m[0]
+        )
+        along_east = (
+            scipy.ndimage.maximum_filter(np.abs(np.diff(part, axis=1))[:-1], 5) / self.steps_m[1]
+        )
         return np.asarray(_STRETCH * np.hypot(along_north, along_east)), low
 
     def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -161,9 +164,9 @@ class GridTerrain:
 
 def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
     """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
-    from scipy.ndimage import map_coordinates  # as above
-
-    found: FloatArray = map_coordinates(values, at, output=np.float64, order=1, mode="nearest")
+    found: FloatArray = scipy.ndimage.map_coordinates(
+        values, at, output=np.float64, order=1, mode="nearest"
+    )
     return found
 
 

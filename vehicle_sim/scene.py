@@ -9,15 +9,13 @@ those that matter.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from vehicle_sim.terrain import FloatArray, PeakTerrain, Terrain
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 _PIECE_M = 8.0
 _GROUND_STEP_M = 1.0
@@ -57,7 +55,7 @@ class Scene:
         halves_m = 0.5 * np.hypot(*(self._to_ne_m - self._from_ne_m).T) + self._half_width_m
         self._farthest_m = float(halves_m.max(initial=0.0))
         """No point of a piece is farther from its middle."""
-        self._middles = _tree_of(middles) if len(middles) else None
+        self._middles = scipy.spatial.cKDTree(middles) if len(middles) else None
         self.empty = self._middles is None
         """Whether there is nothing but ground."""
         self._solids = [_Solid.of(thing) for thing in things if thing.closed]
@@ -209,13 +207,6 @@ class _Solid:
         length_m[met] = to_roof_m[met]
 
 
-def _tree_of(places: FloatArray) -> "cKDTree":
-    """To find the nearest of them.  (N, 2)."""
-    from scipy.spatial import cKDTree  # takes 0.4 s that worlds without near things do not need
-
-    return cKDTree(places)
-
-
 def _pieces(thing: Upright) -> list[tuple[float, ...]]:
     """Short pieces of a thing's line: from, to, half-width, bottom, top, visible."""
     corners = list(thing.corners_ne_m)
@@ -290,7 +281,7 @@ def drawn_wood(
     rank[np.argsort(level, kind="stable")] = (np.arange(count) + 0.5) / count
     apart_m = least_m + (most_m - least_m) * np.minimum(rank / (1.0 - clearing_share + _TINY), 1.0)
     free = rank <= 1.0 - clearing_share
-    tree = _tree_of(places)
+    tree = scipy.spatial.cKDTree(places)
     kept = []
     for k in np.flatnonzero(free):
         if free[k]:

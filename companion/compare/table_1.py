@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
+import scipy
 from rich.table import Table
 
 from companion.compare.missions import Case, Run, bundled_case, planned_with
@@ -133,8 +134,6 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
         return False
     if statistics.median(one.costs) > (1.0 - _LEAST) * statistics.median(other.costs):
         return False
-    import scipy.stats  # slow to import
-
     test = scipy.stats.mannwhitneyu(one.costs, other.costs, alternative="less")
     return bool(test.pvalue < _SURE)
 
