@@ -22,12 +22,12 @@ from companion.planner.kernels import NUMPY, Kernel
 from companion.replay.differences import message_of
 from companion.replay.from_log import LogReplay
 from companion.replay.playback import PlaybackSettings, play_file
-from companion.replay.report import replay_json, replay_text, what_if_table
-from companion.replay.reproduce import Replay, Replayed, Step
+from companion.replay.report import Replayed, replay_json, replay_text
+from companion.replay.reproduce import Replay, Step
 from companion.replay.session_inputs import DamagedInputError, MissionOf, start_of
 from companion.replay.shadow import watch
-from companion.replay.shadow_text import renderables
-from companion.replay.what_if import what_if
+from companion.replay.shadow_report import renderables
+from companion.replay.what_if import what_if, what_if_table
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
 from companion.sources.files import file_of_run, writing
@@ -112,14 +112,13 @@ def _compare(
     *,
     by_step: bool,
 ) -> None:
-    console = Console(soft_wrap=True)
-    _run(replay, span_s[1], speed, console, by_step=by_step)
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    _run(replay, span_s[1], speed, console if by_step else None)
     found = replay.found
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
-        console.print(f"note: {finding}", highlight=False, markup=False)
+        console.print(f"note: {finding}")
     _refuse_if_nothing_was_compared(found, flight, span_s)
-    for line in replay_text(found):
-        console.print(line, highlight=False, markup=False)
+    console.print("\n".join(replay_text(found)))
     _write(replay_json(found), json_file)
     if found.damaged and found.difference is None:
         raise _damaged(found, flight)
@@ -151,14 +150,9 @@ def _damaged(found: Replayed, flight: Path) -> InputError:
 
 
 def _run(
-    replay: Replay | LogReplay,
-    until_s: float,
-    speed: float | None,
-    console: Console,
-    *,
-    by_step: bool,
+    replay: Replay | LogReplay, until_s: float, speed: float | None, shows: Console | None
 ) -> None:
-    """Replay so many seconds of the flight, at a speed if one is given."""
+    """Replay so many seconds of the flight, at a speed if one is given; shows: each step."""
     began_s = time.monotonic()
     with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
         for each in replay.steps():
@@ -167,8 +161,8 @@ def _run(
                 break
             if speed is not None and found.flown_s > 0.0:
                 time.sleep(max(began_s + found.flown_s / speed - time.monotonic(), 0.0))
-            if by_step:
-                _print_step(each, console)
+            if shows is not None:
+                _print_step(each, shows)
             show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
 
 
@@ -189,8 +183,7 @@ def _print_step(step: Step, console: Console) -> None:
             lines.append(f"  {json.dumps(entry, default=str)[:300]}")
         for frame in out.frames:
             lines.append(f"  sends {message_of(frame)}")
-    for line in lines:
-        console.print(line, highlight=False, markup=False)
+    console.print("\n".join(lines))
     if sys.stdin.isatty() and console.is_terminal:
         console.input("")
 

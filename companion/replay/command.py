@@ -96,25 +96,26 @@ def replay_command(
     if speed is not None and not 0.0 < speed < math.inf:
         raise InputError("--speed", speed, "it must be more than 0", "Leave it out to go fast.")
     is_log = not flight.is_dir() and not settings  # then it has to be said how it was flown
-    way = _way(connect, shadow, is_log, changes=bool(settings or seed is not None or profile))
-    _refuse_others(context, way)
+    span_s = from_s, until_s
     from companion.replay import actions  # so that `companion fly` starts without it
 
     if connect is not None:
-        actions.play(flight, connect, (from_s, until_s), speed, system, only=only_vehicle)
-        return
-    if shadow:
+        _refuse_others(context, _PLAYING)
+        actions.play(flight, connect, span_s, speed, system, only=only_vehicle)
+    elif shadow:
+        _refuse_others(context, _SHADOW)
         actions.shadow(flight, mission, system, json_file)
-        return
-    if way == _WHAT_IF:
-        actions.changed(flight, settings or [], seed, profile, json_file, numba=numba)
-        return
-    if way == _LOG:
+    elif is_log:
+        _refuse_others(context, _LOG)
         seed = 1 if seed is None else seed
         actions.same_log(flight, mission, profile, seed, system, until_s, json_file, numba=numba)
-        return
-    span_s, how = (from_s, until_s), {"plans": plans, "numba": numba, "by_step": step}
-    actions.same_run(flight, span_s, speed, json_file, **how)
+    elif settings or seed is not None or profile:
+        _refuse_others(context, _WHAT_IF)
+        actions.changed(flight, settings or [], seed, profile, json_file, numba=numba)
+    else:
+        _refuse_others(context, _RUN)
+        how = {"plans": plans, "numba": numba, "by_step": step}
+        actions.same_run(flight, span_s, speed, json_file, **how)
 
 
 _PLAYING: Final = "playing to a ground station (--connect)"
@@ -130,16 +131,6 @@ _TAKES: Final = {
     _RUN: ("--from", "--until", "--speed", "--step", "--plans", "--numba", "--json"),
 }
 """What can be done with a flight, and the options of each."""
-
-
-def _way(connect: str | None, shadow: bool, is_log: bool, *, changes: bool) -> str:
-    if connect is not None:
-        return _PLAYING
-    if shadow:
-        return _SHADOW
-    if is_log:
-        return _LOG
-    return _WHAT_IF if changes else _RUN
 
 
 def _refuse_others(context: typer.Context, way: str) -> None:

@@ -2,10 +2,11 @@
 
 import json
 import re
-from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, final
+
+from msgspec import Struct
 
 from companion.mavlink.dialect import Message
 from companion.mavlink.frames import Receiver
@@ -35,8 +36,7 @@ _Timed = tuple[int | None, bytes]
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
+class Difference(Struct, frozen=True, kw_only=True):
     """The first difference between a replay and the recording."""
 
     t_s: float
@@ -73,8 +73,7 @@ class Recording:
         """How many came after the end of what was recorded: it was killed, or the disk full."""
         self._path = file_of_run(folder, "flight.tlog")
         journal = file_of_run(folder, "journal.jsonl")
-        self._log = Records(self._path)
-        self._journal = _Lines(_entries(journal))
+        self._log, self._journal = Records(self._path), _Lines(journal)
         self._epoch_us: int | None = None
         self._is_passing = self._has_ended = False
 
@@ -191,21 +190,26 @@ def _us(time_s: float) -> int:
 
 @final
 class _Lines:
-    """The lines of a journal, each with its time in microseconds if that can be read, one ahead."""
+    """The lines of a journal but for its headers, one by one, to the last whole one."""
 
-    def __init__(self, lines: Generator[_Timed]) -> None:
-        self._lines = lines
-        self.head: _Timed | None = next(lines, None)
-        """What comes next; None: nothing."""
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+        self.head: _Timed | None = None
+        """What comes next, with its time in microseconds if that can be read."""
+        self.take()
 
     def take(self) -> _Timed | None:
-        """What comes next."""
-        taken, self.head = self.head, next(self._lines, None)
+        """What comes next, and on to what follows."""
+        taken, line = self.head, self._file.readline(_LONGEST_LINE)
+        while line.startswith(b'{"schema"') and line.endswith(b"\n"):
+            line = self._file.readline(_LONGEST_LINE)
+        is_whole = line.endswith(b"\n") or len(line) == _LONGEST_LINE
+        self.head = (_time_us_of(line), line) if is_whole else None
         return taken
 
     def close(self) -> None:
         """Close the file."""
-        self._lines.close()
+        self._file.close()
 
 
 def _skip_before(recorded: Records | _Lines, at_us: int) -> None:
@@ -221,16 +225,6 @@ def _pass_by(recorded: Records | _Lines, at_us: int) -> None:
     _skip_before(recorded, at_us)
     if (head := recorded.head) is not None and head[0] == at_us:
         recorded.take()
-
-
-def _entries(path: Path) -> Generator[_Timed]:
-    """The lines of a journal but for its headers, to the last whole one."""
-    with path.open("rb") as file:
-        while line := file.readline(_LONGEST_LINE):
-            if len(line) < _LONGEST_LINE and not line.endswith(b"\n"):
-                return
-            if not line.startswith(b'{"schema"'):
-                yield _time_us_of(line), line
 
 
 def _time_us_of(line: bytes) -> int | None:

@@ -13,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
 
+from msgspec import structs
+
 from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
@@ -21,8 +23,8 @@ from companion.mission.mission import Mission
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
 from companion.replay.differences import frames_differ
-from companion.replay.reproduce import REMEMBERED, Replayed, Step, in_words
-from companion.replay.session_inputs import feed
+from companion.replay.report import Replayed
+from companion.replay.reproduce import REMEMBERED, Step, in_words
 from companion.session import Session
 from companion.telemetry.logs import Log, open_log
 
@@ -60,57 +62,54 @@ class LogReplay:
         )
         self._made: deque[tuple[float, bytes]] = deque()
         self._sent: deque[bytes] = deque()
-        self._before: deque[tuple[float, Input]] = deque(maxlen=REMEMBERED)
 
     def steps(self) -> Iterator[Step]:
         """Replay, frame by frame, to the first difference or the end.
 
         InputError if no companion was there.
         """
-        yield from self._steps()
-        if (difference := self.found.difference) is not None:
-            before = tuple(map(in_words, self._before))
-            self.found.difference = replace(difference, before=before)
-
-    def _steps(self) -> Iterator[Step]:
         began_s, before_us, session, found = time.perf_counter(), math.inf, self.session, self.found
+        before: deque[tuple[float, Input]] = deque(maxlen=REMEMBERED)
         if not self._lockstep:
             session.silence(0.0)
         for record in self.inputs.records():
-            output, recorded_input = None, ("receive", record.frame, record.time_us * 1e-6)
+            output, heard = None, ("receive", record.frame, record.time_us * 1e-6)
             if sender_of(record.frame)[1] == COMPANION_COMPONENT:
                 self._sent.append(record.frame)
-                self._compare()
             else:
                 gap_s, before_us = (record.time_us - before_us) * 1e-6, record.time_us
                 if gap_s > _SILENT_S and not self._lockstep:
                     session.silence(gap_s)
                 found.inputs += 1
-                output = self._tell(recorded_input)
-                self._before.append((session.now_s, recorded_input))
+                session.receive(*heard[1:])
+                output = self._run()
+                before.append((session.now_s, heard))
+            self._compare()
             found.go_on_to(session.now_s)
             found.took_s = time.perf_counter() - began_s
-            yield Step(recorded_input=recorded_input, output=output, session=session)
+            yield Step(recorded_input=heard, output=output, session=session)
             if found.difference is not None:
-                return
-        if self._sent:
-            self._take(session.farewell())
-        self._end()
+                break
+        else:
+            if self._sent:
+                self._made += [(session.now_s, frame) for frame in session.farewell().frames]
+                self._compare()
+            self._end()
+        if found.difference is not None:
+            found.difference = structs.replace(
+                found.difference, before=tuple(map(in_words, before))
+            )
 
-    def _tell(self, recorded_input: Input) -> Output:
-        """What follows from it; plans are computed at once."""
-        feed(self.session, recorded_input)
-        self._take(out := self.session.run())
-        while out.plan is not None:
+    def _run(self) -> Output:
+        """What follows from what the session was told; plans are computed at once."""
+        while True:
+            out = self.session.run()
+            self._made += [(self.session.now_s, frame) for frame in out.frames]
+            if out.plan is None:
+                return out
             self.found.plans += 1
             self.found.plans_computed += 1
             self.session.deliver(plan(out.plan, kernel=self._kernel))
-            self._take(out := self.session.run())
-        return out
-
-    def _take(self, out: Output) -> None:
-        self._made += [(self.session.now_s, frame) for frame in out.frames]
-        self._compare()
 
     def _compare(self) -> None:
         """Hold what was sent then and now against each other, as far as both are there."""

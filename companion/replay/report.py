@@ -1,19 +1,98 @@
-"""The report of a replay, as text."""
+"""What a replay has found: as values, and as text."""
 
-from collections.abc import Sequence
-from dataclasses import fields
-from typing import Any
+from typing import Any, Final, final
 
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
+from msgspec import Struct
+from msgspec.structs import asdict
 
-from companion.replay.reproduce import Replayed
-from companion.replay.what_if import Figures, WhatIf
+from companion.replay.differences import Difference
+from companion.replay.session_inputs import RecordedError
 
-_MAX_PLANS = 5
-_LATE_S = 10.0
+_BEGUN_AGAIN_S: Final = 10.0  # earlier: the autopilot has rebooted, or another one was taken
+_MAX_PLANS: Final = 5
+_LATE_S: Final = 10.0
 """A flight that begins later by the vehicle's clock has other times than seconds of the flight."""
+
+
+@final
+class PlanDiffers(Struct, frozen=True, kw_only=True):
+    """A plan that differs from the recorded one."""
+
+    plan_id: int
+    t_s: float
+    field: str
+    recorded: Any
+    computed: Any
+    words: str
+    """How far apart the two are."""
+    kernels: tuple[str, str]
+    """What computed the recorded one, and this one."""
+
+    @property
+    def is_excused(self) -> bool:
+        """Whether the kernels differ, so that the last bits may."""
+        return self.kernels[0] != self.kernels[1]
+
+    def __str__(self) -> str:
+        by = f" ({self.kernels[0]}, now {self.kernels[1]})" if self.is_excused else ""
+        first = f"first {self.field}: recorded {self.recorded!r}, computed {self.computed!r}"
+        return f"t {self.t_s:.3f} s: plan {self.plan_id}{by}: {self.words}; {first}"
+
+
+@final
+class Replayed(Struct, kw_only=True):
+    """The result of a replay so far."""
+
+    difference: Difference | None = None
+    """The first one."""
+    plans_differ: list[PlanDiffers] = []
+    starts: int = 0
+    """How often the companion was started."""
+    inputs: int = 0
+    frames: int = 0
+    """Frames, both ways, that were the same."""
+    entries: int = 0
+    unrecorded: int = 0
+    """Frames and entries after the end of the recording."""
+    torn: str = ""
+    """Why it ended before the end of the file."""
+    plans: int = 0
+    plans_computed: int = 0
+    ended_by: RecordedError | None = None
+    """The error that ended the flight's control loop, if any."""
+    damaged: str = ""
+    """What in the recording is not a valid input; nothing after it was replayed."""
+    began_s: float | None = None
+    """Vehicle time of the first input that told it."""
+    now_s: float = 0.0
+    flown_s: float = 0.0
+    """Duration replayed, vehicle time; continues across reboots."""
+    took_s: float = 0.0
+    _newest_s: float = 0.0
+
+    def go_on_to(self, now_s: float) -> None:
+        """Advance to this vehicle time."""
+        self.now_s = now_s
+        if self.began_s is None:
+            if now_s <= 0.0:
+                return
+            self.began_s = self._newest_s = now_s
+        if now_s > self._newest_s:
+            self.flown_s += now_s - self._newest_s
+            self._newest_s = now_s
+        elif now_s < self._newest_s - _BEGUN_AGAIN_S:
+            self._newest_s = now_s
+
+    @property
+    def compared(self) -> int:
+        """How many frames and entries were the same."""
+        return self.frames + self.entries
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether all decisions and plans equal the recorded ones, and there were any."""
+        same = self.difference is None and all(each.is_excused for each in self.plans_differ)
+        return same and self.compared > 0 and not self.damaged
 
 
 def replay_text(found: Replayed) -> list[str]:
@@ -62,60 +141,8 @@ def _verdict(found: Replayed) -> str:
 
 def replay_json(found: Replayed) -> dict[str, Any]:
     """Report of a replay for a JSON file."""
-    names = [each.name for each in fields(found) if each.name not in ("_newest_s", "ended_by")]
-    ended_by = None if found.ended_by is None else found.ended_by.error
-    values = {name: getattr(found, name) for name in names}
-    return {"identical": found.is_identical, "ended_by": ended_by, **values}
-
-
-def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
-    """Table of subpaths, as flown -> with the changed settings; below, both sums."""
-    table = Table()
-    for heading in ("plan", "at", "cost", "clearance", "length", "time"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("terms that differ")
-    for each in found:
-        flown, now = each.flown, each.now
-        table.add_row(
-            f"{each.plan_id}",
-            f"{each.t_s:,.0f} s",
-            _both(flown.cost, now.cost, "{:.2f}", flown.refusal, now.refusal),
-            _both(flown.clearance_m, now.clearance_m, "{:,.0f} m"),
-            _both(_km(flown.length_m), _km(now.length_m), "{:,.2f} km"),
-            _both(flown.time_s, now.time_s, "{:,.0f} s"),
-            _terms(flown.terms, now.terms),
-        )
-    both = [each for each in found if each.flown.cost is not None and each.now.cost is not None]
-    flown_sum, now_sum = _sums([each.flown for each in both]), _sums([each.now for each in both])
-    lost = sum(1 for each in found if each.flown.cost is not None and each.now.cost is None)
-    gained = sum(1 for each in found if each.flown.cost is None and each.now.cost is not None)
-    lines = [f"{len(both)} subpaths as flown: {flown_sum}", f"now: {now_sum}"]
-    if lost or gained:
-        lines.append(f"{lost} that were flown would not be found; {gained} the other way round")
-    return Group(table, *(Text(line) for line in lines))
-
-
-def _both(was: float | None, now: float | None, form: str, *why: str) -> str:
-    """Both values, or one if they are shown alike."""
-    texts = ["-" if value is None else form.format(value) for value in (was, now)]
-    for place, refusal in enumerate(why):
-        if refusal:
-            texts[place] = refusal.lower().replace("_", " ")
-    return texts[0] if texts[0] == texts[1] else " -> ".join(texts)
-
-
-def _km(length_m: float | None) -> float | None:
-    return None if length_m is None else length_m / 1000.0
-
-
-def _terms(was: dict[str, float], now: dict[str, float]) -> str:
-    pairs = ((name, was.get(name, 0.0), now.get(name, 0.0)) for name in dict.fromkeys((*was, *now)))
-    shown = ((name, f"{old:.2f}", f"{new:.2f}") for name, old, new in pairs)
-    return ", ".join(f"{name} {old} -> {new}" for name, old, new in shown if old != new)
-
-
-def _sums(figures: Sequence[Figures]) -> str:
-    cost = sum(each.cost or 0.0 for each in figures)
-    length_m = sum(each.length_m or 0.0 for each in figures)
-    least_m = min((each.clearance_m or 0.0 for each in figures), default=0.0)
-    return f"cost {cost:.2f}, {length_m / 1000:,.2f} km, least proven clearance {least_m:,.0f} m"
+    values = {"identical": found.is_identical, "ended_by": None, **asdict(found)}
+    del values["_newest_s"]
+    if found.ended_by is not None:
+        values["ended_by"] = found.ended_by.error
+    return values

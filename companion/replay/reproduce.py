@@ -8,11 +8,13 @@ arithmetic, it may differ, which does not count as a difference.
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.errors import InputError
 from companion.mavlink.frames import Receiver
@@ -23,6 +25,7 @@ from companion.planner.outcomes import values_of
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay.differences import NOTHING, Difference, Recording, values_differ
+from companion.replay.report import PlanDiffers, Replayed
 from companion.replay.session_inputs import (
     RUNTIME_RECORDS,
     SESSION_CALLS,
@@ -39,95 +42,10 @@ from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
 
 REMEMBERED: Final = 12  # inputs before a difference
-_BEGUN_AGAIN_S: Final = 10.0  # earlier: the autopilot has rebooted, or another one was taken
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanDiffers:
-    """A plan that differs from the recorded one."""
-
-    plan_id: int
-    t_s: float
-    field: str
-    recorded: Any
-    computed: Any
-    words: str
-    """How far apart the two are."""
-    kernels: tuple[str, str]
-    """What computed the recorded one, and this one."""
-
-    @property
-    def is_excused(self) -> bool:
-        """Whether the kernels differ, so that the last bits may."""
-        return self.kernels[0] != self.kernels[1]
-
-    def __str__(self) -> str:
-        by = f" ({self.kernels[0]}, now {self.kernels[1]})" if self.is_excused else ""
-        first = f"first {self.field}: recorded {self.recorded!r}, computed {self.computed!r}"
-        return f"t {self.t_s:.3f} s: plan {self.plan_id}{by}: {self.words}; {first}"
-
-
-@final
-@dataclass(slots=True, kw_only=True)
-class Replayed:
-    """The result of a replay so far."""
-
-    difference: Difference | None = None
-    """The first one."""
-    plans_differ: list[PlanDiffers] = field(default_factory=list)
-    starts: int = 0
-    """How often the companion was started."""
-    inputs: int = 0
-    frames: int = 0
-    """Frames, both ways, that were the same."""
-    entries: int = 0
-    unrecorded: int = 0
-    """Frames and entries after the end of the recording."""
-    torn: str = ""
-    """Why it ended before the end of the file."""
-    plans: int = 0
-    plans_computed: int = 0
-    ended_by: RecordedError | None = None
-    """The error that ended the flight's control loop, if any."""
-    damaged: str = ""
-    """What in the recording is not a valid input; nothing after it was replayed."""
-    began_s: float | None = None
-    """Vehicle time of the first input that told it."""
-    now_s: float = 0.0
-    flown_s: float = 0.0
-    """Duration replayed, vehicle time; continues across reboots."""
-    took_s: float = 0.0
-    _newest_s: float = 0.0
-
-    def go_on_to(self, now_s: float) -> None:
-        """Advance to this vehicle time."""
-        self.now_s = now_s
-        if self.began_s is None:
-            if now_s <= 0.0:
-                return
-            self.began_s = self._newest_s = now_s
-        if now_s > self._newest_s:
-            self.flown_s += now_s - self._newest_s
-            self._newest_s = now_s
-        elif now_s < self._newest_s - _BEGUN_AGAIN_S:
-            self._newest_s = now_s
-
-    @property
-    def compared(self) -> int:
-        """How many frames and entries were the same."""
-        return self.frames + self.entries
-
-    @property
-    def is_identical(self) -> bool:
-        """Whether all decisions and plans equal the recorded ones, and there were any."""
-        same = self.difference is None and all(each.is_excused for each in self.plans_differ)
-        return same and self.compared > 0 and not self.damaged
-
-
-@final
-@dataclass(slots=True, kw_only=True)
-class Step:
+class Step(Struct, kw_only=True):
     """One input, its output, and the session after it."""
 
     recorded_input: Input
@@ -198,10 +116,12 @@ class Replay:
             case ("start", *_):
                 if not self._begin(start_of(recorded_input)):
                     return None
-            case ("unsent", list(numbers)):
-                self._leave_out(numbers)
+            case ("unsent", list(numbers)) if all(type(each) is int for each in numbers):
+                if self._given is not None:
+                    there = range(len(self._given.frames))  # else it has sent fewer: that differs
+                    self._given.leave_out(number for number in numbers if number in there)
             case ("raised", str(call), str(error)):
-                self._hold_against(RecordedError(call=call, error=error))
+                self._compare(RecordedError(call=call, error=error))
             case ("held", int(frames)):
                 self._compare()
                 if self._recording is not None:
@@ -232,14 +152,6 @@ class Replay:
         found.go_on_to(session.now_s)
         return output
 
-    def _leave_out(self, numbers: list[Any]) -> None:
-        """Frames of the last run that were not sent."""
-        if self._given is not None:
-            if not all(type(each) is int for each in numbers):
-                raise DamagedInputError("numbers of frames that are none")
-            there = range(len(self._given.frames))  # else it has sent fewer: that will differ
-            self._given.leave_out(number for number in numbers if number in there)
-
     def _begin(self, start: Start) -> bool:
         """Begin a session; whether that succeeded."""
         self._asked.clear()
@@ -256,31 +168,26 @@ class Replay:
         self.found.starts += 1
         return True
 
-    def _hold_against(self, ended: RecordedError) -> None:
-        """The flight ended with an error here: the replay must, too."""
-        self._compare_output()
-        raised, self._raised = self._raised, None
-        again = raised is not None and (raised.call, raised.error) == (ended.call, ended.error)
-        self.found.ended_by = raised if again else ended
-        if not again and (raised is not None or ended.call in SESSION_CALLS):
-            self._differ_in_error(ended, raised)
+    def _compare(self, ended: RecordedError | None = None) -> None:
+        """Compare what came of the last input with the recording.
 
-    def _differ_in_error(self, ended: RecordedError | None, raised: RecordedError | None) -> None:
-        call = (ended or raised or RecordedError(call="", error="")).call
-        self.found.difference = self.found.difference or Difference(
-            t_s=self.found.now_s,
-            what=call or "flight",
-            field="error",
-            recorded=NOTHING if ended is None else str(ended),
-            replayed=NOTHING if raised is None else str(raised),
-            before=tuple(map(in_words, self._before)),
-        )
-
-    def _compare(self) -> None:
-        """Compare the output of the last input with the recording."""
+        ended: the error that the flight ended with here; then the replay must, too.
+        """
         self._compare_output()
-        if self._raised is not None:
-            self._differ_in_error(None, self._raised)
+        found, raised, self._raised = self.found, self._raised, None
+        if raised and ended and (raised.call, raised.error) == (ended.call, ended.error):
+            found.ended_by = raised
+            return
+        found.ended_by, last = ended or found.ended_by, ended or raised
+        if last is not None and (raised is not None or last.call in SESSION_CALLS):
+            found.difference = found.difference or Difference(
+                t_s=found.now_s,
+                what=last.call or "flight",
+                field="error",
+                recorded=NOTHING if ended is None else str(ended),
+                replayed=NOTHING if raised is None else str(raised),
+                before=tuple(map(in_words, self._before)),
+            )
 
     def _compare_output(self) -> None:
         given, self._given = self._given, None
@@ -334,14 +241,8 @@ def computed_again(request: PlanRequest, stopped_after: int | None, kernel: Kern
 
     stopped_after: how often that search was allowed to go on; None: to its end.
     """
-    asked = 0
-
-    def stop() -> bool:
-        nonlocal asked
-        asked += 1
-        return stopped_after is not None and asked > stopped_after
-
-    return plan(request, stop, kernel)
+    asked = count(1)
+    return plan(request, lambda: stopped_after is not None and next(asked) > stopped_after, kernel)
 
 
 def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
@@ -362,17 +263,17 @@ def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
 def in_words(event: tuple[float, Input]) -> str:
     """An input, as text."""
     now_s, recorded_input = event
-    if recorded_input[0] == "receive":
-        names = [str(message.get_type()) for message in Receiver().feed(recorded_input[1])]
-        what = "heard " + (", ".join(names) or "nothing")
-    elif recorded_input[0] == "deliver":
-        what = (
-            f"plan {recorded_input[1].get('plan_id')} came"
-            if isinstance(recorded_input[1], dict)
-            else "a plan came"
-        )
-    elif recorded_input[0] == "start":
-        what = "the companion was started"
-    else:
-        what = " ".join([recorded_input[0].replace("_", " "), *map(str, recorded_input[1:])])
+    match recorded_input:
+        case ("receive", bytes(data), *_):
+            names = [str(message.get_type()) for message in Receiver().feed(data)]
+            what = "heard " + (", ".join(names) or "nothing")
+        case ("deliver", {"plan_id": plan_id}):
+            what = f"plan {plan_id} came"
+        case ("deliver", *_):
+            what = "a plan came"
+        case ("start", *_):
+            what = "the companion was started"
+        case _:
+            call, *arguments = recorded_input
+            what = " ".join([call.replace("_", " "), *map(str, arguments)])
     return f"t {now_s:.3f} s  {what}"

@@ -2,12 +2,12 @@
 
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, final
 
 import msgspec
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 from companion.mavlink.link import VEHICLE_LINK, Input, Output
 from companion.mission import checkpoint
@@ -45,8 +45,7 @@ class DamagedInputError(Exception):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedError:
+class RecordedError(Struct, frozen=True, kw_only=True):
     """An error raised by a session, or by the control loop around it."""
 
     call: str

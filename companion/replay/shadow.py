@@ -55,7 +55,7 @@ def watch(
     kernel: Kernel | None,
     system_id: int | None = None,
     on_progress: Callable[[int, int], None] = lambda _read, _size: None,
-    on_output: OnOutput | None = None,
+    on_output: OnOutput = lambda _at_s, _out: None,
 ) -> ShadowReport:
     """Run the companion in shadow on a log.
 

@@ -3,7 +3,6 @@
 Lists are limited, and the rest is counted, so that memory is bounded for long logs.
 """
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -19,8 +18,6 @@ from companion.mission.entries import Entry
 from companion.mission.events import Item, Landed, Vector
 from companion.mission.health import distrust
 from companion.mission.state import Phase, Reason, State, Vehicle
-from companion.path.limits import Limits
-from companion.path.subpath import Subpath
 from companion.planner.request import Refusal
 from companion.replay.shadow_report import (
     Hold,
@@ -83,27 +80,19 @@ class Notes:
         self._asked: dict[int, PlanAttempt] = {}
         """Plans that are not answered yet, by their numbers."""
         self._cause = _BEGINS
-        self._path: _Path | None = None
-        self._paths: dict[int, _Path] = {}
+        self._path: tuple[PlanAttempt, Chords] | None = None
+        self._paths: dict[int, tuple[PlanAttempt, Chords]] = {}
         """That and its successor, by the plan's number."""
         self._target = 0
         self._at_s: float | None = None
         self._was_in_air: bool | None = None
-        self._position_at_s = self._jumped_at_s = -1e9
-        self._position: Vector | None = None
+        self._looked_at: Vehicle | None = None
+        """When it last had a new position."""
 
-    def begin_again(self, *, afresh: bool = False) -> None:
-        """A new session begins.
-
-        afresh: discard the notes in progress as well.
-        """
+    def begin_again(self) -> None:
+        """A new session begins."""
         self._forget_paths()
-        if afresh:
-            self._hold, self._is_ready, self._was_in_air = None, False, None
-            self._cause = _BEGINS
-        self._position = None
-        self._position_at_s = self._jumped_at_s = -1e9
-        self._target = 0
+        self._looked_at, self._target = None, 0
 
     def heard_again(self, at_s: float) -> None:
         """The vehicle was heard after a silence."""
@@ -112,10 +101,11 @@ class Notes:
         self._observe("silence", at_s, on=False)
 
     def not_recorded(self, from_s: float, until_s: float) -> None:
-        """The log has a gap: end everything in progress."""
+        """The log has a gap, and another session begins: nothing in progress goes on."""
         self._end_all(from_s)
         self._observe("not recorded", from_s, until_s=until_s)
-        self._at_s = until_s
+        self._at_s, self._was_in_air, self._hold, self._is_ready = until_s, None, None, False
+        self._cause = _BEGINS
 
     def rebooted(self, at_s: float) -> None:
         """The vehicle's clock has begun again."""
@@ -148,8 +138,10 @@ class Notes:
         doubt = distrust(vehicle, state.now_s, state.task.limits)
         self._on_hold(at_s, state, doubt)
         self._on_health(at_s, vehicle, doubt)
-        if self._is_ready and vehicle.position_at_s != self._position_at_s:
-            self._on_position(at_s, state, doubt)
+        before = self._looked_at
+        if self._is_ready and (before is None or vehicle.position_at_s != before.position_at_s):
+            self._looked_at = vehicle
+            self._on_position(at_s, before, state, doubt)
 
     # --- what it would have done
 
@@ -169,11 +161,12 @@ class Notes:
                 self._hold, self._cause = None, f"it goes on after: {hold.why[0].text}"
             return
         if hold is None:
+            place = state.vehicle.position_nea_m
             hold = self._hold = Hold(
                 let_go_s=at_s,
                 vehicle_s=state.now_s,
                 why=[],
-                place=self._place(state.vehicle.position_nea_m),
+                place=place and self._place(place),
                 in_air=is_in_air(state.vehicle),
             )
             self._keep(self.report.holds, hold, "holds")
@@ -204,7 +197,7 @@ class Notes:
                     plan_id=entry.plan_id,
                     at_s=at_s,
                     vehicle_s=state.now_s,
-                    place=self._place_of(entry.scan_nea_m),
+                    place=self._place(entry.scan_nea_m),
                     why=self._cause if entry.from_rest else "the next subpath",
                     goes_on=not entry.from_rest,
                 )
@@ -241,10 +234,9 @@ class Notes:
                 pass
 
     def _on_ready(self, plan: journal.PlanReady, asked: PlanAttempt) -> None:
-        path = _Path(asked, plan.subpath)
-        before = self._path if asked.goes_on else None
-        self._path = before or path
-        self._paths = {each.asked.plan_id: each for each in (self._path, path)}
+        path = asked, Chords(plan.subpath)
+        self._path = (self._path if asked.goes_on else None) or path
+        self._paths = {each.plan_id: (each, chords) for each, chords in (self._path, path)}
         asked.outcome, asked.length_m = "ready", plan.length_m
         asked.reaches_target = plan.reaches_target
         asked.clearance_m = plan.certificate.clearance_m if plan.certificate.proven else None
@@ -280,16 +272,16 @@ class Notes:
         for kind, on in now.items():
             self._observe(kind, at_s, on=on)
 
-    def _on_position(self, at_s: float, state: State, doubt: Reason | None) -> None:
-        vehicle, here, before = state.vehicle, state.vehicle.position_nea_m, self._position
-        self._position, self._position_at_s = here, vehicle.position_at_s
+    def _on_position(
+        self, at_s: float, before: Vehicle | None, state: State, doubt: Reason | None
+    ) -> None:
+        vehicle, here = state.vehicle, state.vehicle.position_nea_m
         if here is None:  # it has rebooted
             return
-        if vehicle.jumped_at_s != self._jumped_at_s:
-            self._jumped_at_s = vehicle.jumped_at_s
-            if before is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-                jumped_m = math.dist(before, here)
-                self._observe("position jumped", at_s, until_s=at_s, worst_m=jumped_m)
+        was = None if before is None else before.position_nea_m
+        if was is not None and vehicle.jumped_at_s == vehicle.position_at_s:
+            jumped_m = math.dist(was, here)
+            self._observe("position jumped", at_s, until_s=at_s, worst_m=jumped_m)
         in_air = is_in_air(vehicle)
         if not in_air:
             self._path = None
@@ -302,21 +294,22 @@ class Notes:
 
     def _on_way(self, at_s: float, here: Vector, state: State) -> None:
         """Compare the flown track with the newest planned subpath."""
-        flight, path = state.flight, self._path
-        leg = flight.leg
-        if leg is not None and (path is None or path.asked.plan_id != leg.plan_id):
-            path = self._path = self._paths.get(leg.plan_id)
-        if path is None:
+        flight, leg = state.flight, state.flight.leg
+        if leg is not None and (self._path is None or self._path[0].plan_id != leg.plan_id):
+            self._path = self._paths.get(leg.plan_id)
+        if self._path is None:
             return
-        path.add(at_s, here)
+        asked, chords = self._path
+        off_m, along_m = chords.nearest(here)
+        asked.off = TrackDeviation.of_all((asked.off, TrackDeviation.at(at_s, off_m, along_m)))
         if leg is not None:
             return
         if flight.target != self._target:
             self._cause, self._path, self._target = "on to the next target", None, flight.target
-        elif path.has_ended:
+        elif (asked.length_m or 0.0) - along_m < _AT_END_M:
             self._cause, self._path = "the subpath has ended", None
         else:
-            self._cause = f"{path.last_m:.0f} m off its path"
+            self._cause = f"{off_m:.0f} m off its path"
 
     def _forget_paths(self) -> None:
         """Discard the plans so far."""
@@ -342,13 +335,14 @@ class Notes:
         """
         span = self._spans.get(kind)
         if on and span is None:
-            vehicle = self._vehicle
+            vehicle = self._vehicle or Vehicle()
+            place = vehicle.position_nea_m
             span = self._spans[kind] = Observed(
                 kind=kind,
                 from_s=at_s,
-                in_air=vehicle is not None and is_in_air(vehicle),
+                in_air=is_in_air(vehicle),
                 worst_m=worst_m,
-                place=None if vehicle is None else self._place(vehicle.position_nea_m),
+                place=place and self._place(place),
             )
             self._keep(self.report.outside if outside else self.report.health, span, kind)
         elif on and span is not None and worst_m is not None:
@@ -362,10 +356,7 @@ class Notes:
         for kind in list(self._spans):
             self._observe(kind, at_s, on=False)
 
-    def _place(self, point_nea_m: Vector | None) -> Place | None:
-        return None if point_nea_m is None else self._place_of(point_nea_m)
-
-    def _place_of(self, point_nea_m: Vector) -> Place:
+    def _place(self, point_nea_m: Vector) -> Place:
         north_m, east_m, altitude_m = point_nea_m
         latitude, longitude = self._frame.to_geodetic_deg(north_m, east_m)
         return Place(
@@ -383,35 +374,6 @@ class Notes:
             self.report.left_out[kind] += 1
 
 
-@final
-class _Path:
-    """A planned subpath, and how far the track was from it."""
-
-    def __init__(self, asked: PlanAttempt, subpath: Subpath) -> None:
-        self.asked = asked
-        self._chords, self._length_m = Chords(subpath), subpath.length_m
-        self.last_m = self._at_m = 0.0
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether the vehicle has come to its end."""
-        return self._length_m - self._at_m < _AT_END_M
-
-    def add(self, at_s: float, here: Vector) -> None:
-        """One more position of the track."""
-        self.last_m, self._at_m = off_m, at_m = self._chords.nearest(here)
-        here_alone = TrackDeviation(
-            from_s=at_s,
-            until_s=at_s,
-            max_m=off_m,
-            max_at_s=at_s,
-            rms_m=off_m,
-            from_m=at_m,
-            until_m=at_m,
-        )
-        self.asked.off = TrackDeviation.of_all((self.asked.off, here_alone))
-
-
 def is_in_air(vehicle: Vehicle) -> bool:
     """Whether it is in the air; if it does not report that, whether it is armed."""
     if vehicle.landed is Landed.UNKNOWN:
@@ -421,14 +383,15 @@ def is_in_air(vehicle: Vehicle) -> bool:
 
 def _out_by_m(here: Vector, state: State) -> Iterator[tuple[str, float]]:
     """Each bound of the mission, and by how much the vehicle is beyond it; negative: within."""
-    task = state.task
-    limits: Limits = task.limits
-    edges = zip(here, (limits.north_m, limits.east_m), strict=False)
-    beyond = itertools.chain.from_iterable((low - at, at - high) for at, (low, high) in edges)
-    yield "outside the map", max(beyond)
-    yield "below the floor", limits.floor_amsl_m - here[2]
-    yield "above the ceiling", here[2] - limits.ceiling_amsl_m
-    for zone in task.zones:
-        gap_m = float(zone.distance_m(np.asarray(here[0]), np.asarray(here[1])))
+    (north_m, east_m, altitude_m), limits = here, state.task.limits
+    south_m, west_m = limits.north_m[0] - north_m, limits.east_m[0] - east_m
+    yield (
+        "outside the map",
+        max(south_m, north_m - limits.north_m[1], west_m, east_m - limits.east_m[1]),
+    )
+    yield "below the floor", limits.floor_amsl_m - altitude_m
+    yield "above the ceiling", altitude_m - limits.ceiling_amsl_m
+    for zone in state.task.zones:
+        gap_m = float(zone.distance_m(np.asarray(north_m), np.asarray(east_m)))
         where = "outside keep-in" if zone.keep_in else "inside keep-out"
         yield f"{where} {zone.name}", -gap_m

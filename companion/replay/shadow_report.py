@@ -1,23 +1,33 @@
-"""The report of shadow mode, as values."""
+"""The report of shadow mode: as values, and as text and tables."""
 
 import math
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime
+from itertools import groupby
 from typing import Any, Final, final
 
 import msgspec
+from msgspec import Struct, field
+from msgspec.structs import asdict, replace
+from rich.console import RenderableType
+from rich.table import Column, Table
+from rich.text import Text
 
 from companion.telemetry.logs import LogAnomaly, Missing
 from companion.world.near_map import Sight
 
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""
+_MAX_ROWS: Final = 30
+_NEAR_S: Final = 60.0
+_MAX_SAID: Final = 8
+_MOMENT_S: Final = 1.0
+_SHORT_REASONS: Final = 3
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class Place(Struct, frozen=True, kw_only=True):
     """Where something happened."""
 
     latitude_deg: float
@@ -29,8 +39,7 @@ class Place:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HoldReason:
+class HoldReason(Struct, frozen=True, kw_only=True):
     """One reason to hold, and when it became the reason."""
 
     at_s: float
@@ -41,8 +50,7 @@ class HoldReason:
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class Hold:
+class Hold(Struct, kw_only=True):
     """A time span in which the companion would have put the vehicle on hold."""
 
     let_go_s: float
@@ -59,8 +67,7 @@ class Hold:
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class Observed:
+class Observed(Struct, kw_only=True):
     """An observation about the vehicle's health or position, over a time span."""
 
     kind: str
@@ -75,8 +82,7 @@ class Observed:
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class PlanAttempt:
+class PlanAttempt(Struct, kw_only=True):
     """A subpath that the companion would have planned, and how the flown track compares."""
 
     plan_id: int
@@ -100,8 +106,7 @@ class PlanAttempt:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackDeviation:
+class TrackDeviation(Struct, frozen=True, kw_only=True):
     """How far the flown track was from a planned subpath, over one position or more."""
 
     from_s: float
@@ -114,6 +119,19 @@ class TrackDeviation:
     from_m: float
     """Part of the subpath that it was nearest to, lengths along it."""
     until_m: float
+
+    @staticmethod
+    def at(at_s: float, off_m: float, along_m: float) -> "TrackDeviation":
+        """Of one position; along_m: where the subpath is nearest to it."""
+        return TrackDeviation(
+            from_s=at_s,
+            until_s=at_s,
+            max_m=off_m,
+            max_at_s=at_s,
+            rms_m=off_m,
+            from_m=along_m,
+            until_m=along_m,
+        )
 
     @staticmethod
     def of_all(parts: Iterable["TrackDeviation | None"]) -> "TrackDeviation | None":
@@ -136,8 +154,7 @@ class TrackDeviation:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VehicleReport:
+class VehicleReport(Struct, frozen=True, kw_only=True):
     """A report of the vehicle: a warning, a mode change."""
 
     at_s: float
@@ -147,8 +164,7 @@ class VehicleReport:
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class NearThings:
+class NearThings(Struct, kw_only=True):
     """What one sensor has seen in a flight."""
 
     sensor: str
@@ -161,13 +177,12 @@ class NearThings:
     """Area that beams have passed all over."""
     occupied_m2: float = 0.0
     """Area where something stood, or may have stood, as far as it was told."""
-    refused: dict[str, int] = field(default_factory=dict)
+    refused: dict[str, int] = {}
     """How often something was not believed, by the reason."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limitation:
+class Limitation(Struct, frozen=True, kw_only=True):
     """A limitation of shadow mode on this log."""
 
     what: str
@@ -182,8 +197,7 @@ class Limitation:
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class ShadowReport:
+class ShadowReport(Struct, kw_only=True):
     """All of it.  Times are seconds after the log's first record unless they are said otherwise."""
 
     file: str
@@ -206,17 +220,17 @@ class ShadowReport:
     heard: int = 0
     """Records that were used."""
     position_rate_hz: float | None = None
-    holds: list[Hold] = field(default_factory=list)
-    health: list[Observed] = field(default_factory=list)
-    outside: list[Observed] = field(default_factory=list)
+    holds: list[Hold] = []
+    health: list[Observed] = []
+    outside: list[Observed] = []
     """Positions outside the mission's limits."""
-    plans: list[PlanAttempt] = field(default_factory=list)
-    said: list[VehicleReport] = field(default_factory=list)
-    could_not: list[Limitation] = field(default_factory=list)
+    plans: list[PlanAttempt] = []
+    said: list[VehicleReport] = []
+    could_not: list[Limitation] = []
     missing: tuple[Missing, ...] = ()
     log_findings: tuple[LogAnomaly, ...] = ()
-    near_things: list[NearThings] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    near_things: list[NearThings] = []
+    notes: list[str] = []
     left_out: Counter[str] = field(default_factory=Counter)
     """Number of dropped items of limited lists."""
     took_s: float = 0.0
@@ -236,7 +250,242 @@ class ShadowReport:
 
     def as_json(self) -> dict[str, Any]:
         """For `--json`: plain values, units in the names."""
-        values: dict[str, Any] = {"schema": SCHEMA, "own_path": self.own_path}
-        values |= {each.name: getattr(self, each.name) for each in fields(self)}
-        values["log_findings"] = [each.as_json() for each in self.log_findings]
-        return msgspec.to_builtins(values)
+        anomalies = [each.as_json() for each in self.log_findings]
+        values = {**asdict(self), "log_findings": anomalies}
+        return msgspec.to_builtins({"schema": SCHEMA, "own_path": self.own_path, **values})
+
+
+# --- for people
+
+
+def renderables(report: ShadowReport) -> list[RenderableType]:
+    """The report, part by part, in the order in which a person wants to know."""
+    plans = [list(run) for _, run in groupby(report.plans, key=_alike)]
+    return [
+        *map(Text, _head(report)),
+        *_table(
+            "where it would have held",
+            ("let go", "why", "position good", "goes on", "the vehicle itself"),
+            [_hold_row(hold, report) for hold in report.holds],
+            report.left_out["holds"],
+        ),
+        *_observed("health", report.health, report),
+        *_observed("where the mission does not allow it to be", report.outside, report),
+        *_table(
+            "where it would have planned",
+            ("at", "where", "why", "answer", "flown track off it, max / rms"),
+            list(map(_plans_row, plans)),
+            report.left_out["plans"],
+        ),
+        *map(Text, _tail(report)),
+    ]
+
+
+_Row = Sequence[str | Text]
+
+
+def _table(
+    title: str, headings: Sequence[str | Column], rows: Sequence[_Row], left_out: int = 0
+) -> Iterator[Table]:
+    """The first rows as a table, if there are any; left_out: not even among these."""
+    table = Table(*headings, title=title, title_justify="left")
+    for row in rows[:_MAX_ROWS]:
+        table.add_row(*row)
+    if (more := len(rows) + left_out - _MAX_ROWS) > 0:
+        table.caption = f"{more} more: --json has them"
+    if rows:
+        yield table
+
+
+def _head(report: ShadowReport) -> list[str]:
+    air = f", {report.in_air_s:,.0f} s of it in the air" if report.in_air_s else ""
+    lines = [
+        f"{report.file}: {report.vehicle}, system {report.system_id}; {_began(report)}"
+        f"{report.length_s:,.1f} s{air}",
+        "times: seconds after the log's first record; places: latitude, longitude, altitude AMSL",
+    ]
+    if report.mission is None:
+        lines.append("no mission was given: only the vehicle's health was looked at")
+    elif not report.planned:
+        lines.append(f"mission {report.mission}: nothing was planned")
+    else:
+        lines.append(f"mission {report.mission}")
+    if report.watched_from_s is None:
+        lines.append("the companion would never have been ready")
+    else:
+        lines.append(f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s")
+        if not report.holds:
+            lines.append("it would never have let go: the position could always be believed")
+    return lines
+
+
+def _began(report: ShadowReport) -> str:
+    try:
+        when = datetime.fromtimestamp(report.began_us * 1e-6, UTC)
+    except (OverflowError, OSError, ValueError):
+        return ""
+    return f"{when:%Y-%m-%d %H:%M:%S}Z, " if when.year > 1970 else ""
+
+
+def _hold_row(hold: Hold, report: ShadowReport) -> _Row:
+    """When it would have held, and what the vehicle did meanwhile."""
+    return (
+        f"{hold.let_go_s:,.2f} s" + ("" if hold.in_air else "\n(on the ground)"),
+        _why(hold),
+        "never" if hold.trusted_s is None else f"{hold.trusted_s:,.1f} s",
+        "never" if hold.went_on_s is None else f"{hold.went_on_s:,.1f} s",
+        Text(_itself(hold, report)),
+    )
+
+
+def _why(hold: Hold) -> str:
+    """The reasons one after the other; those that come and go are told once more and counted."""
+    if not hold.why:
+        return ""
+    first, *later = hold.why
+    lines = [first.text]
+    counted = Counter(why.text for why in later if why.text != first.text)
+    begins = {why.text: why.at_s for why in reversed(later)}
+    for text, count in counted.most_common(_SHORT_REASONS):
+        times = f", {count} times" if count > 1 else ""
+        lines.append(f"{begins[text]:,.1f} s: {text}{times}")
+    lines.append(f"-> {first.remedy}")
+    return "\n".join(lines)
+
+
+def _itself(hold: Hold, report: ShadowReport) -> str:
+    """What the vehicle did and said by itself meanwhile."""
+    until_s = hold.went_on_s if hold.went_on_s is not None else hold.let_go_s + _NEAR_S
+    said = [each for each in report.said if hold.let_go_s - _MOMENT_S <= each.at_s <= until_s]
+    lines = [_said(each) for each in said[:_MAX_SAID]]
+    if len(said) > _MAX_SAID:
+        lines.append(f"{len(said) - _MAX_SAID} more")
+    return "\n".join(lines) or "nothing"
+
+
+def _said(said: VehicleReport) -> str:
+    words = {"mode": f"mode {said.text}", "says": f"“{said.text}”"}.get(said.what, said.what)
+    return f"{said.at_s:,.1f} s {words}"
+
+
+def _observed(title: str, found: Sequence[Observed], report: ShadowReport) -> Iterator[Table]:
+    """Times at which something was so; those of one kind that follow at once are one row."""
+    headings = (Column("from", justify="right"), Column("to", justify="right"), "what", "where")
+    return _table(title, headings, [_run_row(run, report.length_s) for run in _runs(found)])
+
+
+def _run_row(run: list[Observed], length_s: float) -> _Row:
+    first, last, count = run[0], run[-1], len(run)
+    worst_m = max((each.worst_m for each in run if each.worst_m is not None), default=None)
+    far = "" if worst_m is None else f", by {worst_m:,.1f} m" + " at most" * (count > 1)
+    times = f", {count} times" if count > 1 else ""
+    ground = "" if first.in_air else " (on the ground)"
+    until_s = length_s if last.until_s is None else last.until_s
+    end = "" if until_s - first.from_s < 0.05 else f"{until_s:,.1f} s"
+    return (
+        f"{first.from_s:,.1f} s",
+        f"{end} (end)" if last.until_s is None else end,
+        Text(f"{first.kind}{far}{times}{ground}"),
+        _where(first.place),
+    )
+
+
+def _runs(found: Sequence[Observed]) -> Iterator[list[Observed]]:
+    for _, group in groupby(found, key=lambda each: (each.kind, each.in_air)):
+        run: list[Observed] = []
+        for each in group:
+            before = run[-1].until_s if run else None
+            if run and (before is None or each.from_s - before > _MOMENT_S):
+                yield run
+                run = []
+            run.append(each)
+        yield run
+
+
+def _plans_row(run: list[PlanAttempt]) -> _Row:
+    """Where it would have planned, and how far the flown track was from that.
+
+    Plans one after the other for the same reason, with the same answer, are one row.
+    """
+    first, last = run[0], run[-1]
+    at, why = f"{first.at_s:,.1f} s", first.why
+    if len(run) > 1:
+        at += f" to {last.at_s:,.1f} s\n{len(run)} times"
+    if last.why != why:  # in its numbers
+        why += f" ... {last.why}"
+    off = TrackDeviation.of_all(asked.off for asked in run)
+    return at, _where(first.place), Text(why), Text(_answers(run)), _off_words(off)
+
+
+def _alike(asked: PlanAttempt) -> tuple[str, str, str]:
+    return "".join(c for c in asked.why if not c.isdigit()), asked.outcome, asked.reason
+
+
+def _answers(run: list[PlanAttempt]) -> str:
+    first = run[0]
+    if first.outcome == "refused":
+        return "refused: " + first.reason.lower().replace("_", " ")
+    lengths = [asked.length_m for asked in run if asked.length_m is not None]
+    if first.outcome != "ready" or not lengths:
+        return first.outcome
+    low, high = f"{min(lengths):,.0f}", f"{max(lengths):,.0f}"
+    words = f"{low} m" if low == high else f"{low} to {high} m"
+    if all(asked.reaches_target for asked in run):
+        words += ", to the target"
+    clear = [asked.clearance_m for asked in run if asked.clearance_m is not None]
+    return words + (f", clear by {min(clear):,.0f} m" if clear else "")
+
+
+def _off_words(off: TrackDeviation | None) -> str:
+    if off is None:
+        return ""
+    return (
+        f"{off.max_m:,.1f} / {off.rms_m:,.1f} m\n{off.from_s:,.1f} to {off.until_s:,.1f} s, "
+        f"{off.from_m:,.0f} to {off.until_m:,.0f} m"
+    )
+
+
+def _tail(report: ShadowReport) -> list[str]:
+    lines = []
+    if report.plans:
+        answers = Counter(asked.outcome for asked in report.plans)
+        counted = ", ".join(f"{count} {name}" for name, count in answers.most_common())
+        lines.append(f"{len(report.plans)} subpaths asked for: {counted}")
+        refused = {asked.reason: asked.remedy for asked in report.plans if asked.reason}
+        lines += [f"  {reason.lower().replace('_', ' ')}: {why}" for reason, why in refused.items()]
+    if (own := report.own_path) is not None:
+        lines.append(
+            f"flown track off its own paths: {own.max_m:,.1f} m at most (at {own.max_at_s:,.1f} "
+            f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions and "
+            f"{own.until_m:,.0f} m of path"
+        )
+    for near in report.near_things:
+        lines += _near_words(near)
+    lines += [f"could not {each}" for each in report.could_not]
+    recorded_input = {each.message for each in report.could_not}
+    for missing in sorted(report.missing, key=lambda each: not each.vital):
+        if missing.message not in recorded_input:
+            lines.append(f"{missing}")
+    lines += [f"note: {note}" for note in report.notes]
+    lines += [f"log: {finding}" for finding in report.log_findings]
+    left = {kind: count for kind, count in report.left_out.items() if count}
+    lines += [f"{count:,} more of: {kind}" for kind, count in left.items()]
+    heard = f"{report.heard:,} of {report.records:,} messages were of use"
+    lines.append(f"{heard}; {report.times_real_time:,.0f}x real time")
+    return lines
+
+
+def _near_words(near: NearThings) -> Iterator[str]:
+    times = [f"{Sight[name].value} for {s:,.0f} s" for name, s in near.seconds.items() if s]
+    yield (
+        f"near things, by {near.sensor}, up to {near.range_m:g} m, {near.sweeps:,} sweeps: "
+        f"{near.free_m2:,.0f} m2 free, {near.occupied_m2:,.0f} m2 where something stands"
+    )
+    yield f"  {'; '.join(times)}"
+    yield from (f"  {why}: {count:,} times" for why, count in near.refused.items())
+
+
+def _where(place: Place | None) -> str:
+    if place is None:
+        return ""
+    return f"{place.latitude_deg:.5f}, {place.longitude_deg:.5f}, {place.altitude_amsl_m:,.0f} m"

@@ -81,8 +81,8 @@ class Watch:
         notes: Notes,
         *,
         planner: Callable[[PlanRequest], PlanOutcome],
-        aboard: bool = False,
-        on_output: OnOutput | None = None,
+        aboard: bool,
+        on_output: OnOutput,
     ) -> None:
         """heartbeat: one of the vehicle's; aboard: the log was written there, not over a link."""
         self._mission, self._autopilot, self._notes = mission, autopilot, notes
@@ -142,7 +142,7 @@ class Watch:
         if self._heard_s is not None and not self._aboard:
             self._be_silent(self._heard_s, at_s)
         if self._session is not None:
-            self._take(at_s, self._session.run())
+            self._run(self._session, at_s)
         report = self._notes.report
         if self._positions_s > 0.0:
             report.position_rate_hz = self.heard_of[POSITION] / self._positions_s
@@ -196,7 +196,6 @@ class Watch:
                 self._notes.heard_again(at_s)
         elif at_s - before_s >= _LOOKS_S[0]:
             self._notes.not_recorded(before_s, at_s)
-            self._notes.begin_again(afresh=True)
             self._session = None
 
     def _be_silent(self, since_s: float, until_s: float) -> None:
@@ -205,7 +204,7 @@ class Watch:
             if self._session is None or since_s + silent_s >= until_s:
                 break
             self._session.silence(silent_s)
-            self._take(since_s + silent_s, self._session.run())
+            self._run(self._session, since_s + silent_s)
         if self._session is not None and until_s - since_s < _LOOKS_S[0]:
             self._session.silence(until_s - since_s)
 
@@ -219,30 +218,24 @@ class Watch:
             self._notes.begin_again()
         self._notes.report.heard += 1
         session.receive(frame, wall_s)
-        self._take(at_s, session.run())
+        self._run(session, at_s)
 
-    def _take(self, at_s: float, out: Output) -> None:
-        session = self._session
-        assert session is not None
-        while out.plan is not None:
-            request = out.plan
-            self._give(at_s, out)
+    def _run(self, session: Session, at_s: float) -> None:
+        """Note what the session makes of what it was told, and of the plans that it asks for."""
+        while True:
+            out = session.run()
+            self._on_output(at_s, out)
+            self._notes.on_output(at_s, session, out.journal)
+            if out.plan is None:
+                break
             try:
-                outcome = self._planner(request)
+                outcome = self._planner(out.plan)
             except Exception as error:  # noqa: BLE001 - as in flight: it ends the watch, not the program
                 session.part_died("planner", f"{type(error).__name__}: {error}")
             else:
                 session.deliver(outcome)
-            out = session.run()
-        self._give(at_s, out)
         if out.end is not None:
             self._session = None
-
-    def _give(self, at_s: float, out: Output) -> None:
-        assert self._session is not None
-        if self._on_output is not None:
-            self._on_output(at_s, out)
-        self._notes.on_output(at_s, self._session, out.journal)
 
     def _stand_in(self, at_s: float, wall_s: float) -> None:
         """Feed messages that report a good GPS and estimator if the log has none."""

@@ -4,10 +4,15 @@ Nothing is flown: each plan starts where the recorded one started, with the same
 """
 
 import dataclasses
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar, final
+
+from msgspec import Struct
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
 
 from companion.mission.mission import Mission
 from companion.planner.kernels import Kernel
@@ -23,13 +28,12 @@ _Part = TypeVar("_Part")
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figures:
+class Figures(Struct, frozen=True, kw_only=True):
     """The figures of one answer."""
 
     cost: float | None = None
     """Eq. 5; None: there is no subpath."""
-    terms: dict[str, float] = field(default_factory=dict)
+    terms: dict[str, float] = {}
     """Of the cost, unweighted."""
     clearance_m: float | None = None
     """As proven."""
@@ -57,8 +61,7 @@ class Figures:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WhatIf:
+class WhatIf(Struct, frozen=True, kw_only=True):
     """A subpath as flown, and with the changed settings."""
 
     plan_id: int
@@ -135,3 +138,59 @@ def _with_changes(value: _Part, before: _Part, after: _Part) -> _Part:
         if getattr(before, name) != getattr(after, name)
     }
     return dataclasses.replace(value, **changes)  # type: ignore[type-var]
+
+
+# --- for people
+
+
+def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
+    """Table of subpaths, as flown -> with the changed settings; below, both sums."""
+    table = Table()
+    for heading in ("plan", "at", "cost", "clearance", "length", "time"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("terms that differ")
+    for each in found:
+        flown, now = each.flown, each.now
+        table.add_row(
+            f"{each.plan_id}",
+            f"{each.t_s:,.0f} s",
+            _both(flown.cost, now.cost, "{:.2f}", flown.refusal, now.refusal),
+            _both(flown.clearance_m, now.clearance_m, "{:,.0f} m"),
+            _both(_km(flown.length_m), _km(now.length_m), "{:,.2f} km"),
+            _both(flown.time_s, now.time_s, "{:,.0f} s"),
+            _terms(flown.terms, now.terms),
+        )
+    both = [each for each in found if each.flown.cost is not None and each.now.cost is not None]
+    flown_sum, now_sum = _sums([each.flown for each in both]), _sums([each.now for each in both])
+    lost = sum(1 for each in found if each.flown.cost is not None and each.now.cost is None)
+    gained = sum(1 for each in found if each.flown.cost is None and each.now.cost is not None)
+    lines = [f"{len(both)} subpaths as flown: {flown_sum}", f"now: {now_sum}"]
+    if lost or gained:
+        lines.append(f"{lost} that were flown would not be found; {gained} the other way round")
+    return Group(table, *(Text(line) for line in lines))
+
+
+def _both(was: float | None, now: float | None, form: str, *why: str) -> str:
+    """Both values, or one if they are shown alike."""
+    texts = ["-" if value is None else form.format(value) for value in (was, now)]
+    for place, refusal in enumerate(why):
+        if refusal:
+            texts[place] = refusal.lower().replace("_", " ")
+    return texts[0] if texts[0] == texts[1] else " -> ".join(texts)
+
+
+def _km(length_m: float | None) -> float | None:
+    return None if length_m is None else length_m / 1000.0
+
+
+def _terms(was: dict[str, float], now: dict[str, float]) -> str:
+    pairs = ((name, was.get(name, 0.0), now.get(name, 0.0)) for name in dict.fromkeys((*was, *now)))
+    shown = ((name, f"{old:.2f}", f"{new:.2f}") for name, old, new in pairs)
+    return ", ".join(f"{name} {old} -> {new}" for name, old, new in shown if old != new)
+
+
+def _sums(figures: Sequence[Figures]) -> str:
+    cost = sum(each.cost or 0.0 for each in figures)
+    length_m = sum(each.length_m or 0.0 for each in figures)
+    least_m = min((each.clearance_m or 0.0 for each in figures), default=0.0)
+    return f"cost {cost:.2f}, {length_m / 1000:,.2f} km, least proven clearance {least_m:,.0f} m"

@@ -7,6 +7,7 @@ import math
 import random
 import struct
 from collections.abc import Iterable, Mapping
+from itertools import islice
 from pathlib import Path
 
 from companion.mavlink.dialect import Message, wire
@@ -113,7 +114,7 @@ def bin_of(path: Path, *, without: Iterable[str] = (), most: int | None = None) 
     """
     writer = _BinWriter()
     log = open_log(path)
-    for _, message in messages_of(log.records())[:most]:
+    for _, message in messages_of(islice(log.records(), most)):
         if message.get_srcComponent() == wire.MAV_COMP_ID_AUTOPILOT1:
             writer.on_message(message)
     left_out = set(without)

@@ -43,14 +43,18 @@ def mission(name: str, *, evaluations: int | None = None) -> Mission:
 
 def recorded(name: str, *, from_s: float = 0.0, until_s: float = 1e9) -> Iterator[Record]:
     """A recorded flight between two times, seconds after its first record."""
-    first_us = None
-    for record in open_log(recording(name)).records():
-        first_us = record.time_us if first_us is None else first_us
-        at_s = (record.time_us - first_us) * 1e-6
+    records = _records(name)
+    for record in records:
+        at_s = (record.time_us - records[0].time_us) * 1e-6
         if at_s > until_s:
             return
         if at_s >= from_s:
             yield record
+
+
+@functools.cache
+def _records(name: str) -> list[Record]:
+    return list(open_log(recording(name)).records())
 
 
 def written(path: Path, records: Iterable[Record]) -> Path:

@@ -15,7 +15,8 @@ from companion.config import load_mission, mission_text
 from companion.mission.mission import Mission
 from companion.mission.start import Start
 from companion.planner.kernels import Kernel
-from companion.replay.reproduce import Replay, Replayed
+from companion.replay.report import Replayed
+from companion.replay.reproduce import Replay
 from companion.runtime import loop
 from companion.session import Session
 from companion.sources.files import toml_table, toml_text

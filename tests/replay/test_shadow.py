@@ -15,6 +15,7 @@ import cut_logs
 import numpy as np
 import pytest
 from cut_logs import COMPANION, VEHICLE, recorded, written
+from msgspec import structs
 from recordings import recording
 from rich.console import Console
 
@@ -27,11 +28,16 @@ from companion.mission.state import Phase
 from companion.path.subpath import Subpath
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
-from companion.replay.shadow_notes import _Path
-from companion.replay.shadow_report import Hold, Place, PlanAttempt, ShadowReport, VehicleReport
-from companion.replay.shadow_text import renderables
+from companion.replay.shadow_report import (
+    Hold,
+    ShadowReport,
+    TrackDeviation,
+    VehicleReport,
+    renderables,
+)
 from companion.replay.shadow_watch import LISTENED
 from companion.session import Session
+from companion.telemetry.export.shapes import Chords
 from companion.telemetry.logs import Record
 
 ARDUPILOT, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
@@ -142,14 +148,16 @@ def mission(name: str, *, evaluations: int = 100) -> Mission:
     return cut_logs.mission(MISSION_OF[name], evaluations=evaluations)
 
 
-report_of = cut_logs.whole
-
-
 @functools.cache
 def watched(name: str) -> tuple[ShadowReport, Sent]:
     """With its mission, and without plans."""
     sent = Sent()
     return watch(recording(name), mission(name), kernel=None, on_output=sent), sent
+
+
+def report_of(name: str) -> ShadowReport:
+    """Of a recorded flight."""
+    return watched(name)[0]
 
 
 @functools.cache
@@ -236,6 +244,7 @@ def test_a_healthy_flight_is_watched_without_a_hold(name: str) -> None:
     assert report.watched_from_s is not None
     assert report.watched_from_s < 45.0  # ArduCopter's estimator takes 41.6 s
     assert report.could_not == []
+    assert report.near_things == []
 
 
 def test_what_the_vehicle_did_by_itself_stands_beside() -> None:
@@ -398,44 +407,34 @@ def track_of(name: str) -> list[tuple[float, float, float, float]]:
     return found
 
 
-def path_of(subpath: Subpath) -> _Path:
-    nowhere = Place(latitude_deg=0, longitude_deg=0, altitude_amsl_m=0, north_m=0, east_m=0)
-    asked = PlanAttempt(plan_id=1, at_s=0, vehicle_s=0, place=nowhere, why="", goes_on=False)
-    return _Path(asked, subpath)
-
-
 def test_the_distance_from_a_path_is_that_of_its_nearest_point() -> None:
     """Against the distance from points 5 cm apart."""
     rng = np.random.default_rng(3)
     control = np.cumsum(rng.uniform(-20.0, 90.0, (8, 3)), axis=0)
     subpath = Subpath(control_nea_m=control)
-    lengths = np.arange(0.0, subpath.length_m, 0.05)
-    points = subpath.points_nea_m(lengths)
-    path, squares = path_of(subpath), 0.0
+    points = subpath.points_nea_m(np.arange(0.0, subpath.length_m, 0.05))
+    chords, off, squares = Chords(subpath), None, 0.0
     for number in range(50):
         here = points[rng.integers(len(points))] + rng.normal(0.0, 20.0, 3)
-        apart = np.linalg.norm(points - here, axis=-1)
-        north, east, altitude = here.tolist()
-        path.add(float(number), (north, east, altitude))
-        assert path.last_m == pytest.approx(float(apart.min()), abs=0.1)  # chords of 5 m
-        squares += float(apart.min()) ** 2
-    off = path.asked.off
+        apart_m = float(np.linalg.norm(points - here, axis=-1).min())
+        off_m, along_m = chords.nearest(here)
+        assert off_m == pytest.approx(apart_m, abs=0.1)  # chords of 5 m
+        off = TrackDeviation.of_all((off, TrackDeviation.at(float(number), off_m, along_m)))
+        squares += apart_m**2
     assert off.positions == 50
     assert off.rms_m == pytest.approx((squares / 50) ** 0.5, abs=0.1)
     assert 0.0 <= off.from_m <= off.until_m <= subpath.length_m
 
 
-def test_a_vehicle_that_flies_the_path_has_no_distance_from_it() -> None:
+def test_what_is_on_the_path_has_no_distance_from_it() -> None:
     subpath = Subpath(
         control_nea_m=np.array([[0.0, 0, 100], [80, 0, 110], [160, 60, 110], [300, 60, 120]])
     )
-    path = path_of(subpath)
-    for number, length_m in enumerate(np.linspace(0.0, subpath.length_m, 80)):
-        north, east, altitude = subpath.points_nea_m(np.array([length_m]))[0].tolist()
-        path.add(float(number), (north, east, altitude))
-        assert path.has_ended is (number == 79)
-    assert path.asked.off.max_m < 0.05
-    assert path.asked.off.until_m - path.asked.off.from_m == pytest.approx(subpath.length_m)
+    chords = Chords(subpath)
+    for length_m in np.linspace(0.0, subpath.length_m, 80):
+        off_m, along_m = chords.nearest(subpath.points_nea_m(np.array([length_m]))[0])
+        assert off_m < 0.05
+        assert along_m == pytest.approx(length_m, abs=0.1)
 
 
 def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:
@@ -456,7 +455,7 @@ def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:
 # --- as it is told
 
 
-@pytest.mark.parametrize("name", [ARDUPILOT, PX4, "arduplane-guided-reposition.tlog"])
+@pytest.mark.parametrize("name", WATCHED)
 def test_the_report_is_plain_values_without_nan(name: str) -> None:
     values = report_of(name).as_json()
     again = json.loads(json.dumps(values, allow_nan=False))
@@ -486,7 +485,7 @@ def test_a_vehicle_may_say_what_would_be_colours_here() -> None:
     """PX4 before 1.10 puts the module in brackets."""
     report = report_of(PX4)
     says = VehicleReport(at_s=report.holds[0].let_go_s, what="says", text="[commander] lost[/b]")
-    text = text_of(replace(report, said=[says]))
+    text = text_of(structs.replace(report, said=[says]))
     assert "“[commander] lost[/b]”" in text
 
 
@@ -531,7 +530,7 @@ def test_the_page_shows_the_report_as_it_is_printed() -> None:
     )
     out = io.StringIO()
     console = Console(file=out, width=100)
-    for part in renderables(report_of(PX4)):
+    for part in renderables(cut_logs.whole(PX4)):
         console.print(part, highlight=False)
     *lines, _speed = (line.rstrip() for line in out.getvalue().splitlines())
     assert "\n".join(lines) in page

@@ -24,8 +24,7 @@ from recordings import recording
 from companion.mavlink.dialect import Message, wire
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
-from companion.replay.shadow_report import Observed, ShadowReport
-from companion.replay.shadow_text import renderables
+from companion.replay.shadow_report import Observed, ShadowReport, renderables
 from companion.telemetry.logs import Record
 
 HEALTHY, PX4 = "px4-offboard-8mps.tlog", "px4-gps-loss.tlog"

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,11 @@ FLIGHT = GOLDENS / "copter-loses-gps"
 MISSION = str(FLIGHT / "mission.toml")
 
 
+@cache
+def same_settings() -> list[WhatIf]:
+    return asked(load_mission(MISSION))
+
+
 def asked(changed: Mission, seed: int | None = None) -> list[WhatIf]:
     flown = load_mission(MISSION)
     return list(what_if(FLIGHT, lambda _start: flown, changed, seed=seed, kernel=load_kernel()))
@@ -26,7 +32,7 @@ def asked(changed: Mission, seed: int | None = None) -> list[WhatIf]:
 
 def test_the_same_settings_give_plans_as_good_as_were_flown_on_any_processor() -> None:
     """The very same on one that computes alike: tests/replay/test_reproduce.py."""
-    found = asked(load_mission(MISSION))
+    found = same_settings()
     assert len(found) >= 2
     for each in found:
         assert each.now.cost == pytest.approx(each.flown.cost, rel=0.01)
@@ -101,7 +107,5 @@ def test_the_command_tabulates_and_writes_it(tmp_path: Path) -> None:
     assert code == 0
     assert "subpaths as flown: cost" in shown
     rows = json.loads(report.read_text(encoding="utf-8"))
-    assert [row["plan_id"] for row in rows] == [
-        each.plan_id for each in asked(load_mission(MISSION))
-    ]
+    assert [row["plan_id"] for row in rows] == [each.plan_id for each in same_settings()]
     assert f"{rows[0]['flown']['cost']:.2f}" in shown
