@@ -19,6 +19,7 @@ from vehicle_sim.sensors.terrain_radar import (
     Viewpoint,
 )
 from vehicle_sim.terrain import PeakTerrain
+from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.radar import RadarComponent
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
@@ -67,13 +68,13 @@ class Run:
         self.now_us = 0
         self.said: list[tuple[int, int | None, Any]] = []
 
-    def send(self, message: Any, link: int, component: int) -> None:
+    def send(self, message: Any, link: int | None, component: int) -> None:
         assert component == 100
-        self.said.append((self.now_us, link, message))
+        ((_, heard),) = StreamParser(datagrams=True).feed(Packer(1, component).frame(message))
+        self.said.append((self.now_us, link, heard))
 
     def broadcast(self, message: Any, component: int) -> None:
-        assert component == 100
-        self.said.append((self.now_us, None, message))
+        self.send(message, None, component)
 
     def ask(self, message: Any, link: int = 0) -> None:
         self.component.receive(message, Sender(system=255, component=190, link=link))

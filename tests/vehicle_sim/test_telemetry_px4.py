@@ -13,16 +13,15 @@ from tracking_px4 import Rig
 from vehicle_sim.autopilots import Battery, Event, Report
 from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.wire import messages
-from vehicle_sim.wire.dialect import layout_of, message_class
+from vehicle_sim.wire.dialect import make
 from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.telemetry_px4 import MESSAGES
 
 
 def _packed(message: Any, like: bytes) -> bytes:
-    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    packer.seq = like[4]
-    layout = layout_of(type(message))
-    return bytes(message._pack(packer, message.crc_extra, layout.payload(message)))
+    packer = Packer(1, 1)
+    packer._sequence = like[4]
+    return packer.frame(message)
 
 
 def test_lacking_messages_are_the_recorded_bytes() -> None:
@@ -40,11 +39,12 @@ def test_lacking_messages_are_the_recorded_bytes() -> None:
             event = Event(number=event_id, log_levels=levels, arguments=arguments)
             message = messages.event(event, sequence, boot_ms)
         elif number == 411:
-            message = message_class("CURRENT_EVENT_SEQUENCE")(*struct.unpack_from("<HB", payload))
+            sequence, flags = struct.unpack_from("<HB", payload)
+            message = make("CURRENT_EVENT_SEQUENCE", sequence=sequence, flags=flags)
         else:
-            message = message_class("TIME_ESTIMATE_TO_TARGET")(
-                *struct.unpack_from("<iiiii", payload)
-            )
+            names = ("safe_return", "land", "mission_next_item", "mission_end", "commanded_action")
+            times = zip(names, struct.unpack_from("<iiiii", payload), strict=True)
+            message = make("TIME_ESTIMATE_TO_TARGET", **dict(times))
         assert _packed(message, frame) == frame
         seen[number] += 1
     assert min(seen.values()) > 10

@@ -6,10 +6,10 @@ heard as its own (ArduPilot, PX4): so here they come from the autopilot's compon
 
 import math
 from collections.abc import Sequence
-from typing import Final, final
+from typing import final
 
 from vehicle_sim.geodesy import WGS84, LocalFrame
-from vehicle_sim.wire.dialect import message_class
+from vehicle_sim.wire.dialect import Prepared, make
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.world import Aircraft
 
@@ -17,7 +17,6 @@ _PERIOD_US = 1_000_000
 _BASELINE_M = 100.0
 _FIRST_US = 250_000  # not with everything else
 _GEOMETRIC, _LIGHT, _ALL_VALID = 1, 1, 0x9F  # coordinates, altitude, course, both speeds, callsign
-_AdsbVehicle: Final = message_class("ADSB_VEHICLE")
 
 
 @final
@@ -34,7 +33,7 @@ class AdsbReceiver:
         for each in self._aircraft:
             self._radio.broadcast(self._report(each, now_us * 1e-6))
 
-    def _report(self, aircraft: Aircraft, now_s: float) -> object:
+    def _report(self, aircraft: Aircraft, now_s: float) -> Prepared:
         course_rad, flown_m = math.radians(aircraft.course_deg), aircraft.speed_m_s * now_s
         (latitude_deg, longitude_deg), ahead = (
             self._frame.to_geographic(
@@ -45,18 +44,18 @@ class AdsbReceiver:
         )
         true_course_deg, _, _ = WGS84.inv(longitude_deg, latitude_deg, *ahead[::-1])
         altitude_m = aircraft.altitude_amsl_m + aircraft.climb_m_s * now_s
-        return _AdsbVehicle(
-            aircraft.icao_address,
-            round(latitude_deg * 1e7),
-            round(longitude_deg * 1e7),
-            _GEOMETRIC,
-            round(altitude_m * 1e3),
-            round(true_course_deg * 100.0) % 36_000,
-            round(aircraft.speed_m_s * 100.0),
-            round(aircraft.climb_m_s * 100.0),
-            aircraft.callsign.encode("ascii"),
-            _LIGHT,
-            1,
-            _ALL_VALID,
-            0,
+        return make(
+            "ADSB_VEHICLE",
+            ICAO_address=aircraft.icao_address,
+            lat=round(latitude_deg * 1e7),
+            lon=round(longitude_deg * 1e7),
+            altitude_type=_GEOMETRIC,
+            altitude=round(altitude_m * 1e3),
+            heading=round(true_course_deg * 100.0) % 36_000,
+            hor_velocity=round(aircraft.speed_m_s * 100.0),
+            ver_velocity=round(aircraft.climb_m_s * 100.0),
+            callsign=aircraft.callsign.encode("ascii"),
+            emitter_type=_LIGHT,
+            tslc=1,
+            flags=_ALL_VALID,
         )

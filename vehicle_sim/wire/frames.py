@@ -12,7 +12,7 @@ from typing import Any, final
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.wire.dialect import Prepared, layout_of
+from vehicle_sim.wire.dialect import Layout, Prepared, layout_of
 from vehicle_sim.wire.signing import LinkSigner
 
 DATAGRAM_BYTES = 1400
@@ -49,68 +49,56 @@ class StreamParser:
 
     def feed(self, data: bytes) -> list[tuple[bytes, Any]]:
         """Every intact frame with its message, in order."""
-        if self._rest:
-            data, self._rest = self._rest + data, b""
-        found = list[tuple[bytes, Any]]()
-        at, size = 0, len(data)
-        while at < size:
-            marker = data[at]
-            if marker not in (_MARKER_2, _MARKER_1):
-                begin = _find_marker(data, at)
-                at = begin.start() if begin else size
+        data, self._rest = self._rest + data, b""
+        found, at, size = list[tuple[bytes, Any]](), 0, len(data)
+        while begin := _find_marker(data, at):
+            at = begin.start()
+            end = _end_of_frame(data, at)
+            if end > size and not self._datagrams:
+                self._rest = data[at:]
+                break
+            frame = data[at:end]
+            at += 1
+            is_2 = frame[0] == _MARKER_2
+            if end > size or (is_2 and frame[2] & ~_SIGNED):
                 continue
-            end = _end_of_frame(data, at, size)
-            if end > size:
-                if not self._datagrams:
-                    self._rest = data[at:]
-                    break
-                at += 1
-                continue
-            at = self._take(data, at, end, found)
+            kind = mavlink.mavlink_map.get(
+                int.from_bytes(frame[7:10], "little") if is_2 else frame[5]
+            )
+            if kind is None:
+                # its checksum cannot be checked: believe its length only if a frame follows
+                at = end if end == size or data[end] in (_MARKER_1, _MARKER_2) else at
+            elif (message := _read(frame, layout_of(kind))) is not None:
+                found.append((frame, message))
+                at = end
         return found
 
-    def _take(self, data: bytes, at: int, end: int, found: list[tuple[bytes, Any]]) -> int:
-        """Add the frame there if it is intact; where to go on."""
-        frame = data[at:end]
-        if frame[0] == _MARKER_2:
-            if frame[2] & ~_SIGNED:
-                return at + 1
-            number = int.from_bytes(frame[7:10], "little")
-            head, tail = _HEADER_2, _HEADER_2 + frame[1]
-        else:
-            number = frame[5]
-            head, tail = _HEADER_1, _HEADER_1 + frame[1]
-        known = mavlink.mavlink_map.get(number)
-        if known is None:
-            # its checksum cannot be checked: believe its length only if a frame follows
-            whole = end == len(data) or data[end] in (_MARKER_2, _MARKER_1)
-            return end if whole else at + 1
-        layout = layout_of(known)
-        if mcrf4xx(frame[1:tail] + layout.crc_extra) != frame[tail] | frame[tail + 1] << 8:
-            return at + 1
-        message = layout.message(frame[head:tail])
-        header = message.get_header()
-        header.mlen = frame[1]
-        if head == _HEADER_2:
-            _, _, header.incompat_flags, header.compat_flags = frame[:4]
-            header.seq, header.srcSystem, header.srcComponent = frame[4:7]
-        else:
-            header.seq, header.srcSystem, header.srcComponent = frame[2:5]
-        message._msgbuf = frame
-        found.append((frame, message))
-        return end
+
+def _read(frame: bytes, layout: Layout) -> Any:
+    """The message of a frame, with its header; None if the frame is not intact."""
+    begin = _HEADER_2 if frame[0] == _MARKER_2 else _HEADER_1
+    end = begin + frame[1]
+    if mcrf4xx(frame[1:end] + layout.crc_extra) != frame[end] | frame[end + 1] << 8:
+        return None
+    message = layout.message(frame[begin:end])
+    header = message.get_header()
+    header.mlen = frame[1]
+    if begin == _HEADER_2:
+        header.incompat_flags, header.compat_flags, *source = frame[2:7]
+    else:
+        source = [*frame[2:5]]
+    header.seq, header.srcSystem, header.srcComponent = source
+    message._msgbuf = frame
+    return message
 
 
-def _end_of_frame(data: bytes, at: int, size: int) -> int:
-    """Where the frame that begins here ends, if it is one; beyond size if it is not all there."""
-    if data[at] == _MARKER_1:
-        if at + 2 > size:
-            return size + 1
-        return at + data[at + 1] + _HEADER_1 + _CHECKSUM_BYTES
-    if at + 3 > size:
-        return size + 1
-    end = at + data[at + 1] + _HEADER_2 + _CHECKSUM_BYTES
-    return end + _SIGNATURE_BYTES if data[at + 2] & _SIGNED else end
+def _end_of_frame(data: bytes, at: int) -> int:
+    """Where the frame that begins here ends, if it is one; beyond the data if it is cut."""
+    marker, length, flags = data[at : at + 3].ljust(3, b"\0")
+    if marker == _MARKER_1:
+        return at + _HEADER_1 + length + _CHECKSUM_BYTES
+    signature = _SIGNATURE_BYTES if flags & _SIGNED else 0
+    return at + _HEADER_2 + length + _CHECKSUM_BYTES + signature
 
 
 # --- out ------------------------------------------------------------------------------------------
@@ -141,7 +129,8 @@ class Packer:
         if type(message) is Prepared:
             layout, payload = message
         else:
-            layout = layout_of(type(message))
+            kind: Any = type(message)
+            layout = layout_of(kind)
             payload = layout.payload(message)
         payload = payload.rstrip(b"\0") or b"\0"
         number, signer = layout.number, self.signer

@@ -6,14 +6,14 @@ number passes through unharmed: the autopilots decide what to make of it.
 
 import math
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Event, ManualControl, Sender, Setpoint, Text
 from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.dialect import Prepared, layout_of, message_class
+from vehicle_sim.wire.dialect import Prepared, make
 
 AUTOPILOT_COMPONENT = 1
 DO_SET_MODE = 176
@@ -23,10 +23,6 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
 _sender = lru_cache(maxsize=64)(Sender)
 """The same few speak all the time."""
-_time_sync: Final = layout_of(message_class("TIMESYNC")).preparing(
-    ["tc1", "ts1", "target_system", "target_component"]
-)
-_Event: Final = message_class("EVENT")
 _DEFLECTION = 1000.0
 _NO_DEFLECTION = 0x7FFF
 
@@ -118,17 +114,18 @@ def manual_control(message: Any, origin: Sender) -> ManualControl:
     )
 
 
-def no_terrain(check: Any) -> Any:
+def no_terrain(check: Any) -> Prepared:
     """TERRAIN_REPORT of an autopilot that knows nothing of the place it is asked about."""
-    return mavlink.MAVLink_terrain_report_message(check.lat, check.lon, 0, 0.0, 0.0, 56, 0)
+    return make("TERRAIN_REPORT", lat=check.lat, lon=check.lon, pending=56)
 
 
 # --- out ------------------------------------------------------------------------------------------
 
 
-def ack(value: Ack) -> Any:
+def ack(value: Ack) -> Prepared:
     """COMMAND_ACK, addressed to the asker."""
-    return mavlink.MAVLink_command_ack_message(
+    return make(
+        "COMMAND_ACK",
         command=value.command,
         result=value.result,
         progress=value.progress,
@@ -137,21 +134,18 @@ def ack(value: Ack) -> Any:
     )
 
 
-def text(value: Text) -> Any:
+def text(value: Text) -> Prepared:
     """STATUSTEXT; what does not fit is cut off."""
-    return mavlink.MAVLink_statustext_message(
-        severity=value.severity, text=value.text.encode("ascii", "replace")[:50]
-    )
+    return make("STATUSTEXT", severity=value.severity, text=value.text.encode("ascii", "replace"))
 
 
-def event(value: Event, sequence: int, boot_ms: int) -> Any:
+def event(value: Event, sequence: int, boot_ms: int) -> Prepared:
     """EVENT of PX4."""
-    return _Event(
+    return make(
+        "EVENT",
         id=value.number,
         event_time_boot_ms=boot_ms,
         sequence=sequence,
-        destination_component=0,
-        destination_system=0,
         log_levels=value.log_levels,
         arguments=value.arguments.ljust(40, b"\0"),
     )
@@ -159,26 +153,23 @@ def event(value: Event, sequence: int, boot_ms: int) -> Any:
 
 def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Prepared:
     """TIMESYNC: a request with tc1 = 0, else an answer to its sender."""
-    return _time_sync((tc1_ns, ts1_ns, to.system if to else 0, to.component if to else 0))
+    system, component = (to.system, to.component) if to else (0, 0)
+    target = {"target_system": system, "target_component": component}
+    return make("TIMESYNC", tc1=tc1_ns, ts1=ts1_ns, **target)
 
 
-def pong(question: Any, to: Sender) -> Any:
+def pong(question: Any, to: Sender) -> Prepared:
     """The answer to a PING."""
-    return mavlink.MAVLink_ping_message(
-        time_usec=question.time_usec,
-        seq=question.seq,
-        target_system=to.system,
-        target_component=to.component,
-    )
+    target = {"target_system": to.system, "target_component": to.component}
+    return make("PING", time_usec=question.time_usec, seq=question.seq, **target)
 
 
-def component_heartbeat() -> Any:
+def component_heartbeat() -> Prepared:
     """HEARTBEAT of the terrain radar and of the lidar's driver: active, no autopilot."""
-    return mavlink.MAVLink_heartbeat_message(
+    return make(
+        "HEARTBEAT",
         type=mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
         autopilot=mavlink.MAV_AUTOPILOT_INVALID,
-        base_mode=0,
-        custom_mode=0,
         system_status=mavlink.MAV_STATE_ACTIVE,
         mavlink_version=3,
     )

@@ -32,7 +32,7 @@ from vehicle_sim.plans import (
     PlanItem,
     PlanKind,
 )
-from vehicle_sim.wire.dialect import message_class
+from vehicle_sim.wire.dialect import make
 
 _RETURN_POINT, _RALLY_POINT, _WAYPOINT = 5000, 5100, 16
 _POLYGONS: Final = frozenset({POLYGON_IN, POLYGON_OUT})
@@ -77,27 +77,42 @@ class _Transfer:
         """Ask for the next item."""
         self.asked_us = now_us
         name = "MISSION_REQUEST_INT" if self.whole else "MISSION_REQUEST"
-        return _said(self.sender, name, self.next, int(self.kind))
+        return _said(self.sender, name, seq=self.next, mission_type=self.kind)
 
 
-def _said(to: Sender, name: str, *fields: float) -> SendMessage:
-    """A message of the mission protocol, whose fields begin with its target."""
-    return SendMessage(message=message_class(name)(to.system, to.component, *fields), to=to)
+def _said(to: Sender, name: str, **fields: float) -> SendMessage:
+    """A message of the mission protocol."""
+    message = make(name, target_system=to.system, target_component=to.component, **fields)
+    return SendMessage(message=message, to=to)
 
 
 def _ack(result: int, kind: int, to: Sender, opaque_id: int = 0) -> SendMessage:
     """How it ended, a MAV_MISSION_RESULT; the kind may be one that there is not."""
-    return _said(to, "MISSION_ACK", result, kind, opaque_id)
+    return _said(to, "MISSION_ACK", type=result, mission_type=kind, opaque_id=opaque_id)
+
+
+def _count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> SendMessage:
+    """So many items are there to be asked for."""
+    return _said(to, "MISSION_COUNT", count=count, mission_type=kind, opaque_id=opaque_id)
 
 
 def _item(
     item: PlanItem, kind: PlanKind, seq: int, to: Sender, *, whole: bool, current: bool = False
 ) -> SendMessage:
     """The item as a MISSION_ITEM_INT (whole), or as a MISSION_ITEM."""
-    place = (item.x, item.y) if whole else (item.x * 1e-7, item.y * 1e-7)
     return _said(
-        *(to, "MISSION_ITEM_INT" if whole else "MISSION_ITEM", seq, item.frame, item.command),
-        *(int(current), int(item.autocontinue), *item.parameters, *place, item.z_m, int(kind)),
+        to,
+        "MISSION_ITEM_INT" if whole else "MISSION_ITEM",
+        seq=seq,
+        frame=item.frame,
+        command=item.command,
+        current=current,
+        autocontinue=item.autocontinue,
+        **dict(zip(("param1", "param2", "param3", "param4"), item.parameters, strict=True)),
+        x=item.x if whole else item.x * 1e-7,
+        y=item.y if whole else item.y * 1e-7,
+        z=item.z_m,
+        mission_type=kind,
     )
 
 
@@ -326,7 +341,7 @@ class ArduPilotMissions:
                 result = mavlink.MAV_MISSION_ERROR if is_clear else mavlink.MAV_MISSION_DENIED
                 return [_ack(result, kind, sender)]
             case "MISSION_REQUEST_LIST":
-                return [_said(sender, "MISSION_COUNT", len(self._plans[kind]), int(kind), 0)]
+                return [_count(len(self._plans[kind]), kind, sender)]
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return self._on_request(message, kind, sender)
             case "MISSION_WRITE_PARTIAL_LIST":
@@ -433,7 +448,7 @@ class ArduPilotMissions:
         elif seq < len(items):
             item = items[seq]
         elif kind is PlanKind.MISSION:  # it tells the client how many there are
-            count = _said(sender, "MISSION_COUNT", len(items), int(kind), 0)
+            count = _count(len(items), kind, sender)
             return [count, _ack(mavlink.MAV_MISSION_ERROR, kind, sender)]
         else:
             beyond = kind is PlanKind.RALLY or seq > len(items)
@@ -648,7 +663,7 @@ class Px4Missions:
         items = self._plans[kind]
         link.sending, link.kind, link.sender, link.heard_us = True, kind, sender, now_us
         link.next, link.count = 0, len(items)
-        return [_said(sender, "MISSION_COUNT", link.count, int(kind), opaque_id(items))]
+        return [_count(link.count, kind, sender, opaque_id(items))]
 
     def _on_request(
         self, link: _Transfer, message: Any, sender: Sender, now_us: int

@@ -6,12 +6,13 @@ add their own and replace what they say differently.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Estimate, Place, Report
-from vehicle_sim.wire.dialect import Prepared, layout_of, message_class
+from vehicle_sim.wire.dialect import Layout, Prepared, layout_named
 from vehicle_sim.wire.frames import bounded, degrees_e7
 
 INT16, INT32, UINT16 = 32767, 2_147_483_647, 65535
@@ -23,7 +24,8 @@ _ZERO = (0.0, 0.0, 0.0)
 
 Builder = Callable[[Report], Prepared | None]
 Value = int | float | bytes | Sequence[int | float]
-Form = Mapping[str, Value | Callable[[Report], Any]]
+_Take = Callable[[Report], Any]
+Form = Mapping[str, Value | _Take]
 """How a message is filled: name of a field -> its value, or where to take it from.
 
 A key may name several fields ("x y z"); then there are as many values.  What is not named is zero.
@@ -38,35 +40,27 @@ def builders(firmware: Table) -> dict[int, Builder]:
 
     A message that is in both has the fields of both; where they name the same, the firmware's.
     """
-    kinds = {name: message_class(name) for name in {**COMMON, **firmware}}
-    return {
-        kind.id: _builder(kind, {**COMMON.get(name, {}), **firmware.get(name, {})})
-        for name, kind in kinds.items()
+    forms = {
+        name: {**COMMON.get(name, {}), **firmware.get(name, {})} for name in {**COMMON, **firmware}
     }
+    return {layout_named(name).number: _builder(layout_named(name), forms[name]) for name in forms}
 
 
-def _builder(kind: Any, form: Form) -> Builder:
-    times = {"time_boot_ms": boot_ms, "time_usec": time_us}
-    form = {name: take for name, take in times.items() if name in kind.fieldnames} | dict(form)
-    lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
-    constants: dict[str, Any] = {
-        name: b"" if code == "char" else [0] * lengths[name] if lengths[name] else 0
-        for name, code in zip(kind.fieldnames, kind.fieldtypes, strict=True)
-    }
-    taken, names = list[tuple[Callable[[Report], Any], bool]](), list[str]()
+def _builder(layout: Layout, form: Form) -> Builder:
+    times: Form = {"time_boot_ms": boot_ms, "time_usec": time_us}
+    form = {name: times[name] for name in times if name in layout.empty} | dict(form)
+    constants, taken, names = dict(layout.empty), list[tuple[_Take, bool]](), list[str]()
     for key, value in form.items():
         fields = key.split()
         if callable(value):
             taken.append((value, len(fields) == 1))
             names += fields
-        elif len(fields) == 1:
-            constants[key] = value
         else:
-            assert isinstance(value, Sequence)
-            constants |= zip(fields, value, strict=True)
-    names = [*constants, *names]  # what is taken comes later, and counts
-    prepared = layout_of(kind).preparing(names)
+            values: Any = [value] if len(fields) == 1 else value
+            constants |= zip(fields, values, strict=True)
     given = list(constants.values())
+    places = {name: place for place, name in enumerate([*constants, *names])}  # the later counts
+    in_order = itemgetter(*(places[name] for name in layout.empty))
 
     def build(report: Report) -> Prepared | None:
         values = given.copy()
@@ -78,7 +72,7 @@ def _builder(kind: Any, form: Form) -> Builder:
                 values.append(value)
             else:
                 values += value
-        return prepared(values)
+        return Prepared(layout, layout.pack(in_order(values)))
 
     return build
 
