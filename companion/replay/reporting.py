@@ -1,6 +1,6 @@
 """A run folder's flight as a report: what is there is read, what is missing is said."""
 
-import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ from companion.replay.actions import flown_mission
 from companion.replay.export_command import out_file
 from companion.replay.exporting import recorded
 from companion.replay.reproduce import Replay
-from companion.sources.files import answer, writing
+from companion.sources.files import answer, json_table, writing
 from companion.telemetry.export.health import FlightHealth
 from companion.telemetry.run_folder import known_map
 from companion.views.report import report_html
@@ -63,12 +63,9 @@ def _known(run_dir: Path, odd: list[str]) -> KnownMap | None:
 
 def _run(run_dir: Path, odd: list[str]) -> dict[str, Any]:
     """What run.json says; a note if it cannot be read."""
-    try:
-        values = json.loads((run_dir / "run.json").read_bytes())
-    except (OSError, ValueError, RecursionError):
-        values = None
-    if isinstance(values, dict):
-        return values
-    known = "it is missing" if not answer((run_dir / "run.json").is_file) else "it is damaged"
+    file = run_dir / "run.json"
+    with suppress(InputError):
+        return json_table(file, "RUN_DIR", "")
+    known = "it is damaged" if answer(file.is_file) else "it is missing"
     odd.append(f"run.json: {known}; when and how fast it was flown and planned is not known")
     return {}

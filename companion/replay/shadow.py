@@ -8,10 +8,12 @@ The log is read once, in bounded memory, after a scan for its vehicle and first 
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final, final
+
+from msgspec import Struct
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, deg
@@ -136,8 +138,7 @@ def watch(
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _LogOverview:
+class _LogOverview(Struct, frozen=True, kw_only=True):
     """Vehicle and first position of a log."""
 
     heartbeat: Message
