@@ -1,5 +1,7 @@
 """A made-up vehicle for tests of the mission: events in, commands out, no bytes and no planner."""
 
+import copy
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -7,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ARDUCOPTER
@@ -362,17 +365,51 @@ class Craft:
         self.by_hand = (0.0, 0.0, 0.0)
         return self
 
+    def copy(self) -> "Craft":
+        """Another one that has come as far, and flies on by itself."""
+        other = copy.copy(self)
+        other.steps, other.told = [*self.steps], [*self.told]
+        return other
+
     def end(self) -> End:
         ends = self.sent(End)
         assert len(ends) == 1, ends
         return ends[0]
 
 
+_STEP = machine.step
+_FLIGHTS = 16
+
+
+def once(fly: Callable[..., Craft]) -> Callable[..., Craft]:
+    """What begins with the same flight flies it once, without a nudge; each gets its own."""
+    flown: dict[tuple[Any, ...], tuple[Craft, Any]] = {}
+
+    @functools.wraps(fly)
+    def again(*arguments: Any, **keywords: Any) -> Craft:
+        key = (*map(id, arguments), *((name, id(value)) for name, value in keywords.items()))
+        if key not in flown:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(machine, "step", _STEP)
+                flown[key] = fly(*arguments, **keywords), (arguments, keywords)
+        craft, _ = flown[key]
+        if len(flown) > _FLIGHTS:
+            del flown[next(iter(flown))]
+        return craft.copy()
+
+    return again
+
+
+NEAR, TWO_LEGS = ((5000.0, 5000.0),), ((20_000.0, 20_000.0),)
+_NEAR, _TWO_LEGS = mission(targets_ne_m=NEAR), mission(targets_ne_m=TWO_LEGS)
+
+
 def near_target(of: Mission = MISSION) -> Mission:
     """The same mission with a target that one leg reaches."""
-    return replace(of, targets_ne_m=((5000.0, 5000.0),))
+    return _NEAR if of is MISSION else replace(of, targets_ne_m=NEAR)
 
 
+@once
 def preparing() -> Craft:
     """Waiting for a fix on the ground."""
     craft = Craft()
@@ -382,34 +419,40 @@ def preparing() -> Craft:
 
 def two_legs_away(of: Mission = MISSION) -> Mission:
     """The same mission with a target 28 km away."""
-    return replace(of, targets_ne_m=((20_000.0, 20_000.0),))
+    return _TWO_LEGS if of is MISSION else replace(of, targets_ne_m=TWO_LEGS)
 
 
+@once
 def flying(of: Mission = MISSION, **keywords: Any) -> Craft:
     """On its first leg, at speed."""
     craft = Craft(of, **keywords).fly_to(Phase.FLYING)
     return craft.run_until(lambda craft: craft.state.flight.reference.speed_m_s > 100.0)
 
 
+@once
 def holding_without_plan() -> Craft:
     return Craft(plan=not_planned).fly_to(Phase.HOLDING)
 
 
+@once
 def holding_mode_taken() -> Craft:
     craft = flying()
     craft.mode, craft.obeys_modes = Mode.OTHER, False
     return craft.fly_to(Phase.HOLDING)
 
 
+@once
 def holding_without_fix(of: Mission = MISSION) -> Craft:
     craft = flying(of)
     craft.fix = False
     return craft.fly_to(Phase.HOLDING)
 
 
+@once
 def arrived(of: Mission = MISSION) -> Craft:
     return Craft(near_target(of)).fly_to(Phase.ARRIVED)
 
 
+@once
 def landing() -> Craft:
     return arrived(LAND).fly_to(Phase.LANDING)

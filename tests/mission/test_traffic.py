@@ -518,7 +518,7 @@ def test_what_a_copter_cannot_stop_before_is_its_own() -> None:
 
 
 @BOTH
-@pytest.mark.sample(3)  # of both kinds
+@pytest.mark.sample(5)  # of both kinds
 @pytest.mark.parametrize("seed", range(4))
 def test_whatever_others_do_it_goes_on_once_they_are_gone(traits: VehicleTraits, seed: int) -> None:
     rng = np.random.default_rng(seed)

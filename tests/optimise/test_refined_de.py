@@ -99,14 +99,15 @@ def mutants(
     x = members(state)
     rest = [r for r in range(len(x)) if r != i]
     kept = state.archive[: state.archived[0]]
-    found = []
-    for b in best:
-        for r1, r2 in itertools.permutations(rest, 2):
-            thirds = [x[r] for r in rest if r not in (r1, r2)] + list(kept)
-            for third in thirds:
-                pulled = a * x[r1] + (1 - a) * b + k1 * (1 - a) * (b - x[r1])
-                found.append(pulled + k2 * (1 - a) * (x[r2] - third))
-    return np.array(found)
+    triples = [
+        (r1, r2, third)
+        for r1, r2 in itertools.permutations(rest, 2)
+        for third in (*(r for r in rest if r not in (r1, r2)), *range(len(x), len(x) + len(kept)))
+    ]
+    r1, r2, third = np.array(triples).T
+    apart = k2 * (1 - a) * (x[r2] - np.concatenate([x, kept])[third])
+    pulled = [a * x[r1] + (1 - a) * b + k1 * (1 - a) * (b - x[r1]) for b in best]
+    return np.concatenate([each + apart for each in pulled])
 
 
 def nearest(trial: FloatArray, candidates: FloatArray) -> float:
@@ -242,16 +243,16 @@ def test_the_memory_takes_the_lehmer_mean_of_1_minus_a_and_the_mean_of_cr_weight
 
 
 def test_a_follows_cauchy_and_cr_a_normal_distribution_about_the_memory() -> None:
-    state = started(Settings(population=4_000, smallest=4_000), evaluations=12_000, a=0.4, cr=0.5)
+    state = started(Settings(population=2_000, smallest=2_000), evaluations=6_000, a=0.4, cr=0.5)
     n = ask(state)
-    assert n == 4_000
+    assert n == 2_000
     pull, cr = state.pull[:n], state.cr[:n]
-    # a quarter of Cauchy's deviates lie beyond one spread to each side; 5 deviations are 0.034
-    assert np.mean(pull > 0.7) == pytest.approx(0.25, abs=0.035)
-    assert np.mean(pull < 0.5) == pytest.approx(0.25, abs=0.035)
+    # a quarter of Cauchy's deviates lie beyond one spread to each side; 5 deviations are 0.048
+    assert np.mean(pull > 0.7) == pytest.approx(0.25, abs=0.049)
+    assert np.mean(pull < 0.5) == pytest.approx(0.25, abs=0.049)
     assert pull.min() >= 0.0
     assert pull.max() == 1.0
-    assert np.mean(np.abs(cr - 0.5) < 0.1) == pytest.approx(0.683, abs=0.037)
+    assert np.mean(np.abs(cr - 0.5) < 0.1) == pytest.approx(0.683, abs=0.052)
 
 
 @given(size=st.integers(4, 9), more=st.integers(0, 3), i=st.integers(0, 8))

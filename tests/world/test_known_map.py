@@ -65,14 +65,14 @@ def brute_force_scan(
     """
     north, east = looked_at(shift_ne_m)
     height = terrain(north, east)  # (CELLS, CELLS, SUB^2)
-    far = np.hypot(north - radar[0], east - radar[1])
-    in_sight = np.ones(height.shape, dtype=bool)
+    middle_m = np.hypot(north - radar[0], east - radar[1]).mean(axis=-1, keepdims=True)
+    in_sight = np.broadcast_to(middle_m <= RANGE_M, height.shape).copy()
     for fraction in (np.arange(60) + 0.5) / 60.0:
-        n, e = radar[0] + fraction * (north - radar[0]), radar[1] + fraction * (east - radar[1])
-        in_sight &= terrain(n, e) <= radar[2] + fraction * (height - radar[2]) + 1e-6
-    top = height.max(axis=-1)
-    in_range = far.mean(axis=-1) <= RANGE_M
-    return np.where(in_sight.any(axis=-1) & in_range, np.ceil(top + 1.0), NOT_SEEN), top
+        n, e, top = (each[in_sight] for each in (north, east, height))
+        n, e = radar[0] + fraction * (n - radar[0]), radar[1] + fraction * (e - radar[1])
+        in_sight[in_sight] = terrain(n, e) <= radar[2] + fraction * (top - radar[2]) + 1e-6
+    tops = height.max(axis=-1)
+    return np.where(in_sight.any(axis=-1), np.ceil(tops + 1.0), NOT_SEEN), tops
 
 
 def as_scan(answers: FloatArray, radar: FloatArray, **changes: float) -> Scan:
@@ -190,7 +190,7 @@ def test_ground_behind_a_ridge_that_was_not_answered_is_not_believed_to_be_low()
     assert known.upper_m[15, 13] >= 250.0
 
 
-@settings(max_examples=15)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 10**6))
 def test_nothing_known_is_lost_by_a_scan_and_the_map_before_stays_as_it_was(seed: int) -> None:
     rng = np.random.default_rng(seed)
