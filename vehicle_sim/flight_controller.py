@@ -5,7 +5,7 @@ one on the same radio.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, final
 
 from vehicle_sim.autopilots import (
@@ -29,10 +29,12 @@ from vehicle_sim.wire.missions import ArduPilotMissions, Px4Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
 from vehicle_sim.wire.radio import Radio
+from vehicle_sim.wire.routing import MISSION
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
 
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
+_RANGES = (DISTANCE_SENSOR, RANGEFINDER)
 _CURRENT_MODE_US = 500_000
 _GROUND_STATION = 6
 _SET_MODE = 11
@@ -111,32 +113,29 @@ class FlightController:
     def stream(self, now_us: int) -> bool:
         """Queue all telemetry that is due; returns whether that included a position on link 0."""
         self._renew_report()
-        positioned, built = False, dict[int, Any]()
+        positioned, built = False, dict[int, Sequence[Any]]()
         for link, number in self.streams.due(now_us):
             if number == _POSITION and link == 0:
                 positioned = True
-            if number in (DISTANCE_SENSOR, RANGEFINDER):
-                for message in self._ranges(number, link):
+            said = built.get(number)
+            if said is None or number in _RANGES:
+                said = built[number] = self._said(number, link)
+            if number != _CURRENT_MODE or (said and not self._told_already(link, now_us)):
+                for message in said:
                     self._radio.send(message, link)
-                continue
-            message = built.get(number)
-            if message is None:
-                build = self._messages.get(number)
-                message = built[number] = build(self.report) if build else None
-            if message is not None and (
-                number != _CURRENT_MODE or not self._told_already(link, now_us)
-            ):
-                self._radio.send(message, link)
         return positioned
 
-    def _ranges(self, number: int, link: int) -> list[Any]:
-        """What range sensors say on this link now; of PX4 only the one that looks down."""
-        if self.ranging is not None:
-            self.ranging.rangefinder_off = self.rangefinder_off
-            return self.ranging.messages(number, link, self.now_us - self.boot_us)
-        build = None if self.rangefinder_off else self._messages.get(number)
+    def _said(self, number: int, link: int) -> Sequence[Any]:
+        """What there is to say by this number on this link now."""
+        if number in _RANGES:
+            if self.ranging is not None:
+                self.ranging.rangefinder_off = self.rangefinder_off
+                return self.ranging.messages(number, link, self.now_us - self.boot_us)
+            if self.rangefinder_off:  # of PX4 there is only the one that looks down
+                return ()
+        build = self._messages.get(number)
         message = build(self.report) if build else None
-        return [] if message is None else [message]
+        return () if message is None else (message,)
 
     def _told_already(self, link: int, now_us: int) -> bool:
         """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
@@ -161,7 +160,7 @@ class FlightController:
 
     # --- out ----------------------------------------------------------------------------------
 
-    def answer(self, replies: Iterable[Reply]) -> None:
+    def answer(self, replies: Iterable[Reply | None]) -> None:
         """Carry out replies of the autopilot and the protocols."""
         for reply in replies:
             match reply:
@@ -182,21 +181,16 @@ class FlightController:
                     self._radio.broadcast(messages.event(reply, sequence, boot_ms))
                 case Reboot():
                     self.wants_reboot = True
+                case None:
+                    pass
 
     def _send(self, number: int, to: Sender | None) -> None:
         """Send the message of this number, if it has data."""
-        if number in (DISTANCE_SENSOR, RANGEFINDER):
-            for link in self._radio.links if to is None else (to.link,):
-                for message in self._ranges(number, link):
-                    self._radio.send(message, link)
-            return
-        build = self._messages.get(number)
-        if build is None:
-            return
-        self._renew_report()
-        message = build(self.report)
-        if message is not None:
-            self._deliver(message, to)
+        if number not in _RANGES:
+            self._renew_report()
+        for link in self._radio.links if to is None else (to.link,):
+            for message in self._said(number, link):
+                self._radio.send(message, link)
 
     def _deliver(self, message: Any, to: Sender | None) -> None:
         if to is None:
@@ -229,121 +223,68 @@ class FlightController:
     def receive(self, message: Any, sender: Sender, now_us: int) -> None:
         """Handle a message that is for the autopilot."""
         self.now_us = now_us
-        handle = _HANDLERS.get(message.get_type())
-        if handle is not None:
-            handle(self, message, sender)
+        self.answer(self._replies(message, sender, message.get_type()))
 
-    def _on_heartbeat(self, message: Any, sender: Sender) -> None:
-        if message.type == _GROUND_STATION:
-            self._ground_stations.add(sender.link)
-        self.answer(self.autopilot.on_heartbeat(sender, message.type))
+    def _replies(self, message: Any, sender: Sender, name: str) -> Iterable[Reply | None]:
+        autopilot, is_px4 = self.autopilot, self.autopilot.profile.firmware == "px4"
+        since_boot_us = self.now_us - self.boot_us
+        match name:
+            case "HEARTBEAT":
+                if message.type == _GROUND_STATION:
+                    self._ground_stations.add(sender.link)
+                return autopilot.on_heartbeat(sender, message.type)
+            case "SET_POSITION_TARGET_GLOBAL_INT" | "SET_POSITION_TARGET_LOCAL_NED":
+                setpoint = messages.setpoint(message)
+                return () if self.setpoints_ignored else autopilot.on_setpoint(setpoint)
+            case "SET_ATTITUDE_TARGET":
+                target = messages.attitude_target(message)
+                return () if self.setpoints_ignored else autopilot.on_attitude(target)
+            case "TIMESYNC" if message.tc1 == 0:
+                said = messages.time_sync(since_boot_us * 1000, message.ts1, sender)
+                return (SendMessage(message=said, to=sender),)
+            case "OBSTACLE_DISTANCE" if self.ranging is not None:
+                self.ranging.proximity.on_obstacle_distance(message, since_boot_us)
+            case "COMMAND_LONG" | "COMMAND_INT":
+                command = messages.command(message, sender)
+                if command.number in STREAM_COMMANDS:
+                    return self.streams.on_command(command, self.now_us)
+                return autopilot.on_command(command)
+            case "SET_MODE":
+                command = messages.mode_command(message, sender, autopilot.profile.firmware)
+                replies = autopilot.on_command(command)
+                return replies if is_px4 else map(_as_set_mode, replies)
+            case "REQUEST_DATA_STREAM":
+                self._on_data_stream(message, sender.link)
+            case "PARAM_REQUEST_READ" | "PARAM_REQUEST_LIST" | "PARAM_SET":
+                self.transfers = True
+                return self._parameter_protocol.on_message(message, sender, self.now_us)
+            case _ if message.get_msgId() in MISSION:
+                self.transfers = True
+                return self._mission_protocol.on_message(message, sender, self.now_us)
+            case "MANUAL_CONTROL":
+                return autopilot.on_manual_control(messages.manual_control(message, sender))
+            case "PING" if is_px4 and message.target_system == 0:
+                return (SendMessage(message=messages.pong(message, sender), to=sender),)
+            case "TERRAIN_CHECK" if not is_px4:  # there is no terrain data here either
+                return (SendMessage(message=messages.no_terrain(message), to=sender),)
+            case "SETUP_SIGNING" if self._radio.signing is not None:
+                return (self._radio.signing.setup(message, armed=autopilot.armed),)
+            case "FILE_TRANSFER_PROTOCOL":
+                return (ftp.answer(message, sender),)
+            case _:
+                pass
+        return ()
 
-    def _on_time_sync(self, message: Any, sender: Sender) -> None:
-        if message.tc1 == 0:
-            boot_ns = (self.now_us - self.boot_us) * 1000
-            answer = messages.time_sync(boot_ns, message.ts1, sender)
-            self._radio.send(answer, sender.link)
-
-    def _on_setpoint(self, message: Any, _: Sender) -> None:
-        if not self.setpoints_ignored:
-            self.answer(self.autopilot.on_setpoint(messages.setpoint(message)))
-
-    def _on_attitude(self, message: Any, _: Sender) -> None:
-        if not self.setpoints_ignored:
-            self.answer(self.autopilot.on_attitude(messages.attitude_target(message)))
-
-    def _on_obstacle_distance(self, message: Any, _: Sender) -> None:
-        if self.ranging is not None:
-            self.ranging.proximity.on_obstacle_distance(message, self.now_us - self.boot_us)
-
-    def _on_command(self, message: Any, sender: Sender) -> None:
-        command = messages.command(message, sender)
-        if command.number in STREAM_COMMANDS:
-            self.answer(self.streams.on_command(command, self.now_us))
-        else:
-            self.answer(self.autopilot.on_command(command))
-
-    def _on_set_mode(self, message: Any, sender: Sender) -> None:
-        firmware = self.autopilot.profile.firmware
-        command = messages.mode_command(message, sender, firmware)
-        replies = self.autopilot.on_command(command)
-        if firmware == "ardupilot":
-            replies = [
-                dataclasses.replace(each, command=_SET_MODE) if isinstance(each, Ack) else each
-                for each in replies
-            ]
-        self.answer(replies)
-
-    def _on_data_stream(self, message: Any, sender: Sender) -> None:
-        self.streams.on_data_stream(message, sender.link, self.now_us)
+    def _on_data_stream(self, message: Any, link: int) -> None:
+        """ArduPilot keeps the rate as a parameter."""
+        self.streams.on_data_stream(message, link, self.now_us)
         rate_hz = message.req_message_rate if message.start_stop else 0
-        for group, part in _STREAM_PARAMETERS.items():  # ArduPilot keeps it as a parameter
-            name = f"MAV{sender.link + 1}_{part}"
+        for group, part in _STREAM_PARAMETERS.items():
+            name = f"MAV{link + 1}_{part}"
             if message.req_stream_id in (0, group) and name in self.parameters:
                 self.parameters[name] = rate_hz
 
-    def _on_parameter(self, message: Any, sender: Sender) -> None:
-        self.transfers = True
-        self.answer(self._parameter_protocol.on_message(message, sender, self.now_us))
 
-    def _on_mission(self, message: Any, sender: Sender) -> None:
-        self.transfers = True
-        self.answer(self._mission_protocol.on_message(message, sender, self.now_us))
-
-    def _on_manual_control(self, message: Any, sender: Sender) -> None:
-        self.answer(self.autopilot.on_manual_control(messages.manual_control(message, sender)))
-
-    def _on_ping(self, message: Any, sender: Sender) -> None:
-        if self.autopilot.profile.firmware == "px4" and message.target_system == 0:
-            self._radio.send(messages.pong(message, sender), sender.link)
-
-    def _on_terrain_check(self, message: Any, sender: Sender) -> None:
-        """ArduPilot: there is no terrain data here either."""
-        if self.autopilot.profile.firmware == "ardupilot":
-            self._radio.send(messages.no_terrain(message), sender.link)
-
-    def _on_setup_signing(self, message: Any, _: Sender) -> None:
-        if self._radio.signing is not None:
-            refused = self._radio.signing.setup(message, armed=self.autopilot.armed)
-            self.answer([] if refused is None else [refused])
-
-    def _on_file_transfer(self, message: Any, sender: Sender) -> None:
-        answer = ftp.answer(message, sender)
-        self.answer([] if answer is None else [answer])
-
-
-_Handler = Callable[[FlightController, Any, Sender], None]
-_MISSION_MESSAGES = (
-    "MISSION_COUNT",
-    "MISSION_ITEM",
-    "MISSION_ITEM_INT",
-    "MISSION_REQUEST",
-    "MISSION_REQUEST_INT",
-    "MISSION_REQUEST_LIST",
-    "MISSION_REQUEST_PARTIAL_LIST",
-    "MISSION_WRITE_PARTIAL_LIST",
-    "MISSION_SET_CURRENT",
-    "MISSION_CLEAR_ALL",
-    "MISSION_ACK",
-)
-_HANDLERS: dict[str, _Handler] = {
-    "HEARTBEAT": FlightController._on_heartbeat,
-    "TIMESYNC": FlightController._on_time_sync,
-    "SET_POSITION_TARGET_GLOBAL_INT": FlightController._on_setpoint,
-    "SET_POSITION_TARGET_LOCAL_NED": FlightController._on_setpoint,
-    "OBSTACLE_DISTANCE": FlightController._on_obstacle_distance,
-    "SET_ATTITUDE_TARGET": FlightController._on_attitude,
-    "COMMAND_LONG": FlightController._on_command,
-    "COMMAND_INT": FlightController._on_command,
-    "SET_MODE": FlightController._on_set_mode,
-    "REQUEST_DATA_STREAM": FlightController._on_data_stream,
-    "PARAM_REQUEST_READ": FlightController._on_parameter,
-    "PARAM_REQUEST_LIST": FlightController._on_parameter,
-    "PARAM_SET": FlightController._on_parameter,
-    "MANUAL_CONTROL": FlightController._on_manual_control,
-    "PING": FlightController._on_ping,
-    "TERRAIN_CHECK": FlightController._on_terrain_check,
-    "SETUP_SIGNING": FlightController._on_setup_signing,
-    "FILE_TRANSFER_PROTOCOL": FlightController._on_file_transfer,
-    **dict.fromkeys(_MISSION_MESSAGES, FlightController._on_mission),
-}
+def _as_set_mode(reply: Reply) -> Reply:
+    """ArduPilot answers a SET_MODE with a COMMAND_ACK of the message's own number."""
+    return dataclasses.replace(reply, command=_SET_MODE) if isinstance(reply, Ack) else reply

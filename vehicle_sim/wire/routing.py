@@ -29,9 +29,10 @@ _MANUAL_CONTROL: Final = mavlink.MAVLINK_MSG_ID_MANUAL_CONTROL
 _COMMANDS: Final = frozenset(
     {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
 )
-_MISSION: Final = frozenset({37, 38, 39, 40, 41, 43, 44, 45, 47, 51, 73})
+MISSION: Final = frozenset({37, 38, 39, 40, 41, 43, 44, 45, 47, 51, 73})
+"""All that clients say in the mission protocol."""
 _PARAMETERS: Final = frozenset({20, 21, 23})
-_ADDRESSED: Final = _COMMANDS | _MISSION | _PARAMETERS
+_ADDRESSED: Final = _COMMANDS | MISSION | _PARAMETERS
 """PX4 accepts these only with its system id, not as broadcasts."""
 _FOR_EVERY_COMPONENT: Final = frozenset({512, 519})
 """Commands that PX4 accepts for any component: requests for messages and versions."""
@@ -188,4 +189,4 @@ class Router:
         mine = (None, 0, self._component)
         return (
             system == self._system if number in _ADDRESSED else system in (None, 0, self._system)
-        ) and (component in mine or (number in _MISSION and component == _MISSION_PLANNER))
+        ) and (component in mine or (number in MISSION and component == _MISSION_PLANNER))

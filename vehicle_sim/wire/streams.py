@@ -6,7 +6,7 @@ Intervals run on the vehicle's clock.
 
 import heapq
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -49,8 +49,7 @@ class Streams:
         """By link and message number; what is not in it is not sent."""
         self._due: list[tuple[int, int, int]] = []
         """A heap of time, message number and link.  Changed entries are rebuilt."""
-        self._links: set[int] = set()
-        self._booted_us = 0
+        self._booted_us: int | None = None
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -59,13 +58,10 @@ class Streams:
 
         The first one is opened when the autopilot boots.
         """
-        if not self._links:
-            self._booted_us = now_us
-        self._links.add(link)
-        kept = {key: us for key, us in self._intervals_us.items() if key[0] != link}
-        fresh = {(link, number): self._default_us(number) for number in self._style.rates_hz}
-        self._intervals_us = kept | {key: us for key, us in fresh.items() if us}
-        self._rebuild(link, now_us)
+        self._booted_us = now_us if self._booted_us is None else self._booted_us
+        self._intervals_us = {key: us for key, us in self._intervals_us.items() if key[0] != link}
+        fresh = {number: self._default_us(number) for number in self._style.rates_hz}
+        self._set(link, fresh, now_us)
 
     def due(self, now_us: int) -> list[tuple[int, int]]:
         """Link and message number of what is due, oldest first; each at most once."""
@@ -96,34 +92,28 @@ class Streams:
 
     def on_data_stream(self, message: Any, link: int, now_us: int) -> None:
         """REQUEST_DATA_STREAM: a rate for a whole group.  It is not acknowledged."""
-        groups = self._style.data_streams
-        if message.start_stop > 1 or not groups:
+        groups, asked = self._style.data_streams, message.req_stream_id
+        if message.start_stop > 1:
             return
         rate_hz = message.req_message_rate if message.start_stop else 0
-        asked = message.req_stream_id
         members = groups.get(asked, ()) if asked else {n for g in groups.values() for n in g}
-        if members:
-            self._set(link, members, round(1e6 / rate_hz) if rate_hz else 0, now_us)
+        self._set(link, dict.fromkeys(members, round(1e6 / rate_hz) if rate_hz else 0), now_us)
 
     def _on_set(self, command: Command, now_us: int) -> list[Reply]:
         number, interval_us, *rest = command.parameters
-        answers = list[Reply]()
         known = _whole(number)
+        refused = _ack(command, Result.FAILED if self._is_px4 else Result.DENIED)
         if self._uses_reserved(rest):
-            result = Result.FAILED if self._is_px4 else Result.DENIED
-        elif known not in self._style.streamable:
-            result = Result.FAILED if self._is_px4 else Result.DENIED
-            if not self._is_px4:
-                text = f"No ap_message for mavlink id ({known})"
-                answers.append(Text(severity=6, text=text))
-        else:
-            wanted_us = self._wanted_us(known, interval_us)
-            result = Result.FAILED if wanted_us is None else Result.ACCEPTED
-            lost = not self._is_px4 and now_us - self._booted_us < FORGOTTEN_US
-            if wanted_us is not None and not lost:
-                self._set(command.sender.link, [known], wanted_us, now_us)
-        answers.append(_ack(command, result))
-        return answers
+            return [refused]
+        if known not in self._style.streamable:
+            text = Text(severity=6, text=f"No ap_message for mavlink id ({known})")
+            return [refused] if self._is_px4 else [text, refused]
+        wanted_us = self._wanted_us(known, interval_us)
+        if wanted_us is None:
+            return [_ack(command, Result.FAILED)]
+        if self._is_px4 or now_us - (self._booted_us or 0) >= FORGOTTEN_US:
+            self._set(command.sender.link, {known: wanted_us}, now_us)
+        return [_ack(command, Result.ACCEPTED)]
 
     def _uses_reserved(self, rest: Sequence[float]) -> bool:
         """Whether one of p3 to p7 is used that must be zero; to PX4, NaN is zero."""
@@ -170,30 +160,21 @@ class Streams:
         rate_hz = self._style.rates_hz.get(number, 0.0)
         return round(1e6 / rate_hz) if rate_hz else 0
 
-    def _set(self, link: int, numbers: Iterable[int], interval_us: int, now_us: int) -> None:
-        """What stays as it is keeps its phase: clients ask for the same again and again."""
-        changed = {n for n in numbers if self._intervals_us.get((link, n), 0) != interval_us}
-        for number in changed:
-            if interval_us:
-                self._intervals_us[link, number] = interval_us
-            else:
-                del self._intervals_us[link, number]
-        if changed:
-            self._rebuild(link, now_us, changed)
+    def _set(self, link: int, wanted_us: Mapping[int, int], now_us: int) -> None:
+        """Intervals by message number, 0 for none: each is first due one interval from now.
 
-    def _rebuild(self, link: int, now_us: int, numbers: set[int] | None = None) -> None:
-        """Rebuild the heap: these messages of this link are first due one interval from now."""
-        kept = [
-            entry
-            for entry in self._due
-            if entry[2] != link or (numbers is not None and entry[1] not in numbers)
-        ]
-        fresh = [
-            (now_us + interval_us, number, on)
-            for (on, number), interval_us in self._intervals_us.items()
-            if on == link and (numbers is None or number in numbers)
-        ]
-        self._due = kept + fresh
+        What stays as it is keeps its phase: clients ask for the same again and again.
+        """
+        intervals_us = self._intervals_us
+        changed = {
+            (link, number): us
+            for number, us in wanted_us.items()
+            if us != intervals_us.get((link, number), 0)
+        }
+        self._intervals_us = {key: us for key, us in (intervals_us | changed).items() if us}
+        kept = self._intervals_us.keys() - changed
+        self._due = [each for each in self._due if (each[2], each[1]) in kept]
+        self._due += [(now_us + us, number, link) for (_, number), us in changed.items() if us]
         heapq.heapify(self._due)
         self.soonest_us = self._due[0][0] if self._due else NEVER_US
 
