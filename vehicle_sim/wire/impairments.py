@@ -20,8 +20,6 @@ _HELD_MOST_US = 500_000
 _OVERTAKEN_BY_MOST = 3
 _WRONG_BITS_MOST = 3
 _BLOCK = 1024
-_NEVER_US = 2**63 - 1
-_NOTHING: tuple[bytes, ...] = ()
 
 
 @final
@@ -39,9 +37,7 @@ class Impairments:
     """One direction of one link."""
 
     def __init__(self, rng: np.random.Generator, *, link: int = 0, to_vehicle: bool = True) -> None:
-        self._rng = rng
-        self._link = link
-        self._to_vehicle = to_vehicle
+        self._rng, self._link, self._to_vehicle = rng, link, to_vehicle
         self._conditions = LinkConditions()
         self._clear = True
         self._uniform: list[float] = []
@@ -50,10 +46,6 @@ class Impairments:
         self._held: list[_Held] = []
         self._number = 0
         self._last_us = 0
-        self.active = False
-        """Whether frames have to pass through here now."""
-        self.due_us = _NEVER_US
-        """When the next frame comes out."""
         self.lost = 0
         """Frames that never came out."""
 
@@ -68,7 +60,11 @@ class Impairments:
         concerned = way and (not conditions.mask or bool(conditions.mask >> self._link & 1))
         self._conditions = conditions
         self._clear = not (concerned and conditions.any)
-        self._find_due()
+
+    @property
+    def active(self) -> bool:
+        """Whether frames have to pass through here now."""
+        return not self._clear or bool(self._waiting or self._held)
 
     def push(self, now_us: int, frame: bytes) -> None:
         """A frame, or a whole datagram, sets out."""
@@ -77,36 +73,29 @@ class Impairments:
         elif self._conditions.off or self._happens(self._conditions.lost):
             self.lost += 1
         else:
-            self._impair(now_us, frame)
-        if self._held:
-            self._overtake(now_us)
-        self._find_due()
+            for _ in range(2 if self._happens(self._conditions.duplicated) else 1):
+                self._impair(now_us, frame)
+        for held in self._held:
+            held.left -= 1
+        self._let_go(now_us, lambda held: held.left <= 0)
 
     def pop(self, now_us: int) -> Sequence[bytes]:
         """What has arrived by now, in order."""
-        if now_us < self.due_us:
-            return _NOTHING
-        if self._held:
-            self._let_go(now_us, lambda held: held.until_us <= now_us)
+        self._let_go(now_us, lambda held: held.until_us <= now_us)
         frames = list[bytes]()
         while self._waiting and self._waiting[0][0] <= now_us:
             frames.append(heapq.heappop(self._waiting)[2])
-        self._find_due()
-        return frames
+        return tuple(frames)
 
     def _impair(self, now_us: int, frame: bytes) -> None:
-        conditions = self._conditions
-        copies = 2 if self._happens(conditions.duplicated) else 1
-        for _ in range(copies):
-            sent = frame
-            if frame and self._happens(conditions.corrupted):
-                sent = self._corrupted(frame)
-            if self._happens(conditions.reordered) and len(self._held) < MAX_FRAMES:
-                overtakers = 1 + int(self._draw() * _OVERTAKEN_BY_MOST)
-                # Its own push counts as one of those that overtake it.
-                self._held.append(_Held(overtakers + 1, now_us + _HELD_MOST_US, sent))
-            else:
-                self._enqueue(now_us, sent)
+        if frame and self._happens(self._conditions.corrupted):
+            frame = self._corrupted(frame)
+        if self._happens(self._conditions.reordered) and len(self._held) < MAX_FRAMES:
+            overtakers = 1 + int(self._draw() * _OVERTAKEN_BY_MOST)
+            # Its own push counts as one of those that overtake it.
+            self._held.append(_Held(overtakers + 1, now_us + _HELD_MOST_US, frame))
+        else:
+            self._enqueue(now_us, frame)
 
     def _enqueue(self, now_us: int, frame: bytes) -> None:
         """Arrives in order, unless the jitter lets it overtake."""
@@ -122,24 +111,13 @@ class Impairments:
         self._number += 1
         heapq.heappush(self._waiting, (time_us, self._number, frame))
 
-    def _overtake(self, now_us: int) -> None:
-        for held in self._held:
-            held.left -= 1
-        self._let_go(now_us, lambda held: held.left <= 0)
-
     def _let_go(self, now_us: int, goes: Callable[[_Held], bool]) -> None:
+        if not self._held:
+            return
         gone = [held for held in self._held if goes(held)]
-        if gone:
-            self._held = [held for held in self._held if not goes(held)]
+        self._held = [held for held in self._held if not goes(held)]
         for held in gone:
             self._enqueue(min(now_us, held.until_us), held.frame)
-
-    def _find_due(self) -> None:
-        times_us = [held.until_us for held in self._held]
-        if self._waiting:
-            times_us.append(self._waiting[0][0])
-        self.due_us = min(times_us, default=_NEVER_US)
-        self.active = not self._clear or self.due_us != _NEVER_US
 
     def _corrupted(self, frame: bytes) -> bytes:
         """A few bits of it turned over."""

@@ -9,10 +9,9 @@ import zlib
 from dataclasses import dataclass
 from typing import Any, final
 
-from pymavlink.dialects.v20 import all as mavlink
-
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
-from vehicle_sim.parameters import Kind
+from vehicle_sim.parameters import Kind, Parameter
+from vehicle_sim.wire.dialect import Prepared, make
 
 VALUES_PER_S = 1348 / 1.5
 """ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""
@@ -53,17 +52,15 @@ class ParameterProtocol:
         """Whether step() has anything to do."""
         return bool(self._listings)
 
-    # --- in -----------------------------------------------------------------------------------
-
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer a PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
-        if message.get_type() == "PARAM_REQUEST_LIST":
-            # PX4 leaves the hash out when a listing is begun again
-            hash_first = self._is_px4 and sender.link not in self._listings
-            self._listings[sender.link] = _Listing(sender, now_us, hash_first=hash_first)
-            return []
-        handle = self._on_set if message.get_type() == "PARAM_SET" else self._on_read
-        return handle(message, sender)
+        if message.get_type() != "PARAM_REQUEST_LIST":
+            handle = self._on_set if message.get_type() == "PARAM_SET" else self._on_read
+            return handle(message, sender)
+        # PX4 leaves the hash out when a listing is begun again
+        hash_first = self._is_px4 and sender.link not in self._listings
+        self._listings[sender.link] = _Listing(sender, now_us, hash_first=hash_first)
+        return []
 
     def step(self, now_us: int) -> list[Reply]:
         """The next values of each listing that is due; cheap if there is none."""
@@ -84,7 +81,7 @@ class ParameterProtocol:
 
     # --- out ----------------------------------------------------------------------------------
 
-    def value(self, name: str, index: int | None = None) -> Any:
+    def value(self, name: str, index: int | None = None) -> Prepared:
         """The PARAM_VALUE of this parameter.
 
         Without an index it is one that is sent unasked, as SayParameter wants it.  KeyError for a
@@ -94,28 +91,33 @@ class ParameterProtocol:
             index = self._indices[name] if self._is_px4 else _UNASKED
         row, value = self._parameters.row(name), self._parameters[name]
         if self._is_px4 and row.kind is not Kind.REAL32:  # bit by bit; ArduPilot converts
-            (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
+            (value,) = struct.unpack("<f", self._raw(row))
         return self._message(name, value, row.kind, index)
 
-    def _message(self, name: str, value: float, kind: int, index: int) -> Any:
-        return mavlink.MAVLink_param_value_message(
+    def _message(self, name: str, value: float, kind: int, index: int) -> Prepared:
+        return make(
+            "PARAM_VALUE",
             param_id=name.encode("ascii"),
             param_value=value,
-            param_type=int(kind),
+            param_type=kind,
             param_count=len(self._rows),
             param_index=index,
         )
 
-    def _hash_value(self) -> Any:
-        """PX4's hash of names and values, by which ground stations know their cached copy."""
-        crc = 0
-        for row in self._rows:
-            value = self._parameters[row.name]
-            is_real = row.kind is Kind.REAL32
-            raw = struct.pack("<f", value) if is_real else struct.pack("<i", int(value))
-            for part in (row.name.encode("ascii"), raw):  # a plain CRC-32 begun at zero
-                crc = zlib.crc32(part, crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
-        (as_float,) = struct.unpack("<f", struct.pack("<I", crc))
+    def _raw(self, row: Parameter) -> bytes:
+        """The four bytes of a value."""
+        value = self._parameters[row.name]
+        is_real = row.kind is Kind.REAL32
+        return struct.pack("<f", value) if is_real else struct.pack("<i", int(value))
+
+    def _hash_value(self) -> Prepared:
+        """PX4's hash of names and values, by which ground stations know their cached copy.
+
+        A plain CRC-32 begun at zero.
+        """
+        named = b"".join(row.name.encode("ascii") + self._raw(row) for row in self._rows)
+        raw = struct.pack("<I", zlib.crc32(named, 0xFFFFFFFF) ^ 0xFFFFFFFF)
+        (as_float,) = struct.unpack("<f", raw)
         return self._message(_HASH, as_float, _UINT32, _UNASKED)
 
     # --- reading and setting ------------------------------------------------------------------
@@ -128,37 +130,33 @@ class ParameterProtocol:
             return [SendMessage(message=self.value(row.name, index), to=sender) for row in found]
         if self._is_px4 and name == _HASH:
             return [SendMessage(message=self._hash_value(), to=sender)]
-        if name not in self._parameters:
-            return []
-        return [SendMessage(message=self.value(name), to=sender)]
+        known = name in self._parameters
+        return [SendMessage(message=self.value(name), to=sender)] if known else []
 
     def _on_set(self, message: Any, sender: Sender) -> list[Reply]:
-        name = message.param_id
+        """To PX4 a value comes bit by bit in the type of the parameter, or it is not taken."""
+        name, value = message.param_id, message.param_value
         if self._is_px4 and name == _HASH:
             self._listings.pop(sender.link, None)  # the client has a copy: stop
             return []
         if name not in self._parameters:
             return []
-        value = self._asked(message, self._parameters.row(name).kind)
-        if value is None:
+        kind = self._parameters.row(name).kind
+        if self._is_px4:
+            if message.param_type != kind:
+                return []
+            if kind is not Kind.REAL32:
+                (value,) = struct.unpack("<i", _float_bytes(message))
+            elif not math.isfinite(value):  # compared with the old one it is never different
+                return [SendMessage(message=self.value(name), to=sender)]
+        elif not math.isfinite(value):
             return []
-        if not math.isfinite(value):
-            # ArduPilot ignores it; PX4 compares it with the old value, which is never different
-            return [SendMessage(message=self.value(name), to=sender)] if self._is_px4 else []
+        elif kind is not Kind.REAL32:
+            # cut off after adding 0.01 (AP_Param::set_float), and within the type's range
+            most = _WHOLE_RANGE[kind]
+            value = math.trunc(min(max(value + math.copysign(0.01, value), -most), most - 1))
         self._parameters[name] = value
         return [SendMessage(message=self.value(name)), *self._autopilot.on_parameter(name)]
-
-    def _asked(self, message: Any, kind: Kind) -> float | None:
-        """The value that a PARAM_SET means; None for one of the wrong type (PX4 only)."""
-        value: float = message.param_value
-        if not self._is_px4:
-            return _as_ardupilot_rounds(value, kind)
-        if message.param_type != kind:
-            return None
-        if kind is Kind.REAL32:
-            return value
-        (whole,) = struct.unpack("<i", _float_bytes(message))
-        return float(whole)
 
 
 def _float_bytes(message: Any) -> bytes:
@@ -166,11 +164,3 @@ def _float_bytes(message: Any) -> bytes:
     frame = bytes(message.get_msgbuf())
     head = 10 if frame[0] == 0xFD else 6
     return frame[head : head + min(4, frame[1])].ljust(4, b"\0")
-
-
-def _as_ardupilot_rounds(value: float, kind: Kind) -> float:
-    """To the type: cut off after adding 0.01 (AP_Param::set_float), and within its range."""
-    if kind is Kind.REAL32 or not math.isfinite(value):
-        return value
-    most = _WHOLE_RANGE[kind]
-    return float(math.trunc(min(max(value + math.copysign(0.01, value), -most), most - 1)))

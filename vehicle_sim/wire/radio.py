@@ -56,15 +56,15 @@ class Radio:
         )
         self._system = system
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
-        self._packers = {
+        self._packers: dict[tuple[int, ...], Packer] = {
             (link, component): Packer(system, component)
             for link in self.links
             for component in (AUTOPILOT_COMPONENT, radar_component, lidar_component)
             if component is not None
         }
         if self.signing is not None:
-            for (link, _), packer in self._packers.items():
-                packer.signer = self.signing.signer(link)
+            for key, packer in self._packers.items():
+                packer.signer = self.signing.signer(key[0])
         self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
         self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
         self._after = [StreamParser(datagrams=True) for _ in self.links]
@@ -145,7 +145,7 @@ class Radio:
     def send_as(self, message: Any, system: int, component: int) -> None:
         """Send a message in somebody else's name, on every link."""
         for link in self.links:
-            key = (link, -component)
+            key = (link, system, component)
             packer = self._packers.setdefault(key, Packer(system, component))
             self._outbox.append((link, packer.frame(message)))
 
