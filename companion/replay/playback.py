@@ -7,10 +7,11 @@ the ground station answers is read and dropped.
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, final
 
+from msgspec import Struct
+from msgspec.structs import replace
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -22,8 +23,7 @@ from companion.runtime.link import Link, open_link
 from companion.runtime.watchdog import Clock
 from companion.telemetry.logs import Record, open_log
 
-SLOWEST: Final = 0.1
-FASTEST: Final = 1000.0
+_SLOWEST, _FASTEST = 0.1, 1000.0
 _MAX_GAP_US: Final = 10_000_000
 """A gap in the log that is longer is played as one of this length."""
 _MAX_BYTES_S: Final = 500_000.0
@@ -36,12 +36,11 @@ _SHOWN_GAPS: Final = 5
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlaybackSettings:
+class PlaybackSettings(Struct, frozen=True, kw_only=True):
     """What of a log to play, and how fast."""
 
-    speed: float | None = 1.0
-    """Factor of real time; None: as fast as a receiver is likely to follow."""
+    speed: float = 1.0
+    """Factor of real time."""
     from_s: float = 0.0
     """The first frame is the first one at or after this, seconds from the log's beginning."""
     until_s: float = math.inf
@@ -51,15 +50,13 @@ class PlaybackSettings:
 
     def __post_init__(self) -> None:
         """Raises InputError if it is too fast or too slow."""
-        speed = self.speed
-        if speed is not None and not SLOWEST <= speed <= FASTEST:
-            rule = f"it must be from {SLOWEST:g} to {FASTEST:g}"
-            raise InputError("--speed", speed, rule, "Leave it out for real time.")
+        if not _SLOWEST <= self.speed <= _FASTEST:
+            rule = f"it must be from {_SLOWEST:g} to {_FASTEST:g}"
+            raise InputError("--speed", self.speed, rule, "Leave it out for real time.")
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class PlaybackStats:
+class PlaybackStats(Struct, kw_only=True):
     """Statistics of what was sent, updated while playing."""
 
     frames: int = 0
@@ -67,7 +64,7 @@ class PlaybackStats:
     at_s: float = 0.0
     """Time of the log, from its beginning."""
     wall_s: float = 0.0
-    gaps: list[tuple[float, float]] = field(default_factory=list)
+    gaps: list[tuple[float, float]] = []
     """Gaps that were shortened: time of the log at which they begin, and their length."""
 
     @property
@@ -104,9 +101,8 @@ class Player:
         batch: list[bytes] = []
         batch_bytes = 0
         for offset_us, frame in _timed(records, playing, played):
-            due_s = began_s if playing.speed is None else began_s + offset_us * 1e-6 / playing.speed
-            due_s = max(due_s, free_s)
-            free_s = max(free_s, due_s) + len(frame) / _MAX_BYTES_S
+            due_s = max(began_s + offset_us * 1e-6 / playing.speed, free_s)
+            free_s = due_s + len(frame) / _MAX_BYTES_S
             is_later = due_s > self._clock() + _TOGETHER_S
             if batch and (is_later or batch_bytes + len(frame) > _BATCH_BYTES):
                 self._send(batch, played, began_s)
@@ -172,15 +168,12 @@ def play_file(
     *,
     system_id: int | None = None,
     only_vehicle: bool = False,
-    clock: Clock = time.monotonic,
-    console: Console | None = None,
 ) -> PlaybackStats:
     """Play a log over the link that a connection string names, with a bar and a word at the end.
 
     system_id: of several vehicles in the log, the one that is played.  Raises InputError about the
     log or the link.
     """
-    console = console or Console(soft_wrap=True)
     log = open_log(file, system_id=system_id)
     if only_vehicle:
         if log.system_id is None:
@@ -199,7 +192,7 @@ def play_file(
                 words = f"playing {played.at_s:.0f} s"
                 bars.update(bar, completed=log.read_bytes, description=words)
 
-        player = Player(link, clock, show)
+        player = Player(link, time.monotonic, show)
         if isinstance(place, Address) and place.kind != "udpout":
             player.wait_for_somebody()
         played = player.play(log.records(), playing)
@@ -207,6 +200,7 @@ def play_file(
         rule = "no frame of the log lies there"
         raise InputError("--from", playing.from_s, rule, "Give a time within the log.")
     notes = [f"{file.name}: {finding}" for finding in log.findings] + played.words
+    console = Console(soft_wrap=True)
     for note in notes:
         console.out(f"note: {note}", highlight=False)
     took = f"{played.frames} frames in {played.wall_s:.1f} s"

@@ -213,10 +213,6 @@ class Notes:
                     refused.remedy = Refusal[reason].value
                     if not refused.goes_on:  # the vehicle had left the last path long before
                         self._path = None
-            case journal.PlanLate(plan_id=plan_id):
-                if plan_id in self._asked:
-                    self._asked[plan_id].outcome = "late"
-                self._cause = "the last came too late"
             case journal.ScanDone(blocks_asked=asked_for, blocks_answered=answered):
                 self.unanswered_scans += asked_for > 0 == answered
             case journal.LinkLost(silent_s=silent_s):

@@ -94,8 +94,8 @@ class PlanAttempt(Struct, kw_only=True):
     goes_on: bool
     """Whether it is the successor of a subpath that the vehicle follows; else it begins at rest."""
     outcome: str = "unanswered"
-    """ "ready", "refused", "late", "given up" (it held before the answer was due), or
-    "unanswered": the log ended before."""
+    """ "ready", "refused", "given up" (it held before the answer was due), or "unanswered": the log
+    ended before."""
     reason: str = ""
     """Of a refusal, its name."""
     remedy: str = ""
@@ -340,8 +340,6 @@ def _hold_row(hold: Hold, report: ShadowReport) -> _Row:
 
 def _why(hold: Hold) -> str:
     """The reasons one after the other; those that come and go are told once more and counted."""
-    if not hold.why:
-        return ""
     first, *later = hold.why
     lines = [first.text]
     counted = Counter(why.text for why in later if why.text != first.text)
