@@ -4,14 +4,13 @@ import contextlib
 import io
 import os
 import sys
-from pathlib import Path
 
 import pytest
 
 from companion.cli import main
 
 
-def answered(*arguments: str | Path) -> tuple[object, str, str]:
+def answered(*arguments: object) -> tuple[object, str, str]:
     """Exit code, and what is printed and said of errors, in this process: there are many."""
     shown, said = io.StringIO(), io.StringIO()
     with (

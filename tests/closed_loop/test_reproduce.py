@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from answers import answered
 from flights import HILLS, HILLS_MISSION, Flight, flown_as
 from pymavlink import mavutil  # noqa: TID251 - counts the frames independently
 from pymavlink.dialects.v20 import all as wire
-from short_flight import companion, mission_of, replayed, rewritten
+from short_flight import mission_of, replayed, rewritten
 from tlog import recorded_frames
 
 from companion.config import load_mission
@@ -176,7 +177,7 @@ def test_a_log_in_which_there_is_no_companion_is_refused(run_dir: Path, tmp_path
     ],
 )
 def test_what_is_of_no_use_here_is_refused(way: list[str], option: list[str]) -> None:
-    code, _, said = companion("replay", WORLD, *way, *option)
+    code, _, said = answered("replay", WORLD, *way, *option)
     assert code == 2
     assert f"error: {option[0].replace('--no-', '--')} = " in said
     assert len(said.splitlines()) == 1
@@ -256,7 +257,7 @@ def test_another_entry_in_the_journal_is_found_and_the_command_ends_with_1(copy:
     was = '"kind":"phase","phase":"flying"'
     assert was in text
     path.write_text(text.replace(was, '"kind":"phase","phase":"landing"', 1), encoding="utf-8")
-    code, out, _ = companion("replay", copy, "--no-plans")
+    code, out, _ = answered("replay", copy, "--no-plans")
     assert code == 1
     assert "phase.phase: recorded 'landing', replayed 'flying'" in out
     assert "what led there:" in out
@@ -284,7 +285,7 @@ def test_step_by_step_it_shows_what_came_the_state_and_what_was_sent(
 ) -> None:
     report = tmp_path / "report.json"
     options = ("--step", "--until", "60", "--no-plans", "--json", report)
-    code, shown, _ = companion("replay", run_dir, *options)
+    code, shown, _ = answered("replay", run_dir, *options)
     assert code == 0
     assert "t 50.000 s  run  taking off" in shown
     assert "  sends COMMAND_LONG" in shown

@@ -1,16 +1,12 @@
 """Short flights with the scripted vehicle, recorded as real ones are."""
 
-import io
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-import pytest
 from scripted_vehicle import Vehicle, straight_plan
 from test_loop import ScriptedLink
 
-from companion.cli import main
 from companion.config import load_mission, mission_text
 from companion.mission.mission import Mission
 from companion.mission.start import Start
@@ -74,17 +70,6 @@ def mission_of(path: Path) -> Callable[[Start], Mission]:
     return lambda start: load_mission(str(path / "mission.toml"), start.profile)
 
 
-def companion(*words: object) -> tuple[int, str, str]:
-    """The command in this process: its exit code, what it printed, and what it said of errors."""
-    out, err = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr("sys.argv", ["companion", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code, out.getvalue(), err.getvalue()
-
-
 def rewritten(path: Path, change: Callable[[list[Input]], None]) -> None:
     """Change what the session of a recorded flight was told."""
     told = list(InputsFile(path / FILE))
@@ -96,7 +81,6 @@ __all__ = [
     "EPOCH_US",
     "ScriptedLink",
     "Vehicle",
-    "companion",
     "fly_short",
     "mission_of",
     "replayed",

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from answers import answered
 from rasterio.transform import Affine
 from short_flight import (
     EPOCH_US,
-    companion,
     fly_short,
     replayed,
     rewritten,
@@ -57,7 +57,7 @@ def run(run_dir: Path, tmp_path: Path) -> Path:
 def replays(*arguments: object) -> tuple[int, str, list[str]]:
     """Exit code of a replay, what it printed, and the lines of its errors."""
     quick = [] if "--seed" in arguments else ["--no-plans"]
-    code, out, said = companion("replay", *arguments, *quick)
+    code, out, said = answered("replay", *arguments, *quick)
     return code, out, [line for line in said.splitlines() if "error:" in line]
 
 

@@ -6,8 +6,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from answers import answered
 from golden import GOLDENS
-from short_flight import companion
 
 from companion.config import load_mission
 from companion.errors import InputError
@@ -103,7 +103,7 @@ def test_a_setting_that_is_none_is_refused_in_one_line(setting: str, words: str)
 def test_the_command_tabulates_and_writes_it(tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     settings = ("--set", "planner.safety_distance_m=200")
-    code, shown, _ = companion("replay", FLIGHT, *settings, "--json", report)
+    code, shown, _ = answered("replay", FLIGHT, *settings, "--json", report)
     assert code == 0
     assert "subpaths as flown: cost" in shown
     rows = json.loads(report.read_text(encoding="utf-8"))

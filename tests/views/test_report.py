@@ -1,14 +1,11 @@
 """The report of a flight, held against what was recorded, read by parsers that are not ours."""
 
-import contextlib
 import html.parser
-import io
 import json
 import math
 import re
 import shutil
 import struct
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,11 +14,11 @@ import lxml.etree
 import numpy as np
 import pyproj
 import pytest
+from answers import answered
 from pymavlink.dialects.v20 import all as wire
 from recorded import EPOCH_US, run_folder
 from short_flight import fly_short
 
-from companion.cli import main
 from companion.config import load_mission
 from companion.replay.reporting import facts_of, write_report
 from companion.views.report_facts import FlightFacts
@@ -472,13 +469,5 @@ def test_the_command_writes_beside_the_flight_and_never_over_it(copy: Path) -> N
 
 def command(*arguments: str | Path) -> tuple[object, str]:
     """Exit code, and what is said of errors."""
-    said = io.StringIO()
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        contextlib.redirect_stdout(io.StringIO()),
-        contextlib.redirect_stderr(said),
-    ):
-        patch.setattr(sys, "argv", ["companion", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-    return ended.value.code, said.getvalue()
+    code, _, said = answered(*arguments)
+    return code, said
