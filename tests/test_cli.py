@@ -5,33 +5,30 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import final
 
 import pytest
 from answers import answered
-from programs import BIN, HURRIED, Program, free_port
+from programs import BIN, Program, free_port
 from recorded import run_folder
 
 from companion import cli
+from companion.runtime import loop
 
 COMPANION = BIN / "companion"
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
 ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 
 
-def waited(*arguments: str | Path) -> tuple[int, str, str]:
-    """Exit code, what is printed and said of errors where no vehicle comes; ten times as soon."""
-    program = f"{HURRIED}\nfrom companion.cli import main\nmain()"
-    done = subprocess.run(
-        [sys.executable, "-c", program, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-    return done.returncode, done.stdout, done.stderr
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wall clock goes ten times as fast: a vehicle that does not come is not waited for."""
+    real = time.monotonic
+    monkeypatch.setattr(time, "monotonic", lambda: 10.0 * real())
+    monkeypatch.setitem(loop.fly.__kwdefaults__, "clock", time.monotonic)
 
 
 def test_check_says_in_words_what_a_mission_will_do() -> None:
@@ -158,6 +155,7 @@ def test_to_go_on_with_another_mission_than_that_of_the_folder(tmp_path: Path) -
     assert "of another mission, 'hills'" in line
 
 
+@pytest.mark.usefixtures("hurried")
 def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_path: Path) -> None:
     """Whatever is wrong with it: tests/telemetry/test_resume.py.
 
@@ -168,7 +166,7 @@ def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_p
     (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
     (folder / "flight.tlog").write_bytes(b"\x00\x01")
     options = ("--out", folder, "--resume", *connect(free_port()))
-    code, said, errors = waited("fly", tmp_path / "gone.toml", *options)
+    code, said, errors = answered("fly", tmp_path / "gone.toml", *options)
     assert code == 75, errors  # it has flown: a service is to try again
     assert len(errors.splitlines()) == 1
     assert "no vehicle was heard" in errors
@@ -273,8 +271,18 @@ def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) 
     assert said == "error: 1 of 1 checks refuse the flight\n"
 
 
+@pytest.mark.usefixtures("hurried")
+def test_no_vehicle_is_said_within_ten_seconds(tmp_path: Path) -> None:
+    options = ("--out", tmp_path / "run", *connect(free_port()))
+    code, _, said = answered("fly", HILLS / "mission.toml", *options)
+    assert code == 1
+    assert "no vehicle was heard within 10 s" in said
+    assert len(said.splitlines()) == 1
+
+
+@pytest.mark.usefixtures("hurried")
 def test_no_vehicle_may_not_fly() -> None:
-    code, shown, errors = waited("preflight", "sitl-px4", *connect(free_port()))
+    code, shown, errors = answered("preflight", "sitl-px4", *connect(free_port()))
     assert code == 1
     assert "none was heard" in shown
     assert len(errors.splitlines()) == 1
