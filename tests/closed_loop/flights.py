@@ -239,5 +239,16 @@ def short_mission(name: str, folder: Path) -> Path:
     changes = [("\n[end]\n", "\n[battery]\nreserve_percent = 2\n[end]\n")]
     if "plane" not in name:
         last = "[[targets]]\nnorth_m = 60.0\neast_m = 150.0\n"
-        changes += [("scan_range_m = 800.0", "scan_range_m = 400.0"), (last, "")]
+        changes += [
+            (f"{axis}_max_m = 1400.0", f"{axis}_max_m = 600.0") for axis in ("north", "east")
+        ]
+        changes += [
+            (f"{axis}_min_m = -800.0", f"{axis}_min_m = -100.0") for axis in ("north", "east")
+        ]
+        changes += [
+            ("scan_range_m = 800.0", "scan_range_m = 200.0"),
+            ("north_m = 600.0", "north_m = 300.0"),
+            ("north_m = 500.0\neast_m = 700.0", "north_m = 300.0\neast_m = 400.0"),
+            (last, ""),
+        ]
     return edited(ENVIRONMENTS / name / "mission.toml", folder / f"{name}.toml", *changes)
