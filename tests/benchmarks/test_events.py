@@ -8,7 +8,7 @@ import pytest
     "vehicle", ["ardupilot-copter", pytest.param("ardupilot-plane", marks=pytest.mark.nightly)]
 )
 def test_a_fence_that_is_drawn_in_flight_is_read_drawn_and_flown_round(vehicle: str) -> None:
-    times, flight, zones = events.fly(vehicle, 4, 100, limit_s=90.0)
+    times, flight, zones = events.fly(vehicle, 4, 100, limit_s=45.0)
     assert {"FenceChanged", "Position", "checkpoint", "whole turn"} <= set(times)
     told = [e for e in flight.journal if e["kind"] == "fence" and len(e["zones"]) == 4]
     assert told

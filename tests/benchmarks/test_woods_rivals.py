@@ -116,6 +116,7 @@ def test_where_nothing_stands_both_fly_to_the_target() -> None:
         assert abs(aim - target) < 1e-9
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("seed", range(5))
 def test_the_least_distance_is_that_of_the_simulators_scene(seed: int) -> None:
     world = read_world(folder_of("forest") / "world.toml")
