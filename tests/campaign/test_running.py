@@ -52,7 +52,7 @@ mission = "mission.toml"
 faults = ["none", "dead"]
 [[choices]]
 name = "dead"
-faults = "at 70 s: battery 1 %"
+faults = "at 45 s: battery 1 %"
 """
 COMMAND = [sys.executable, "-c", "from companion.cli import main; main()", "campaign"]
 PATIENCE_S = 120.0
