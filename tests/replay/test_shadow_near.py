@@ -80,7 +80,7 @@ def cells_of(near: NearMap, points: NDArray[np.float64]) -> tuple[Any, Any]:
     return cells[:, 0], cells[:, 1]
 
 
-@pytest.mark.parametrize("until_s", [140.0, pytest.param(220.0, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("until_s", [110.0, pytest.param(220.0, marks=pytest.mark.nightly)])
 def test_at_no_time_is_any_point_of_a_post_free_and_the_space_between_them_is(
     until_s: float,
 ) -> None:
