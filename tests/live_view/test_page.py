@@ -259,7 +259,9 @@ def test_its_run_folder_is_shown_again_and_the_page_comes_back(
     clock = page.locator("tr", has_text=re.compile("^time"))
     with served(flight.folder, int(re.findall(r":(\d+)", address)[0])):
         expect(page.get_by_role("button", name="hold", exact=True)).to_have_count(0)
-        page.get_by_role("slider").press("Home")
+        slider = page.get_by_role("slider")
+        expect(slider).not_to_have_attribute("aria-valuenow", "0")  # it is where the flight ended
+        slider.press("Home")
         expect(clock).to_have_text("time0:00")
         page.get_by_role("button", name="next hold").click()
         expect(page.get_by_text("paused by a person").first).to_be_visible()
