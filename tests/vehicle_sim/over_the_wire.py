@@ -15,11 +15,12 @@ from typing import Any, Final, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.parameters import Firmware
+from vehicle_sim.parameters import Firmware, Parameter
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, flat_world
 
 copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # to copy simulations
+copyreg.pickle(Parameter, lambda row: row.name)  # never changes: copies share it
 
 Ids = tuple[int, int]
 Vector = tuple[float, float, float]

@@ -26,23 +26,23 @@ CLIMB: Final = local((0.0, 0.0, -10.0), yaw=0.0)
 
 
 @functools.cache
-def _ground(drag: float, loss_action: int) -> Companion:
-    return Companion().booted(SIH_KDV=drag, COM_OBL_RC_ACT=loss_action)
+def _ground(drag: float) -> Companion:
+    return Companion().booted(SIH_KDV=drag, COM_OBL_RC_ACT=5)
 
 
-def ground(drag: float = 0.25, loss_action: int = 5) -> Companion:
+def ground(drag: float = 0.25) -> Companion:
     """Booted and armable; each call gives a fresh one."""
-    return refreshed(_ground(drag, loss_action))
+    return refreshed(_ground(drag))
 
 
 @functools.cache
-def _hover(height_m: float, drag: float, loss_action: int) -> Companion:
-    return ground(drag, loss_action).flying(height_m)
+def _hover(height_m: float, drag: float) -> Companion:
+    return ground(drag).flying(height_m)
 
 
-def hover(height_m: float = 15.0, drag: float = 0.25, loss_action: int = 5) -> Companion:
+def hover(height_m: float = 15.0, drag: float = 0.25) -> Companion:
     """In OFFBOARD above the origin."""
-    return refreshed(_hover(height_m, drag, loss_action))
+    return refreshed(_hover(height_m, drag))
 
 
 def refreshed(flight: Companion) -> Companion:
@@ -56,16 +56,18 @@ def north(speed_m_s: float, down_m_s: float = 0.0) -> Aim:
 
 
 @functools.cache
-def _cruise(speed_m_s: float, drag: float, loss_action: int) -> Companion:
-    flight = hover(drag=drag, loss_action=loss_action)
+def _cruise(speed_m_s: float) -> Companion:
+    flight = hover()
     flight.aim = north(speed_m_s)
     flight.run(7.0)
     return flight
 
 
-def cruise(speed_m_s: float = 5.0, drag: float = 0.25, loss_action: int = 5) -> Companion:
+def cruise(speed_m_s: float = 5.0, loss_action: int = 5) -> Companion:
     """Flying north with a stream of velocities."""
-    return refreshed(_cruise(speed_m_s, drag, loss_action))
+    flight = refreshed(_cruise(speed_m_s))
+    flight.set_parameter("COM_OBL_RC_ACT", loss_action)
+    return flight
 
 
 # --- 2: links -------------------------------------------------------------------------------------

@@ -138,14 +138,14 @@ def reached(north_m_s: float, down_m_s: float) -> tuple[float, float]:
 
 
 @functools.cache
-def loss(action: int, drag: float = 0.25) -> Seen:
+def loss(action: int) -> Seen:
     """The stream stops at 5 m/s, and comes back 8 s later; times after the last setpoint.
 
     Announced_s: of the two EVENTs; told: whether the text came that no flight task could run;
     sinks_m_s: between 2 and 5 s after the new mode; metres: flown to the north, from the new mode
     on; speed_m_s: at the end; back_s: to OFFBOARD, when the stream is back.
     """
-    flight = cruise(loss_action=action, drag=drag)
+    flight = cruise(loss_action=action)
     flight.heartbeats = (GROUND_STATION,)
     flight.run(1.5)
     flight.aim = None
@@ -192,7 +192,7 @@ def returned() -> tuple[float, float]:
     flight = cruise(loss_action=3)
     flight.run(4.0)
     flight.aim = None
-    flight.run(60.0)
+    flight.run(40.0)
     return math.hypot(*flight.position[:2]), max(-h.message.z for h in positions(flight))
 
 
@@ -251,16 +251,16 @@ def commanded(custom: int) -> int:
 
 
 @functools.cache
-def _piloted(loss_action: int, drag: float) -> Companion:
-    flight = ground(drag, loss_action)
+def _piloted() -> Companion:
+    flight = ground()
     flight.stick = 0.0
     flight.run(1.0)
     return flight.flying(15.0)
 
 
-def piloted(loss_action: int = 5, drag: float = 0.25, **parameters: float) -> Companion:
+def piloted(**parameters: float) -> Companion:
     """In OFFBOARD north at 5 m/s, with hands at the sticks."""
-    flight = refreshed(_piloted(loss_action, drag))
+    flight = refreshed(_piloted())
     for name, value in parameters.items():
         flight.set_parameter(name, value)
     flight.aim = north(5.0)
@@ -278,7 +278,7 @@ def first_sticks() -> int:
 @functools.cache
 def loss_with_pilot() -> Seen:
     """The stream stops and comes back, with a pilot."""
-    flight = piloted(loss_action=0)
+    flight = piloted(COM_OBL_RC_ACT=0)
     flight.aim = None
     flight.until(lambda: flight.mode != OFFBOARD, 3.0)
     mode, before = flight.mode, flight.position

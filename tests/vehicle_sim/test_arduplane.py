@@ -11,6 +11,7 @@ from tracking_plane import (
     REPOSITION,
     TABLE,
     Rig,
+    flying,
     off_path_m,
 )
 
@@ -23,13 +24,6 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
 )
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import GpsConditions
-
-
-def flying(parameters: dict[str, float] | None = None, *, settle_s: float = 30.0) -> Rig:
-    rig = Rig(parameters)
-    rig.into_the_air()
-    rig.run(settle_s)
-    return rig
 
 
 def course_deg(rig: Rig) -> float:

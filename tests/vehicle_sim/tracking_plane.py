@@ -1,5 +1,7 @@
 """Flies an ArduPlane without wire and server: for tests, and for tables of how well it follows."""
 
+import copy
+import functools
 import math
 from collections.abc import Callable
 
@@ -135,17 +137,34 @@ def heading_towards(ahead_m: float, lateral_m_s2: float = 6.0) -> Law:
     return send
 
 
-def off_path_m(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> tuple[float, float]:
-    """Distance from the route, rms and most, at an airspeed of 20 m/s; the first 400 m apart."""
-    rig = Rig({"AIRSPEED_CRUISE": 20.0})
+@functools.cache
+def _flying(settle_s: float, parameters: tuple[tuple[str, float], ...]) -> Rig:
+    rig = Rig(dict(parameters))
     rig.into_the_air()
-    route = Weave(lateral_m_s2)
-    # the route begins 400 m south of home, where the plane goes first
-    route.north_m -= 400.0
+    rig.run(settle_s)
+    return rig
+
+
+def flying(parameters: dict[str, float] | None = None, *, settle_s: float = 30.0) -> Rig:
+    """A copy of one that has been in the air for so long."""
+    return copy.deepcopy(_flying(settle_s, tuple((parameters or {}).items())))
+
+
+@functools.cache
+def _before_the_route() -> Rig:
+    """400 m south of home, where routes begin."""
+    rig = flying({"AIRSPEED_CRUISE": 20.0}, settle_s=0.0)
     rig.reposition(-900.0, 0.0, 80.0, 10.0)
     rig.run_until(lambda: rig.ne_m[0] < -800.0)
     rig.reposition(-200.0, 0.0, 80.0, 10.0)
     rig.run_until(lambda: rig.ne_m[0] > -410.0)
+    return rig
+
+
+def off_path_m(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> tuple[float, float]:
+    """Distance from the route, rms and most, at an airspeed of 20 m/s; the first 400 m apart."""
+    rig, route = copy.deepcopy(_before_the_route()), Weave(lateral_m_s2)
+    route.north_m -= 400.0
     known = nearest = 0
     errors_m = list[float]()
     every = round(1.0 / hz / STEP_S)

@@ -5,8 +5,10 @@ The companion looks for the point nearest to where the autopilot believes to be,
 lies ``lead_m`` further on.
 """
 
+import copy
+import functools
 import math
-from typing import Final, Literal, NamedTuple, final
+from typing import Any, Final, Literal, NamedTuple, final
 
 import numpy as np
 import rig
@@ -37,11 +39,21 @@ _START = 3022
 _LEAD_IN_S, _RUN_S = 25.0, 70.0
 
 
+@functools.cache
+def _taken_off(*made_of: Any) -> dict[str, Any]:
+    """What a vehicle consists of that has reached Hold."""
+    seed, *parameters = made_of
+    one = Rig(seed, **dict(parameters))
+    one.take_off()
+    return vars(one)
+
+
 @final
 class Rig(rig.Rig):
     """One PX4 aeroplane, without links: what goes in and what comes out."""
 
     def __init__(self, seed: int = 1, **parameters: float) -> None:
+        self._made_of = seed, *parameters.items()
         self.plane = Plane(
             latitude_deg=HOME_DEG[0],
             longitude_deg=HOME_DEG[1],
@@ -96,7 +108,7 @@ class Rig(rig.Rig):
         speed_m_s: float = SIH_AIRPLANE.airspeed_max_m_s,
     ) -> None:
         """Into the air, flying: the state of a plane that has long been on its way."""
-        self.take_off()
+        vars(self).update(copy.deepcopy(_taken_off(*self._made_of)))
         plane = self.plane
         plane.stand(GROUND_AMSL_M)
         plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = self.place(
