@@ -246,7 +246,8 @@ def local_m(it: Any) -> tuple[float, float]:
     return distance_m * math.cos(azimuth_rad), distance_m * math.sin(azimuth_rad)
 
 
-@pytest.mark.parametrize("every_steps", [5, 10])
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("every_steps", [10, 5])
 def test_a_turn_of_9_m_s2_at_150_m_s_is_entered_without_overshoot_and_followed(
     every_steps: int,
 ) -> None:

@@ -261,7 +261,7 @@ SEES: dict[str, Sees] = {
     "radar_delay": lambda a, b: (
         len(b.of("TERRAIN_REPORT", RADAR)) < 0.6 * len(a.of("TERRAIN_REPORT", RADAR))
     ),
-    "radar_rate": lambda _, b: 5 <= len(b.of("TERRAIN_REPORT", RADAR)) <= 7,
+    "radar_rate": lambda _, b: 3 <= len(b.of("TERRAIN_REPORT", RADAR)) <= 5,
     "setpoints_ignored": lambda a, b: (
         a.truth[-1] != b.truth[-1] and (_mode(a) == _mode(b)) == (_mode(a) < 1 << 16)
     ),  # PX4 leaves OFFBOARD, ArduPilot stays
@@ -290,7 +290,7 @@ def _airborne(firmware: Firmware) -> Flight:
 
 
 @functools.cache
-def seen(firmware: Firmware, line: str | None = None, *, seconds: float = 6.0) -> Heard:
+def seen(firmware: Firmware, line: str | None = None, *, seconds: float = 4.0) -> Heard:
     flight = _airborne(firmware).copy()
     since = len(flight.heard)
     if line is not None:
@@ -301,7 +301,7 @@ def seen(firmware: Firmware, line: str | None = None, *, seconds: float = 6.0) -
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 def test_without_a_fault_a_copied_flight_is_the_same_flight(firmware: Firmware) -> None:
-    assert seen(firmware, seconds=6).truth == seen(firmware).truth
+    assert seen(firmware, seconds=4).truth == seen(firmware).truth
 
 
 @pytest.mark.parametrize(

@@ -331,7 +331,7 @@ def test_an_echo_is_repeated_for_1_to_1_75_s_after_the_last_with_new_stamps(seed
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sector_with_a_post_is_called_empty_for_up_to_0_9_s_in_a_row(seed: int) -> None:
-    bench = autopilot_bench(trees=[POST, POST | {"north_m": -10.0}], seed=seed).run(20.0)
+    bench = autopilot_bench(trees=[POST, POST | {"north_m": -10.0}], seed=seed).run(10.0)
     ahead = [m.current_distance for _, m in sectors(bench) if m.orientation == 0][5:]
     full = "".join("x" if cm == 1600 else "." for cm in ahead)
     rows = [len(row) for row in full.split(".") if row]
@@ -509,7 +509,7 @@ def flown_into(near: dict[str, Any], autopilot: str) -> tuple[Simulation, Sequen
     return simulation, [json.loads(line) for line in simulation.take_truth()][1:]
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 @pytest.mark.parametrize(
     "near",

@@ -19,7 +19,7 @@ LOOSER = {
     ): "no position holds it along or across; behind 4.8 m for 6.8 m, 0.5 m off for 0.23 m",
     (15, "position"): "flown at 12.9 m/s there, with a WPNAV_SPEED that is not told",
 }
-fly = functools.cache(functools.partial(tracking.fly, seconds=64.0))
+fly = functools.cache(functools.partial(tracking.fly, seconds=54.0))
 
 
 def name(row: Row) -> str:

@@ -327,7 +327,7 @@ def end_stream(row: Stop) -> Stop:
         it.step()
     brakes_us = still_us = 0
     furthest_m = -1e9
-    while it.now_us - last_us < 60e6:
+    while it.now_us - last_us < 30e6:
         it.step()
         speed = it.copter.velocity_north_m_s
         furthest_m = max(furthest_m, it.local_m()[0] - begun_m)

@@ -103,6 +103,7 @@ def test_faults_become_lines_of_a_timeline_in_vehicle_time(recorded: Recorded) -
     assert len(timeline(flight, two).splitlines()) == 2
 
 
+@pytest.mark.nightly  # as the comparison of this flight
 def test_the_aeroplane_is_put_where_the_real_one_was_once(recorded: Recorded) -> None:
     flight, notebook = recorded("px4-fixedwing-offboard.tlog"), Notebook()
     known = flight_of(flight)
