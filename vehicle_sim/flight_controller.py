@@ -50,11 +50,6 @@ _STREAM_PARAMETERS = {
     11: "EXTRA2",
     12: "EXTRA3",
 }
-_MISSIONS: dict[str, type[ArduPilotMissions | Px4Missions]] = {
-    "ardupilot": ArduPilotMissions,
-    "px4": Px4Missions,
-}
-_TELEMETRY = {"ardupilot": telemetry_ardupilot.MESSAGES, "px4": telemetry_px4.MESSAGES}
 
 
 @final
@@ -82,9 +77,10 @@ class FlightController:
         """None: PX4, which has no proximity sensors here."""
         self._radio, self._on_text = radio, on_text
         self.now_us = boot_us
-        self._messages = _TELEMETRY[profile.firmware]
+        self._is_px4 = is_px4 = profile.firmware == "px4"
+        self._messages = (telemetry_px4 if is_px4 else telemetry_ardupilot).MESSAGES
         self._parameter_protocol = ParameterProtocol(autopilot)
-        self._mission_protocol = _MISSIONS[profile.firmware](autopilot)
+        self._mission_protocol = (Px4Missions if is_px4 else ArduPilotMissions)(autopilot)
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
@@ -104,10 +100,8 @@ class FlightController:
         self.answer(replies)
         if self.transfers:
             parameters, missions = self._parameter_protocol, self._mission_protocol
-            if parameters.busy:
-                self.answer(parameters.step(self.now_us))
-            if missions.busy:
-                self.answer(missions.step(self.now_us))
+            self.answer(parameters.step(self.now_us))
+            self.answer(missions.step(self.now_us))
             self.transfers = parameters.busy or missions.busy
 
     def stream(self, now_us: int) -> bool:
@@ -200,16 +194,14 @@ class FlightController:
 
     def _say_parameter(self, name: str) -> None:
         """ArduPilot sends it to links on which a sender was heard."""
-        to_all = self.autopilot.profile.firmware == "px4"
         for link in self._radio.links:
-            if to_all or self._radio.router.heard(link):
+            if self._is_px4 or self._radio.router.heard(link):
                 self._radio.send(self._parameter_protocol.value(name), link)
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
-        is_px4 = self.autopilot.profile.firmware == "px4"
         for link in self._radio.links:
-            if link in self._ground_stations if is_px4 else self._radio.router.heard(link):
+            if link in self._ground_stations if self._is_px4 else self._radio.router.heard(link):
                 self._radio.send(messages.text(text), link)
         self._on_text(text)
 
@@ -226,7 +218,7 @@ class FlightController:
         self.answer(self._replies(message, sender, message.get_type()))
 
     def _replies(self, message: Any, sender: Sender, name: str) -> Iterable[Reply | None]:
-        autopilot, is_px4 = self.autopilot, self.autopilot.profile.firmware == "px4"
+        autopilot, is_px4 = self.autopilot, self._is_px4
         since_boot_us = self.now_us - self.boot_us
         match name:
             case "HEARTBEAT":

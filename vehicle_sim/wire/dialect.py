@@ -3,9 +3,9 @@
 import math
 import re
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cache
-from itertools import islice
+from itertools import accumulate
 from typing import Any, Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -27,6 +27,11 @@ class Layout:
         shapes = re.findall(r"(\d*)([a-zA-Z])", form)  # one for each field
         self._lengths = [0 if code == "s" else int(count or 0) for count, code in shapes]
         """Of arrays; 0 of a single value or a text."""
+        starts = accumulate((max(length, 1) for length in self._lengths[:-1]), initial=0)
+        self._places = [*zip(starts, self._lengths, strict=True)]
+        """Where each field begins among the values of the struct."""
+        self._order = [] if kind is None else [names.index(name) for name in kind.fieldnames]
+        """Of the fields in a call of the kind."""
         self._is_plain = not any(self._lengths) and "s" not in form
         self._codes = "".join(
             code * (length or 1) for (_, code), length in zip(shapes, self._lengths, strict=True)
@@ -42,11 +47,13 @@ class Layout:
 
     def message(self, payload: bytes) -> Any:
         """The message that this payload carries; what was left off at its end is zero."""
-        values: Iterable[Any] = self._struct.unpack_from(payload.ljust(self._struct.size, b"\0"))
+        values: Sequence[Any] = self._struct.unpack_from(payload.ljust(self._struct.size, b"\0"))
         if not self._is_plain:
-            each = iter(values)
-            values = (list(islice(each, n)) if n else _no_zeros(next(each)) for n in self._lengths)
-        return self._kind(**dict(zip(self._names, values, strict=True)))
+            values = [
+                list(values[start : start + length]) if length else _no_zeros(values[start])
+                for start, length in self._places
+            ]
+        return self._kind(*[values[place] for place in self._order])
 
     def payload(self, message: Any) -> bytes:
         """All of the payload of a message; zeros at its end may be left off."""
@@ -92,10 +99,10 @@ def layout_named(name: str) -> Layout:
 def make(name: str, **fields: Any) -> Prepared:
     """A message of this name, to be sent; texts as bytes.  What is not given is zero."""
     layout = layout_named(name)
-    values = [fields.pop(field, zero) for field, zero in layout.empty.items()]
-    if fields:
-        raise TypeError(f"{name} has no {', '.join(fields)}")
-    return Prepared(layout, layout.pack(values))
+    filled = layout.empty | fields
+    if len(filled) > len(layout.empty):
+        raise TypeError(f"{name} has no {fields.keys() - layout.empty.keys()}")
+    return Prepared(layout, layout.pack([*filled.values()]))
 
 
 # --- what the dialect lacks -----------------------------------------------------------------------

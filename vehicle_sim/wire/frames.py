@@ -94,11 +94,12 @@ def _read(frame: bytes, layout: Layout) -> Any:
 
 def _end_of_frame(data: bytes, at: int) -> int:
     """Where the frame that begins here ends, if it is one; beyond the data if it is cut."""
-    marker, length, flags = data[at : at + 3].ljust(3, b"\0")
-    if marker == _MARKER_1:
-        return at + _HEADER_1 + length + _CHECKSUM_BYTES
-    signature = _SIGNATURE_BYTES if flags & _SIGNED else 0
-    return at + _HEADER_2 + length + _CHECKSUM_BYTES + signature
+    if len(data) - at < _HEADER_1 + _CHECKSUM_BYTES:
+        return len(data) + 1
+    if data[at] == _MARKER_1:
+        return at + _HEADER_1 + data[at + 1] + _CHECKSUM_BYTES
+    signature = _SIGNATURE_BYTES if data[at + 2] & _SIGNED else 0
+    return at + _HEADER_2 + data[at + 1] + _CHECKSUM_BYTES + signature
 
 
 # --- out ------------------------------------------------------------------------------------------
