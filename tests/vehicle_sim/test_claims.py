@@ -249,7 +249,7 @@ def test_px4_orbits_the_place_at_the_radius_that_it_is_given(kind: Kind, radius_
     client = flying(*kind)
     place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
     assert client.command(34, radius_m, 5.0, 0, 0, *place, frame=5) == ACCEPTED
-    client.run(60.0)
+    client.run(40.0)
     places = set[Vector]()
     for _ in range(20):
         client.run(1.0)
