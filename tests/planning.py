@@ -95,6 +95,7 @@ def fly(
     start_nea_m: tuple[float, float, float],
     *targets_ne_m: tuple[float, float],
     seed: int = 1,
+    **keywords: Any,
 ) -> OfflineFlight:
     """A flight by the compiled kernel through a world of which nothing is known at first."""
     return fly_offline(
@@ -105,6 +106,7 @@ def fly(
         targets_ne_m=targets_ne_m,
         seed=seed,
         planner=partial(plan, kernel=flying_kernel()),
+        **keywords,
     )
 
 

@@ -1,7 +1,9 @@
 """Every end is said on the link before the heartbeat ends, by name and with its reason."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
@@ -48,6 +50,11 @@ def ask(it: Pair, number: int, *values: float) -> None:
 
 
 def in_phase(phase: Phase) -> Pair:
+    return deepcopy(flown_to(phase))
+
+
+@cache
+def flown_to(phase: Phase) -> Pair:
     of = replace(MISSION, end_action=EndAction.HOLD)
     it = Pair(Session(of, seed=1, lockstep=True), Vehicle(lockstep=True))
     if phase is Phase.HOLDING:

@@ -4,6 +4,7 @@ Link 0 of an ArduPilot believes everybody (ardupilot.md 5), so the companion spe
 """
 
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any, final
 
 import pytest
@@ -89,13 +90,27 @@ class Flight:
                 return self
         raise AssertionError(f"not within {within_s} s: {self.session.state.phase}")
 
+    def copy(self) -> "Flight":
+        """Another one that has come as far; only the hash of the key, which stays, is the same."""
+        assert self.session.signing is not None
+        key = self.session.signing._hash
+        return deepcopy(self, {id(key): key})
+
 
 def flying(flight: Flight) -> bool:
     return flight.session.state.flight.leg is not None
 
 
-def test_a_mission_over_a_signed_link_arrives_and_its_log_holds_no_signature() -> None:
-    flight = Flight(vehicle_with_key(), signing())
+@pytest.fixture(scope="module")
+def on_its_way() -> Flight:
+    """Over a signed link, on its first leg; flown once, flown on as a copy."""
+    return Flight(vehicle_with_key(), signing()).run_until(flying)
+
+
+def test_a_mission_over_a_signed_link_arrives_and_its_log_holds_no_signature(
+    on_its_way: Flight,
+) -> None:
+    flight = on_its_way.copy()
     flight.run_until(lambda it: it.out.end is not None)
     end, ours = flight.out.end, flight.session.signing
     assert end is not None
@@ -124,8 +139,8 @@ def test_without_the_right_key_it_never_arms(ours: Signing | None, why: Refusal 
         assert flight.session.state.phase is Phase.WAITING
 
 
-def test_in_flight_only_signed_and_new_orders_are_obeyed() -> None:
-    flight = Flight(vehicle_with_key(), signing()).run_until(flying)
+def test_in_flight_only_signed_and_new_orders_are_obeyed(on_its_way: Flight) -> None:
+    flight = on_its_way.copy()
     pause = mavlink.MAVLink_command_long_message(1, 195, 193, 0, 0, 0, 0, 0, 0, 0, 0)
     station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
 
@@ -148,23 +163,24 @@ def test_in_flight_only_signed_and_new_orders_are_obeyed() -> None:
     assert ours.refused == {Refusal.UNSIGNED: 1, Refusal.WRONG: 1, Refusal.REPLAYED: 1}
 
 
-def test_a_recording_of_the_vehicle_played_back_moves_nothing() -> None:
-    flight = Flight(vehicle_with_key(), signing()).run_until(flying)
+def test_a_recording_of_the_vehicle_played_back_moves_nothing(on_its_way: Flight) -> None:
+    flight = on_its_way.copy()
     state = flight.session.state
     assert not flight.session.receive(b"".join(flight.heard), 1e6)
     flight.session.run()
     assert flight.session.state is state
 
 
-def test_a_companion_that_is_started_again_in_flight_is_believed_at_once() -> None:
-    vehicle = vehicle_with_key()
-    flight = Flight(vehicle, signing()).run_until(flying)
+def test_a_companion_that_is_started_again_in_flight_is_believed_at_once(
+    on_its_way: Flight,
+) -> None:
+    flight = on_its_way.copy()
     for _ in range(50):
         flight.tick()
     ours = flight.session.signing
     assert ours is not None
     assert flight.kept is not None
-    again = Flight(vehicle, signing(ours.timestamp + 1), resume=(flight.kept, flight.known))
+    again = Flight(flight.vehicle, signing(ours.timestamp + 1), resume=(flight.kept, flight.known))
     again.run_until(lambda it: it.out.end is not None)
     end = again.out.end
     assert end is not None

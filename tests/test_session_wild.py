@@ -41,7 +41,7 @@ def test_nothing_is_raised_and_no_nonsense_is_sent_whatever_happens(program: byt
     TARGET.play(program)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(4)  # each second message, to a copter
 @pytest.mark.parametrize("which", [COPTER, pytest.param(PX4, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("number", HANDLED, ids=lambda number: mavlink.mavlink_map[number].msgname)
 def test_a_flood_of_one_message_does_not_pile_up(which: int, number: int) -> None:
@@ -61,7 +61,7 @@ def test_a_flood_of_one_message_does_not_pile_up(which: int, number: int) -> Non
     assert len(saved(session)) < before + GROWTH
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(4)  # each second message, to a copter
 @pytest.mark.parametrize("which", [COPTER, LOCKSTEP])
 def test_what_comes_faster_than_it_is_handled_is_dropped(which: int) -> None:
     session, telemetry = in_flight(which)

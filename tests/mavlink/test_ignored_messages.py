@@ -53,6 +53,7 @@ def vehicle_says(seconds: float) -> list[bytes]:
 SAID = vehicle_says(14.0)
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("seed", range(8))
 def test_frames_that_nobody_reads_change_no_decision_and_are_recorded_where_they_came(
     seed: int,

@@ -280,15 +280,15 @@ def flown(seed: int) -> tuple[NearMap, FloatArray]:
 
 
 @pytest.mark.parametrize(
-    "part", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 50))]
+    "part", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 100))]
 )
 def test_what_is_free_holds_no_point_of_any_thing(part: int) -> None:
     free = 0
     low = np.array([LATTICE.north_min_m, LATTICE.east_min_m])
-    for seed in range(40 * part, 40 * part + 40):
+    for seed in range(20 * part, 20 * part + 20):
         near, things = flown(seed)
         cells = np.floor((things - low) / LATTICE.cell_m).astype(int)
         cells = cells[((cells >= 0) & (cells < LATTICE.shape)).all(axis=1)]
         assert not near.free()[cells[:, 0], cells[:, 1]].any(), seed
         free += int(near.free().sum())
-    assert free > 12_000  # it says something
+    assert free > 6_000  # it says something

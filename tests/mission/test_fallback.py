@@ -10,6 +10,7 @@ from made_up import (
     holding_mode_taken,
     holding_without_fix,
     not_planned,
+    once,
     planned,
     two_legs_away,
 )
@@ -67,6 +68,11 @@ def warnings(craft: Craft) -> list[str]:
     return [said.text for said in craft.sent(StatusText) if said.warning]
 
 
+@once
+def over(failure: Callable[[Mission], Craft]) -> Craft:
+    return failure(AWAY).fly_to(Phase.DONE)
+
+
 def test_what_a_mission_falls_back_on_by_itself_ends_on_the_ground() -> None:
     assert load_mission("environment-1").fallback is Fallback.RETURN
 
@@ -75,7 +81,8 @@ def test_what_a_mission_falls_back_on_by_itself_ends_on_the_ground() -> None:
 def test_a_flight_that_fails_is_left_to_its_autopilots_return_where_no_way_back_is_proven(
     failure: Callable[[Mission], Craft],
 ) -> None:
-    craft = failure(AWAY).fly_to(Phase.HANDING_OVER).fly_to(Phase.DONE)
+    craft = over(failure)
+    assert Phase.HANDING_OVER in {after.phase for _, _, after, _ in craft.steps}
     assert craft.mode is Mode.RETURN
     assert craft.end().outcome is Outcome.FAILED
     reason = craft.state.flight.fallen_back
@@ -103,7 +110,7 @@ def test_it_hovers_in_the_end_only_where_the_mission_says_hold(
 
 
 def test_a_vehicle_that_does_not_know_where_it_is_lands_and_is_not_sent_home() -> None:
-    craft = no_position(AWAY).fly_to(Phase.DONE)
+    craft = over(no_position)
     assert not craft.armed
     assert Mode.RETURN not in modes(craft)
 
@@ -112,7 +119,7 @@ def test_a_vehicle_that_does_not_know_where_it_is_lands_and_is_not_sent_home() -
 def test_what_will_be_done_and_why_is_said_before_it_is_done(
     failure: Callable[[Mission], Craft],
 ) -> None:
-    craft = failure(AWAY).fly_to(Phase.DONE)
+    craft = over(failure)
     reason = craft.state.flight.fallen_back
     assert reason is not None
     mode, how = Mode.RETURN, "its autopilot is told to return"

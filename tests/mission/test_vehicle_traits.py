@@ -68,6 +68,7 @@ def test_no_setpoint_is_sent_before_it_is_in_the_air_and_ours_or_held(
     assert wild.sent(Setpoint)[0].stay
 
 
+@pytest.mark.sample(3)  # of each autopilot
 @DRIVINGS
 @pytest.mark.parametrize("end", list(EndAction), ids=lambda end: end.value)
 def test_a_mission_arrives_and_ends_as_it_should(traits: VehicleTraits, end: EndAction) -> None:
@@ -92,6 +93,7 @@ def test_a_mission_arrives_and_ends_as_it_should(traits: VehicleTraits, end: End
         assert Phase.RETURNING in wild.watch.phases
 
 
+@pytest.mark.sample(3)
 @DRIVINGS
 @pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD], ids=lambda mode: mode.value)
 def test_a_vehicle_that_flies_already_is_taken_over(traits: VehicleTraits, mode: Mode) -> None:
@@ -193,6 +195,7 @@ def test_setpoints_keep_the_period_of_the_autopilot(traits: VehicleTraits) -> No
     assert max(gaps) <= traits.setpoint_period_s + wild.tick_s + 1e-6
 
 
+@pytest.mark.sample(3)  # of each autopilot
 @DRIVINGS
 @pytest.mark.parametrize("how", list(Fallback), ids=lambda how: how.value)
 def test_without_a_way_on_the_mission_falls_back(traits: VehicleTraits, how: Fallback) -> None:

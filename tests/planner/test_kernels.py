@@ -43,6 +43,7 @@ def searched(which: Kernel, seed: int, evaluations: int = 800) -> refined_de.Sta
 
 
 @once
+@pytest.mark.sample(2)
 @seeds
 def test_the_compiled_search_is_the_same_search(compiled: Kernel, seed: int) -> None:
     fast, slow = searched(compiled, seed), searched(NUMPY, seed)
@@ -66,6 +67,7 @@ def test_the_source_of_the_compiled_search_makes_the_same_search_as_plain_python
 
 
 @once
+@pytest.mark.sample(3)  # from rest here, in flight there
 @pytest.mark.parametrize("start", [(1_000.0, 1_000.0, 450.0), (3_500.0, 3_100.0, 500.0)], ids=str)
 @pytest.mark.parametrize("from_rest", [True, False], ids=["from rest", "in flight"])
 def test_both_kernels_make_the_same_plan(

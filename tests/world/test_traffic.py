@@ -46,14 +46,11 @@ def worst_share(points: np.ndarray, times: np.ndarray, other: Track) -> float:
     """Least share of the separation kept at 4,000 moments, the track anywhere in its cylinder."""
     fine = np.linspace(times[0], times[-1], 4001)
     place = np.stack([np.interp(fine, times, axis) for axis in points.T], axis=-1)
-    worst = math.inf
-    for t, here in zip(fine.tolist(), place, strict=True):
-        age_s = t - other.time_s
-        there = np.add(other.position_nea_m, np.multiply(age_s, other.velocity_nea_m_s))
-        level = math.dist(here[:2], there[:2]) - other.error_m - other.growth_m_s * age_s
-        up = abs(here[2] - there[2]) - other.error_up_m - other.growth_up_m_s * age_s
-        worst = min(worst, max(level / APART.horizontal_m, up / APART.vertical_m))
-    return worst
+    age_s = fine - other.time_s
+    apart = place - (other.position_nea_m + age_s[:, None] * np.array(other.velocity_nea_m_s))
+    level = np.hypot(*apart.T[:2]) - other.error_m - other.growth_m_s * age_s
+    up = np.abs(apart[:, 2]) - other.error_up_m - other.growth_up_m_s * age_s
+    return float(np.maximum(level / APART.horizontal_m, up / APART.vertical_m).min())
 
 
 def test_a_certified_motion_keeps_the_separation_at_every_moment() -> None:
