@@ -15,12 +15,7 @@ from recordings import recording
 
 from companion.cli import app
 from companion.config import bundled, load_mission
-from companion.mavlink.parameter_rules import (
-    ARDUCOPTER_RULES,
-    ARDUPLANE_RULES,
-    PX4_FIXED_WING_RULES,
-    PX4_MULTICOPTER_RULES,
-)
+from companion.mavlink.autopilots import ALL
 from companion.runtime.connection import parsed
 from vehicle_sim.cli import app as simulator_app
 from vehicle_sim.cli import bundled_worlds
@@ -229,8 +224,7 @@ def test_what_a_user_reads_fits_in_12_000_words() -> None:
 
 def test_every_parameter_that_is_judged_is_on_the_page() -> None:
     page = (ROOT / "docs" / "connecting.md").read_text(encoding="utf-8")
-    tables = (ARDUCOPTER_RULES, ARDUPLANE_RULES, PX4_MULTICOPTER_RULES, PX4_FIXED_WING_RULES)
-    judged = {rule.name for rules in tables for rule in rules if rule.checks}
+    judged = {rule.name for each in ALL for rule in each.rules if rule.checks}
     assert {name for name in judged if f"`{name}`" not in page} == set()
 
 

@@ -1,7 +1,8 @@
 """Checks of the autopilot's parameters against a mission.
 
 Rules compare in SI units (angles in degrees); a rule holds the parameter's name, its older and
-newer names and their units; results are in the autopilot's units.
+newer names and their units; results are in the autopilot's units.  Which ones an autopilot has
+stands in its module of `autopilots/`, beside the checks that it alone needs.
 """
 
 import enum
@@ -14,6 +15,13 @@ from companion.mission.mission import Mission
 from companion.path.limits import Limits
 
 EQUAL_WITHIN: Final = 1e-6
+CENTI: Final = 0.01
+_GRAVITY_M_S2: Final = 9.81
+_SHORTEST_TIMEOUT_S: Final = 0.5
+"""A 5 to 10 Hz stream on a lossy link must not trigger it."""
+_USUAL_TIMEOUT_S: Final = 1.0
+_EASY: Final = 1.5
+"""Minimum ratio of the loiter radius to the tightest turn, to leave bank angle for wind."""
 
 
 class Severity(enum.Enum):
@@ -22,6 +30,10 @@ class Severity(enum.Enum):
     REFUSE = "refused"
     SET = "set"
     NOTE = "note"
+
+
+ESSENTIAL, WANTED = Severity.REFUSE, Severity.NOTE
+"""If the autopilot does not have a parameter."""
 
 
 @final
@@ -81,7 +93,7 @@ ParameterCheck = Callable[[float, CheckContext], ParameterIssue | None]
 
 @final
 @dataclass(frozen=True, slots=True)
-class ParameterRule:
+class Rule:
     """One parameter that matters for a mission."""
 
     name: str
@@ -113,14 +125,12 @@ class ParameterRule:
         return None
 
 
-def names_of(rules: Iterable[ParameterRule]) -> tuple[tuple[str, ...], ...]:
+def names_of(rules: Iterable[Rule]) -> tuple[tuple[str, ...], ...]:
     """All names of each parameter of a table: what `ParameterClient` asks for."""
     return tuple(tuple(alias.name for alias in rule.names) for rule in rules)
 
 
-def value_of(
-    rules: Iterable[ParameterRule], values: Mapping[str, float], name: str
-) -> float | None:
+def value_of(rules: Iterable[Rule], values: Mapping[str, float], name: str) -> float | None:
     """A parameter by its usual name, in SI; None: not in the table, or not on the autopilot."""
     for rule in rules:
         if rule.name == name:
@@ -130,7 +140,7 @@ def value_of(
 
 
 def check_parameters(
-    rules: Iterable[ParameterRule],
+    rules: Iterable[Rule],
     values: Mapping[str, float],
     mission: Mission,
     home_amsl_m: float | None = None,
@@ -163,9 +173,7 @@ _NOTHING: Final = ParameterIssue(
 )
 
 
-def _checked(
-    rule: ParameterRule, values: Mapping[str, float], case: CheckContext
-) -> ParameterIssue | None:
+def _checked(rule: Rule, values: Mapping[str, float], case: CheckContext) -> ParameterIssue | None:
     found = rule.found(values)
     if found is None:
         return _missing(rule)
@@ -187,7 +195,7 @@ def _checked(
     return replace(issue, name=alias.name, value=values[alias.name])
 
 
-def _missing(rule: ParameterRule) -> ParameterIssue | None:
+def _missing(rule: Rule) -> ParameterIssue | None:
     if rule.if_missing is None:
         return None
     refused = rule.if_missing is Severity.REFUSE
@@ -285,3 +293,152 @@ def is_set(rule: str) -> ParameterCheck:
 def is_zero(rule: str, remedy: str, *, severity: Severity = Severity.NOTE) -> ParameterCheck:
     """A result if the value is 0."""
     return when(lambda value, _: not value, rule, remedy, severity=severity)
+
+
+# --- when the setpoints end: what several autopilots have -----------------------------------------
+
+
+def begins_to_brake_s(
+    case: CheckContext, braking: str, jerk: str, usual: tuple[float, float]
+) -> float:
+    """Equivalent delay from the time-out to braking with full acceleration.
+
+    0.25 s to notice, and half the time in which the acceleration builds up (jerk-limited): 0.5 s
+    with ArduCopter's defaults, which is what was measured (ardupilot.md 3, "Stream stops").
+    """
+    acceleration = max(case.value(braking, usual[0]), 0.1)
+    return 0.25 + 0.5 * acceleration / max(case.value(jerk, usual[1]), 0.1)
+
+
+def timeout(
+    value: float, slack_s: float, case: CheckContext, what: str = "the vehicle flies on"
+) -> ParameterIssue | None:
+    """A time-out of the stream: short enough for the certified reach, long enough for a radio."""
+    what = f"after the last setpoint {what}"
+    dead_man_s = case.limits.dead_man_s
+    shortest_s = max(_SHORTEST_TIMEOUT_S, 3.0 * case.mission.task.settings.position_period_s)
+    longest_s = math.floor((dead_man_s - slack_s + EQUAL_WITHIN) * 10.0) / 10.0
+    if longest_s < shortest_s:
+        return refused(
+            f"{what}; with {shortest_s:g} s, the least for a radio, that is "
+            f"{shortest_s + slack_s:.1f} s, and vehicle.dead_man_s = {dead_man_s:g}",
+            f"Set vehicle.dead_man_s to {up_to_tenths(shortest_s + slack_s):g} or more",
+        )
+    if value > dead_man_s - slack_s + EQUAL_WITHIN:
+        rule = (
+            f"{what} for {value + slack_s:.1f} s, longer than vehicle.dead_man_s = {dead_man_s:g}"
+        )
+        return to_set(longest_s, rule)
+    if value < shortest_s - EQUAL_WITHIN:
+        rule = f"shorter than the {shortest_s:g} s in which a radio may lose setpoints"
+        return to_set(min(_USUAL_TIMEOUT_S, longest_s), rule)
+    return None
+
+
+# --- speeds, tilt and turns -----------------------------------------------------------------------
+
+
+def turning_m_s2(limits: Limits) -> float:
+    """Across, in the tightest turns."""
+    return limits.speed_m_s**2 / limits.turn_radius_m
+
+
+def tilt(value: float, case: CheckContext) -> ParameterIssue | None:
+    """The tilt limit as acceleration, without drag, which is unknown."""
+    needed_m_s2 = max(case.limits.acceleration_m_s2, turning_m_s2(case.limits))
+    has_m_s2 = _GRAVITY_M_S2 * math.tan(math.radians(min(max(value, 0.0), 80.0)))
+    if has_m_s2 >= needed_m_s2:
+        return None
+    degrees = math.degrees(math.atan(needed_m_s2 / _GRAVITY_M_S2))
+    return refused(
+        f"{value:g} deg of tilt give {has_m_s2:.1f} m/s2, and the mission's speed, turn radius "
+        f"and acceleration ask for {needed_m_s2:.1f}",
+        f"Allow {math.ceil(degrees)} deg or more, or fly slower and wider turns",
+    )
+
+
+def _tightest_circle_m(speed_m_s: float, bank_deg: float) -> float:
+    bank = math.radians(min(max(bank_deg, 1.0), 80.0))
+    return speed_m_s**2 / (_GRAVITY_M_S2 * math.tan(bank))
+
+
+def bank(value: float, case: CheckContext) -> ParameterIssue | None:
+    """The bank limits how tightly it turns."""
+    limits = case.limits
+    tightest_m = _tightest_circle_m(limits.speed_m_s, value)
+    if tightest_m <= limits.turn_radius_m + EQUAL_WITHIN:
+        return None
+    return refused(
+        f"with {value:g} deg of bank its tightest turn at {limits.speed_m_s:g} m/s has a radius of "
+        f"{tightest_m:.0f} m, and the mission turns with {limits.turn_radius_m:g} m",
+        f"Set vehicle.turn_radius_m to {math.ceil(tightest_m)} or more",
+    )
+
+
+def circles(wider_m: float, bank: str) -> ParameterCheck:
+    """Whether the autopilot's loiter circles, which are wider by this, stay in the cleared ones.
+
+    bank: the parameter that limits the bank.
+    """
+
+    def check(value: float, case: CheckContext) -> ParameterIssue | None:
+        limits, flown_m = case.limits, abs(value) + wider_m
+        if limits.hovers or flown_m <= limits.loiter_radius_m + EQUAL_WITHIN:
+            return None
+        rule = (
+            f"its circles are flown with {flown_m:g} m, and the mission keeps "
+            f"vehicle.loiter_radius_m = {limits.loiter_radius_m:g} clear"
+        )
+        fits_m = math.floor(limits.loiter_radius_m - wider_m)
+        if fits_m < _EASY * _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0)):
+            return refused(rule, f"Set vehicle.loiter_radius_m to {flown_m:g} or more")
+        return to_set(math.copysign(fits_m, value), rule)
+
+    return check
+
+
+def _climb_m_s(limits: Limits) -> float:
+    return min(limits.climb_rate_m_s, limits.speed_m_s)
+
+
+def _sink_m_s(limits: Limits) -> float:
+    return min(limits.climb_rate_m_s, _plane_sink_m_s(limits))
+
+
+def _plane_climb_m_s(limits: Limits) -> float:
+    """A plane flies every climb at its speed."""
+    return limits.speed_m_s * math.sin(limits.climb_angle_rad)
+
+
+def _plane_sink_m_s(limits: Limits) -> float:
+    return limits.speed_m_s * math.sin(limits.dive_angle_rad)
+
+
+_VERTICAL: Final = (
+    "it {verb} with {{value:g}} m/s at most, and the mission asks for {{planned:.1f}}"
+)
+_CLIMBS: Final = _VERTICAL.format(verb="climbs")
+_SINKS: Final = _VERTICAL.format(verb="sinks")
+_RAISE: Final = "Raise it to {up:g}, or set "
+_OTHER_RATE: Final = _RAISE + "vehicle.climb_rate_m_s to {value:g}"
+COPTER_CLIMBS: Final = at_least(_climb_m_s, _CLIMBS, _OTHER_RATE)
+COPTER_SINKS: Final = at_least(_sink_m_s, _SINKS, _OTHER_RATE)
+PLANE_CLIMBS: Final = at_least(
+    _plane_climb_m_s, _CLIMBS, _RAISE + "a smaller vehicle.climb_angle_deg"
+)
+PLANE_SINKS: Final = at_least(_plane_sink_m_s, _SINKS, _RAISE + "a smaller vehicle.dive_angle_deg")
+BRAKES: Final = at_least(
+    lambda limits: limits.acceleration_m_s2,
+    "it brakes with {value:g} m/s2, and the mission counts on {planned:g}",
+    "Raise it, or set vehicle.acceleration_m_s2 to {value:g} or less",
+)
+SLOWEST: Final = at_most(
+    lambda limits: limits.speed_m_s,
+    "vehicle.speed_m_s = {planned:g} is slower than it may fly",
+    "Fly {value:g} m/s or faster",
+)
+FASTEST: Final = at_least(
+    lambda limits: limits.speed_m_s,
+    "vehicle.speed_m_s = {planned:g} is faster than it may fly",
+    "Fly {value:g} m/s or slower",
+)

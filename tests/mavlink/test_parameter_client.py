@@ -9,6 +9,7 @@ from held import FOUR, Firmware, Held, Kind, from_wire, recorded
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
 from companion.mavlink.parameter_checks import names_of
 from companion.mavlink.parameter_client import (
@@ -18,20 +19,9 @@ from companion.mavlink.parameter_client import (
     encoded,
     is_bytewise,
 )
-from companion.mavlink.parameter_rules import (
-    ARDUCOPTER_RULES,
-    ARDUPLANE_RULES,
-    PX4_FIXED_WING_RULES,
-    PX4_MULTICOPTER_RULES,
-)
 
 ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
-RULES = {
-    ("ardupilot", "copter"): ARDUCOPTER_RULES,
-    ("ardupilot", "plane"): ARDUPLANE_RULES,
-    ("px4", "copter"): PX4_MULTICOPTER_RULES,
-    ("px4", "plane"): PX4_FIXED_WING_RULES,
-}
+RULES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
 WHOLE = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-(2**15), 2**15 - 1)} | {
     5: (0, 2**32 - 1),
     6: (-(2**31), 2**31 - 1),

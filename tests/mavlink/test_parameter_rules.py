@@ -14,21 +14,16 @@ from hypothesis import strategies as st
 
 from companion.config import bundled, load_mission
 from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots import ALL
 from companion.mavlink.parameter_checks import (
     ParameterIssue,
-    ParameterRule,
+    Rule,
     Severity,
     check_parameters,
     names_of,
     value_of,
 )
 from companion.mavlink.parameter_client import ParameterClient
-from companion.mavlink.parameter_rules import (
-    ARDUCOPTER_RULES,
-    ARDUPLANE_RULES,
-    PX4_FIXED_WING_RULES,
-    PX4_MULTICOPTER_RULES,
-)
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
@@ -38,12 +33,8 @@ from vehicle_sim.parameters import table
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
 
-TABLES: dict[tuple[Firmware, Kind], tuple[ParameterRule, ...]] = {
-    ("ardupilot", "copter"): ARDUCOPTER_RULES,
-    ("ardupilot", "plane"): ARDUPLANE_RULES,
-    ("px4", "copter"): PX4_MULTICOPTER_RULES,
-    ("px4", "plane"): PX4_FIXED_WING_RULES,
-}
+TABLES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
+ARDUCOPTER_RULES, ARDUPLANE_RULES, PX4_MULTICOPTER_RULES, PX4_FIXED_WING_RULES = TABLES.values()
 ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
 REFUSE, SET, NOTE = Severity.REFUSE, Severity.SET, Severity.NOTE
 
@@ -91,7 +82,7 @@ def found(findings: Iterable[ParameterIssue], name: str) -> ParameterIssue | Non
 
 
 def of(
-    rules: tuple[ParameterRule, ...],
+    rules: tuple[Rule, ...],
     values: dict[str, float],
     name: str,
     value: float,
@@ -344,7 +335,7 @@ def test_bank_turns(bank_deg: float, radius_m: float) -> None:
     ],
 )
 def test_circles_fit_into_what_is_kept_clear(
-    rules: tuple[ParameterRule, ...], values: dict[str, float], name: str, wider_m: float
+    rules: tuple[Rule, ...], values: dict[str, float], name: str, wider_m: float
 ) -> None:
     """ardupilot.md 7: flown 17-20 m wider than asked; px4.md 10: as asked."""
     flown = mission("plane", loiter_radius_m=100.0)

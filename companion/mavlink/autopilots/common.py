@@ -7,7 +7,7 @@ from typing import final
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import DECODERS, Decoder, command_long, set_mode
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.parameter_checks import ParameterRule
+from companion.mavlink.parameter_checks import Rule
 from companion.mission.events import (
     Event,
     Mode,
@@ -82,7 +82,7 @@ class Autopilot:
 
     traits: VehicleTraits
     """What the mission has to know of it."""
-    rules: tuple[ParameterRule, ...]
+    rules: tuple[Rule, ...]
     """Parameter checks for a safe flight."""
     modes: Modes
     """Its mode numbers and names."""

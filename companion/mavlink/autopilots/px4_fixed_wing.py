@@ -5,12 +5,14 @@ echo in OFFBOARD.  It starts rolling as soon as it is armed.
 """
 
 import math
+from typing import Final
 
 from companion.geodesy import LocalFrame
+from companion.mavlink import parameter_checks as check
 from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.parameter_rules import PX4_FIXED_WING_RULES
+from companion.mavlink.parameter_checks import ESSENTIAL, Rule
 from companion.mission.events import Setpoint, TakeOff, Vector
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 
@@ -65,6 +67,49 @@ def _setpoint(
     return messages.position_target(setpoint, frame, system_id, type_mask=mask)
 
 
+def _offboard_timeout_of_a_plane(
+    value: float, case: check.CheckContext
+) -> check.ParameterIssue | None:
+    """PX4's COM_OF_LOSS_T; then it circles where it is (px4.md 10)."""
+    return check.timeout(value, 0.5, case, "the plane flies straight on")
+
+
+def _only_speed(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+    """PX4's fixed wing always flies at this speed (px4.md 10)."""
+    speed = case.limits.speed_m_s
+    if value > 1.05 * speed:
+        return check.refused(
+            f"it always flies this airspeed, and the mission counts on {speed:g} m/s or less",
+            f"Set vehicle.speed_m_s to {value:g}",
+        )
+    if value < 0.95 * speed:
+        return check.note(f"it always flies this airspeed; the mission counts on {speed:g} m/s")
+    return None
+
+
+_RULES: Final = (
+    Rule(
+        "COM_OF_LOSS_T",
+        "how long it flies on without setpoints",
+        (_offboard_timeout_of_a_plane,),
+        ESSENTIAL,
+    ),
+    Rule("FW_AIRSPD_TRIM", "the airspeed that it flies", (_only_speed,), ESSENTIAL),
+    Rule("FW_AIRSPD_MIN", "its least airspeed", (check.SLOWEST,)),
+    Rule("FW_AIRSPD_MAX", "its highest airspeed", (check.FASTEST,)),
+    Rule(
+        "NAV_LOITER_RAD",  # held within 0.4 m (px4.md 10)
+        "the circles that it holds on",
+        (check.circles(5.0, "FW_R_LIM"),),
+        ESSENTIAL,
+    ),
+    Rule("FW_R_LIM", "how tightly it turns", (check.bank,)),
+    Rule("FW_T_CLMB_R_SP", "how fast it climbs", (check.PLANE_CLIMBS,)),
+    Rule("FW_T_SINK_R_SP", "how fast it sinks", (check.PLANE_SINKS,)),
+    *px4.RULES,
+)
+"""PX4, fixed wing."""
+
 PX4_FIXED_WING = Autopilot(
     traits=VehicleTraits(
         name="PX4 fixed wing",
@@ -73,7 +118,7 @@ PX4_FIXED_WING = Autopilot(
         lead_s=1.5,
         needs_setpoints_before_offboard=True,
     ),
-    rules=PX4_FIXED_WING_RULES,
+    rules=_RULES,
     modes=px4.MODES,
     streams_hz=px4.STREAMS_HZ,
     intermittent=px4.INTERMITTENT,

@@ -3,11 +3,15 @@
 It flies at the velocity of its setpoints.  10 s on the ground disarm it again.
 """
 
+import math
+from typing import Final
+
 from companion.geodesy import LocalFrame
+from companion.mavlink import parameter_checks as check
 from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.parameter_rules import PX4_MULTICOPTER_RULES
+from companion.mavlink.parameter_checks import ESSENTIAL, WANTED, Rule
 from companion.mission.events import TakeOff
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 
@@ -20,6 +24,53 @@ def _take_off(
     return px4.take_off((north_m, east_m, command.altitude_amsl_m), frame, system_id)
 
 
+def _offboard_timeout(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+    """PX4's COM_OF_LOSS_T; the mode changes 0.12 s after it (px4.md 6)."""
+    slack_s = 0.12 + check.begins_to_brake_s(case, "MPC_ACC_HOR", "MPC_JERK_AUTO", (3.0, 4.0))
+    return check.timeout(value, slack_s, case)
+
+
+def _speed_of_offboard(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+    """At MPC_XY_VEL_MAX it falls behind without recovery (px4.md 5)."""
+    speed = case.limits.speed_m_s
+    if speed <= 0.8 * value + check.EQUAL_WITHIN:
+        return None
+    if speed <= 0.85 * value + check.EQUAL_WITHIN:
+        return check.note(
+            f"vehicle.speed_m_s = {speed:g} leaves less than 20 % to catch up with",
+            f"Better {0.8 * value:.1f} m/s or less",
+        )
+    return check.refused(
+        f"vehicle.speed_m_s = {speed:g} is more than 85 % of it: nothing is left to catch up with",
+        f"Raise it to {math.ceil(speed / 0.8)} or more, or fly {0.8 * value:.1f} m/s or less",
+    )
+
+
+_RULES: Final = (
+    Rule(
+        "COM_OF_LOSS_T", "how long it flies on without setpoints", (_offboard_timeout,), ESSENTIAL
+    ),
+    Rule("MPC_XY_VEL_MAX", "its highest speed", (_speed_of_offboard,), ESSENTIAL),
+    Rule(
+        "MPC_Z_VEL_MAX_UP",
+        "how fast it climbs",
+        (check.COPTER_CLIMBS,),
+        ESSENTIAL,
+    ),
+    Rule(
+        "MPC_Z_VEL_MAX_DN",
+        "how fast it sinks",
+        (check.COPTER_SINKS,),
+        ESSENTIAL,
+    ),
+    Rule("MPC_TILTMAX_AIR", "its tilt limits its speed", (check.tilt,)),
+    Rule("MPC_ACC_HOR", "how hard it brakes", (check.BRAKES,), WANTED),
+    Rule("MPC_JERK_AUTO", "how fast braking builds up"),
+    Rule("MPC_LAND_SPEED", "how fast it lands"),
+    *px4.RULES,
+)
+"""PX4, multicopter."""
+
 PX4_MULTICOPTER = Autopilot(
     traits=VehicleTraits(
         name="PX4 multicopter",
@@ -27,7 +78,7 @@ PX4_MULTICOPTER = Autopilot(
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
         needs_setpoints_before_offboard=True,
     ),
-    rules=PX4_MULTICOPTER_RULES,
+    rules=_RULES,
     modes=px4.MODES,
     streams_hz={**px4.STREAMS_HZ, wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0},
     intermittent=px4.INTERMITTENT,
