@@ -483,7 +483,7 @@ class Session:
             return
         self._time_asked += 1
         self._send_all([wire.MAVLink_timesync_message(message.ts1, message.ts1)])
-        seldom = self.vehicle is not None and not self.vehicle.asks_time_often
+        seldom = self.vehicle is not None and not self.vehicle.autopilot.firmware.asks_time_often
         often = self._time_asked == _LOCKSTEP and self.now_s < _EARLY_S
         if seldom and often and not self._lockstep:
             self._send_text("simulator in lockstep: use --lockstep here too", warning=True)

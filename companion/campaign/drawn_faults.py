@@ -13,6 +13,9 @@ from typing import Final, final
 
 import numpy as np
 
+from companion.mavlink.autopilots import named
+from companion.mission.events import Mode
+
 Rng = np.random.Generator
 
 FAMILIES: Final = ("single", "combined", "steady", "programs")
@@ -30,9 +33,6 @@ _STEADY: Final = (
 _FROM_S: Final = 35.0
 """About when vehicles are in the air."""
 _UNTIL_S: Final = {"copter": 110.0, "plane": 140.0}
-_RETURN: Final = {"ardupilot-copter": "6", "ardupilot-plane": "11"}
-_GUIDED: Final = {"ardupilot-copter": "4", "ardupilot-plane": "15"}
-_PX4_RETURN: Final = "4 5"
 _CONTINUE: Final = "ground_command 193 1"
 _SIDES: Final = ("north", "east", "south", "west")
 _LINE: Final = re.compile(r"at ([\d.]+) s(?: for ([\d.]+) s)?: *(\S.*)")
@@ -173,13 +173,15 @@ def _wind(rng: Rng, subject: Subject) -> str:
     )
 
 
-def _mode(subject: Subject, modes: dict[str, str], px4: str) -> str:
-    return f"ground_command 176 1 {modes.get(subject.vehicle, px4)} to_autopilot"
+def _mode(subject: Subject, mode: Mode) -> str:
+    numbers = named(*subject.vehicle.split("-")).modes.asked[mode]
+    return f"ground_command 176 1 {' '.join(map(str, numbers))} to_autopilot"
 
 
 def _pilot_and_back(rng: Rng, subject: Subject, at_s: float) -> list[str]:
-    by_mode = subject.vehicle in _GUIDED and rng.random() < 0.5
-    back = _mode(subject, _GUIDED, "") if by_mode else _CONTINUE
+    traits = named(*subject.vehicle.split("-")).traits
+    by_mode = not traits.needs_setpoints_before_offboard and rng.random() < 0.5
+    back = _mode(subject, Mode.GUIDED) if by_mode else _CONTINUE
     return [f"at {at_s} s: pilot", f"at {at_s + rng.uniform(2.0, 6.0):.1f} s: {back}"]
 
 
@@ -261,7 +263,7 @@ ROWS: Final[dict[str, Draw]] = {
     "set": _fault(lambda r, _: f"set SIM_GPS1_NUMSATS {r.integers(3, 9)}", (2.0, 25.0)),
     "nothing": lambda *_: [],
     "pilot, and back": _pilot_and_back,
-    "station selects return": _fault(lambda _, s: _mode(s, _RETURN, _PX4_RETURN)),
+    "station selects return": _fault(lambda _, s: _mode(s, Mode.RETURN)),
     "told to return": _fault(lambda *_: "ground_command 20"),
     "told to land": _fault(lambda *_: "ground_command 21"),
     "new fence ahead": _fault(_fence_ahead),

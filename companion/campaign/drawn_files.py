@@ -4,21 +4,20 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from companion.campaign.drawn_world import DrawnWorld
 from companion.geodesy import LocalFrame
-from companion.mission.mission import EndAction, Mission
+from companion.mavlink.autopilots import named
+from companion.mission.mission import AutopilotName, EndAction, Mission
 from companion.sources.elevation import write_elevation
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionVehicleTable, PlannerTable
 from companion.world.terrain import ArrayTerrain
 from companion.world.threats import CircleZone, Radar, Zone
-
-Autopilot = Literal["ardupilot", "px4"]
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 """Where drawn worlds lie: with the environments."""
@@ -31,7 +30,7 @@ _DEG_M = 111_320.0
 def write(
     drawn: DrawnWorld,
     folder: Path,
-    autopilot: Autopilot = "ardupilot",
+    autopilot: AutopilotName = "ardupilot",
     vehicle: Mapping[str, Any] | None = None,
 ) -> tuple[Path, Path]:
     """Write world.toml, mission.toml and, of heights, terrain.tif -> (world, mission) paths.
@@ -51,7 +50,7 @@ def write(
     return world, mission
 
 
-def mission_of(drawn: DrawnWorld, autopilot: Autopilot = "ardupilot") -> Mission:
+def mission_of(drawn: DrawnWorld, autopilot: AutopilotName = "ardupilot") -> Mission:
     """The mission of a drawn world, for a vehicle of one of the autopilots."""
     often = drawn.task.settings.scan_time_s < _USUAL_SCAN_S
     return Mission(
@@ -129,9 +128,10 @@ def _kind(drawn: DrawnWorld) -> str:
     return "copter" if drawn.task.limits.hovers else "plane"
 
 
-def _world_table(drawn: DrawnWorld, autopilot: Autopilot) -> dict[str, Any]:
+def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     """The truth, and a vehicle that can do what the mission asks of it."""
     task, terrain = drawn.task, drawn.terrain
+    strategy = named(autopilot, _kind(drawn))
     start, target = np.array(drawn.start_nea_m[:2]), np.array(drawn.targets_ne_m[0])
     ahead = target - start if task.limits.hovers else start - target
     """A plane climbs out over ground on which nothing stands."""
@@ -154,7 +154,10 @@ def _world_table(drawn: DrawnWorld, autopilot: Autopilot) -> dict[str, Any]:
             "east_m": float(start[1]),
             "heading_deg": math.degrees(math.atan2(ahead[1], ahead[0])),
             **_abilities(drawn),
-            "parameters": _parameters(drawn, autopilot),
+            "parameters": {
+                **strategy.firmware.lasting_battery,
+                **strategy.parameters_for(task.limits),
+            },
         },
         "radars": [_radar(radar) for radar in task.radars],
         "scanner": {"component_id": 100, "range_m": task.settings.scan_range_m},
@@ -171,32 +174,6 @@ def _abilities(drawn: DrawnWorld) -> dict[str, float]:
         "acceleration_max_m_s2": 2.0 * limits.acceleration_m_s2,
         "speed_vertical_max_m_s": 1.5 * limits.climb_rate_m_s,
         "acceleration_vertical_max_m_s2": max(2.5, limits.acceleration_m_s2),
-    }
-
-
-def _parameters(drawn: DrawnWorld, autopilot: Autopilot) -> dict[str, float]:
-    """What an operator has set before: a battery that lasts, and the mission's speed."""
-    limits = drawn.task.limits
-    if autopilot == "px4":
-        lasts = {"SIM_BAT_DRAIN": 10_000.0}
-        if not limits.hovers:
-            return lasts | {
-                "FW_AIRSPD_TRIM": limits.speed_m_s,
-                "FW_AIRSPD_MAX": 1.3 * limits.speed_m_s,
-            }
-        return lasts | {
-            "MPC_XY_VEL_MAX": 1.3 * limits.speed_m_s,
-            "MPC_Z_VEL_MAX_UP": max(3.0, limits.climb_rate_m_s),
-            "MPC_Z_VEL_MAX_DN": max(1.5, limits.climb_rate_m_s),
-        }
-    lasts = {"BATT_CAPACITY": 100_000.0}
-    if not limits.hovers:
-        return lasts | {"AIRSPEED_CRUISE": limits.speed_m_s}
-    return lasts | {
-        "GUID_TIMEOUT": 3.0,
-        "WPNAV_SPEED": 100.0 * limits.speed_m_s,
-        "WPNAV_ACCEL": 100.0 * limits.acceleration_m_s2,
-        "PSC_JERK_XY": 4.0 * limits.acceleration_m_s2,
     }
 
 

@@ -5,7 +5,6 @@ messages and events out.
 """
 
 import math
-import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
@@ -17,7 +16,7 @@ from companion.mavlink.autopilots.messages import NO_HEADING, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.parameter_checks import ParameterIssue, Severity, check_parameters, names_of
-from companion.mavlink.parameter_client import ParameterClient, is_bytewise
+from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import FENCE, MISSION, PlanClient
 from companion.mavlink.streams import StreamRequests
 from companion.mission.decisions import Context
@@ -54,12 +53,6 @@ _MAX_SETS = 3  # of one parameter: a client that sets it back so often means it
 _SMOOTH = 0.3  # of a new round trip
 _NEWS_S = 0.005  # a change of less moves no setpoint by much
 _HOME_MOVED_M = 5.0
-_BREACHED = re.compile(r"\bfences? breached|^geofence: approaching or outside", re.IGNORECASE)
-"""ArduPilot: `Polygon fence breached` (ardupilot.md 4); PX4, where a ground station listens too."""
-_FAMILY = {
-    "ardupilot": wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
-    "px4": wire.MAV_AUTOPILOT_PX4,
-}
 
 
 AutopilotCommand = SetMode | SetSpeed | Arm | TakeOff
@@ -75,18 +68,18 @@ class AutopilotClient:
         mission: Mission,
         system_id: int,
         autopilot: Autopilot,
-        number: int,
         *,
         lockstep: bool,
         sets_parameters: bool,
     ) -> None:
-        """number: HEARTBEAT.autopilot; sets_parameters: False only reports what to set."""
+        """sets_parameters: False only reports what to set."""
         self.system_id, self.autopilot = system_id, autopilot
+        self._firmware = autopilot.firmware
         self.streams = StreamRequests(
             system_id, autopilot, mission.position_rate_hz, streams_hz(mission)
         )
         wanted = names_of(rule for rule in autopilot.rules if rule.matters(mission))
-        self.parameters = ParameterClient(system_id, wanted, bytewise=is_bytewise(number))
+        self.parameters = ParameterClient(system_id, wanted, bytewise=self._firmware.is_bytewise)
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
@@ -96,8 +89,6 @@ class AutopilotClient:
         self.round_trip_s: float | None = None
         self.geoid_m: float | None = None
         """How far its mean sea level lies above the ellipsoid, as its GPS has it."""
-        self.asks_time_often = number == wire.MAV_AUTOPILOT_PX4
-        """Whether it sends TIMESYNC at 10 Hz by itself (px4.md 2)."""
         self.notes: list[str] = []
         """What a person should hear of, since last looked at."""
         self.said: tuple[float, str] = (-math.inf, "")
@@ -112,7 +103,6 @@ class AutopilotClient:
         self._sets: dict[str, int] = {}
         """How often each parameter was set."""
         self._refusal_told = ""
-        self._home_first = number == wire.MAV_AUTOPILOT_ARDUPILOTMEGA
         self._drawing_of: tuple[int, float] | None = None
         self._drawing: fence.FenceBuilder | None = None
         self._drawn: fence.Fence | None = None
@@ -138,13 +128,12 @@ class AutopilotClient:
         autopilot = autopilot_of(heartbeat)
         if autopilot is None or autopilot.traits.hovers != (mission.kind == "copter"):
             return None
-        if mission.autopilot is not None and heartbeat.autopilot != _FAMILY[mission.autopilot]:
+        if mission.autopilot not in (None, autopilot.firmware.name):
             return None
         return AutopilotClient(
             mission,
             heartbeat.get_srcSystem(),
             autopilot,
-            heartbeat.autopilot,
             lockstep=context.lockstep,
             sets_parameters=not context.shadow,
         )
@@ -240,7 +229,8 @@ class AutopilotClient:
 
     def _on_statustext(self, message: Message, now_s: float) -> Event | None:
         self.said = now_s, message.text
-        return None if _BREACHED.search(message.text) is None else FenceBreach(time_s=now_s)
+        breached = self._firmware.breached.search(message.text)
+        return None if breached is None else FenceBreach(time_s=now_s)
 
     def _on_fence_status(self, message: Message, now_s: float) -> Event | None:
         before, self._breaches = self._breaches, message.breach_count
@@ -415,17 +405,18 @@ class AutopilotClient:
             return []
         told, refusal = list[Event](), ""
         if mission.fence_from_vehicle:
-            if not self._build_fence():
+            settings = self._firmware.fence(self.parameters.values)
+            if not self._build_fence(settings.margin_m):
                 return []
             made_of = (plans.plans[FENCE].version, self.parameters.version, self._home_nea_m)
             if made_of != self._fence_made_of:
                 self._fence_made_of = made_of
-                refusal = self._update_fence(now_s, told)
+                refusal = self._update_fence(settings, now_s, told)
         version = plans.plans[MISSION].version
         if mission.targets_from_vehicle and version != self._targets_version:
             self._targets_version = version
             route = fence.targets_of(
-                plans.plans[MISSION].items, mission.frame, home_first=self._home_first
+                plans.plans[MISSION].items, mission.frame, home_first=self._firmware.home_first
             )
             self.notes += route.notes
             if route.end_action not in (None, mission.end_action):
@@ -438,9 +429,9 @@ class AutopilotClient:
             told.append(Prepared(time_s=now_s, item=Item.PLANS, refusal=refusal))
         return told
 
-    def _build_fence(self) -> bool:
+    def _build_fence(self, margin_m: float) -> bool:
         """Build more zones of the fence; whether it is complete."""
-        plan, margin_m = self.plans.plans[FENCE], fence.margin_m(self.parameters.values)
+        plan = self.plans.plans[FENCE]
         if (plan.version, margin_m) != self._drawing_of:
             self._drawing_of = (plan.version, margin_m)
             self._drawing = fence.FenceBuilder(plan.items, self._mission.frame, margin_m)
@@ -448,7 +439,7 @@ class AutopilotClient:
             self._drawn, self._drawing = drawn, None
         return self._drawing is None
 
-    def _update_fence(self, now_s: float, told: list[Event]) -> str:
+    def _update_fence(self, settings: fence.FenceSettings, now_s: float, told: list[Event]) -> str:
         """Report the current fence; returns why the mission conflicts with it, if it does.
 
         Until all of it is known the previously reported one stays in force.
@@ -456,10 +447,7 @@ class AutopilotClient:
         assert self._drawn is not None
         mission = self._mission
         whole = fence.in_force(
-            self._drawn,
-            self.parameters.values,
-            home_nea_m=self._home_nea_m,
-            here_ne_m=self.here_ne_m,
+            self._drawn, settings, home_nea_m=self._home_nea_m, here_ne_m=self.here_ne_m
         )
         self.fence = whole
         event = whole.changed(now_s)

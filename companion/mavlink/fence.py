@@ -5,7 +5,7 @@ fence is ambiguous, the more restrictive reading is taken and noted.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -26,8 +26,6 @@ POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 POLYGON_OUT: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 CIRCLE_IN: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
 CIRCLE_OUT: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
-_ALT_MAX, _CIRCLE, _ALT_MIN = 1, 2, 8
-"""Bits of FENCE_TYPE."""
 _FRAMES: Final = frozenset(
     {
         wire.MAV_FRAME_GLOBAL,
@@ -39,14 +37,30 @@ _FRAMES: Final = frozenset(
     }
 )
 """Those in which x and y are a latitude and a longitude."""
-_UNION = 2
-"""Bit of FENCE_OPTIONS: the union of the inclusion zones is allowed."""
 _LARGEST_M = 2.1e7  # half of the way around the Earth
 _CORNERS_AT_ONCE = 250
 """Enough for one event."""
 _EARTH_M, _NEAR_M = 6.37e6, 2e6
 _STRAIGHT_M = 0.5
 """Allowed distance between an edge straight in degrees and one straight in the local frame."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FenceSettings:
+    """What an autopilot's parameters say of its fence, besides the uploaded list."""
+
+    margin_m: float = 0.0
+    union: bool = False
+    """Whether of several inclusion zones one is enough."""
+    radius_m: float | None = None
+    """Of a cylinder about home; None: unlimited."""
+    above_m: float | None = None
+    """Highest above home."""
+    below_m: float | None = None
+    """Lowest above home."""
+    note: str = ""
+    """To the operator, if there is a fence."""
 
 
 @final
@@ -89,43 +103,26 @@ class Targets:
 # --- fence ----------------------------------------------------------------------------------------
 
 
-def margin_m(parameters: Mapping[str, float]) -> float:
-    """The autopilot's own fence margin."""
-    return max(_finite(parameters.get("FENCE_MARGIN", 0.0)), 0.0)
-
-
 def in_force(
     drawn: Fence,
-    parameters: Mapping[str, float],
+    settings: FenceSettings,
     *,
     home_nea_m: Vector | None = None,
     here_ne_m: Point | None = None,
 ) -> Fence:
     """The fence in force: the uploaded one, and what parameters add or switch off.
 
-    Parameters
-    ----------
-    parameters
-        By name, in the autopilot's units: FENCE_* of ArduPilot, GF_* of PX4.
-    home_nea_m
-        The vehicle's home; without it nothing is drawn about it.
-    here_ne_m
-        Where the vehicle is: of inclusion zones of which one is enough, those that it is in.
+    home_nea_m: the vehicle's home; without it nothing is drawn about it.  here_ne_m: where the
+    vehicle is: of inclusion zones of which one is enough, those that it is in.
     """
-    found = _one_is_enough(drawn, parameters, here_ne_m)
-    has_any = bool(drawn.zones or drawn.refusal)
-    if has_any and not _is_on(parameters) and "FENCE_ENABLE" in parameters:
-        found = _with_notes(found, "FENCE_ENABLE = 0: the fence that is drawn is kept all the same")
-    return _about_home(found, parameters, home_nea_m, margin_m(parameters))
+    found = _one_is_enough(drawn, settings, here_ne_m)
+    if settings.note and (drawn.zones or drawn.refusal):
+        found = _with_notes(found, settings.note)
+    return _about_home(found, settings, home_nea_m)
 
 
 def _with_notes(fence: Fence, *what: str) -> Fence:
     return replace(fence, notes=(*fence.notes, *what))
-
-
-def _is_on(parameters: Mapping[str, float]) -> bool:
-    """Whether ArduPilot's fence is on, or will be by itself (at take-off, on arming)."""
-    return bool(parameters.get("FENCE_ENABLE", 0.0) or parameters.get("FENCE_AUTOENABLE", 0.0))
 
 
 @final
@@ -164,9 +161,9 @@ def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
     while index < len(items):
         item, count = items[index], 1
         if item.command in (POLYGON_IN, POLYGON_OUT):
-            wanted = _finite(item.parameters[0])
+            wanted = item.parameters[0]
             while (
-                count < wanted
+                count < wanted < math.inf
                 and index + count < len(items)
                 and items[index + count].command == item.command
             ):
@@ -300,7 +297,7 @@ def _between(one: Point, other: Point, frame: LocalFrame, deepest: int = 6) -> l
     return [*before, m, *_between(middle, other, frame, deepest - 1)]
 
 
-def _one_is_enough(fence: Fence, parameters: Mapping[str, float], here_ne_m: Point | None) -> Fence:
+def _one_is_enough(fence: Fence, settings: FenceSettings, here_ne_m: Point | None) -> Fence:
     """With a union of inclusion zones, keep to those that the vehicle is in.
 
     Their intersection lies inside the union.
@@ -308,10 +305,8 @@ def _one_is_enough(fence: Fence, parameters: Mapping[str, float], here_ne_m: Poi
     inside = [zone for zone in fence.zones if zone.keep_in]
     if len(inside) < 2:
         return fence
-    is_px4 = "FENCE_ENABLE" not in parameters
-    union = is_px4 or bool(int(_finite(parameters.get("FENCE_OPTIONS", 0.0))) & _UNION)
     kept = inside
-    if union and here_ne_m is not None:
+    if settings.union and here_ne_m is not None:
         kept = [zone for zone in inside if _distance_m(zone, here_ne_m) > 0.0] or inside
     names = ", ".join(zone.name for zone in kept)
     zones = tuple(zone for zone in fence.zones if not zone.keep_in or zone in kept)
@@ -324,11 +319,10 @@ def _distance_m(zone: Zone, place_ne_m: Point) -> float:
     return float(zone.distance_m(north, east))
 
 
-def _about_home(
-    fence: Fence, parameters: Mapping[str, float], home_nea_m: Vector | None, margin_m: float
-) -> Fence:
-    """ArduPilot's cylinder (FENCE_RADIUS, FENCE_ALT_MAX, _MIN) or PX4's (GF_MAX_*_DIST)."""
-    radius_m, above_m, below_m = _cylinder(parameters)
+def _about_home(fence: Fence, settings: FenceSettings, home_nea_m: Vector | None) -> Fence:
+    """With the cylinder that parameters draw."""
+    margin_m, radius_m = settings.margin_m, settings.radius_m
+    above_m, below_m = settings.above_m, settings.below_m
     if radius_m is None and above_m is None and below_m is None:
         return fence
     name = "fence about home"
@@ -353,30 +347,6 @@ def _about_home(
         ceiling_amsl_m=None if above_m is None else up_m + above_m - margin_m,
         floor_amsl_m=None if below_m is None else up_m + below_m + margin_m,
     )
-
-
-def _cylinder(parameters: Mapping[str, float]) -> tuple[float | None, float | None, float | None]:
-    """Radius, highest and lowest height above home; None: unlimited."""
-    if _is_on(parameters):
-        kinds = int(_finite(parameters.get("FENCE_TYPE", 0.0)))
-        names = (
-            (_CIRCLE, "FENCE_RADIUS"),
-            (_ALT_MAX, "FENCE_ALT_MAX"),
-            (_ALT_MIN, "FENCE_ALT_MIN"),
-        )
-        radius_m, above_m, below_m = (
-            _finite(parameters[name]) if kinds & bit and name in parameters else None
-            for bit, name in names
-        )
-        return radius_m, above_m, below_m
-    far_m, high_m = (
-        _finite(parameters.get(name, 0.0)) for name in ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
-    )
-    return far_m if far_m > 0.0 else None, high_m if high_m > 0.0 else None, None
-
-
-def _finite(value: float) -> float:
-    return value if math.isfinite(value) else 0.0
 
 
 def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[str, ...]:
@@ -432,7 +402,7 @@ _TAKE_OFF: Final = frozenset({wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_VTOL_TA
 def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool) -> Targets:
     """The places that a mission goes to, in order, and how it ends.
 
-    home_first: whether item 0 is home and no target (ArduPilot).  Heights are not taken: the
+    home_first: whether item 0 is home and no target.  Heights are not taken: the
     planner chooses them within the mission's band.
     """
     targets: list[Point] = []

@@ -69,19 +69,6 @@ class _ParameterSet:
     """Whether the autopilot has echoed this value, so that only the read-back is missing."""
 
 
-def is_bytewise(autopilot: int, capabilities: int | None = None) -> bool:
-    """Whether integers are sent bytewise in the float field (PX4), or cast to float.
-
-    autopilot: HEARTBEAT.autopilot; capabilities: AUTOPILOT_VERSION.capabilities, if known.
-    """
-    if capabilities is not None:
-        if capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE:
-            return True
-        if capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST:
-            return False
-    return autopilot == wire.MAV_AUTOPILOT_PX4
-
-
 def decoded(message: Message, *, bytewise: bool) -> float:
     """The value in a PARAM_VALUE or PARAM_SET, by its own param_type."""
     form = _FORMATS.get(message.param_type) if bytewise else None
@@ -244,8 +231,9 @@ class ParameterClient:
 
     def _on_version(self, message: Message) -> None:
         """If integers are encoded differently than assumed, request everything again."""
-        autopilot = wire.MAV_AUTOPILOT_PX4 if self._bytewise else wire.MAV_AUTOPILOT_INVALID
-        bytewise = is_bytewise(autopilot, message.capabilities)
+        as_bytes = message.capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+        cast = message.capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+        bytewise = bool(as_bytes) or (self._bytewise and not cast)
         if bytewise != self._bytewise:
             self._bytewise = bytewise
             wanted = {name: setting.value for name, setting in self._sets.items()}

@@ -12,6 +12,7 @@ from companion.ranges import Positive
 from companion.world.known_map import KnownMap
 from companion.world.near_map import NearSensor
 
+AutopilotName = Literal["ardupilot", "px4"]
 _LEFT = 0.1  # of the vehicle's errors: the lowest band that a path is planned in
 
 
@@ -65,7 +66,7 @@ class Mission:
     end_action: EndAction
     system_id: Annotated[int, Ge(1), Le(255)] | None = None
     """MAVLink system id of the vehicle; None: the one autopilot that is heard."""
-    autopilot: Literal["ardupilot", "px4"] | None = None
+    autopilot: AutopilotName | None = None
     """If the mission is for one of them only."""
     kind: str = "copter"
     """ "copter" or "plane"."""

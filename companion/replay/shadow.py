@@ -35,10 +35,6 @@ _SHOWN_BYTES: Final = 65_536
 _PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
 _FAR_M: Final = 50_000.0
 _RANGE_M: Final = 20_000.0
-_FAMILIES: Final = {
-    wire.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
-    wire.MAV_AUTOPILOT_PX4: "px4",
-}
 _LOSSES: Final = (
     Anomaly.GARBAGE,
     Anomaly.CHECKSUM,
@@ -210,7 +206,7 @@ def _of_no_use(log: Log, name: str) -> InputError:
 def _check_fits(mission: Mission, look: _LogOverview) -> None:
     """Raise InputError if the mission is none for this vehicle at this place."""
     remedy = "Give the mission of this flight, or leave --mission out for its health alone."
-    hovers, family = look.autopilot.traits.hovers, _FAMILIES[look.heartbeat.autopilot]
+    hovers, family = look.autopilot.traits.hovers, look.autopilot.firmware.name
     kind = "copter" if hovers else "plane"
     if mission.kind != kind or mission.autopilot not in (None, family):
         wanted = f"{mission.autopilot or 'any autopilot'}, {mission.kind}"

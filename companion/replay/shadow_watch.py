@@ -10,7 +10,7 @@ from collections.abc import Callable
 from statistics import median
 from typing import Final, final
 
-from companion.mavlink.autopilots import Autopilot, ardupilot, px4
+from companion.mavlink.autopilots import FIRMWARES, Autopilot
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
 from companion.mavlink.link import ClockReading, Output, VehicleClock
@@ -49,8 +49,7 @@ LISTENED: Final = frozenset(
         wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
         wire.MAVLINK_MSG_ID_PARAM_VALUE,
         wire.MAVLINK_MSG_ID_FENCE_STATUS,
-        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-        wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+        *(each.all_is_well().get_msgId() for each in FIRMWARES),
     }
 )
 """Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
@@ -100,7 +99,7 @@ class Watch:
         self._clock_s = 0.0
         self._first_position_s: float | None = None
         self._stand_in_s = -1e9
-        self._stand_ins = _all_is_well(heartbeat)
+        self._stand_ins = _all_is_well(self._system, autopilot)
         self.heard_of: Counter[int] = Counter()
         """Message numbers of the autopilot and the radar."""
         self.slow_s = 0.0
@@ -269,16 +268,11 @@ class Watch:
                 self._notes.say(VehicleReport(at_s=at_s, what="says", text=text))
 
 
-def _all_is_well(heartbeat: Message) -> dict[int, bytes]:
+def _all_is_well(system_id: int, autopilot: Autopilot) -> dict[int, bytes]:
     """Frames by message number that report a good GPS and estimator, for logs without them."""
-    codec = wire.MAVLink(
-        None, srcSystem=heartbeat.get_srcSystem(), srcComponent=AUTOPILOT_COMPONENT
-    )
+    codec = wire.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT_COMPONENT)
     fix = wire.MAVLink_gps_raw_int_message(
         0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
     )
-    if heartbeat.autopilot == wire.MAV_AUTOPILOT_PX4:
-        sure = wire.MAVLink_estimator_status_message(0, px4.NEEDED, *[0.0] * 8)
-    else:
-        sure = wire.MAVLink_ekf_status_report_message(ardupilot.NEEDED, *[0.0] * 5)
+    sure = autopilot.firmware.all_is_well()
     return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}

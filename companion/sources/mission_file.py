@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, wrap_rad
+from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
 from companion.objective.scene import PROFILES, Weights
@@ -200,9 +201,10 @@ def _check_kind(model: MissionTable, where: str) -> None:
         rule = "a plane's nose points where it flies"
         raise InputError(f"{field}.yaw_deg", vehicle.yaw_deg, rule, "Remove it.")
     ends = {"end.action": model.end.action, "fallback.action": model.fallback.action}
+    strategy = None if vehicle.autopilot is None else named(vehicle.autopilot, vehicle.kind)
     for key, action in ends.items():
-        if action == "land" and vehicle.autopilot == "ardupilot":
-            rule = "ArduPlane cannot be told to land where it is"
+        if action == "land" and strategy is not None and not strategy.traits.lands:
+            rule = f"{strategy.name} cannot be told to land where it is"
             raise InputError(f"{where}: {key}", action, rule, 'Write "hold" or "return".')
 
 

@@ -28,8 +28,9 @@ from rich.console import Console
 from tapped import TO_COMPANION, Tapped, messages
 
 from companion.campaign import families
-from companion.campaign.drawn_files import FRAME, Autopilot
+from companion.campaign.drawn_files import FRAME
 from companion.campaign.drawn_world import DrawnWorld
+from companion.mission.mission import AutopilotName
 from vehicle_sim.geodesy import metres_per_degree
 
 _HEARD = (
@@ -139,7 +140,7 @@ def drawn_for(kills: int) -> DrawnWorld:
     return dataclasses.replace(drawn, targets_ne_m=legs * math.ceil(kills / _KILLS_A_LAP))
 
 
-def fly(autopilot: Autopilot, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
+def fly(autopilot: AutopilotName, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
     """One mission with so many kills; SystemExit if it does not arrive."""
     rng = np.random.default_rng(seed)
     watcher = Watcher(flies_on_s=_FLIES_ON_S[autopilot])

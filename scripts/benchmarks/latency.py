@@ -29,7 +29,7 @@ from rich.table import Table
 from tapped import TO_COMPANION, Tapped, messages
 
 from companion.campaign import families
-from companion.campaign.drawn_files import Autopilot
+from companion.mission.mission import AutopilotName
 
 _POSITION = wire.MAVLink_global_position_int_message
 _SETPOINT = wire.MAVLink_set_position_target_global_int_message
@@ -93,7 +93,9 @@ class Echo:
             self.waits_s.append(time.monotonic() - self._asked_s)
 
 
-def measure(autopilot: Autopilot, rate_hz: float, folder: Path, *, loaded: bool) -> dict[str, Any]:
+def measure(
+    autopilot: AutopilotName, rate_hz: float, folder: Path, *, loaded: bool
+) -> dict[str, Any]:
     """One mission at this rate of positions: times in seconds."""
     drawn = families.world("short-copter", 1, 1)
     clock, link = Clock(), tapped.udp_socket()

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, final
 
 from companion.campaign import drawn_files
-from companion.campaign.drawn_files import Autopilot
 from companion.campaign.drawn_world import DrawnWorld
 from companion.mavlink.dialect import Message
 from companion.mavlink.frames import decoded, frame_extent
+from companion.mission.mission import AutopilotName
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[2]
@@ -87,7 +87,7 @@ class Tapped:
     def __init__(
         self,
         drawn: DrawnWorld,
-        autopilot: Autopilot,
+        autopilot: AutopilotName,
         folder: Path,
         seen: Seen,
         *,

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from companion.campaign import drawn_files, families
-from companion.campaign.drawn_files import Autopilot
 from companion.campaign.flight import FlightFiles
 from companion.campaign.in_process import Flying
+from companion.mission.mission import AutopilotName
 from companion.mission.state import Phase, Reason
 
 BEGINS_S, GLITCH_S, WRONG_M = 75.0, 30.0, 12.0
@@ -36,7 +36,7 @@ class Seen(NamedTuple):
 
 
 def flown(
-    autopilot: Autopilot, kind: str, folder: Path
+    autopilot: AutopilotName, kind: str, folder: Path
 ) -> tuple[list[Seen], list[dict[str, Any]], list[dict[str, Any]]]:
     """The flight until some seconds after the glitch: what was seen, the truth, the journal."""
     drawn = families.world(f"short-{kind}", 1, 2)
@@ -60,7 +60,7 @@ def flown(
 @pytest.mark.parametrize("kind", ["copter", "plane"])
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_nothing_is_flown_by_a_position_that_the_estimator_has_given_in_to(
-    autopilot: Autopilot, kind: str, tmp_path: Path
+    autopilot: AutopilotName, kind: str, tmp_path: Path
 ) -> None:
     seen, truth, journal = flown(autopilot, kind, tmp_path)
     times_s = np.array([row["t_s"] for row in truth])

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from companion.campaign import families, run, truth
-from companion.campaign.drawn_files import Autopilot, write
+from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.config import load_mission, load_world
+from companion.mission.mission import AutopilotName
 from companion.runtime.compiler import Planner
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
@@ -56,7 +57,7 @@ def test_what_is_read_back_is_what_was_drawn(family: str, tmp_path: Path) -> Non
 @pytest.mark.nightly  # what is read is what was drawn: above; such missions are flown by others
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_a_drawn_world_is_flown_from_its_files_to_its_target(
-    autopilot: Autopilot, tmp_path: Path
+    autopilot: AutopilotName, tmp_path: Path
 ) -> None:
     drawn = families.world("copter", 5, 0)
     world_path, mission_path = write(drawn, tmp_path, autopilot)

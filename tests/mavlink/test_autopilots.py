@@ -1,7 +1,10 @@
 """Modes, commands and estimators against the message definitions and what was measured."""
 
+import ast
 import math
-from typing import Any
+import re
+from pathlib import Path
+from typing import Any, get_args
 
 import pytest
 from geodesics import CORNER, FRAME, GEOD, SYSTEM, angle_between, geodetic, over_the_wire
@@ -9,10 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
 
+import companion
 from companion.mavlink.autopilots import (
     ALL,
     ARDUCOPTER,
     ARDUPLANE,
+    FIRMWARES,
     NAMES,
     PX4_FIXED_WING,
     PX4_MULTICOPTER,
@@ -22,6 +27,7 @@ from companion.mavlink.autopilots import (
     described,
 )
 from companion.mission.events import Estimator, Mode, SetMode, TakeOff
+from companion.mission.mission import AutopilotName
 
 PX4 = (PX4_MULTICOPTER, PX4_FIXED_WING)
 # Streams that ArduPilot denies (ardupilot.md 1).
@@ -35,6 +41,21 @@ def heartbeat(autopilot: int, kind: int) -> Any:
 
 
 # --- who it is
+
+
+def test_code_beside_the_strategies_names_no_autopilot_but_in_logs_and_campaigns() -> None:
+    one_of_them = re.compile("px4|ardu|MAV_AUTOPILOT_(?!INVALID|GENERIC)", re.IGNORECASE)
+    root, found = Path(companion.__file__).parent, set[str]()
+    for path in root.rglob("*.py"):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        for node in (node for node in nodes if id(node) not in docstrings):
+            words = (getattr(node, key, None) for key in ("id", "attr", "value", "name", "module"))
+            if any(isinstance(word, str) and one_of_them.search(word) for word in words):
+                found.add(path.relative_to(root).as_posix())
+    elsewhere = ("mavlink/autopilots/", "telemetry/logs/", "campaign/")
+    assert {each for each in found if not each.startswith(elsewhere)} == {"mission/mission.py"}
+    assert {each.name for each in FIRMWARES} == set(get_args(AutopilotName))
 
 
 @pytest.mark.parametrize(

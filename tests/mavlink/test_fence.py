@@ -13,14 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.geodesy import LocalFrame, deg_e7
-from companion.mavlink.fence import (
-    Fence,
-    FenceBuilder,
-    conflicts,
-    in_force,
-    margin_m,
-    targets_of,
-)
+from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
+from companion.mavlink.fence import Fence, FenceBuilder, conflicts, in_force, targets_of
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 from companion.path.limits import Limits
@@ -46,10 +40,12 @@ def zones_of(
     items: Sequence[PlanItem], frame: LocalFrame, parameters: dict[str, float], **where: Any
 ) -> Fence:
     """A fence drawn to its end, and what parameters make of it."""
-    drawing = FenceBuilder(items, frame, margin_m(parameters))
+    is_px4 = not any(name.startswith("FENCE_") for name in parameters)
+    settings = (PX4_MULTICOPTER if is_px4 else ARDUCOPTER).firmware.fence(parameters)
+    drawing = FenceBuilder(items, frame, settings.margin_m)
     while (drawn := drawing.build_some()) is None:
         pass
-    return in_force(drawn, parameters, **where)
+    return in_force(drawn, settings, **where)
 
 
 def item(command: int, north_m: float, east_m: float, parameter: float) -> PlanItem:

@@ -16,8 +16,8 @@ from companion.mavlink.autopilots import (
     PX4_FIXED_WING,
     PX4_MULTICOPTER,
     Autopilot,
-    heading_rad,
 )
+from companion.mavlink.autopilots.messages import heading_rad
 from companion.mission.events import (
     Battery,
     Echo,

@@ -17,7 +17,6 @@ from companion.mavlink.parameter_client import (
     ParameterClient,
     decoded,
     encoded,
-    is_bytewise,
 )
 
 ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
@@ -239,10 +238,6 @@ def test_a_value_that_comes_late_is_not_missing_any_more() -> None:
 
 
 def test_the_version_tells_how_whole_numbers_travel() -> None:
-    assert is_bytewise(wire.MAV_AUTOPILOT_PX4)
-    assert not is_bytewise(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)
-    c_cast = wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
-    assert not is_bytewise(wire.MAV_AUTOPILOT_PX4, c_cast)
     client = ParameterClient(1, [("COM_OBL_RC_ACT",)], bytewise=False)
     (bits,) = struct.unpack("<f", struct.pack("<i", 5))
     client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.1)

@@ -176,6 +176,7 @@ _RULES: Final = (
 """ArduCopter.  Of velocity and position the velocity is not limited by WPNAV_SPEED."""
 
 ARDUCOPTER = Autopilot(
+    firmware=ardupilot.FIRMWARE,
     traits=VehicleTraits(
         name="ArduCopter",
         hovers=True,
@@ -183,6 +184,12 @@ ARDUCOPTER = Autopilot(
         turn_lag_s2=0.5,  # of its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; 0.6 to 0.8 was measured
     ),
     rules=_RULES,
+    parameters_for=lambda limits: {
+        "GUID_TIMEOUT": 3.0,
+        "WPNAV_SPEED": 100.0 * limits.speed_m_s,
+        "WPNAV_ACCEL": 100.0 * limits.acceleration_m_s2,
+        "PSC_JERK_XY": 4.0 * limits.acceleration_m_s2,
+    },
     modes=ardupilot.modes_of(
         "COPTER_MODE",
         {

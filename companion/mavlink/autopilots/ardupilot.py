@@ -1,20 +1,22 @@
 """What ArduCopter and ArduPlane share: streams, modes, their estimator and their flat earth."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink import parameter_checks as check
-from companion.mavlink.autopilots.common import Modes
+from companion.mavlink.autopilots.common import Firmware, Modes
 from companion.mavlink.autopilots.messages import echo_at
 from companion.mavlink.dialect import Message, wire
+from companion.mavlink.fence import FenceSettings
 from companion.mavlink.parameter_checks import Alias, Rule
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
 INTERMITTENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION, wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN})
 """Until there is one."""
-NEEDED = (
+_NEEDED = (
     wire.EKF_ATTITUDE | wire.EKF_VELOCITY_HORIZ | wire.EKF_POS_HORIZ_ABS | wire.EKF_POS_VERT_ABS
 )
 """Flags of an estimator with a valid horizontal position."""
@@ -68,7 +70,7 @@ def modes_of(enum: str, numbers: Mapping[Mode, tuple[int, ...]]) -> Modes:
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
     """EKF_STATUS_REPORT: whether the horizontal position may be believed (ardupilot.md 5)."""
     flags = message.flags
-    sure = flags & NEEDED == NEEDED and not flags & _BAD
+    sure = flags & _NEEDED == _NEEDED and not flags & _BAD
     variances = (message.pos_horiz_variance, message.velocity_variance)
     fits = all(math.isfinite(v) and v < _REJECTED for v in variances)
     return Estimator(time_s=now_s, good=sure and fits)
@@ -139,4 +141,47 @@ RULES: Final = (
     Rule("FENCE_MARGIN", "distance to keep from the fence"),
     Rule("FENCE_OPTIONS", "how inclusion zones count together"),
     Rule("FENCE_ACTION", "what it does outside of its fence", (_FENCE_ACTION,)),
+)
+
+
+_ALT_MAX, _CIRCLE, _ALT_MIN = 1, 2, 8
+"""Bits of FENCE_TYPE."""
+_UNION = 2
+"""Bit of FENCE_OPTIONS: the union of the inclusion zones is allowed."""
+_KEPT = "FENCE_ENABLE = 0: the fence that is drawn is kept all the same"
+_SET_STREAM = "ArduPilot: set SRn_{0} (MAVn_{0} from 4.7) to {1} for that link"
+_HOW_TO_RECORD: Final = {
+    "GLOBAL_POSITION_INT": _SET_STREAM.format("POSITION", 10),
+    "GPS_RAW_INT": _SET_STREAM.format("EXT_STAT", 5),
+    "EKF_STATUS_REPORT": _SET_STREAM.format("EXTRA3", 5),
+    "SYS_STATUS": _SET_STREAM.format("EXT_STAT", 5),
+    "POSITION_TARGET_LOCAL_NED": _SET_STREAM.format("EXT_STAT", 5),
+}
+
+
+def _fence(parameters: Mapping[str, float]) -> FenceSettings:
+    """FENCE_*: on, or by itself at take-off or on arming, it is a cylinder about home as well."""
+    finite = {name: value if math.isfinite(value) else 0.0 for name, value in parameters.items()}
+    is_on = parameters.get("FENCE_ENABLE", 0.0) or parameters.get("FENCE_AUTOENABLE", 0.0)
+    kinds = int(finite.get("FENCE_TYPE", 0.0)) if is_on else 0
+    has_one = "FENCE_ENABLE" in parameters
+    return FenceSettings(
+        margin_m=max(finite.get("FENCE_MARGIN", 0.0), 0.0),
+        union=not has_one or bool(int(finite.get("FENCE_OPTIONS", 0.0)) & _UNION),
+        radius_m=finite.get("FENCE_RADIUS") if kinds & _CIRCLE else None,
+        above_m=finite.get("FENCE_ALT_MAX") if kinds & _ALT_MAX else None,
+        below_m=finite.get("FENCE_ALT_MIN") if kinds & _ALT_MIN else None,
+        note="" if is_on or not has_one else _KEPT,
+    )
+
+
+FIRMWARE: Final = Firmware(
+    name="ardupilot",
+    number=wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    fence=_fence,
+    breached=re.compile(r"\bfences? breached", re.IGNORECASE),  # ardupilot.md 4
+    all_is_well=lambda: wire.MAVLink_ekf_status_report_message(_NEEDED, *[0.0] * 5),
+    how_to_record=lambda name: _HOW_TO_RECORD.get(name, ""),
+    lasting_battery={"BATT_CAPACITY": 100_000.0},
+    home_first=True,
 )

@@ -149,9 +149,9 @@ _RULES: Final = (
     ),
     *ardupilot.RULES,
 )
-"""ArduPlane.  GUIDED has no time-out: it circles its last point for ever."""
 
 ARDUPLANE = Autopilot(
+    firmware=ardupilot.FIRMWARE,
     traits=VehicleTraits(
         name="ArduPlane",
         hovers=False,
@@ -162,6 +162,7 @@ ARDUPLANE = Autopilot(
         lands=False,
     ),
     rules=_RULES,
+    parameters_for=lambda limits: {"AIRSPEED_CRUISE": limits.speed_m_s},
     modes=ardupilot.modes_of(
         "PLANE_MODE",
         {

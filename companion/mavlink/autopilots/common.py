@@ -1,5 +1,6 @@
 """Commands common to all autopilots, and the interface that each strategy fills in."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import final
@@ -7,6 +8,7 @@ from typing import final
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import DECODERS, Decoder, command_long, set_mode
 from companion.mavlink.dialect import Message, wire
+from companion.mavlink.fence import FenceSettings
 from companion.mavlink.parameter_checks import Rule
 from companion.mission.events import (
     Event,
@@ -18,6 +20,7 @@ from companion.mission.events import (
     VehicleStatus,
 )
 from companion.mission.vehicle_traits import VehicleTraits
+from companion.path.limits import Limits
 
 ROTORCRAFT = frozenset(
     {
@@ -60,6 +63,33 @@ class Modes:
     """Parameters of DO_SET_MODE: mode, or main and sub mode; the others are not supported."""
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Firmware:
+    """Facts of one autopilot that hold for all its vehicle types."""
+
+    name: str
+    """As missions name it (`Mission.autopilot`)."""
+    number: int
+    """Its MAV_AUTOPILOT."""
+    fence: Callable[[Mapping[str, float]], FenceSettings]
+    """Settings of its fence, from parameters by name in the autopilot's units."""
+    breached: re.Pattern[str]
+    """Searched for in its texts: it has crossed its fence."""
+    all_is_well: Callable[[], Message]
+    """What its estimator reports when the position may be believed."""
+    how_to_record: Callable[[str], str] = lambda _: ""
+    """How to have it stream a message, by its MAVLink name, to who records; empty: no such way."""
+    lasting_battery: Mapping[str, float]
+    """Parameters of its simulation."""
+    is_bytewise: bool = False
+    """Whether integers are sent bytewise in the float field of parameters, or cast to float."""
+    home_first: bool = False
+    """Whether item 0 of its mission is home and no target."""
+    asks_time_often: bool = False
+    """Whether it sends TIMESYNC at 10 Hz by itself."""
+
+
 SetpointEncoder = Callable[[Setpoint, LocalFrame, int, float], list[Message] | None]
 """(setpoint, frame, system_id, the largest circle that a plane may hold on, metres) -> messages.
 
@@ -80,10 +110,13 @@ class Autopilot:
     the given system.  Defaults fit most autopilots.
     """
 
+    firmware: Firmware
     traits: VehicleTraits
     """What the mission has to know of it."""
     rules: tuple[Rule, ...]
     """Parameter checks for a safe flight."""
+    parameters_for: Callable[[Limits], Mapping[str, float]]
+    """Parameters that an operator sets so that it can fly with these limits."""
     modes: Modes
     """Its mode numbers and names."""
     streams_hz: Mapping[int, float]

@@ -6,14 +6,16 @@ streaming before requesting any other mode.  Measured: px4.md.
 """
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink import parameter_checks as check
 from companion.mavlink.autopilots import messages
-from companion.mavlink.autopilots.common import Modes
+from companion.mavlink.autopilots.common import Firmware, Modes
 from companion.mavlink.dialect import Message, wire
+from companion.mavlink.fence import FenceSettings
 from companion.mavlink.parameter_checks import ESSENTIAL, Rule
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
@@ -48,7 +50,7 @@ _AUTO_NAMES = {
     9: "Precision Land",
     10: "VTOL Takeoff",
 }
-NEEDED = (
+_NEEDED = (
     wire.ESTIMATOR_ATTITUDE
     | wire.ESTIMATOR_VELOCITY_HORIZ
     | wire.ESTIMATOR_POS_HORIZ_ABS
@@ -108,7 +110,7 @@ def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Messag
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
     """ESTIMATOR_STATUS: whether the horizontal position may be believed (px4.md 8)."""
     flags = message.flags
-    sure = flags & NEEDED == NEEDED and not flags & _BAD
+    sure = flags & _NEEDED == _NEEDED and not flags & _BAD
     rejects = message.pos_horiz_ratio >= _REJECTED or message.vel_ratio >= _REJECTED
     error_m = message.pos_horiz_accuracy
     known = math.isfinite(error_m) and error_m > 0.0
@@ -209,4 +211,29 @@ RULES: Final = (
     Rule("GF_MAX_VER_DIST", "height of the fence above home"),
     Rule("SYS_HAS_GPS", "whether it has a receiver", (_NO_GPS,)),
     Rule("MIS_TAKEOFF_ALT", "height of a take-off that names none"),
+)
+
+
+def _fence(parameters: Mapping[str, float]) -> FenceSettings:
+    """GF_*: a cylinder about home; of inclusion zones one is enough (px4.md 7)."""
+    far_m, high_m = (parameters.get(f"GF_MAX_{way}_DIST", 0.0) for way in ("HOR", "VER"))
+    return FenceSettings(
+        union=True,
+        radius_m=far_m if 0.0 < far_m < math.inf else None,
+        above_m=high_m if 0.0 < high_m < math.inf else None,
+    )
+
+
+FIRMWARE: Final = Firmware(
+    name="px4",
+    number=wire.MAV_AUTOPILOT_PX4,
+    fence=_fence,
+    breached=re.compile(r"^geofence: approaching or outside", re.IGNORECASE),  # to a station alone
+    all_is_well=lambda: wire.MAVLink_estimator_status_message(0, _NEEDED, *[0.0] * 8),
+    how_to_record=lambda name: (
+        f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell"
+    ),
+    lasting_battery={"SIM_BAT_DRAIN": 10_000.0},
+    is_bytewise=True,
+    asks_time_often=True,  # px4.md 2
 )

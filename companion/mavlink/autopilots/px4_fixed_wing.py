@@ -67,13 +67,6 @@ def _setpoint(
     return messages.position_target(setpoint, frame, system_id, type_mask=mask)
 
 
-def _offboard_timeout_of_a_plane(
-    value: float, case: check.CheckContext
-) -> check.ParameterIssue | None:
-    """PX4's COM_OF_LOSS_T; then it circles where it is (px4.md 10)."""
-    return check.timeout(value, 0.5, case, "the plane flies straight on")
-
-
 def _only_speed(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
     """PX4's fixed wing always flies at this speed (px4.md 10)."""
     speed = case.limits.speed_m_s
@@ -89,9 +82,9 @@ def _only_speed(value: float, case: check.CheckContext) -> check.ParameterIssue 
 
 _RULES: Final = (
     Rule(
-        "COM_OF_LOSS_T",
+        "COM_OF_LOSS_T",  # then it circles where it is (px4.md 10)
         "how long it flies on without setpoints",
-        (_offboard_timeout_of_a_plane,),
+        (lambda value, case: check.timeout(value, 0.5, case, "the plane flies straight on"),),
         ESSENTIAL,
     ),
     Rule("FW_AIRSPD_TRIM", "the airspeed that it flies", (_only_speed,), ESSENTIAL),
@@ -108,9 +101,9 @@ _RULES: Final = (
     Rule("FW_T_SINK_R_SP", "how fast it sinks", (check.PLANE_SINKS,)),
     *px4.RULES,
 )
-"""PX4, fixed wing."""
 
 PX4_FIXED_WING = Autopilot(
+    firmware=px4.FIRMWARE,
     traits=VehicleTraits(
         name="PX4 fixed wing",
         hovers=False,
@@ -119,6 +112,10 @@ PX4_FIXED_WING = Autopilot(
         needs_setpoints_before_offboard=True,
     ),
     rules=_RULES,
+    parameters_for=lambda limits: {
+        "FW_AIRSPD_TRIM": limits.speed_m_s,
+        "FW_AIRSPD_MAX": 1.3 * limits.speed_m_s,
+    },
     modes=px4.MODES,
     streams_hz=px4.STREAMS_HZ,
     intermittent=px4.INTERMITTENT,

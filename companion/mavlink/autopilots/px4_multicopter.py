@@ -51,27 +51,17 @@ _RULES: Final = (
         "COM_OF_LOSS_T", "how long it flies on without setpoints", (_offboard_timeout,), ESSENTIAL
     ),
     Rule("MPC_XY_VEL_MAX", "its highest speed", (_speed_of_offboard,), ESSENTIAL),
-    Rule(
-        "MPC_Z_VEL_MAX_UP",
-        "how fast it climbs",
-        (check.COPTER_CLIMBS,),
-        ESSENTIAL,
-    ),
-    Rule(
-        "MPC_Z_VEL_MAX_DN",
-        "how fast it sinks",
-        (check.COPTER_SINKS,),
-        ESSENTIAL,
-    ),
+    Rule("MPC_Z_VEL_MAX_UP", "how fast it climbs", (check.COPTER_CLIMBS,), ESSENTIAL),
+    Rule("MPC_Z_VEL_MAX_DN", "how fast it sinks", (check.COPTER_SINKS,), ESSENTIAL),
     Rule("MPC_TILTMAX_AIR", "its tilt limits its speed", (check.tilt,)),
     Rule("MPC_ACC_HOR", "how hard it brakes", (check.BRAKES,), WANTED),
     Rule("MPC_JERK_AUTO", "how fast braking builds up"),
     Rule("MPC_LAND_SPEED", "how fast it lands"),
     *px4.RULES,
 )
-"""PX4, multicopter."""
 
 PX4_MULTICOPTER = Autopilot(
+    firmware=px4.FIRMWARE,
     traits=VehicleTraits(
         name="PX4 multicopter",
         hovers=True,
@@ -79,6 +69,11 @@ PX4_MULTICOPTER = Autopilot(
         needs_setpoints_before_offboard=True,
     ),
     rules=_RULES,
+    parameters_for=lambda limits: {
+        "MPC_XY_VEL_MAX": 1.3 * limits.speed_m_s,
+        "MPC_Z_VEL_MAX_UP": max(3.0, limits.climb_rate_m_s),
+        "MPC_Z_VEL_MAX_DN": max(1.5, limits.climb_rate_m_s),
+    },
     modes=px4.MODES,
     streams_hz={**px4.STREAMS_HZ, wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0},
     intermittent=px4.INTERMITTENT,

@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
+from companion.mavlink.autopilots import FIRMWARES
 from companion.mavlink.dialect import wire
 from companion.mission.mission import EndAction
 from companion.mission.state import Phase
@@ -33,11 +34,7 @@ _IN_AIR = tuple(
     phase.value for phase in (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
 )
 _TYPES = {"copter": wire.MAV_TYPE_QUADROTOR, "plane": wire.MAV_TYPE_FIXED_WING}
-_FIRMWARE = {
-    None: wire.MAV_AUTOPILOT_GENERIC,
-    "ardupilot": wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
-    "px4": wire.MAV_AUTOPILOT_PX4,
-}
+_FIRMWARE = {None: wire.MAV_AUTOPILOT_GENERIC} | {each.name: each.number for each in FIRMWARES}
 
 
 def write_plan(flight: RecordedFlight, file: Path, source: Source) -> tuple[str, ...]:

@@ -4,11 +4,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final, Literal, final
 
+from companion.mavlink.autopilots import ALL, FIRMWARES
 from companion.mavlink.dialect import wire
 
 Kind = Literal["tlog", "bin", "ulg"]
-_ARDUPILOT: Final = int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)
-_PX4: Final = int(wire.MAV_AUTOPILOT_PX4)
 
 
 @final
@@ -37,10 +36,8 @@ class _Need:
     any_of: tuple[str, ...]
     without: str
     vital: bool = False
-    autopilot: int | None = None
-    """Only of this one."""
-    stream: str = ""
-    """ArduPilot's stream group, and what of it is the least rate; empty: it belongs to none."""
+    by_autopilot: bool = False
+    """Only of autopilots whose strategies decode it."""
     rows: str = ""
     """Of an ArduPilot .bin: the entries; empty: it has nothing of it."""
     setting: str = ""
@@ -62,7 +59,6 @@ _NEEDS: Final = (
         any_of=("GLOBAL_POSITION_INT",),
         without="where the vehicle is: nothing is planned",
         vital=True,
-        stream="POSITION 10",
         rows="POS and XKF1",
         setting="LOG_BITMASK bits 0 and 1, attitude, and 2, GPS",
         topics="vehicle_global_position and vehicle_local_position",
@@ -71,7 +67,6 @@ _NEEDS: Final = (
         any_of=("GPS_RAW_INT",),
         without="whether its GPS has a fix",
         vital=True,
-        stream="EXT_STAT 5",
         rows="GPS",
         setting="LOG_BITMASK bit 2",
         topics="sensor_gps or vehicle_gps_position",
@@ -80,8 +75,7 @@ _NEEDS: Final = (
         any_of=("EKF_STATUS_REPORT",),
         without=_ESTIMATOR,
         vital=True,
-        autopilot=_ARDUPILOT,
-        stream="EXTRA3 5",
+        by_autopilot=True,
         rows="XKF4",
         setting="EK3_LOG_LEVEL 0, LOG_BITMASK bits 0 and 1",
     ),
@@ -89,7 +83,7 @@ _NEEDS: Final = (
         any_of=("ESTIMATOR_STATUS",),
         without=_ESTIMATOR,
         vital=True,
-        autopilot=_PX4,
+        by_autopilot=True,
         topics="estimator_status",
     ),
     _Need(
@@ -113,7 +107,6 @@ _NEEDS: Final = (
     _Need(
         any_of=("SYS_STATUS", "BATTERY_STATUS"),
         without="how much battery is left",
-        stream="EXT_STAT 5",
         rows="BAT",
         setting="LOG_BITMASK bit 9, with BATT_MONITOR set",
         topics="battery_status",
@@ -126,7 +119,6 @@ _NEEDS: Final = (
     _Need(
         any_of=("POSITION_TARGET_LOCAL_NED", "POSITION_TARGET_GLOBAL_INT"),
         without="whether it follows what it was told: only of use where it was led",
-        stream="EXT_STAT 5",
         topics="vehicle_local_position_setpoint",
     ),
     _Need(any_of=("STATUSTEXT",), without="what it said", rows="MSG"),
@@ -139,8 +131,10 @@ def missing_of(kind: Kind, autopilot: int | None, heard: Collection[str]) -> tup
     autopilot: MAV_AUTOPILOT, None if it is not known; heard: MAVLink names that it has.
     """
     found = []
+    ways = [each for each in ALL if autopilot in (None, each.firmware.number)]
+    decoded = {wire.mavlink_map[number].msgname for each in ways for number in each.decoders}
     for need in _NEEDS:
-        other = need.autopilot is not None and autopilot not in (None, need.autopilot)
+        other = need.by_autopilot and decoded.isdisjoint(need.any_of)
         if other or any(each in heard for each in need.any_of):
             continue
         found.append(
@@ -168,12 +162,8 @@ def _remedy(kind: Kind, need: _Need, autopilot: int | None) -> str:
         return "It comes by itself, from PX4 only to a ground station: record there"
     if name == "HEARTBEAT":
         return "It comes by itself: record on a link to the autopilot"
-    said = []
-    if autopilot != _PX4 and need.stream:
-        group, rate = need.stream.split()
-        said.append(f"ArduPilot: set SRn_{group} (MAVn_{group} from 4.7) to {rate} for that link")
-    if autopilot != _ARDUPILOT:
-        said.append(f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell")
+    known = [each for each in FIRMWARES if each.number == autopilot] or FIRMWARES
+    said = [how for each in known if (how := each.how_to_record(name))]
     if not said:
         return "Ask for it with SET_MESSAGE_INTERVAL"
     return "; ".join([*said, "any: ask with SET_MESSAGE_INTERVAL"])
