@@ -24,10 +24,12 @@ flown = functools.cache(Row.fly)
 
 
 def _between(row: Row) -> bool:
-    """Whether other rows of its kind have more extreme speeds, rates or look-aheads."""
+    """Whether rows that are more extreme, or that lag more, say what it says."""
     if row.carrot_m:
-        return row.carrot_m == 8.0
-    if row.speed_m_s >= _SATURATED_M_S or row.rate_hz == 50.0:
+        return row.carrot_m > 5.0
+    if row.speed_m_s >= _SATURATED_M_S:
+        return row.kind != "position"
+    if row.rate_hz == 50.0:
         return row.kind == "position + velocity"
     return row.rate_hz in (5.0, 10.0) or row.speed_m_s in (5.0, 10.0)
 
