@@ -73,7 +73,7 @@ def test_no_leg_comes_near_a_ridge_whose_faces_are_seen_at_a_grazing_angle(
         seed=seed,
         most_legs=20,
     )
-    assert len(flight.legs) == 20  # to and fro before the ridge
+    assert len(flight.legs) == 20  # there and back before the ridge
     for leg, first in itertools.product(flight.legs, range(0, 40_000, 2_000)):
         lengths = np.arange(float(first), min(first + 2_000.0, leg.subpath.length_m), 40.0)
         if len(lengths):
