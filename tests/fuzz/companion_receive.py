@@ -23,6 +23,7 @@ from random_programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact,
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import Autopilot
+from companion.mavlink.autopilots.common import Firmware
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Output
 from companion.mission.decisions import Context
@@ -157,14 +158,14 @@ def straight_plan(request: PlanRequest) -> PlanOutcome:
     )
 
 
-_outside: list[Context | Autopilot] = []
+_outside: list[Context | Autopilot | Firmware] = []
 
 
 class _Pickler(pickle.Pickler):
     """Sessions into bytes; what stays the same for a whole mission stays outside."""
 
     def persistent_id(self, obj: Any) -> int | None:
-        if not isinstance(obj, Context | Autopilot):
+        if not isinstance(obj, Context | Autopilot | Firmware):
             return None
         if not any(obj is each for each in _outside):
             _outside.append(obj)
@@ -172,7 +173,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    def persistent_load(self, pid: Any) -> Context | Autopilot:
+    def persistent_load(self, pid: Any) -> Context | Autopilot | Firmware:
         return _outside[pid]
 
 
