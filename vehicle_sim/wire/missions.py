@@ -316,12 +316,7 @@ class ArduPilotMissions:
         """Answer a message of the mission protocol that is for the autopilot."""
         name = message.get_type()
         if name == "MISSION_SET_CURRENT":
-            # ground stations take a MISSION_CURRENT for the answer
-            told = SendTelemetry(message=_MISSION_CURRENT, to=sender)
-            return [
-                *_do(self._autopilot, _DO_SET_MISSION_CURRENT, sender, float(message.seq)),
-                told,
-            ]
+            return _set_current(self._autopilot, message.seq, sender, sender)
         if name == "MISSION_ACK":
             return []
         if name.startswith("MISSION_ITEM") and message.current in (_GUIDED, _ALTITUDE):
@@ -558,11 +553,7 @@ class Px4Missions:
             case "MISSION_SET_CURRENT" if message.seq >= len(self._plans[PlanKind.MISSION]):
                 return [_critical("WPM: WP CURR CMD: Not in list")]
             case "MISSION_SET_CURRENT":
-                told = SendTelemetry(message=_MISSION_CURRENT, to=None)
-                return [
-                    *_do(self._autopilot, _DO_SET_MISSION_CURRENT, sender, float(message.seq)),
-                    told,
-                ]
+                return _set_current(self._autopilot, message.seq, sender, None)
             case _:
                 return []
 
