@@ -17,6 +17,9 @@ class CompanionError(Exception):
 
     exit_code = 1
 
+    def __init__(self, message: str) -> None:
+        super().__init__("".join(c if c.isprintable() else " " for c in message))
+
 
 @final
 class InputError(CompanionError):
@@ -29,7 +32,7 @@ class InputError(CompanionError):
         if len(shown) > _MAX_SHOWN:
             shown = f"{shown[:_MAX_SHOWN]}..."
         message = f"{field} = {shown}: {rule}. {remedy}"
-        super().__init__("".join(c if c.isprintable() else " " for c in message))
+        super().__init__(message)
         self.field, self.value, self.rule, self.remedy = field, value, rule, remedy
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from companion.errors import InputError
+from companion.printable import with_printable_texts
 
 RawTable = dict[str, Any]
 """A table as its file has it: nothing in it has been checked."""
@@ -87,7 +88,7 @@ def picture_file(option: str, path: Path) -> Path:
 def toml_table(text: str, where: str) -> RawTable:
     """The table of a TOML text.  Raises InputError about the file."""
     try:
-        return tomllib.loads(text)
+        return {**with_printable_texts(tomllib.loads(text))}
     except tomllib.TOMLDecodeError as error:
         rule = f"not TOML: {_one_line(error)}"
         raise InputError("file", where, rule, "Mend that place; see docs/files.md.") from error
@@ -100,7 +101,7 @@ def json_table(path: Path, field: str, remedy: str) -> RawTable:
     """The object in a JSON file.  Raises InputError about the field."""
     text = read_text(path, field, remedy)
     try:
-        found = json.loads(text, parse_constant=_no_number)
+        found = with_printable_texts(json.loads(text, parse_constant=_no_number))
     except (RecursionError, ValueError) as error:
         raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
     if not isinstance(found, dict):
