@@ -297,12 +297,16 @@ class Session:
             self._start_scan(here)
 
     def hold_frames(self) -> list[bytes]:
-        """The frames that put a vehicle under our control on hold.  Has no side effects."""
+        """The frames that put a vehicle under our control on hold, unsigned: no side effects."""
         return self._outbox.encode_unsent(self._holding())
 
     def final_text(self, why: str) -> list[bytes]:
-        """The frames of the text that the companion has ended, and why.  Has no side effects."""
+        """The frames of the text that the companion has ended, and why; as `hold_frames`."""
         return self._outbox.encode_unsent(final_text(f"ended, failed: {why}"))
+
+    def signed(self, frames: list[bytes]) -> list[bytes]:
+        """Those frames as they are to be sent now, by any thread: a signature ages."""
+        return self._outbox.signed(frames)
 
     def _holding(self) -> Sequence[Message]:
         if self.vehicle is None or self.context.shadow or not is_under_control(self.state):

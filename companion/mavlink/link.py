@@ -373,8 +373,9 @@ class FrameEncoder:
     def __init__(self, system_id: int | None, signing: Signing | None, *, has_ground: bool) -> None:
         """has_ground: whether there are links to ground stations besides the vehicle's."""
         self._codec, self._grounds = codec(system_id or 1), codec(system_id or 1)
+        self._unsent = codec(system_id or 1)
         self._has_ground = has_ground
-        self._plain = signing is None
+        self._signing = signing
         self.duplicates = DuplicateIdDetector()
         """Hears of other processes with our ids."""
         if signing is not None:
@@ -385,7 +386,8 @@ class FrameEncoder:
 
     def set_system_id(self, system_id: int) -> None:
         """Use this vehicle's system id from now on."""
-        self._codec.srcSystem = self._grounds.srcSystem = system_id
+        for each in (self._codec, self._grounds, self._unsent):
+            each.srcSystem = system_id
 
     def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
         """Send messages in order; to_ground: to the ground station links as well."""
@@ -394,7 +396,9 @@ class FrameEncoder:
             self._codec.seq = (self._codec.seq + 1) % 256
             self.out.frames.append(frame)
             self.duplicates.sent.append(frame)
-            self.out.record.append((now_s, frame if self._plain else strip_signature(frame)))
+            self.out.record.append(
+                (now_s, frame if self._signing is None else strip_signature(frame))
+            )
             if to_ground:
                 self.send_to_ground([message])
 
@@ -408,10 +412,13 @@ class FrameEncoder:
                 self.duplicates.sent.append(frame)  # a router may bring it to the vehicle's link
 
     def encode_unsent(self, messages: Iterable[Message]) -> list[bytes]:
-        """Encode messages that may never be sent: no sequence numbers are used up."""
-        before, frames = self._codec.seq, []
+        """Encode messages that may never be sent, unsigned: no sequence numbers are used up."""
+        frames, self._unsent.seq = [], self._codec.seq
         for message in messages:
-            frames.append(packed(message, self._codec))
-            self._codec.seq = (self._codec.seq + 1) % 256
-        self._codec.seq = before
+            frames.append(packed(message, self._unsent))
+            self._unsent.seq = (self._unsent.seq + 1) % 256
         return frames
+
+    def signed(self, frames: Iterable[bytes]) -> list[bytes]:
+        """Frames of `encode_unsent` as they are sent now, however long ago they were made."""
+        return [*frames] if self._signing is None else [*map(self._signing.sign, frames)]

@@ -89,8 +89,16 @@ def waits_for_processor(part: Worker) -> bool:
 class Gate:
     """The session's only way to the link.  Once shut it stays shut."""
 
-    def __init__(self, link: Link, clock: Clock, ground: GroundLinks | None = None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        clock: Clock,
+        ground: GroundLinks | None = None,
+        signed: Callable[[list[bytes]], list[bytes]] = list,
+    ) -> None:
+        """signed: signs the watchdog's frames, for a link whose peer demands it."""
         self._link, self._clock, self._ground = link, clock, ground or GroundLinks([])
+        self._signed = signed
         self._lock = threading.Lock()
         self._is_shut = False
         self._streamed_s = -math.inf
@@ -120,11 +128,15 @@ class Gate:
         self._is_shut = True
 
     def send_last(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> None:
-        """Send the watchdog's own frames through the shut gate, without waiting."""
+        """Send the watchdog's own unsigned frames through the shut gate, without waiting.
+
+        They are signed here: a signature that is older than the last one sent is refused, and so is
+        a copy of one that has arrived.
+        """
         locked = self._lock.acquire(timeout=_LOCK_S)
         try:
-            self._link.send(frames)
-            self._ground.send(to_ground)
+            self._link.send(self._signed(frames))
+            self._ground.send(self._signed([*to_ground]))
         finally:
             if locked:
                 self._lock.release()
