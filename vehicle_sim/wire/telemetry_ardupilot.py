@@ -10,7 +10,7 @@ from typing import Final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Report
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded, degrees_e7

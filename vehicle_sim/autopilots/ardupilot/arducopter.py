@@ -113,6 +113,7 @@ class ArduCopter(ArduPilot):
     PREARM_US: ClassVar[int] = 23_300_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = False
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    CRASH_TEXT: ClassVar[str] = "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0"
 
     def boot(self) -> Sequence[Due]:
         """With the pressure of the ground."""
@@ -230,6 +231,11 @@ class ArduCopter(ArduPilot):
         elif land or not self.set_mode(Mode.RTL):
             self.set_mode(Mode.LAND)
             self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
+
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something."""
+        self.flight.crash()
+        return super().crash()
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: LOITER."""

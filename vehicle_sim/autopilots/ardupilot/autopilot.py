@@ -120,6 +120,7 @@ class ArduPilot(abc.ABC):
     """Until there is a home, heights are above where it started."""
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
+    CRASH_TEXT: ClassVar[str]
 
     def __init__(
         self,
@@ -573,8 +574,9 @@ class ArduPilot(abc.ABC):
 
     def crash(self) -> Sequence[Reply]:
         """It has hit something."""
-        self.send_text(0, "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0")
-        self.disarm()
+        if self.armed:
+            self.send_text(0, self.CRASH_TEXT)
+            self.disarm()
         return self._taken()
 
     # --- the rest of the protocol -----------------------------------------------------------------

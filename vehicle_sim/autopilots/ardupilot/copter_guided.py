@@ -17,7 +17,7 @@ from vehicle_sim.autopilots import (
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, flat_earth_place, offset
 from vehicle_sim.autopilots.attitude import Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.geodesy import metres_per_degree
 
 # --- How ArduCopter reads SET_POSITION_TARGET: masks, frames, and what it calls "stop" ------------

@@ -10,7 +10,7 @@ from typing import final
 
 from vehicle_sim.autopilots import Estimate, Place, Waypoint
 from vehicle_sim.autopilots.ardupilot.flat_earth import longitude_scale
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
 from vehicle_sim.parameters import Parameters
