@@ -520,8 +520,8 @@ class Simulation:
         speed = speed_m_s(way)
         self._notice(f"it hits {into} at {speed:.1f} m/s")
         if self.crash is None:
-            at = (*self._place_nea_m().tolist(), speed)
-            self.crash = Crash(self.now_us * 1e-6, *at, into)
+            north_m, east_m, altitude_m = self._place_nea_m().tolist()
+            self.crash = Crash(self.now_us * 1e-6, north_m, east_m, altitude_m, speed, into)
         if self.now_us >= self._down_until_us:
             self._controller.answer(self._controller.autopilot.crash())
 

@@ -169,6 +169,11 @@ class ArduPlane(ArduPilot):
         self._flight.enter(Mode(mode))
         return None
 
+    @property
+    def lands(self) -> bool:
+        """Where AUTO does."""
+        return self.mode == Mode.AUTO and self._flight.mission.lands
+
     def crash(self) -> Sequence[Reply]:
         """It has hit something."""
         self._flight.crashed = True

@@ -1,7 +1,7 @@
 """ArduPilot's fence: height, circle about home, polygons and circles, inclusion and exclusion.
 
-Source: ardupilot.md 4.  Margins only affect the avoidance library: a breach means being outside,
-regardless of FENCE_MARGIN.
+Source: ardupilot.md 4.  Margins only affect the avoidance library, and when the floor is switched
+on: a breach means being outside, regardless of FENCE_MARGIN.
 """
 
 import math
@@ -67,6 +67,9 @@ class Fence:
         self.breaches = 0
         self.breach_type = 0
         """FENCE_BREACH: 1 too low, 2 too high, 3 over the edge."""
+        self.has_floor = False
+        """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
+        land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
         self.breach_us = 0
         self.load()
 
@@ -89,6 +92,8 @@ class Fence:
         above_m = place.altitude_amsl_m - home.altitude_amsl_m
         if kinds & ALTITUDE_MAX and above_m >= parameters["FENCE_ALT_MAX"]:
             found |= ALTITUDE_MAX
+        if kinds & ALTITUDE_MIN and self.has_floor and above_m <= parameters["FENCE_ALT_MIN"]:
+            found |= ALTITUDE_MIN
         if kinds & CIRCLE and distance_m(home, place) >= parameters["FENCE_RADIUS"]:
             found |= CIRCLE
         if kinds & POLYGON and self._outside_zones(place):
@@ -113,6 +118,19 @@ class Fence:
         if int(self._parameters["FENCE_TYPE"]) & CIRCLE:
             rooms.append(self._parameters["FENCE_RADIUS"] - distance_m(home, place))
         return min(rooms)
+
+    def forget(self) -> None:
+        """It is not in the air."""
+        self.breached, self.has_floor = 0, False
+
+    def raises_floor(self, place: Place, home: Place, *, lands: bool) -> bool:
+        """Whether FENCE_ALT_MIN counts from now on; of one that lands it does not."""
+        parameters, had = self._parameters, self.has_floor
+        above_m = place.altitude_amsl_m - home.altitude_amsl_m
+        safe_m = parameters["FENCE_ALT_MIN"] + parameters["FENCE_MARGIN"]
+        configured = bool(int(parameters["FENCE_TYPE"]) & ALTITUDE_MIN)
+        self.has_floor = configured and not lands and (had or above_m >= safe_m)
+        return self.has_floor and not had
 
     def check(self, place: Place, home: Place | None, now_us: int) -> int:
         """Look where the vehicle is; returns the kinds that are breached since just now."""
