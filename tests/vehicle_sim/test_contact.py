@@ -1,28 +1,27 @@
 """Who has landed and who has crashed: one law for all vehicles and autopilots."""
 
-import json
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import all as mavlink
+from flown import ALL, GROUND_M, Flown
 
 from vehicle_sim.dynamics.contact import is_crash
-from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import parse_world
 
-GROUND_M = 400.0
 HILL_NORTH_M, HILL_M, SPREAD_M = 900.0, 700.0, 150.0
 """Above the plain as a wall of 45 degrees and more from 749 m to the north on."""
-ALL = [(kind, autopilot) for kind in ("copter", "plane") for autopilot in ("ardupilot", "px4")]
 SLOWLY = {
     ("plane", "ardupilot"): {"AIRSPEED_CRUISE": 12.0, "AIRSPEED_MIN": 10.0, "SIM_WIND_SPD": 3.0},
     ("plane", "px4"): {"FW_AIRSPD_TRIM": 11.0, "SIM_WIND_SPD": 2.0},
 }
 """9 m/s over the ground in a wind from the north."""
+PEAK = {
+    "north_m": HILL_NORTH_M,
+    "east_m": 0.0,
+    "height_amsl_m": GROUND_M + HILL_M,
+    "spread_north_m": SPREAD_M,
+    "spread_east_m": 1e5,
+}
 
 
 def hill_m(north_m: float) -> float:
@@ -30,81 +29,6 @@ def hill_m(north_m: float) -> float:
     return max(
         GROUND_M, (GROUND_M + HILL_M) * math.exp(-(((north_m - HILL_NORTH_M) / SPREAD_M) ** 2))
     )
-
-
-class Flown:
-    """A vehicle in a world with a hillside to the north, without links."""
-
-    def __init__(
-        self, kind: str, autopilot: str, north_m: float = 0.0, faults: str = "", **things: Any
-    ) -> None:
-        parameters = SLOWLY.get((kind, autopilot), {})
-        if parameters:
-            parameters = parameters | {"SIM_WIND_DIR": 0.0}
-        peak = {"north_m": HILL_NORTH_M, "east_m": 0.0, "height_amsl_m": GROUND_M + HILL_M}
-        peak |= {"spread_north_m": SPREAD_M, "spread_east_m": 1e5}
-        vehicle = {"kind": kind, "autopilot": autopilot, "parameters": parameters}
-        table = {
-            "schema": 1,
-            "name": "hillside",
-            "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
-            "terrain": {"combine": "maximum", "ground_amsl_m": GROUND_M, "peaks": [peak]},
-            "vehicle": vehicle | {"north_m": north_m, "east_m": 0.0, "heading_deg": 0.0},
-        }
-        self.simulation = Simulation(parse_world(table | things), faults=faults)
-        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
-        while not self.simulation.armable:
-            self.simulation.step()
-
-    @property
-    def above_m(self) -> float:
-        """Above the plain."""
-        return self.simulation.vehicle.altitude_amsl_m - GROUND_M
-
-    def command(self, number: int, *values: float) -> None:
-        padded = [*values, *[0.0] * (7 - len(values))]
-        message = mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded)
-        self.simulation.receive(0, message.pack(self.mav))
-
-    def go(self, north_m_s: float, down_m_s: float) -> None:
-        fields = [0, 1, 1, 1, 0xDC7, 0, 0, 0, north_m_s, 0, down_m_s, *[0] * 5]
-        message = mavlink.MAVLink_set_position_target_local_ned_message(*fields)
-        self.simulation.receive(0, message.pack(self.mav))
-
-    def until(self, reached: Callable[[], bool], within_s: float, *aim: float) -> None:
-        for k in range(round(within_s * 100.0)):
-            if reached():
-                return
-            if aim and k % 20 == 0:
-                self.go(*aim)
-            self.simulation.step()
-        raise AssertionError(f"it never came to that: {self.simulation.outcome()}")
-
-    def into_the_air(self, height_m: float) -> None:
-        simulation = self.simulation
-        up = lambda: self.above_m > height_m - 0.5  # noqa: E731
-        if isinstance(simulation.vehicle, Plane):
-            if "FW_AIRSPD_TRIM" in simulation.parameters:
-                self.command(22, 0, 0, 0, *[math.nan] * 4)  # for good straight on
-            else:
-                self.command(176, 1, 13)
-            self.command(400, 1)
-            self.until(up, 60.0)
-            if "TKOFF_ALT" in simulation.parameters:
-                self.command(176, 1, 7)  # CRUISE: straight on
-        elif "GUID_TIMEOUT" in simulation.parameters:
-            self.command(176, 1, 4)
-            self.command(400, 1)
-            self.command(22, *[0.0] * 6, height_m)
-            self.until(up, 60.0)
-        else:
-            self.until(lambda: simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
-            self.command(176, 1, 6)
-            self.command(400, 1)
-            self.until(up, 60.0, 0.0, -2.0)
-
-    def truth(self) -> Sequence[dict[str, Any]]:
-        return [json.loads(line) for line in self.simulation.take_truth()][1:]
 
 
 @pytest.mark.parametrize(
@@ -137,7 +61,9 @@ def test_a_contact_is_judged_by_the_speed_in_all_axes(
 
 @pytest.mark.parametrize(("kind", "autopilot"), ALL)
 def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: str) -> None:
-    flown = Flown(kind, autopilot, north_m=690.0 if kind == "copter" else 0.0)
+    slowly = SLOWLY.get((kind, autopilot), {}) | {"SIM_WIND_DIR": 0.0}
+    north_m = 690.0 if kind == "copter" else 0.0
+    flown = Flown(kind, autopilot, parameters=slowly, peaks=[PEAK], north_m=north_m)
     simulation = flown.simulation
     flown.into_the_air(15.0)
     assert simulation.crash is None

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
-from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.geodesy import around, metres_per_degree
 
 GRAVITY_M_S2 = 9.80665
 
@@ -73,10 +73,7 @@ class Vehicle(ABC):
         half_s = 0.5 * dt_s
         self.latitude_deg += (self.velocity_north_m_s + north_m_s) * half_s / metres_north
         east_deg = (self.velocity_east_m_s + east_m_s) * half_s / metres_east
-        longitude_deg = self.longitude_deg + east_deg
-        if not -180.0 <= longitude_deg < 180.0:
-            longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
-        self.longitude_deg = longitude_deg
+        self.longitude_deg = around(self.longitude_deg + east_deg)
         self.altitude_amsl_m += (self.velocity_up_m_s + up_m_s) * half_s
         self.velocity_north_m_s = north_m_s
         self.velocity_east_m_s = east_m_s

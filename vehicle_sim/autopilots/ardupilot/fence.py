@@ -9,7 +9,7 @@ from typing import final
 
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, longitude_scale
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans, Point, Zone, forbidden, zones_of
 
@@ -27,6 +27,13 @@ def _depth_m(circle: Zone, place: Place) -> float:
     return circle.radius_m - distance_m(centre, place)
 
 
+def _in_one_piece(zone: Zone) -> Zone:
+    """Its longitudes counted on from the first corner's, not torn apart at the date line."""
+    first_deg = zone.corners[0][1]
+    corners = tuple((lat, first_deg + degrees_east(first_deg, lon)) for lat, lon in zone.corners)
+    return zone._replace(corners=corners)
+
+
 def edge_m(zone: Zone, place: Place) -> float:
     """Distance to the nearest edge of a zone whose corners are in degrees."""
     if zone.radius_m > 0.0:
@@ -35,7 +42,7 @@ def edge_m(zone: Zone, place: Place) -> float:
     points = [
         (
             (lat - place.latitude_deg) * ARDUPILOT_M_PER_DEG,
-            (lon - place.longitude_deg) * ARDUPILOT_M_PER_DEG * scale,
+            degrees_east(place.longitude_deg, lon) * ARDUPILOT_M_PER_DEG * scale,
         )
         for lat, lon in zone.corners
     ]
@@ -60,7 +67,7 @@ class Fence:
         self._plans = plans
         self._looks_us = 0
         self.zones: tuple[Zone, ...] = ()
-        """Corners in degrees: latitude, longitude."""
+        """Corners in degrees: latitude, longitude, over the date line beyond 180."""
         self.enabled = bool(parameters["FENCE_ENABLE"])
         self.breached = 0
         """Bits of FENCE_TYPE."""
@@ -76,7 +83,7 @@ class Fence:
     def load(self, now_us: int = 0) -> None:
         """Read the list again; checks pause for a moment."""
         self._looks_us = now_us + _LOADING_US
-        self.zones = zones_of(self._plans[PlanKind.FENCE])
+        self.zones = tuple(_in_one_piece(zone) for zone in zones_of(self._plans[PlanKind.FENCE]))
 
     @property
     def present(self) -> bool:
@@ -102,10 +109,13 @@ class Fence:
 
     def _outside_zones(self, place: Place) -> bool:
         """With FENCE_OPTIONS bit 1 one inclusion is enough to be in."""
-        point = (place.latitude_deg, place.longitude_deg)
 
         def inside(zone: Zone) -> bool:
-            return _depth_m(zone, place) > 0.0 if zone.radius_m > 0.0 else zone.surrounds(point)
+            if zone.radius_m > 0.0:
+                return _depth_m(zone, place) > 0.0
+            first_deg = zone.corners[0][1]
+            longitude_deg = first_deg + degrees_east(first_deg, place.longitude_deg)
+            return zone.surrounds((place.latitude_deg, longitude_deg))
 
         union = bool(int(self._parameters["FENCE_OPTIONS"]) & 2)
         return forbidden(self.zones, inside, union=union)
