@@ -27,6 +27,18 @@ _MERIDIAN_SHARE = 1.0 - _ECCENTRICITY_SQUARED
 _MIN_COSINE = 1e-6
 
 
+def around(longitude_deg: float) -> float:
+    """The same meridian, from -180 to less than 180 degrees."""
+    if -180.0 <= longitude_deg < 180.0:
+        return longitude_deg
+    return (longitude_deg + 180.0) % 360.0 - 180.0
+
+
+def degrees_east(from_deg: float, to_deg: float) -> float:
+    """From one meridian to another the shorter way, degrees, also over the date line."""
+    return math.remainder(to_deg - from_deg, 360.0)
+
+
 def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
     """Length of one degree of latitude and of longitude: radii of curvature M and N cos(lat)."""
     latitude_rad = latitude_deg * _ONE_DEG_RAD
