@@ -52,7 +52,8 @@ def _places(schema: dict[str, Any], tables: dict[str, Any], of: str = "") -> dic
         for each in _alternatives(value.get("items", value)):
             if (name := each.get("$ref", "").rpartition("/")[2]) in tables:
                 path = f"{of}{key}"
-                found[name] = f"[[{path}]]" if many else f"[{path}]"
+                header = f"[[{path}]]" if many else f"[{path}]"
+                found[name] = f"{found[name]}`, `{header}" if name in found else header
                 found |= _places(tables[name], tables, f"{path}.")
     return found
 
