@@ -6,6 +6,7 @@
     session.silence(seconds)     the autopilot was not heard for so long (wall time of the runtime)
     session.part_died(part, why) a part of the runtime has died
     session.stop()               a person wants the end
+    session.say_go()             a person at the terminal says go
 
 Time is the vehicle's: the newest time_boot_ms of its autopilot (in lockstep, TIMESYNC too); until
 it is known, and for what must go on in a silence, the silence itself counts.  A plan becomes an
@@ -52,7 +53,7 @@ from companion.mission.events import End, Mode, SetMode, Vector
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.start import Resume, Start
-from companion.mission.state import Phase
+from companion.mission.state import IN_AIR, Phase
 from companion.planner import outcomes
 from companion.planner.request import PlanOutcome
 
@@ -117,13 +118,19 @@ class Session:
         signing: Signing | None = None,
         resume: Resume | None = None,
         has_ground: bool = False,
+        go: bool = False,
         version: str = "0",
     ) -> None:
-        """resume: from a previous companion; has_ground: there are ground station links."""
+        """resume: from a previous companion; has_ground: there are ground station links.
+
+        go: take off as soon as the vehicle is ready, without being told; in lockstep always.
+        """
         self.mission = mission
         self.state = checkpoint.initial_state(mission, resume)
         self.clock = VehicleClock(self.state.now_s)
-        self.context = Context(mission=mission, seed=seed, lockstep=lockstep, shadow=shadow)
+        self.context = Context(
+            mission=mission, seed=seed, lockstep=lockstep, shadow=shadow, go=go or lockstep
+        )
         self.found = ""
         """What the vehicle says that it is."""
         self.last_scan: events.ScanDone | None = None
@@ -227,6 +234,21 @@ class Session:
         """The operator ends the mission."""
         self._out.inputs.append(("stop",))
         self._handle(events.StopAsked(time_s=self.now_s))
+
+    def say_go(self) -> str:
+        """A person at the terminal says go; returns why not, empty if it takes off."""
+        self._out.inputs.append(("say_go",))
+        order = events.Order(time_s=self.now_s, kind=events.OrderKind.START, sender="terminal")
+        if self.state.phase in IN_AIR or self.state.phase is Phase.ARMING:
+            return f"the mission is {self.state.phase.value} already"
+        heard = {"sender": order.sender, "command": wire.MAV_CMD_MISSION_START}
+        if self._judged(order) is not changes.OrderResult.ACCEPTED:
+            why = changes.why_not(self.state, order)
+            self._note("command", **heard, result="temporarily_rejected", why=why)
+            return why
+        self._note("command", **heard, order="start")
+        self._handle(order)
+        return ""
 
     def complain(self, text: str) -> None:
         """Send a warning that frames were rejected; those are not in the inputs."""
@@ -429,7 +451,7 @@ class Session:
             self._handle(answer)  # the position before may be a second old
         if vehicle.is_news:
             self._look_at_news(vehicle)
-        if self.state.phase is Phase.PREPARING:
+        if self.state.phase in (Phase.PREPARING, Phase.READY):
             self._check()
         if self._scanning.is_on:
             self._scan_on()
@@ -522,7 +544,7 @@ class Session:
         if served.text:
             self._send_text(served.text, warning=True)
         if served.order is not None:
-            verdict = changes.order_result(self.state, served.order)
+            verdict = self._judged(served.order)
             reply(component.order_done(served.order, verdict))
             if verdict is changes.OrderResult.ACCEPTED:
                 self._handle(served.order)
@@ -531,6 +553,14 @@ class Session:
         if served.task is not None:
             task = dataclasses.replace(served.task, zones=self.state.given.zones)
             self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
+
+    def _judged(self, order: events.Order) -> changes.OrderResult:
+        """The result of an order; of a go, after a look at every check."""
+        if order.kind is events.OrderKind.START and self.state.phase is Phase.READY:
+            self._handle(events.Tick(time_s=self.now_s))
+            if (failed := self._preflight.failed(self, at_once=True)) is not None:
+                self._handle(failed)
+        return changes.order_result(self.state, order, go=self.context.go)
 
     # --- the clock
 
@@ -654,11 +684,13 @@ class Session:
         self._scan_on()
 
     def _check(self) -> None:
-        """On the ground: run the preflight checks before arming."""
+        """On the ground: run the preflight checks before arming, and go on with them."""
         if (here := self._preflight.scan_position(self)) is not None:
             self._start_scan(here)
         elif (judged := self._preflight.result(self)) is not None:
             self._handle(judged)
+        elif (failed := self._preflight.failed(self)) is not None:
+            self._handle(failed)
 
     # --- events and commands
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, loiter
+from companion.mission import following, ground, loiter
 from companion.mission.decisions import Context, Step, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
@@ -71,14 +71,17 @@ class OrderResult(enum.Enum):
     NOT_NOW = "it cannot be carried out now"
 
 
-def order_result(state: State, order: Order) -> OrderResult:
-    """The result of an order, for its acknowledgement."""
+def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
+    """The result of an order, for its acknowledgement; go: it takes off without being told."""
     in_air = state.phase in (*ON_PATH, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
             return OrderResult.ACCEPTED if in_air else OrderResult.NOT_NOW
+        case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
+            ready = state.phase is Phase.READY and order.kind is OrderKind.START
+            return OrderResult.ACCEPTED if ready else OrderResult.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE:
             return OrderResult.NOT_NOW if state.phase in _NOT_TO_GO_ON else OrderResult.ACCEPTED
         case OrderKind.PAUSE:
@@ -113,9 +116,20 @@ def why_not(state: State, order: Order) -> str:
             why = "none that was ordered in flight is there"
     elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
+    elif order.kind is OrderKind.START and _waits_for_go(state):
+        why = ground.why_no_go(state)
+    elif state.phase is Phase.READY:
+        why = "it waits for MISSION_START"
     elif state.phase is Phase.HOLDING and state.reason is not None:
         why = state.reason.text
     return f"{order.kind.name.lower()} refused: {why}"
+
+
+def _waits_for_go(state: State) -> bool:
+    """Whether it is on the ground, and nobody has said go yet."""
+    if state.airborne or (state.vehicle.armed and state.phase is not Phase.READY):
+        return False
+    return state.phase in (Phase.WAITING, Phase.PREPARING, Phase.READY)
 
 
 def _is_short(state: State) -> bool:
@@ -266,7 +280,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
             [StatusText(text="mission changed: returning all the same", warning=True)],
             None,
         )
-    if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING):
+    if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
         text = "the vehicle's mission is empty: the old one is flown"
         return state, [StatusText(text=text, warning=True)], None
     for target in targets_ne_m:
@@ -299,6 +313,8 @@ def _flies_there(state: State) -> bool:
 
 def _ordered(state: State, order: Order, _context: Context) -> Step:
     match order.kind:
+        case OrderKind.START if state.phase is Phase.READY:
+            return state, [StatusText(text=f"go: told by {order.sender}")], Trigger.GO
         case OrderKind.START | OrderKind.CONTINUE:
             return _go_on(state)
         case OrderKind.PAUSE:
@@ -405,7 +421,7 @@ def _fence_breach(state: State, event: FenceBreach, _context: Context) -> Step:
 
 
 def _prepared(state: State, event: Prepared, _context: Context) -> Step | None:
-    if not event.refusal or state.phase is Phase.PREPARING:
+    if not event.refusal or state.phase in (Phase.PREPARING, Phase.READY):
         return None
     if state.phase is Phase.ARMING:
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
@@ -432,11 +448,13 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         orders = Orders(Reason.RETURN_ASKED)
         paused = state.orders.active is Reason.PAUSED
         state = replace(state, orders=orders.paused() if paused else orders)
+    waited = state.phase is Phase.READY or state.unready
     state = replace(
         state,
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
+        unready=Reason.REBOOTED.text if waited else "",
     )
     return state, [StatusText(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN
 

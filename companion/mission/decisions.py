@@ -41,6 +41,8 @@ class Context:
     """A simulator waits for each answer: a long silence means that it has ended."""
     shadow: bool = False
     """Watch only: plan and report, never command."""
+    go: bool = False
+    """Somebody has said go beforehand (--start): it takes off as soon as it is ready."""
 
 
 def ask(state: State, *commands: Command) -> Step:

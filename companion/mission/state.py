@@ -28,6 +28,7 @@ class Phase(enum.Enum):
 
     WAITING = "waiting"
     PREPARING = "preparing"
+    READY = "ready"
     ARMING = "arming"
     TAKING_OFF = "taking off"
     FLYING = "flying"
@@ -47,7 +48,9 @@ class Trigger(enum.Enum):
 
     VEHICLE_FOUND = "the vehicle's heartbeat was heard"
     READY = "position, home, streams, parameters and fence are there, on the ground"
-    IN_FLIGHT = "the same, but the vehicle is in the air: take over"
+    GO = "somebody says go: MISSION_START, a yes in the terminal, or --start beforehand"
+    UNREADY = "a check fails while it waits for that; the text says which"
+    IN_FLIGHT = "position, home and so on are there, but the vehicle is in the air: take over"
     TAKE_OVER = "it still flies the path of the companion that was here before"
     WATCH = "the vehicle is known, and only to be watched"
     ARMED = "armed, in the mode that the take-off begins with"
@@ -69,7 +72,7 @@ class Trigger(enum.Enum):
     STOP = "a person asked for the end"
 
 
-ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.ARMING)
+ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.READY, Phase.ARMING)
 IN_AIR = (
     Phase.TAKING_OFF,
     Phase.FLYING,
@@ -86,7 +89,10 @@ _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 
 MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.VEHICLE_FOUND): Phase.PREPARING,
-    (Phase.PREPARING, Trigger.READY): Phase.ARMING,
+    (Phase.PREPARING, Trigger.READY): Phase.READY,
+    (Phase.PREPARING, Trigger.GO): Phase.ARMING,
+    (Phase.READY, Trigger.GO): Phase.ARMING,
+    (Phase.READY, Trigger.UNREADY): Phase.PREPARING,
     (Phase.PREPARING, Trigger.IN_FLIGHT): Phase.HOLDING,
     (Phase.PREPARING, Trigger.TAKE_OVER): Phase.FLYING,
     (Phase.PREPARING, Trigger.WATCH): Phase.SHADOW,
@@ -615,6 +621,8 @@ class State(Struct, frozen=True, kw_only=True):
     airborne: bool = False
     """Whether the vehicle has been in the air since the start: then it is never armed again."""
     prepared: frozenset[Item] = frozenset()
+    unready: str = ""
+    """Why it is not ready any more, having waited for a go; empty: it has not, or is."""
     orders: Orders = Orders()
     taken: bool = False
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""

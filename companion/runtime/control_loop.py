@@ -50,6 +50,30 @@ class Planning(Protocol):
         ...
 
 
+class Person(Protocol):
+    """Who may say go at the terminal."""
+
+    def says_go(self) -> bool:
+        """Whether somebody has said it since this was asked last."""
+        ...
+
+    def hears(self, answer: str) -> None:
+        """What became of it."""
+        ...
+
+
+@final
+class Nobody:
+    """Nobody is there to say it."""
+
+    def says_go(self) -> bool:
+        """Never."""
+        return False
+
+    def hears(self, answer: str) -> None:
+        """Nobody does."""
+
+
 @final
 @dataclass(slots=True, kw_only=True)
 class ControlLoop:
@@ -69,6 +93,7 @@ class ControlLoop:
     lockstep: bool
     stop_asked: Callable[[], bool]
     clock: Clock
+    person: Person = field(default_factory=Nobody)
     part: Worker = field(default_factory=lambda: Worker("decider"))
     ended: threading.Event = field(default_factory=threading.Event)
     _leaving: threading.Event = field(default_factory=threading.Event)
@@ -151,6 +176,8 @@ class ControlLoop:
         if not self._stopping and self.stop_asked():
             self._stopping = True
             self.session.stop()
+        if self.person.says_go():
+            self.person.hears(self.session.say_go() or "go: it takes off")
 
     def _quiet_s(self) -> float:
         """The shortest time that counts as a silence."""
