@@ -20,6 +20,9 @@ BoolArray = npt.NDArray[np.bool_]
 Places = TypeVar("Places", float, FloatArray)
 
 _WGS84 = pyproj.Geod(ellps="WGS84")
+LEAST_RADIUS_M = 6_330_000.0
+"""The ground curves away no faster: WGS 84 has 6,335 km along the meridian at the equator, and
+altitudes of up to 5 km count as in height above them."""
 _BASELINE_M = 100.0  # long enough that rounding of the projection does not show in the azimuth
 _SAME_M = 32.0  # over which the convergence changes by less than 1e-5 rad below 85 degrees
 _NEAR = 64  # places whose convergence is kept: where the vehicle is, and is sent

@@ -5,6 +5,7 @@ fence is ambiguous, the more restrictive reading is taken and noted.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
@@ -13,6 +14,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray, LocalFrame, Window, deg, short_way
 from companion.mavlink.dialect import wire
+from companion.mavlink.mission_items import not_done
 from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.polygons import Point, cleaned, crosses_itself, hull, offset
 from companion.mission.events import FenceChanged, Vector
@@ -430,6 +432,7 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
     """
     targets: list[Point] = []
     said: list[str] = []
+    left_out = Counter[str]()
     end: EndAction | None = None
     for number, item in list(enumerate(items))[int(home_first) :]:
         if end is not None:
@@ -441,11 +444,14 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
             places = _places((item,), frame)
             if places is not None and (item.x or item.y):
                 targets += places
+                left_out.update(not_done(item.command, item.parameters))
             elif item.command not in _ENDS:
                 said.append(f"item {number} ({_name(item.command)}) names no place: left out")
         elif item.command not in _ENDS:
             said.append(f"item {number} ({_name(item.command)}) is not flown: left out")
         end = _ENDS.get(item.command)
+    if left_out:
+        said.append(f"left out: {', '.join(f'{n} x {what}' for what, n in left_out.items())}")
     return Targets(targets_ne_m=tuple(targets), end_action=end, notes=tuple(said))
 
 

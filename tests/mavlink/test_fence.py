@@ -354,7 +354,7 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
         item(16, 0.0, 0.0, 0.0),  # home
         item(22, 0.0, 0.0, 0.0),
         item(178, 0.0, 0.0, 0.0),
-        item(16, 100.0, 0.0, 0.0),
+        item(16, 100.0, 0.0, 15.0),
         item(82, 200.0, 0.0, 0.0),
         item(19, 300.0, 0.0, 10.0),
         PlanItem(frame=3, command=18),
@@ -368,6 +368,7 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
         "item 2 (DO_CHANGE_SPEED) is not flown: left out",
         "item 6 (NAV_LOITER_TURNS) names no place: left out",
         "items 8 to 8 come after the end: left out",
+        "left out: 1 x waiting at a waypoint, 1 x spline at a waypoint, 1 x loiter at a waypoint",
     )
     assert targets_of(items, FRAME, home_first=False).targets_ne_m[0] == pytest.approx(
         (0, 0), abs=0.02
