@@ -21,6 +21,7 @@ from companion.runtime.workers import (
     Item,
     LinkReader,
     PlanComputed,
+    WorkerDelayed,
     WorkerLost,
 )
 from companion.session import Session
@@ -35,6 +36,7 @@ _TRACK_S = 0.5
 _MAX_TRACK = 20_000  # points; of a longer flight every second one, and so on
 _MAX_PLANS = 2_000
 _RESERVE_S = 10.0
+_BUSY_AGAIN_S = 10.0  # between two texts that the computer is busy
 
 
 class Planning(Protocol):
@@ -105,6 +107,7 @@ class ControlLoop:
     _track_at_s: float = -math.inf
     _track_every_s: float = _TRACK_S
     _reserve_at_s: float = -math.inf
+    _busy_at_s: float = -math.inf
     _ended_s: float | None = None
 
     def leave(self) -> None:
@@ -198,6 +201,10 @@ class ControlLoop:
                     self.flown.plans.append(item.outcome)
                 self._forget()
                 self.session.deliver(item.outcome)
+            case WorkerDelayed(part=part, waited_s=waited_s):
+                if now_s - self._busy_at_s >= _BUSY_AGAIN_S:
+                    self._busy_at_s = now_s
+                    self.session.complain(f"computer busy: the {part} waited for {waited_s:.1f} s")
             case WorkerLost(failure=failure, vital=True):
                 self.session.part_died(failure.part, failure.error)
             case WorkerLost(failure=failure) if failure.part != WRITER:
@@ -258,8 +265,10 @@ class ControlLoop:
 
     def _send(self, frames: list[bytes], out: Output) -> None:
         """Send frames, and remove those not sent from the record."""
-        is_open = not (frames or out.to_ground) or self.gate.send(frames, out.to_ground)
-        sent = frames if is_open else []
+        sent = frames
+        if frames or out.to_ground:
+            since_s = self._turned_s if self._arrived_s is None else self._arrived_s
+            sent = self.gate.send(frames, out.to_ground, None if self.lockstep else since_s)
         self._not_sent(out, sent)
         now_s = self.clock()
         self.times.turns.add(now_s - self._turned_s)
