@@ -281,9 +281,6 @@ class Server:
 
     def _real_time(self) -> float:
         speedup = self._settings.speedup
-        for simulation in self._simulations:
-            simulation.send_heartbeat()
-        self._send()
         start_s = origin_s = time.monotonic()  # origin: wall time of vehicle time 0, kept to
         while not self._over():
             behind_us = (time.monotonic() - origin_s) * speedup * 1e6 - self._now_us

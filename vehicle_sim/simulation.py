@@ -304,7 +304,7 @@ class Simulation:
         return changed
 
     def send_heartbeat(self) -> None:
-        """Send both heartbeats now."""
+        """Send all heartbeats now: time stands still until somebody answers."""
         self._controller.send_heartbeat()
         if self._scanner is not None:
             self._scanner.send_heartbeat()

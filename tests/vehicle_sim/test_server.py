@@ -90,6 +90,18 @@ def test_lockstep_lasts_as_long_as_was_asked(serve: Serve, companion: Any) -> No
         assert run.simulation.now_us == 1_000_000
 
 
+def test_who_asks_at_the_first_heartbeat_gets_it_in_lockstep_too(
+    serve: Serve, companion: Any
+) -> None:
+    ask = mavlink.MAVLink_command_long_message(1, 1, 511, 0, 30, 1e5, 0, 0, 0, 0, 0)
+    with serve(companion.port, lockstep=True, duration_s=1.0) as run:
+        companion.datagram()
+        companion.send(companion.heartbeat(), companion.frame(ask))
+        got = [m.get_type() for _ in range(10) for m in companion.tick()]
+        assert run.ended()
+        assert got.count("ATTITUDE") == 10
+
+
 def test_positions_that_are_asked_for_once_an_hour_do_not_make_it_last(
     serve: Serve, companion: Any
 ) -> None:

@@ -216,3 +216,39 @@ def test_a_reboot_is_the_autopilots_alone(autopilot: str) -> None:
     assert [row["landed"] for row in rows[1:]] == sorted(row["landed"] for row in rows[1:])
     assert rows[-1]["landed"]
     assert "crash" in rows[-1]  # 4 m deep: 8.9 m/s
+
+
+@pytest.mark.parametrize(("autopilot", "first_s"), [("ardupilot", 0.9), ("px4", 1.6)])
+@pytest.mark.parametrize("kind", ["copter", "plane"])
+def test_who_waits_for_a_heartbeat_and_then_asks_gets_what_it_asked_for(
+    world_table: Table, kind: str, autopilot: str, first_s: float
+) -> None:
+    """At once, as most scripts do: after the start, after a reboot (ardupilot.md 1, px4.md 3)."""
+    vehicle = {"kind": kind, "autopilot": autopilot, "north_m": 0.0, "east_m": 0.0}
+    it = Other(world_table | {"vehicle": vehicle | {"heading_deg": 0.0}})
+    simulation, began_s = it.simulation, 0.0
+    for faults in ("reboot", ""):
+        beats: list[tuple[float, int]] = []
+        while not any(component == 1 for _, component in beats):
+            simulation.step()
+            beats += [
+                (simulation.now_us * 1e-6, m.get_srcComponent())
+                for m in it.messages()
+                if m.get_type() == "HEARTBEAT"
+            ]
+        assert beats[-1][0] == pytest.approx(began_s + first_s, abs=0.011)
+        if not began_s:  # of the radar's too none is within the 60 ms that forget
+            assert beats[0][0] == pytest.approx(min(first_s, 1.0), abs=0.011)
+        it.command(511, 30, 50_000)
+        got: list[Any] = []
+        for _ in range(100):
+            simulation.step()
+            got += it.messages()
+        assert kinds(got).count("ATTITUDE") >= 19
+        if faults:
+            simulation.add_fault(faults)
+            simulation.step()
+            began_s = simulation.now_us * 1e-6 + 1.1
+            for _ in range(110):
+                simulation.step()
+            it.messages()
