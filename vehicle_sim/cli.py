@@ -180,7 +180,7 @@ def fly(
 
 
 def _ending(simulations: list[Simulation], wall_s: float) -> str:
-    flown_s = simulations[0].now_us * 1e-6
+    flown_s = max(each.now_us for each in simulations) * 1e-6
     times = flown_s / wall_s if wall_s > 0.0 else 0.0
     outcomes = "; ".join(each.outcome() for each in simulations[:3])
     return (

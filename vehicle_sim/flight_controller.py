@@ -143,7 +143,8 @@ class FlightController:
         return False
 
     def send_heartbeat(self) -> None:
-        """Send a heartbeat now."""
+        """Send a heartbeat now: whoever hears it may ask for more."""
+        self.streams.begin()
         self._send(_HEARTBEAT, None)
 
     def _renew_report(self) -> None:

@@ -246,20 +246,25 @@ class Simulation:
         return self._controller.autopilot.mode_name
 
     @property
+    def _is_down(self) -> bool:
+        """The autopilot has no power: it reboots."""
+        return self.now_us < self._down_until_us
+
+    @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
-        return self._controller.autopilot.armed
+        return self._controller.autopilot.armed and not self._is_down
 
     @property
     def landed(self) -> bool:
         """Whether it stands on the ground."""
-        return self._controller.autopilot.landed
+        return self._touches_ground if self._is_down else self._controller.autopilot.landed
 
     @property
     def armable(self) -> bool:
         """Whether the autopilot is healthy and has a position to fly by."""
         autopilot = self._controller.autopilot
-        return autopilot.status().prearm_ok and autopilot.estimate.position_ok
+        return not self._is_down and autopilot.status().prearm_ok and autopilot.estimate.position_ok
 
     def outcome(self) -> str:
         """Where it is and what it does, in a few words."""
@@ -299,7 +304,7 @@ class Simulation:
         return changed
 
     def send_heartbeat(self) -> None:
-        """Send both heartbeats now."""
+        """Send all heartbeats now: time stands still until somebody answers."""
         self._controller.send_heartbeat()
         if self._scanner is not None:
             self._scanner.send_heartbeat()
@@ -344,7 +349,7 @@ class Simulation:
     def set_parameter(self, name: str, value: float) -> None:
         """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
         self._parameters[name] = value
-        if self.now_us < self._down_until_us:
+        if self._is_down:
             return
         if self._world.vehicle.autopilot == "px4":  # also reports changes by clients
             self._controller.answer([SendParameter(name=name)])
@@ -408,8 +413,12 @@ class Simulation:
         looks = now_us % _LOOK_US == 0
         if looks:
             self._look_down()
-        if now_us < self._down_until_us:
-            return self._stay_down()
+        if self._is_down:
+            complete = self._stay_down()
+            if self._lidar is not None:
+                self._step_lidar()
+            self._step_beside(complete)
+            return complete
         controller, conditions, vehicle = self._controller, self._conditions, self._vehicle
         wind, gps = self._wind, self._gps
         if not wind.still or conditions.wind is not wind.conditions:
@@ -443,11 +452,16 @@ class Simulation:
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None
+        self._step_beside(complete)
+        return complete
+
+    def _step_beside(self, complete: bool) -> None:
+        """What has its own power and its own computer: the radar, and who hears ADS-B."""
+        now_us = self.now_us
         if self._adsb is not None and now_us >= self._adsb.due_us:
             self._adsb.step(now_us)
         if self._scanner is not None and now_us >= self._scanner.due_us:
-            self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
-        return complete
+            self._scanner.step(now_us, self._vehicle, self._conditions.radar, tick=complete)
 
     def _step_lidar(self, lidar: Lidar, driver: LidarDriver | None) -> None:
         """Measure; what the autopilot gets of it, it gets at once."""
@@ -455,7 +469,8 @@ class Simulation:
         wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
         north_m, east_m, _ = self._place_nea_m()
         fired = lidar.step(self.now_us, self._vehicle, (north_m, east_m), wrong)
-        proximity = None if controller.ranging is None else controller.ranging.proximity
+        hears = controller.ranging is not None and not self._is_down
+        proximity = controller.ranging.proximity if controller.ranging and hears else None
         if driver is None:
             if proximity is not None and not wrong.silent:
                 angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
@@ -522,7 +537,7 @@ class Simulation:
         if self.crash is None:
             north_m, east_m, altitude_m = self._place_nea_m().tolist()
             self.crash = Crash(self.now_us * 1e-6, north_m, east_m, altitude_m, speed, into)
-        if self.now_us >= self._down_until_us:
+        if not self._is_down:
             self._controller.answer(self._controller.autopilot.crash())
 
     @property
@@ -549,16 +564,23 @@ class Simulation:
 
     def _look_down(self) -> None:
         """Where it is in the world, how high the ground is there; one line of truth."""
-        vehicle, autopilot = self._vehicle, self._controller.autopilot
+        vehicle = self._vehicle
         self._measure_ground()
         near_m = None
         if not self._scene.empty:
             here = (*self._local_m, vehicle.altitude_amsl_m)
             near_m = min(self._near_m, float(self._scene.distance_m(np.array(here))[0]))
             self.nearest_m, self._near_m = min(self.nearest_m, near_m), math.inf
-        line = truth.line(self.now_us, self._local_m, vehicle, autopilot, near_m, self.crash)
+        line = truth.line(
+            self.now_us,
+            self._local_m,
+            vehicle,
+            (self.mode_name, self.armed, self.landed),
+            near_m,
+            self.crash,
+        )
         self._truth.append(line)
-        shown = (autopilot.mode_name, autopilot.armed)
+        shown = (self.mode_name, self.armed)
         if shown != self._shown:
             self._shown = shown
             self._notice(f"{shown[0]}, {'armed' if shown[1] else 'disarmed'}")
@@ -612,7 +634,7 @@ class Simulation:
                 self.answered_ns = message.ts1
             elif message.tc1 != 0:
                 self.mistaken_ns = message.ts1
-        if not received.to_autopilot or self.now_us < self._down_until_us:
+        if not received.to_autopilot or self._is_down:
             return
         if kind == "HEARTBEAT" and sender.link == 0:
             self._meet(sender, message.system_status)

@@ -32,6 +32,7 @@ FORGOTTEN_US = 60_000
 request, acknowledged all the same, has set (ardupilot.md 0, fact 10: 40 ms after the first byte,
 which comes 20 ms after the start)."""
 NEVER_US = 1 << 62
+_HEARTBEAT = 0
 _LONGEST_US, _SHORTEST_US = 60_000_000, 1_000
 """Of an interval on ArduPilot (GCS_Common.cpp: kept in 16 bits of milliseconds)."""
 
@@ -62,6 +63,17 @@ class Streams:
         self._intervals_us = {key: us for key, us in self._intervals_us.items() if key[0] != link}
         fresh = {number: self._default_us(number) for number in self._style.rates_hz}
         self._set(link, fresh, now_us)
+        first_us = self._booted_us + self._style.first_heartbeat_us
+        self._due = [
+            (first_us if (number, on) == (_HEARTBEAT, link) else due_us, number, on)
+            for due_us, number, on in self._due
+        ]
+        heapq.heapify(self._due)
+        self.soonest_us = self._due[0][0] if self._due else NEVER_US
+
+    def begin(self) -> None:
+        """Something has been sent: what is asked for from now on is kept."""
+        self._booted_us = None
 
     def due(self, now_us: int) -> list[tuple[int, int]]:
         """Link and message number of what is due, oldest first; each at most once."""
@@ -111,7 +123,8 @@ class Streams:
         wanted_us = self._wanted_us(known, interval_us)
         if wanted_us is None:
             return [_ack(command, Result.FAILED)]
-        if self._is_px4 or now_us - (self._booted_us or 0) >= FORGOTTEN_US:
+        began_us = self._booted_us
+        if self._is_px4 or began_us is None or now_us - began_us >= FORGOTTEN_US:
             self._set(command.sender.link, {known: wanted_us}, now_us)
         return [_ack(command, Result.ACCEPTED)]
 

@@ -90,6 +90,7 @@ def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile
         capabilities=CAPABILITIES,
         software_version=SOFTWARE_VERSION,
         custom_version=CUSTOM_VERSION,
+        first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
         streamable=(every | {49, 410}) - _NOT_STREAMABLE - {148, 300},
         requestable=every | frozenset(_ON_EVENT),
