@@ -45,6 +45,7 @@ _SET_S = 0.1  # in which the messages of one stamp come: a stamp may stand still
 _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
+_WHOLE_S = 2.5  # in it HEARTBEAT and SYS_STATUS come twice: one fewer sector fits beside them
 
 
 def is_sector(message: Message) -> bool:
@@ -204,6 +205,8 @@ class NearSensing:
         """and when the first of them came."""
         self._sectors: set[int] = set()
         """Those of ArduPilot's eight that were ever told."""
+        self._whole_s = -math.inf, -math.inf
+        """Since when all of these have come, and until when."""
         self._full_since_s = np.empty(0)
         """Since when each sector, as the sensor counts them, has said "max"; inf: it does not."""
         self._taken_s = -math.inf, -math.inf
@@ -304,16 +307,27 @@ class NearSensing:
     def _take_sectors(self) -> None:
         """A sector is told from its first echo on: one that never was has none, as at "max".
 
-        Unless it was left out at the end of a set, where a link was too slow for the rest.
+        But the high sectors may be what a link had no room for (proximity.md 1).  Where that is so
+        the cut moves with what else is sent: those behind the last one were left out for it unless
+        all that was ever told has come for a while.
         """
         messages, self._set = self._set, []
         told_cm = np.full(_SECTORS, float(_UNKNOWN_CM))
         for message in messages:
             told_cm[message.orientation] = message.current_distance
-        one = messages[0]
+        one, last = messages[0], max(message.orientation for message in messages)
+        since_s, until_s = self._whole_s
+        if not 0.0 <= self._set_s - until_s <= _SILENT_S or last < max(self._sectors, default=0):
+            since_s = self._set_s
+        if last < max(self._sectors, default=0):
+            self.refused["a link had no room for all sectors"] += 1
+        if self._set_s < until_s:  # the autopilot has begun anew, and what it has told
+            self._sectors.clear()
+        self._whole_s = since_s, self._set_s
         self._sectors.update(message.orientation for message in messages)
-        left_out = set(range(max(message.orientation for message in messages))) - self._sectors
-        told_cm[list(left_out)] = one.max_distance
+        if self._sensor.component_id == AUTOPILOT_COMPONENT:  # of other drivers that is not known
+            end = _SECTORS if self._set_s - since_s >= _WHOLE_S else last
+            told_cm[[k for k in range(end) if k not in self._sectors]] = one.max_distance
         if not 0 <= one.min_distance < one.max_distance:
             return self._refuse("max_distance is no more than min_distance")
         self._take(
