@@ -368,6 +368,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """When it was last invalid for another reason than its place."""
     sight: Sight = Sight.NEVER_HEARD
     """Of its sensor of near things, if the mission has one."""
+    sees_m: float = math.inf
+    """The least range that this has told of in the air."""
     ground_above_m: float = 0.0
     """How much higher than on the map its rangefinder has seen the ground, last; 0: it is not."""
     believed_at_s: float = -1e9

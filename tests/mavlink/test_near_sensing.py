@@ -312,3 +312,50 @@ def test_one_that_is_left_out_now_and_was_told_before_is_unknown() -> None:
 def test_of_a_driver_other_than_the_autopilot_silence_says_nothing() -> None:
     expected = [7.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 0.0]
     assert sectors_over(4.0, lambda _: (0, 2, 5), component=158) == expected
+
+
+def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
+    sensing = NearSensing(LIDAR, standing())
+    assert sensing.limits_m is None
+    for most_cm, now_s in ((4000, NOW_S), (1200, NOW_S + 0.1), (2500, NOW_S + 0.2)):
+        sensing.on_obstacle_distance(obstacle_distance([500], max_distance=most_cm), now_s)
+        assert sensing.limits_m == pytest.approx((0.2, 0.01 * most_cm))
+
+
+def test_sectors_of_unlike_limits_are_clear_as_far_as_each_one_sees() -> None:
+    poses, sensing = Poses(), None
+    sensing = NearSensing(BEHIND_AUTOPILOT, poses)
+    for k in range(40):
+        now_s = NOW_S + 0.05 * k
+        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
+        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        for sector, least_cm, most_cm in ((0, 20, 900), (1, 50, 800), (2, 20, 4000)):
+            sensing.on_distance_sensor(
+                wire.MAVLink_distance_sensor_message(
+                    round(1e3 * now_s), least_cm, most_cm, most_cm, 0, 10, sector, 0
+                ),
+                now_s,
+            )
+        sweeps = sensing.sweeps()
+    assert sweeps[-1].clear_m[:3] == pytest.approx([9.0, 8.0, BEHIND_AUTOPILOT.range_m])
+    assert sensing.limits_m == pytest.approx((0.5, 8.0))
+
+
+def test_one_that_has_told_how_far_it_sees_shows_no_more_by_its_silence() -> None:
+    """R may be more than what it sees: 16 m of 40."""
+    poses = Poses()
+    sensing = NearSensing(replace(BEHIND_AUTOPILOT, range_m=40.0), poses)
+    bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+    well = wire.MAVLink_sys_status_message(bit, bit, bit, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+    beam = wire.MAVLink_distance_sensor_message(10_000, 20, 1600, 700, 0, 10, 0, 0)
+    sensing.on_distance_sensor(beam, NOW_S)
+    late = wire.MAVLink_distance_sensor_message(10_050, 20, 1600, 700, 0, 10, 0, 0)
+    sensing.on_distance_sensor(late, NOW_S + 0.05)
+    for k in range(50):
+        now_s = NOW_S + 0.1 * k
+        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
+        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        if k % 10 == 0 and k:
+            sensing.on_health(well, now_s)
+    clear_m = [sweep.clear_m.max() for sweep in sensing.sweeps()]
+    assert clear_m[-1] == pytest.approx(16.0)
