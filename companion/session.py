@@ -297,12 +297,16 @@ class Session:
             self._start_scan(here)
 
     def hold_frames(self) -> list[bytes]:
-        """The frames that put a vehicle under our control on hold.  Has no side effects."""
+        """The frames that put a vehicle under our control on hold, unsigned: no side effects."""
         return self._outbox.encode_unsent(self._holding())
 
     def final_text(self, why: str) -> list[bytes]:
-        """The frames of the text that the companion has ended, and why.  Has no side effects."""
+        """The frames of the text that the companion has ended, and why; as `hold_frames`."""
         return self._outbox.encode_unsent(final_text(f"ended, failed: {why}"))
+
+    def signed(self, frames: list[bytes]) -> list[bytes]:
+        """Those frames as they are to be sent now, by any thread: a signature ages."""
+        return self._outbox.signed(frames)
 
     def _holding(self) -> Sequence[Message]:
         if self.vehicle is None or self.context.shadow or not is_under_control(self.state):
@@ -328,9 +332,13 @@ class Session:
                 pass
             elif number == _POSITION:
                 time_s = heard.message.time_boot_ms * 1e-3
-                if time_s >= self._plan.due_s and self._must_wait_for_plan(time_s):
+                if (
+                    time_s >= self._plan.due_s
+                    and self.clock.believes(time_s, self._arrival_s(heard))
+                    and self._must_wait_for_plan(time_s)
+                ):
                     return False
-                self._on_time(time_s, ticks=False)
+                is_read = self._on_time(time_s, heard, ticks=False)
             elif (clock := _CLOCKS.get(number)) is not None:
                 is_read = clock(self, heard)
         self._out.record.append((self.clock.now_s, heard.frame))
@@ -527,20 +535,17 @@ class Session:
     # --- the clock
 
     def _on_time_only(self, heard: Incoming) -> bool:
-        """Handle a time-only message; whether it is newer."""
+        """Handle a time-only message; whether it is newer, and believed."""
         time_ms = boot_ms_of(heard.frame, heard.number)
         assert time_ms is not None
-        if news := self.clock.is_newer(heard.number, time_ms):
-            self._on_time(time_ms * 1e-3)
-        return news
+        return self.clock.is_newer(heard.number, time_ms) and self._on_time(time_ms * 1e-3, heard)
 
     def _on_system_time(self, heard: Incoming) -> bool:
-        self._on_time(heard.message.time_boot_ms * 1e-3)
-        return True
+        return self._on_time(heard.message.time_boot_ms * 1e-3, heard)
 
     def _on_simulated_time(self, heard: Incoming) -> bool:
         if self._lockstep and heard.message.tc1 == 0:
-            self._on_time(heard.message.ts1 * 1e-9)
+            self._on_time(heard.message.ts1 * 1e-9, heard)
         return True
 
     def _on_beat(self, heard: Incoming) -> bool:
@@ -548,10 +553,17 @@ class Session:
             self._handle(events.Tick(time_s=self.clock.going_on_s))
         return True
 
-    def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
-        """Take a new vehicle time; ticks: False if an event of the same time follows."""
+    def _arrival_s(self, heard: Incoming) -> float | None:
+        """When a message came; None in lockstep, where nothing depends on wall time."""
+        return None if self._lockstep else heard.at_s
+
+    def _on_time(self, time_s: float, heard: Incoming, *, ticks: bool = True) -> bool:
+        """Take a new vehicle time; ticks: False if an event of the same time follows.
+
+        False if it is doubted: then nothing else that the message tells counts either.
+        """
         before_s = self.clock.now_s
-        reading = self.clock.read(time_s)
+        reading = self.clock.read(time_s, self._arrival_s(heard))
         if reading is ClockReading.FIRST:  # waits go on by the new clock
             self.state = self.state.rebase_time(time_s - before_s)
             self._due_s = -math.inf
@@ -565,6 +577,7 @@ class Session:
                 self.state = self.state.rebase_time(-ahead_s)
             if ticks:
                 self._handle(events.Tick(time_s=time_s))
+        return reading is not ClockReading.DOUBTED
 
     def _on_reboot(self) -> None:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""

@@ -10,7 +10,7 @@ from typing import Literal, final
 from vehicle_sim.errors import InputError, did_you_mean
 
 Firmware = Literal["ardupilot", "px4"]
-_LARGEST_FLOAT, _LARGEST_INT = 3.4028234663852886e38, 2**31 - 1
+_LARGEST_FLOAT = 3.4028234663852886e38
 
 
 class Kind(enum.IntEnum):
@@ -20,6 +20,14 @@ class Kind(enum.IntEnum):
     INT16 = 4
     INT32 = 6
     REAL32 = 9
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and greatest value."""
+        if self is Kind.REAL32:
+            return -_LARGEST_FLOAT, _LARGEST_FLOAT
+        most = {Kind.INT8: 2**7, Kind.INT16: 2**15, Kind.INT32: 2**31}[self]
+        return -most, most - 1
 
 
 @final
@@ -39,7 +47,7 @@ class Parameters:
     """The table as it stands; the order of the rows is the order of the wire's indices.
 
     InputError for an override that is not in the table, with the nearest known name, and for one
-    that PARAM_VALUE cannot carry.
+    that its type does not hold.
     """
 
     def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
@@ -52,19 +60,28 @@ class Parameters:
                 remedy = did_you_mean(name, self._rows, "Leave it out.")
                 rule = "this autopilot has no such one"
                 raise InputError(f"parameter {name}", value, rule, remedy)
+            kind = self._rows[name].kind
+            least, most = kind.range
+            if not least <= value <= most:  # nor is NaN
+                bits = 8 if kind is Kind.INT8 else 16 if kind is Kind.INT16 else 32
+                rule = f"must be a number from {least:.8g} to {most:.10g}: it has {bits} bits"
+                raise InputError(f"parameter {name}", value, rule, "Give another one.")
             self[name] = value
-            most = _LARGEST_FLOAT if self._rows[name].kind is Kind.REAL32 else _LARGEST_INT
-            if not abs(self[name]) <= most:
-                rule = f"must be within {most:g}: it has 32 bits"
-                raise InputError(f"parameter {name}", value, rule, "Give a smaller number.")
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
 
     def __setitem__(self, name: str, value: float) -> None:
-        """Set within the row's limits, rounded to its type.  KeyError for a name not in it."""
+        """Set within the limits of the row and its type, rounded to that.
+
+        KeyError for a name not in it.  Neither firmware takes what is not a finite number: nothing
+        changes.
+        """
         row = self._rows[name]
-        value = min(max(value, row.least), row.most)
+        if not math.isfinite(value):
+            return
+        least, most = row.kind.range
+        value = min(max(value, row.least, least), row.most, most)
         self._values[name] = value if row.kind is Kind.REAL32 else float(round(value))
         self.version += 1
 

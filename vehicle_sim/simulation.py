@@ -14,6 +14,7 @@ from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
 from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
+from vehicle_sim.dynamics.contact import Crash, is_crash, speed_m_s
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
@@ -51,6 +52,11 @@ _DOWN_US = 1_100_000
 _NEAR_M = 3.0
 """Nearer to a thing than this, its distance is looked at in every step."""
 _ALONG_M = 0.01
+_THINGS = "a tree, wall, building or wire"
+_OFF_GROUND_M = 0.3
+"""Above the ground by this much a plane has taken off: what comes then is a landing, or none."""
+_SLOPE_M = 0.5
+"""The ground's slope is that between points so far to either side."""
 _FARTHEST_DOWN_M = 655.0
 _OF_OBSTACLES = ("OBSTACLE_DISTANCE", "OBSTACLE_DISTANCE_3D", "DISTANCE_SENSOR")
 
@@ -99,6 +105,9 @@ class Simulation:
         """To a tree, wall, building or wire: the least of the whole flight; and the least since
         the last line of truth."""
         self._unwatched_m = 0.0
+        self.crash: Crash | None = None
+        """The first contact that nobody survives, with the ground or with a thing."""
+        self._touches_ground, self._touches_thing, self._took_off = True, False, False
         place = self._frame.to_geographic(vehicle.north_m, vehicle.east_m)
         self._vehicle = make_vehicle(vehicle, *place, self._ground_amsl_m)
         self._plans = Plans()
@@ -123,6 +132,10 @@ class Simulation:
         self._down_until_us, self._since_power_s = 0, 0.0
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
+        self._local_m = (vehicle.north_m, vehicle.east_m)
+        self._rise_m_s = 0.0
+        """How fast the ground below rises, as the vehicle moves over it."""
+        self._measured_us, self._passed_ne = 0, (0.0, 0.0)
         self._look_down()
         self._must_stand_free()
 
@@ -256,6 +269,12 @@ class Simulation:
         return (
             f"{round(north_m)} m north, {round(east_m)} m east, "
             f"{self._vehicle.altitude_amsl_m:.0f} m AMSL, {self.mode_name}, {armed}, {where}"
+            + (
+                ""
+                if self.crash is None
+                else f"; it hit {self.crash.into} at "
+                f"{self.crash.speed_m_s:.1f} m/s, {self.crash.t_s:.1f} s"
+            )
         )
 
     # --- out ----------------------------------------------------------------------------------
@@ -398,6 +417,11 @@ class Simulation:
         if now_us - controller.boot_us >= gps.due_us:
             gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
         controller.now_us, controller.report.fix = now_us, gps.fix
+        way = self._way_m_s
+        if not self._touches_ground and not looks:
+            above_m = vehicle.altitude_amsl_m - self._ground_amsl_m
+            if above_m < speed_m_s(way) * _LOOK_US * 1e-6:
+                self._measure_ground()
         since_boot_us, ground_amsl_m = now_us - controller.boot_us, self._ground_amsl_m
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
         if replies or controller.transfers:
@@ -409,6 +433,7 @@ class Simulation:
             self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
+        self._watch_ground(way)
         if not self._scene.empty:
             self._watch_near()
         for lidar, driver in self._lidars:
@@ -444,9 +469,8 @@ class Simulation:
 
     def _watch_near(self) -> None:
         """How near it has come to anything; whoever touches something crashes."""
-        vehicle, controller = self._vehicle, self._controller
-        way = (vehicle.velocity_north_m_s, vehicle.velocity_east_m_s, vehicle.velocity_up_m_s)
-        step_m = math.hypot(*way) * _STEP_S
+        way = self._way_m_s
+        step_m = speed_m_s(way) * _STEP_S
         self._unwatched_m -= step_m
         if self._unwatched_m > 0.0:
             return
@@ -457,22 +481,83 @@ class Simulation:
             share = np.linspace(0.0, 1.0, math.ceil(step_m / _ALONG_M) + 1)[:, None]
             near_m = float(self._scene.distance_m(here - share * _STEP_S * np.array(way)).min())
         self._near_m = min(self._near_m, near_m)
-        if near_m == 0.0 and controller.autopilot.armed and not controller.autopilot.landed:
-            self._notice("it hits a tree, wall, building or wire")
-            vehicle.velocity_north_m_s = vehicle.velocity_east_m_s = 0.0
-            controller.answer(controller.autopilot.crash())
+        touches, self._touches_thing = self._touches_thing, near_m == 0.0
+        if self._touches_thing and not touches and any(way):
+            if self._touches_ground:
+                self._vehicle.stand(self._ground_amsl_m)
+            else:
+                self._vehicle.hit()
+            self._crashes(way, _THINGS)
+
+    def _watch_ground(self, way: tuple[float, float, float]) -> None:
+        """Whether it touches the ground, and survives that; its velocity before this step."""
+        vehicle, touched = self._vehicle, self._touches_ground
+        above_m = vehicle.altitude_amsl_m - self._ground_amsl_m
+        self._touches_ground = above_m <= 0.0
+        if not self._touches_ground:
+            self._took_off = self._took_off or above_m > _OFF_GROUND_M
+            return
+        if touched and (self._measured_us != self.now_us or not any(way)):
+            return
+        if touched:  # it rolls: along the ground, as that was
+            way = (way[0], way[1], self._rise_before_m_s)
+        lands, self._took_off = self._took_off, False
+        if self._is_crash(way, lands=lands):
+            vehicle.stand(self._ground_amsl_m)
+            self._crashes(way, "the ground")
+
+    def _is_crash(self, way: tuple[float, float, float], *, lands: bool) -> bool:
+        """By the slope about here, or by that of the way here, whichever is worse: a step up."""
+        rolls = self._world.vehicle.kind == "plane"
+        (north_m, east_m), height_m = self._local_m, self._terrain.height_at_amsl_m
+        north = height_m(north_m + _SLOPE_M, east_m) - height_m(north_m - _SLOPE_M, east_m)
+        east = height_m(north_m, east_m + _SLOPE_M) - height_m(north_m, east_m - _SLOPE_M)
+        about = (north / (2.0 * _SLOPE_M), east / (2.0 * _SLOPE_M))
+        slopes = (about, self._passed_ne)
+        return any(is_crash(way, each, rolls=rolls, lands=lands) for each in slopes)
+
+    def _crashes(self, way: tuple[float, float, float], into: str) -> None:
+        speed = speed_m_s(way)
+        self._notice(f"it hits {into} at {speed:.1f} m/s")
+        if self.crash is None:
+            north_m, east_m, altitude_m = self._place_nea_m().tolist()
+            self.crash = Crash(self.now_us * 1e-6, north_m, east_m, altitude_m, speed, into)
+        if self.now_us >= self._down_until_us:
+            self._controller.answer(self._controller.autopilot.crash())
+
+    @property
+    def _way_m_s(self) -> tuple[float, float, float]:
+        """Velocity to the north, east and up."""
+        vehicle = self._vehicle
+        return vehicle.velocity_north_m_s, vehicle.velocity_east_m_s, vehicle.velocity_up_m_s
+
+    def _measure_ground(self) -> None:
+        """Where it is in the world, and how high the ground is there."""
+        vehicle = self._vehicle
+        (before_n, before_e), before_m = self._local_m, self._ground_amsl_m
+        self._local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        self._ground_amsl_m = self._terrain.height_at_amsl_m(*self._local_m)
+        north_m, east_m = self._local_m[0] - before_n, self._local_m[1] - before_e
+        passed_m, rise_m = math.hypot(north_m, east_m), self._ground_amsl_m - before_m
+        self._passed_ne = (0.0, 0.0)
+        if passed_m > 1e-3:
+            slope = rise_m / passed_m
+            self._passed_ne = (slope * north_m / passed_m, slope * east_m / passed_m)
+        lasted_s = (self.now_us - self._measured_us) * 1e-6
+        self._rise_before_m_s, self._measured_us = self._rise_m_s, self.now_us
+        self._rise_m_s = rise_m / lasted_s if lasted_s > 0.0 else 0.0
 
     def _look_down(self) -> None:
         """Where it is in the world, how high the ground is there; one line of truth."""
         vehicle, autopilot = self._vehicle, self._controller.autopilot
-        self._local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
-        self._ground_amsl_m = self._terrain.height_at_amsl_m(*self._local_m)
+        self._measure_ground()
         near_m = None
         if not self._scene.empty:
             here = (*self._local_m, vehicle.altitude_amsl_m)
             near_m = min(self._near_m, float(self._scene.distance_m(np.array(here))[0]))
             self.nearest_m, self._near_m = min(self.nearest_m, near_m), math.inf
-        self._truth.append(truth.line(self.now_us, self._local_m, vehicle, autopilot, near_m))
+        line = truth.line(self.now_us, self._local_m, vehicle, autopilot, near_m, self.crash)
+        self._truth.append(line)
         shown = (autopilot.mode_name, autopilot.armed)
         if shown != self._shown:
             self._shown = shown
@@ -495,11 +580,14 @@ class Simulation:
 
     def _stay_down(self) -> bool:
         """One step without an autopilot: in the air it falls, and is back when it lies."""
-        vehicle = self._vehicle
+        vehicle, way = self._vehicle, self._way_m_s
         if vehicle.altitude_amsl_m > self._ground_amsl_m:
             vehicle.fall(_STEP_S)
             self._down_until_us = max(self._down_until_us, self.now_us + 2 * STEP_US)
-        else:
+        self._watch_ground(way)
+        if not self._scene.empty:
+            self._watch_near()
+        if vehicle.altitude_amsl_m <= self._ground_amsl_m:
             vehicle.stand(self._ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
             self._boot(self._make_autopilot(self._parameters.values()))

@@ -4,6 +4,7 @@ import json
 
 from vehicle_sim.autopilots import Autopilot
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.dynamics.contact import Crash
 from vehicle_sim.world import World
 
 INTERVAL_US = 100_000
@@ -32,8 +33,11 @@ def line(
     vehicle: Vehicle,
     autopilot: Autopilot,
     near_m: float | None,
+    crash: Crash | None = None,
 ) -> str:
     """One moment; near_m: least distance to any near thing since the one before, None: no things.
+
+    crash: the first of the flight, as soon as there was one.
 
     Written by hand: json.dumps would take longer than the flying.
     """
@@ -47,5 +51,13 @@ def line(
         f'"velocity_up_m_s": {vehicle.velocity_up_m_s:.4f}, '
         f'"mode": "{autopilot.mode_name}", "armed": {str(autopilot.armed).lower()}, '
         f'"landed": {str(autopilot.landed).lower()}'
-        + ("}" if near_m is None else f', "near_m": {near_m:.3f}}}')
+        + ("" if near_m is None else f', "near_m": {near_m:.3f}')
+        + ("" if crash is None else f', "crash": {_crash(crash)}')
+        + "}"
+    )
+
+
+def _crash(crash: Crash) -> str:
+    return json.dumps(
+        {k: round(v, 4) if isinstance(v, float) else v for k, v in crash._asdict().items()}
     )

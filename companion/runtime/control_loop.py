@@ -11,9 +11,9 @@ from typing import Protocol, final
 from companion.mavlink.link import VEHICLE_LINK, Output
 from companion.planner.request import Planned, PlanRequest
 from companion.runtime.latency import StreamTimes
-from companion.runtime.link import GroundLinks, Link
+from companion.runtime.link import GroundLinks, Link, is_setpoint
 from companion.runtime.recorder import WRITER, Batch, Writer
-from companion.runtime.watchdog import Clock, Gate, Watchdog, Worker, is_setpoint
+from companion.runtime.watchdog import Clock, Gate, Watchdog, Worker
 from companion.runtime.workers import (
     POLL_S,
     Datagram,

@@ -109,7 +109,7 @@ class _Flight:
         self._session, self._folder, self._lockstep = session, folder, lockstep
         self._event_queue = EventQueue()
         grounds = GroundLinks(ground)
-        gate = Gate(link, clock, grounds)
+        gate = Gate(link, clock, grounds, session.signed)
         self._watchdog = Watchdog(
             gate,
             clock=clock,

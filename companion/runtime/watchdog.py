@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from companion.runtime.link import GroundLinks, Link
+from companion.runtime.link import GroundLinks, Link, is_setpoint
 
 Clock = Callable[[], float]
 """Seconds that only ever grow, of this computer."""
@@ -29,8 +29,6 @@ _TICK_S = 0.025
 _HOLD_AGAIN_S = (0.0, 0.3, 0.7)
 """Waits before each time that the hold is sent: a datagram may get lost."""
 _LOCK_S = 0.05
-_SETPOINTS = (84, 86)
-_COMMAND_INT, _REPOSITION, _NO_SWITCH = 75, (192).to_bytes(2, "little"), bytes(4)
 
 
 @final
@@ -89,8 +87,16 @@ def waits_for_processor(part: Worker) -> bool:
 class Gate:
     """The session's only way to the link.  Once shut it stays shut."""
 
-    def __init__(self, link: Link, clock: Clock, ground: GroundLinks | None = None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        clock: Clock,
+        ground: GroundLinks | None = None,
+        signed: Callable[[list[bytes]], list[bytes]] = list,
+    ) -> None:
+        """signed: signs the watchdog's frames, for a link whose peer demands it."""
         self._link, self._clock, self._ground = link, clock, ground or GroundLinks([])
+        self._signed = signed
         self._lock = threading.Lock()
         self._is_shut = False
         self._streamed_s = -math.inf
@@ -120,11 +126,15 @@ class Gate:
         self._is_shut = True
 
     def send_last(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> None:
-        """Send the watchdog's own frames through the shut gate, without waiting."""
+        """Send the watchdog's own unsigned frames through the shut gate, without waiting.
+
+        They are signed here: a signature that is older than the last one sent is refused, and so is
+        a copy of one that has arrived.
+        """
         locked = self._lock.acquire(timeout=_LOCK_S)
         try:
-            self._link.send(frames)
-            self._ground.send(to_ground)
+            self._link.send(self._signed(frames))
+            self._ground.send(self._signed([*to_ground]))
         finally:
             if locked:
                 self._lock.release()
@@ -264,17 +274,3 @@ class Watchdog:
                 with contextlib.suppress(Exception):  # the next attempt is not given up for it
                     self._gate.send_last([*frames, *words], words)
             words = []  # once
-
-
-def is_setpoint(frame: bytes) -> bool:
-    """Whether a MAVLink 2 frame tells a vehicle where to be: SET_POSITION_TARGET_*, DO_REPOSITION.
-
-    DO_REPOSITION with a mode change (parameter 2) is a hold command, no setpoint.
-    COMMAND_INT holds its command after four parameters, two coordinates and a height (28 bytes).
-    """
-    if len(frame) < 12 or frame[0] != 0xFD:
-        return False
-    message_id = int.from_bytes(frame[7:10], "little")
-    if message_id == _COMMAND_INT:
-        return frame[38:40] == _REPOSITION and frame[14:18] == _NO_SWITCH
-    return message_id in _SETPOINTS

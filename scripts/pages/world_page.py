@@ -46,7 +46,7 @@ def world_page() -> str:
 
 def _places(schema: dict[str, Any], tables: dict[str, Any], of: str = "") -> dict[str, str]:
     """Each class of a table, and how its header is written, in the order of the file."""
-    found = {}
+    found: dict[str, str] = {}
     for key, value in schema["properties"].items():
         many = "items" in value
         for each in _alternatives(value.get("items", value)):

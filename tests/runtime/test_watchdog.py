@@ -8,6 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, packed
 
+from companion.runtime.link import is_setpoint
 from companion.runtime.watchdog import (
     IDLE_STALL_S,
     STALL_S,
@@ -17,7 +18,6 @@ from companion.runtime.watchdog import (
     Worker,
     waits_for_processor,
 )
-from companion.runtime.watchdog import is_setpoint as is_setpoint
 
 LOCAL = wire.MAVLink_set_position_target_local_ned_message(
     0, 1, 1, 1, 2496, 1.0, 2.0, -3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

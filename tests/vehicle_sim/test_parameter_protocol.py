@@ -12,6 +12,7 @@ from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
+from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import Kind, Parameter, Parameters
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
@@ -244,6 +245,29 @@ def test_what_is_not_a_number_is_never_kept(value: float) -> None:
         assert len(got) == answers
         assert all(arrived(answer).param_value == 3.0 for answer in got)
         assert vehicle.parameters["GUID_TIMEOUT"] == 3.0
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 300.0, -1e30, 7.4])
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.name)
+def test_a_table_takes_only_what_its_types_hold(row: Parameter, value: float) -> None:
+    """From inside, as by faults and tests; what is given at the start is refused instead."""
+    parameters = Parameters(TABLE, {})
+    parameters[row.name] = value
+    kept = parameters[row.name]
+    if not math.isfinite(value):
+        assert kept == row.default
+        with pytest.raises(InputError, match="must be a number from"):
+            Parameters(TABLE, {row.name: value})
+        return
+    bits = {Kind.INT8: 8, Kind.INT16: 16, Kind.INT32: 32}.get(row.kind)
+    if bits is None:
+        assert kept == value
+        return
+    least, most = -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
+    assert kept == min(max(round(value), least), most)
+    if not least <= value <= most:
+        with pytest.raises(InputError, match=f"it has {bits} bits"):
+            Parameters(TABLE, {row.name: value})
 
 
 @given(name=st.binary(max_size=16), value=st.floats(width=32), kind=st.integers(0, 255))

@@ -452,7 +452,7 @@ class Autopilot(Protocol):
         """A mission, fence or rally list was replaced by a client."""
 
     def crash(self) -> Sequence[Reply]:
-        """It has hit something: the motors stop, wherever it is."""
+        """The simulation has judged a contact a crash: the motors stop, wherever it is."""
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""
