@@ -37,6 +37,7 @@ from companion.mavlink.preflight import CheckStatus, checks_of, flight_check
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
+from companion.path.certificate import bounds_text
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
 from companion.replay.command import ProfileName, replay_command
@@ -641,7 +642,7 @@ def _not_heard(session: Session, connect: str) -> tuple[str, str]:
 def _exit_as_planned(flight: OfflineFlight) -> None:
     if flight.failure is not None:
         failure = flight.failure
-        broken = f" (broken: {', '.join(failure.broken)})" if failure.broken else ""
+        broken = f" (broken: {bounds_text(failure.broken)})" if failure.broken else ""
         raise FlightFailed(f"{failure.refusal.value}{broken}", "")
 
 

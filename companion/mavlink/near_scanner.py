@@ -88,6 +88,11 @@ class NearScanner:
         """How often something was not believed, by the reason."""
         return dict(self._sensing.refused)
 
+    @property
+    def limits_m(self) -> tuple[float, float] | None:
+        """Least and greatest distance that the sensor says it measures; None: it told of none."""
+        return self._sensing.limits_m
+
     def _ground_at_m(self, north_m: float, east_m: float) -> float:
         row, column = self._known.cell_of(north_m, east_m)
         rows, columns = self._ground_m.shape
@@ -120,7 +125,9 @@ class NearScanner:
         if not sweeps and sight is self._sight:
             return None
         self._sight = sight
-        return NearSeen(time_s=now_s, sight=sight, near=self._near)
+        limits_m = self.limits_m
+        sees_m = math.inf if limits_m is None else limits_m[1]
+        return NearSeen(time_s=now_s, sight=sight, near=self._near, sees_m=sees_m)
 
     # --- scans
 

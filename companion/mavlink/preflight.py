@@ -45,6 +45,7 @@ _NO_RADAR = (
     "elevation file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
 )
 _SLOWEST_SWEEPS_HZ = 5.0
+_RANGE_ROUNDED_M = 0.0101  # autopilots cut limits off to whole centimetres (proximity.md 2)
 _LATE_SWEEPS_S = 0.3  # beyond the stated latency: positions and attitudes come 20 times a second
 _UNTOLD = {
     Turning.NOT_TURNED: "Turn it on the spot by 90 degrees while this runs with --turn.",
@@ -423,11 +424,28 @@ def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check
     yield _check("sensor", sees, what, Reason.SENSOR_SILENT.remedy)
     if session.near is None:
         return
+    yield from _near_limits(session.near.limits_m, mission=session.mission)
     if session.near.refused:
         told = ", ".join(f"{why} ({count} times)" for why, count in session.near.refused.items())
         yield _remark("sensor", f"not believed: {told}")
     if session.near.mounting is not None:
         yield from _mounting(session.near.mounting, sensor)
+
+
+def _near_limits(limits_m: tuple[float, float] | None, mission: Mission) -> Iterator[Check]:
+    """What the sensor says of itself against the mission."""
+    range_m = mission.task.settings.scan_range_m
+    if limits_m is None:
+        what = f"it has not told how far it sees: R = {range_m:g} m is believed"
+        yield _remark("sensor range", what, "Show it something within its reach.")
+        return
+    least_m, most_m = limits_m
+    what = f"it sees {most_m:g} m, and planner.scan_range_m is {range_m:g} m"
+    remedy = f"Set planner.scan_range_m to {most_m:g} or less, or use a sensor that sees farther."
+    yield _check("sensor range", most_m >= range_m - _RANGE_ROUNDED_M, what, remedy)
+    if mission.near is not None and least_m > mission.near.blind_m + _RANGE_ROUNDED_M:
+        what = f"it sees nothing nearer than {least_m:g} m, and scanner.blind_m is less"
+        yield _remark("sensor range", what, f"Raise scanner.blind_m to {least_m:g}.")
 
 
 def _mounting(mounting: MountingCheck, sensor: NearSensor) -> Iterator[Check]:

@@ -195,10 +195,17 @@ def _with_zones(state: State, *said: Command) -> Step:
     return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
-def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
+def _with_near_things(state: State, event: NearSeen, context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    if event.sight is not state.vehicle.sight:
-        state = replace(state, vehicle=replace(state.vehicle, sight=event.sight))
+    range_m, vehicle = state.task.settings.scan_range_m, state.vehicle
+    if state.airborne and event.sees_m < min(range_m, vehicle.sees_m):  # before: preflight
+        state = replace(state, vehicle=replace(vehicle, sees_m=event.sees_m))
+        text = f"sensor sees {event.sees_m:g} m of R = {range_m:g} m"
+        return preceded(
+            [StatusText(text=text, warning=True)], _with_near_things(state, event, context)
+        )
+    if event.sight is not vehicle.sight:
+        state = replace(state, vehicle=replace(vehicle, sight=event.sight))
     flight = state.flight
     if state.phase not in ON_PATH or flight.leg is None:
         return state, [], None
@@ -286,8 +293,9 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
             return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
-    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, failures=0, way=Outward())
+    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, way=Outward())
     search = Answered() if isinstance(flight.search, Planning) else flight.search
+    flight = replace(flight, failures=0, tried=0, untried=0)
     flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)

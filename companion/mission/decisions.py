@@ -10,6 +10,7 @@ from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Pos
 from companion.mission.health import astray_m
 from companion.mission.mission import Mission
 from companion.mission.state import IN_AIR, Phase, Reason, State, TakeOver, Trigger, Vehicle
+from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 from companion.world.zone_index import index_of
 
@@ -66,7 +67,10 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy
     why, _, remedy = refusal.value.partition("; ")
-    detail = "" if refusal is Refusal.NOTHING_SAFE else f": {why}"  # else it is said twice
+    if refusal is Refusal.NOTHING_SAFE:  # why would be said twice
+        broken = bounds_text(state.flight.broken)
+        return f": it broke {broken}" if broken else "", f"{remedy[:1].upper()}{remedy[1:]}."
+    detail = f": {why}"
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
 
 

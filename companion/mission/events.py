@@ -5,6 +5,7 @@ up in the local frame, altitudes AMSL.
 """
 
 import enum
+import math
 from typing import final
 
 from msgspec import Struct
@@ -234,6 +235,8 @@ class NearSeen(Event, frozen=True, kw_only=True):
     sight: Sight
     near: NearMap
     """As it is now: it changes with the next sweep, so it is not kept."""
+    sees_m: float = math.inf
+    """How far the sensor says it sees; inf: it did not say."""
 
 
 @final

@@ -273,7 +273,11 @@ class Reason(enum.Enum):
     )
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
-    PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.", Replan)
+    PLAN_LATE = (
+        "the next subpath was not ready in time",
+        "Raise planner.planning_time_s, or use a faster computer.",
+        Replan,
+    )
     NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
     NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
     CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
@@ -370,6 +374,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """When it was last invalid for another reason than its place."""
     sight: Sight = Sight.NEVER_HEARD
     """Of its sensor of near things, if the mission has one."""
+    sees_m: float = math.inf
+    """The least range that this has told of in the air."""
     ground_above_m: float = 0.0
     """How much higher than on the map its rangefinder has seen the ground, last; 0: it is not."""
     believed_at_s: float = -1e9
@@ -482,8 +488,14 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
     """Why there is no plan, in the planner's own words."""
+    broken: tuple[str, ...] = ()
+    """Which bounds the best candidate of the newest plan broke, if there is none."""
     failures: int = 0
     """Failed attempts in a row, from rest."""
+    tried: int = 0
+    """Searches that they have made,"""
+    untried: int = 0
+    """and kinds of search that they had no time for."""
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""

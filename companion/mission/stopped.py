@@ -245,8 +245,9 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
-    tries = flight.failures < context.mission.attempts and flight.stops <= flying.max_stops(context)
-    if on_way_back or tries:
+    cut = state.reason is Reason.NO_PLAN and flight.untried > 0  # each attempt comes to one more
+    may_try = flight.failures < context.mission.attempts or cut
+    if on_way_back or (may_try and flight.stops <= flying.max_stops(context)):
         if state.reason is Reason.NEW_THREAT and state.vehicle.traits.hovers:
             state = _replan_hover(state)  # the band may be another one
         return preceded(commands, resumed(state))

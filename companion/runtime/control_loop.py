@@ -197,6 +197,8 @@ class ControlLoop:
                 pass
             case PlanComputed():
                 self.flown.plans_s.append(item.took_s)
+                if getattr(item.outcome, "stopped_after", None) is not None:
+                    self.flown.out_of_time += 1
                 if isinstance(item.outcome, Planned):
                     self.flown.plans.append(item.outcome)
                 self._forget()

@@ -44,11 +44,14 @@ _BAD: Final = (
 
 def entry_words(entry: Entry) -> tuple[str, bool] | None:
     """What an entry says, and whether it is bad; None: nothing that people would miss."""
+    after = ""
     match entry:
         case noted.Phase(phase=phase, reason=reason):
             return f"{phase}: {reason}" if reason else phase, phase in _BAD_PHASES
         case noted.Prepared(item=item, refusal=refusal) if refusal:
             return f"{item}: {refusal}", True
+        case noted.PlanRefused(out_of_time=True, evaluations=count):
+            is_bad, after = True, f"; time was up after {count:,} candidates"
         case noted.Said(warning=is_bad):
             pass
         case noted.End(outcome=outcome):
@@ -56,7 +59,7 @@ def entry_words(entry: Entry) -> tuple[str, bool] | None:
         case _:
             is_bad = isinstance(entry, _BAD)
     words = _WORDS.get(type(entry))
-    return None if words is None else (words.format(entry), is_bad)
+    return None if words is None else (words.format(entry) + after, is_bad)
 
 
 def metres(length_m: float) -> str:
