@@ -415,8 +415,8 @@ class Simulation:
             self._look_down()
         if self._is_down:
             complete = self._stay_down()
-            if self._lidar is not None:
-                self._step_lidar()
+            for lidar, driver in self._lidars:
+                self._step_lidar(lidar, driver)
             self._step_beside(complete)
             return complete
         controller, conditions, vehicle = self._controller, self._conditions, self._vehicle

@@ -9,13 +9,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import following, ground, loiter
-from companion.mission.decisions import Context, Step, give_up, preceded, with_hold_reason
+from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
     Event,
     FenceBreach,
     FenceChanged,
     GroundSeen,
+    Landed,
     NearSeen,
     Order,
     OrderKind,
@@ -34,6 +35,7 @@ from companion.mission.state import (
     Answered,
     Flight,
     Grounded,
+    HoldMode,
     LandOrdered,
     OnSetpoints,
     Orders,
@@ -47,6 +49,7 @@ from companion.mission.state import (
     Silent,
     State,
     TakenOver,
+    TakeOver,
     Trigger,
     Vehicle,
     with_circle,
@@ -59,6 +62,7 @@ from companion.world.known_map import empty_map
 from companion.world.threats import CircleZone
 from companion.world.zone_index import index_of
 
+_GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
 
@@ -73,12 +77,13 @@ class OrderResult(enum.Enum):
 
 def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
     """The result of an order, for its acknowledgement; go: it takes off without being told."""
-    in_air = state.phase in (*ON_PATH, Phase.HOLDING, Phase.ARRIVED)
+    in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
-            return OrderResult.ACCEPTED if in_air else OrderResult.NOT_NOW
+            led = in_air and state.phase not in _GOING_UP
+            return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
             ready = state.phase is Phase.READY and order.kind is OrderKind.START
             return OrderResult.ACCEPTED if ready else OrderResult.NOT_NOW
@@ -87,13 +92,15 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
         case OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
         case OrderKind.RETURN:
-            held = state.hold is not None and not _accepts_orders(state)
+            held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
         case OrderKind.LAND:
             held = isinstance(state.hold, TakenOver | Grounded | Silent)
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
-            return OrderResult.ACCEPTED if state.vehicle.traits.lands else OrderResult.INVALID
+            down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
+            lands = state.vehicle.traits.lands or down  # then it stays there
+            return OrderResult.ACCEPTED if lands else OrderResult.INVALID
         case OrderKind.KEEP_OUT if (
             order.target_ne_m is None
             or order.radius_m is None
@@ -138,14 +145,21 @@ def _is_short(state: State) -> bool:
 
 def _may_pause(state: State) -> bool:
     """Whether a pause is possible: a low battery would end it at once."""
+    if state.phase in _GOING_UP:
+        return True
     if _is_short(state):
         return False
-    return _accepts_orders(state) or state.phase in ON_PATH
+    return _accepts_orders(state) or _stops(state) or state.phase in ON_PATH
 
 
 def _accepts_orders(state: State) -> bool:
     """Whether an order takes effect immediately in this hold."""
     return isinstance(state.hold, OnSetpoints) and state.reason is not Reason.BATTERY_LOW
+
+
+def _stops(state: State) -> bool:
+    """Whether it is stopped by its autopilot: an order takes effect once it is led again."""
+    return isinstance(state.hold, HoldMode | TakeOver)
 
 
 # --- threats
@@ -362,6 +376,10 @@ def _pause(state: State) -> Step:
     if not _may_pause(state):
         return state, [], None
     state = replace(state, orders=state.orders.paused())
+    if state.phase in _GOING_UP:
+        return fault(state, Reason.BROKEN_OFF)
+    if _stops(state):
+        return state, [StatusText(text=Reason.PAUSED.text)], None
     if state.phase in ON_PATH:
         return following.stop(state, Reason.PAUSED)
     state = replace(state, flight=replace(state.flight, planning_backtrack=None))
@@ -410,6 +428,8 @@ def _land(state: State) -> Step:
 def _stop_for(state: State, order: Reason) -> Step:
     """Stop as the phase allows; then the order is carried out."""
     state = replace(state, orders=Orders(order))
+    if state.phase in _GOING_UP:
+        return fault(state, Reason.BROKEN_OFF)
     if state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
         return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
     if state.phase in (*ON_PATH, Phase.ARRIVED):

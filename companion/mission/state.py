@@ -99,6 +99,7 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.PREPARING, Trigger.END_LAND): Phase.LANDING,
     (Phase.PREPARING, Trigger.LANDED): Phase.DONE,
     (Phase.ARMING, Trigger.ARMED): Phase.TAKING_OFF,
+    (Phase.ARMING, Trigger.FAULT): Phase.HOLDING,
     (Phase.TAKING_OFF, Trigger.AIRBORNE): Phase.FLYING,
     (Phase.TAKING_OFF, Trigger.HANDED_OVER): Phase.HOLDING,
     (Phase.FLYING, Trigger.TARGET_REACHED): Phase.ARRIVED,
@@ -208,6 +209,7 @@ class Reason(enum.Enum):
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
     TAKING_OVER = ("taking over", "Wait: it stops first.", TakeOver, False)
+    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", HoldMode, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")

@@ -37,6 +37,8 @@ _MAX_TRACK = 20_000  # points; of a longer flight every second one, and so on
 _MAX_PLANS = 2_000
 _RESERVE_S = 10.0
 _BUSY_AGAIN_S = 10.0  # between two texts that the computer is busy
+_OBLIGES = frozenset({"phase", "set mode", "arm", "take off"})
+"""Journal entries after which the vehicle has to be told something else at the end."""
 
 
 class Planning(Protocol):
@@ -274,8 +276,10 @@ class ControlLoop:
         self._not_sent(out, sent)
         now_s = self.clock()
         self.times.turns.add(now_s - self._turned_s)
-        if any(entry["kind"] == "phase" for entry in out.journal):
+        kinds = {entry["kind"] for entry in out.journal}
+        if "phase" in kinds:
             self.times.paused()
+        if not kinds.isdisjoint(_OBLIGES):
             self._reserve_at_s = -math.inf
         if any(map(is_setpoint, sent)):
             self.times.sent(now_s, self._arrived_s)

@@ -29,6 +29,7 @@ _WORDS: Final[dict[type[Entry], str]] = {
     noted.MessagesDropped: "{0.count} messages dropped: they arrived faster than they are handled",
     noted.ModeAsked: "asks for the mode {0.mode}",
     noted.ArmAsked: "arms the vehicle",
+    noted.DisarmAsked: "disarms the vehicle",
     noted.TakeOffAsked: "takes off, to {0.above_home_m:.0f} m above home",
     noted.SetpointRefused: "a setpoint out of range was not sent: {0.setpoint}",
     noted.Said: "companion: {0.text}",

@@ -19,6 +19,7 @@ from companion.mission.events import (
     Arm,
     Battery,
     Command,
+    Disarm,
     End,
     Estimator,
     Event,
@@ -255,7 +256,12 @@ class Craft:
                 case RequestStreams():
                     self.told += [Prepared(time_s=self.now_s, item=item) for item in Item]
                 case SetMode(mode=mode) if self.obeys_modes:
-                    self.mode = mode
+                    self.mode, self.climb_to_m = mode, None
+                    if self.landed is Landed.TAKING_OFF:
+                        on_ground = self.here[2] <= HOME_AMSL_M
+                        self.landed = Landed.ON_GROUND if on_ground else Landed.IN_AIR
+                case Disarm():
+                    self.armed = self.armed and self.landed is not Landed.ON_GROUND
                 case Arm() if self.arms:
                     self.armed = True
                 case TakeOff() if not self.takes_off and self.accepts:
