@@ -68,6 +68,8 @@ _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 
 
+_SENSED: Final = frozenset({*near_sensing.MESSAGES.values(), wire.MAVLINK_MSG_ID_TERRAIN_DATA})
+"""Messages of sensors, which are chosen by their ids: to say who else sends them."""
 _frame_of: Final = attrgetter("frame")
 _ROUTINE: Final = (
     events.Position,
@@ -170,6 +172,8 @@ class Session:
         self._due_at_s = math.inf
         """The same by the clock of the outside."""
         self._roles = _roles_of(mission)
+        self.sensed: dict[int, set[tuple[int, int]]] = {}
+        """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
         self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version, has_ground=has_ground)
@@ -187,6 +191,11 @@ class Session:
         """Frames of our autopilot so far, and how many are missing between them."""
         sender = (self.selector.system_id or 0, AUTOPILOT_COMPONENT)
         return self._inbox.counted.get(sender, (0, 0, 0))[1:]
+
+    @property
+    def senders(self) -> list[tuple[int, int]]:
+        """System and component of all that were heard on the vehicle's link."""
+        return sorted(self._inbox.counted)
 
     # --- what the runtime calls
 
@@ -370,6 +379,8 @@ class Session:
                 is_read = self._on_time(time_s, heard, ticks=False)
             elif (clock := _CLOCKS.get(number)) is not None:
                 is_read = clock(self, heard)
+        if number in _SENSED and heard.link == VEHICLE_LINK:
+            self.sensed.setdefault(number, set()).add((heard.system, heard.component))
         self._out.record.append((self.clock.now_s, heard.frame))
         if heard.component == COMPANION_COMPONENT:
             self._look_for_duplicates(heard)
