@@ -6,13 +6,20 @@ terrain radar and the radio.
 
 import math
 from collections.abc import Callable, Container, Mapping
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
 from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
-from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
+from vehicle_sim.autopilots.factory import (
+    ids_of,
+    make_vehicle,
+    overrides_of,
+    personality_of,
+    with_own_ids,
+)
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import Crash, is_crash, speed_m_s
 from vehicle_sim.dynamics.copter import Copter
@@ -82,6 +89,7 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
+        world = replace(world, vehicle=with_own_ids(world.vehicle))
         vehicle = world.vehicle
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
@@ -123,6 +131,7 @@ class Simulation:
         reads_lidar = lidar is not None and lidar.output == "autopilot"
         given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
+        self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot.profile, links, byte_streams, forwards_all)
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
         self._lidar = None if lidar is None else self._make_lidar(lidar)
@@ -159,8 +168,14 @@ class Simulation:
     ) -> Radio:
         world = self._world
         lidar = world.lidar
+        system, component = self._ids
+        for name, beside in (("scanner", world.scanner), ("lidar", lidar)):
+            if beside is not None and beside.component_id == component:
+                rule = "is the autopilot's own"
+                raise InputError(f"{name}.component_id", component, rule, "Give another one.")
         return Radio(
-            system=world.vehicle.system_id,
+            system=system,
+            component=component,
             radar_component=None if world.scanner is None else world.scanner.component_id,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
             profile=profile,
@@ -337,7 +352,7 @@ class Simulation:
     @property
     def system_id(self) -> int:
         """Of the vehicle."""
-        return self._world.vehicle.system_id
+        return self._ids[0]
 
     # --- what may go wrong --------------------------------------------------------------------
 
@@ -612,7 +627,10 @@ class Simulation:
         if vehicle.altitude_amsl_m <= self._ground_amsl_m:
             vehicle.stand(self._ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            self._boot(self._make_autopilot(self._parameters.values()))
+            autopilot = self._make_autopilot(self._parameters.values())
+            self._ids = ids_of(self._personality, autopilot.parameters)
+            self._radio.boot_as(*self._ids)
+            self._boot(autopilot)
             self._port_change = True
         return self.now_us % _LOOK_US == 0
 
