@@ -84,6 +84,8 @@ class FlightController:
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
+        self._texts = 0
+        """So many have been said: the number of one that takes several messages."""
         self._told: dict[int, tuple[int, int | None, int]] = {}
         """Newest CURRENT_MODE of each link: mode, intended mode and when."""
         self.streams = Streams(profile)
@@ -204,9 +206,11 @@ class FlightController:
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
+        self._texts = self._texts % 0xFFFF + 1
         for link in self._radio.links:
             if link in self._ground_stations if self._is_px4 else self._radio.router.heard(link):
-                self._radio.send(messages.text(text), link)
+                for message in messages.texts(text, self._texts):
+                    self._radio.send(message, link)
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
