@@ -62,6 +62,8 @@ _ALONG_M = 0.01
 _THINGS = "a tree, wall, building or wire"
 _OFF_GROUND_M = 0.3
 """Above the ground by this much a plane has taken off: what comes then is a landing, or none."""
+_LOW_M = 20.0
+"""Nobody sinks from here to the ground within a step."""
 _SLOPE_M = 0.5
 """The ground's slope is that between points so far to either side."""
 _FARTHEST_DOWN_M = 655.0
@@ -427,7 +429,7 @@ class Simulation:
         looks = now_us % _LOOK_US == 0
         if looks:
             self._look_down()
-        if self._is_down:
+        if now_us < self._down_until_us:
             complete = self._stay_down()
             if self._lidar is not None:
                 self._step_lidar()
@@ -440,10 +442,11 @@ class Simulation:
         if now_us - controller.boot_us >= gps.due_us:
             gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
         controller.now_us, controller.report.fix = now_us, gps.fix
-        way = self._way_m_s
-        if not self._touches_ground and not looks:
-            above_m = vehicle.altitude_amsl_m - self._ground_amsl_m
-            if above_m < speed_m_s(way) * _LOOK_US * 1e-6:
+        above_m, way = vehicle.altitude_amsl_m - self._ground_amsl_m, (0.0, 0.0, 0.0)
+        if above_m < _LOW_M:
+            way = self._way_m_s
+            slow = above_m >= speed_m_s(way) * _LOOK_US * 1e-6
+            if not (self._touches_ground or slow or looks):
                 self._measure_ground()
         since_boot_us, ground_amsl_m = now_us - controller.boot_us, self._ground_amsl_m
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
@@ -456,7 +459,8 @@ class Simulation:
             self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
-        self._watch_ground(way)
+        if above_m < _LOW_M:
+            self._watch_ground(way)
         if not self._scene.empty:
             self._watch_near()
         if self._lidar is not None:
