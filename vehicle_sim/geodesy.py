@@ -20,6 +20,8 @@ FloatArray = NDArray[np.float64]
 WGS84 = Geod(ellps="WGS84")
 ARDUPILOT_M_PER_DEG = 111318.84502145034
 """ArduPilot's flat earth: a sphere's degree along the meridian, and times cos(latitude) across."""
+EARTH_RADIUS_M = 6_371_009.0
+"""Mean radius (2 a + b) / 3: of the sphere over which sight lines are straight."""
 _ONE_DEG_RAD = math.pi / 180.0
 _ECCENTRICITY_SQUARED = WGS84.es
 _RADIUS_DEG_M = WGS84.a * _ONE_DEG_RAD

@@ -129,14 +129,14 @@ class Simulation:
         self._truth: list[str] = [truth.header(world, seed)]
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         self._boots, self._port_change = 0, False
-        lidar = world.lidar
-        reads_lidar = lidar is not None and lidar.output == "autopilot"
+        reads_lidar = any(each.output == "autopilot" for each in world.lidars)
         given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
         self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot.profile, links, byte_streams, forwards_all)
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
-        self._lidar = None if lidar is None else self._make_lidar(lidar)
+        names = ("lidar", "second lidar")
+        self._lidars = [self._make_lidar(*each) for each in zip(world.lidars, names, strict=False)]
         heard = world.traffic
         self._adsb = AdsbReceiver(heard, self._frame, self._radio) if heard else None
         self._timeline = self._read_faults(faults)
@@ -192,11 +192,11 @@ class Simulation:
         rng = generator(self._seed, "radar")
         return RadarComponent(radar, rng, self._radio, scanner.component_id)
 
-    def _make_lidar(self, settings: LidarTable) -> tuple[Lidar, LidarDriver | None]:
-        lidar = Lidar(self._scene, settings, generator(self._seed, "lidar"))
+    def _make_lidar(self, settings: LidarTable, name: str) -> tuple[Lidar, LidarDriver | None]:
+        lidar = Lidar(self._scene, settings, generator(self._seed, name))
         if settings.output == "autopilot":
             return lidar, None
-        rng = generator(self._seed, "lidar driver")
+        rng = generator(self._seed, f"{name} driver")
         return lidar, LidarDriver(lidar, settings, rng, self._radio)
 
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
@@ -225,8 +225,8 @@ class Simulation:
     def _make_ranging(self, parameters: Parameters) -> RangeSensors | None:
         if "PRX1_TYPE" not in parameters:
             return None
-        lidar, kind = self._world.lidar, int(parameters["PRX1_TYPE"])
-        limits_m = (0.0, 0.0) if lidar is None else (lidar.min_m, lidar.range_m)
+        lidars, kind = self._world.lidars, int(parameters["PRX1_TYPE"])
+        limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         return RangeSensors(parameters, Proximity(kind, *limits_m), self._range_down_m)
 
     def _place_nea_m(self) -> FloatArray:
@@ -325,8 +325,9 @@ class Simulation:
         self._controller.send_heartbeat()
         if self._scanner is not None:
             self._scanner.send_heartbeat()
-        if self._lidar is not None and self._lidar[1] is not None:
-            self._lidar[1].send_heartbeat()
+        for _, driver in self._lidars:
+            if driver is not None:
+                driver.send_heartbeat()
 
     def begin(self) -> None:
         """Reset the frame counters: the number of heartbeats before depends on wall time."""
@@ -431,8 +432,8 @@ class Simulation:
             self._look_down()
         if now_us < self._down_until_us:
             complete = self._stay_down()
-            if self._lidar is not None:
-                self._step_lidar()
+            for lidar, driver in self._lidars:
+                self._step_lidar(lidar, driver)
             self._step_beside(complete)
             return complete
         controller, conditions, vehicle = self._controller, self._conditions, self._vehicle
@@ -463,8 +464,8 @@ class Simulation:
             self._watch_ground(way)
         if not self._scene.empty:
             self._watch_near()
-        if self._lidar is not None:
-            self._step_lidar()
+        for lidar, driver in self._lidars:
+            self._step_lidar(lidar, driver)
         if controller.ranging is not None and controller.ranging.proximity.kind:
             controller.ranging.proximity.step(since_boot_us)
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
@@ -481,10 +482,9 @@ class Simulation:
         if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, self._vehicle, self._conditions.radar, tick=complete)
 
-    def _step_lidar(self) -> None:
+    def _step_lidar(self, lidar: Lidar, driver: LidarDriver | None) -> None:
         """Measure; what the autopilot gets of it, it gets at once."""
-        assert self._lidar is not None
-        (lidar, driver), controller = self._lidar, self._controller
+        controller = self._controller
         wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
         north_m, east_m, _ = self._place_nea_m()
         fired = lidar.step(self.now_us, self._vehicle, (north_m, east_m), wrong)

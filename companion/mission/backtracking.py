@@ -113,7 +113,8 @@ def replan_home(state: State) -> State:
     flight = state.flight
     start = flight.flown[0].control_nea_m[0] if flight.flown else (0.0, 0.0, 0.0)
     home = (float(start[0]), float(start[1]))
-    flight = replace(flight, way=ReplanHome(), target=0, route_ne_m=(), stops=0, failures=0)
+    flight = replace(flight, way=ReplanHome(), target=0, route_ne_m=(), stops=0)
+    flight = replace(flight, failures=0, tried=0, untried=0)
     return replace(state, targets_ne_m=(home,), flight=flight)
 
 

@@ -19,9 +19,11 @@ from companion.mission.decisions import (
     is_at_rest,
     is_gone,
     is_grounded,
+    is_own_takeoff,
     is_silent,
     landing_order,
     longest_silence_s,
+    parting,
     preceded,
     reason_text,
     takeover_reason,
@@ -78,6 +80,7 @@ _ANSWER_S = 60.0
 _ASKS_ABOUT = 2
 _CIRCLES = 2.5  # loiter radii: what circles its target is there
 _TOLD_TO_STAY_S = 1.0  # a setpoint may be lost: an end in guided mode is told several times
+_STAYS_DOWN_S = 10.0  # ten times asked for
 _LANDS_WITHIN = 1.5  # loiter radii
 
 
@@ -92,6 +95,8 @@ def holding(state: State, event: Event, context: Context) -> Step:
         return give_up(state, Reason.LINK_LOST)
     if isinstance(event, LinkLost) or (is_silent(state) and not isinstance(hold, Silent)):
         return with_hold_reason(_replan_hover(state), Reason.LINK_LOST), [], None
+    if state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND:
+        return _stay_down(state)
     if not state.vehicle.armed:
         return give_up(state, Reason.DISARMED)
     if is_grounded(state):
@@ -109,6 +114,22 @@ def holding(state: State, event: Event, context: Context) -> Step:
             return _while_taken_over(state, event, context, TakenOver())
         case Silent():
             return _heard_again(state, event, context)
+
+
+def _stay_down(state: State) -> Step:
+    """End before the flight: out of the take-off mode, and disarmed if we have armed it."""
+    vehicle, order = state.vehicle, state.orders.active or Reason.STOPPED
+    if vehicle.armed and vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD):
+        return _taken(state)
+    out = vehicle.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
+    down = out and not (vehicle.armed and state.armed_by_us)
+    if down and vehicle.status_at_s > state.since_s:
+        remedy = "Start again to fly."
+        state = replace(state, reason=order, detail=" before it took off", remedy=remedy)
+        return state, [], Trigger.STOP
+    if in_phase_s(state) > _STAYS_DOWN_S:
+        return give_up(state, Reason.NOT_OBEYING)
+    return ask(state, *parting(state))
 
 
 def fence_breached(state: State) -> Step | None:
@@ -245,8 +266,9 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
-    tries = flight.failures < context.mission.attempts and flight.stops <= flying.max_stops(context)
-    if on_way_back or tries:
+    cut = state.reason is Reason.NO_PLAN and flight.untried > 0  # each attempt comes to one more
+    may_try = flight.failures < context.mission.attempts or cut
+    if on_way_back or (may_try and flight.stops <= flying.max_stops(context)):
         if state.reason is Reason.NEW_THREAT and state.vehicle.traits.hovers:
             state = _replan_hover(state)  # the band may be another one
         return preceded(commands, resumed(state))
@@ -302,7 +324,10 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode = state.vehicle, state.vehicle.mode
     taking_over = isinstance(state.hold, TakeOver)
-    if mode not in (Mode.GUIDED, Mode.HOLD) and not (taking_over and mode is Mode.TAKE_OFF):
+    climbs = mode is Mode.TAKE_OFF and (
+        taking_over or (is_own_takeoff(state) and not state.obeyed)  # it has not heard us yet
+    )
+    if mode not in (Mode.GUIDED, Mode.HOLD) and not climbs:
         return _taken(state)
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
         return state, [], Trigger.GIVE_UP
@@ -320,6 +345,9 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return ask(replace(_replan_hover(state), obeyed=False), SetMode(mode=Mode.HOLD))
     if is_stationary and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
         return _land_here(state, [])
+    unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
+    if unled and mode is Mode.HOLD and state.orders.active is Reason.RETURN_ASKED:
+        return give_up(state, Reason.RETURN_ASKED)  # there is no way back but its own
     if not is_stationary or not _is_trusted(state):
         return _replan_hover(state), [], None
     if mode is Mode.GUIDED:

@@ -29,7 +29,10 @@ def read_text(path: Path, field: str, remedy: str) -> str:
             rule = f"it is larger than {_MAX_BYTES / 1e6:g} MB"
             raise InputError(field, str(path), rule, remedy)
         return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        rule = f"it cannot be read: it is no text in UTF-8, from byte {error.start}"
+        raise InputError(field, str(path), rule, remedy) from error
+    except OSError as error:
         raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
 
 
@@ -96,11 +99,14 @@ def toml_table(text: str, where: str) -> RawTable:
         raise InputError("file", where, rule, "Mend it; see docs/files.md.") from None
 
 
-def json_table(path: Path, field: str, remedy: str) -> RawTable:
-    """The object in a JSON file.  Raises InputError about the field."""
+def json_table(path: Path, field: str, remedy: str, *, nan_is_null: bool = False) -> RawTable:
+    """The object in a JSON file.  Raises InputError about the field.
+
+    nan_is_null: NaN, which JSON does not know, is taken for null.
+    """
     text = read_text(path, field, remedy)
     try:
-        found = json.loads(text, parse_constant=_no_number)
+        found = json.loads(text, parse_constant=_null_or_no_number if nan_is_null else _no_number)
     except (RecursionError, ValueError) as error:
         raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
     if not isinstance(found, dict):
@@ -203,6 +209,11 @@ def _string(text: str) -> str:
 
 def _no_number(name: str) -> NoReturn:
     raise ValueError(f"{name} is no number")
+
+
+def _null_or_no_number(name: str) -> None:
+    if name != "NaN":
+        _no_number(name)
 
 
 def _one_line(error: Exception) -> str:

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 from companion.errors import InputError
 from companion.sources.files import RawTable, read_text
 from companion.sources.geojson import Threats, read_geojson, threats_of
+from companion.sources.recognised import refuse_other
 from companion.sources.waypoint_file import (
     is_waypoint_list,
     read_fence_list,
@@ -42,6 +43,7 @@ def read_threats(path: Path, where: str) -> Threats:
         return Threats(
             keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
         )
+    refuse_other(path, where, but_zones=True)
     text = read_text(path, where, _REMEDY)
     first = text.lstrip()[:1]
     if first == "{":

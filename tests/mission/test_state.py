@@ -7,7 +7,7 @@ DOWN = {"landing", "handing over"}
 ARROWS = {
     "waiting": {"preparing"},
     "preparing": {"arming", "holding", "flying", "landing", "shadow"} | DOWN | AGAIN,
-    "arming": {"taking off"} | AGAIN,
+    "arming": {"taking off", "holding"} | AGAIN,
     "taking off": {"flying", "holding"} | DOWN | AGAIN,
     "flying": {"arrived", "holding"} | DOWN | AGAIN,
     "holding": {"flying", "returning"} | DOWN | AGAIN,

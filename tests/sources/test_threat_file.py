@@ -70,7 +70,8 @@ def test_a_point_of_a_kml_with_a_radius_is_a_circle(path: Path, kind: str, place
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("<html/>", "it is <html>, not <kml>"),
+        ("<html/>", "it is a web page"),
+        ("<a/>", "it is <a>, not <kml>"),
         ("<kml", "not XML"),
         ("hello", "what is in it is not known"),
         ("", "what is in it is not known"),
