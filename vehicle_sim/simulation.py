@@ -6,13 +6,20 @@ terrain radar and the radio.
 
 import math
 from collections.abc import Callable, Container, Mapping
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
 from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
-from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
+from vehicle_sim.autopilots.factory import (
+    ids_of,
+    make_vehicle,
+    overrides_of,
+    personality_of,
+    with_own_ids,
+)
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import Crash, is_crash, speed_m_s
 from vehicle_sim.dynamics.copter import Copter
@@ -55,6 +62,8 @@ _ALONG_M = 0.01
 _THINGS = "a tree, wall, building or wire"
 _OFF_GROUND_M = 0.3
 """Above the ground by this much a plane has taken off: what comes then is a landing, or none."""
+_LOW_M = 20.0
+"""Nobody sinks from here to the ground within a step."""
 _SLOPE_M = 0.5
 """The ground's slope is that between points so far to either side."""
 _FARTHEST_DOWN_M = 655.0
@@ -82,6 +91,7 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
+        world = replace(world, vehicle=with_own_ids(world.vehicle))
         vehicle = world.vehicle
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
@@ -122,6 +132,7 @@ class Simulation:
         reads_lidar = any(each.output == "autopilot" for each in world.lidars)
         given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
+        self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot.profile, links, byte_streams, forwards_all)
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
         names = ("lidar", "second lidar")
@@ -159,8 +170,14 @@ class Simulation:
     ) -> Radio:
         world = self._world
         lidar = world.lidar
+        system, component = self._ids
+        for name, beside in (("scanner", world.scanner), ("lidar", lidar)):
+            if beside is not None and beside.component_id == component:
+                rule = "is the autopilot's own"
+                raise InputError(f"{name}.component_id", component, rule, "Give another one.")
         return Radio(
-            system=world.vehicle.system_id,
+            system=system,
+            component=component,
             radar_component=None if world.scanner is None else world.scanner.component_id,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
             profile=profile,
@@ -338,7 +355,7 @@ class Simulation:
     @property
     def system_id(self) -> int:
         """Of the vehicle."""
-        return self._world.vehicle.system_id
+        return self._ids[0]
 
     # --- what may go wrong --------------------------------------------------------------------
 
@@ -413,7 +430,7 @@ class Simulation:
         looks = now_us % _LOOK_US == 0
         if looks:
             self._look_down()
-        if self._is_down:
+        if now_us < self._down_until_us:
             complete = self._stay_down()
             for lidar, driver in self._lidars:
                 self._step_lidar(lidar, driver)
@@ -426,10 +443,11 @@ class Simulation:
         if now_us - controller.boot_us >= gps.due_us:
             gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
         controller.now_us, controller.report.fix = now_us, gps.fix
-        way = self._way_m_s
-        if not self._touches_ground and not looks:
-            above_m = vehicle.altitude_amsl_m - self._ground_amsl_m
-            if above_m < speed_m_s(way) * _LOOK_US * 1e-6:
+        above_m, way = vehicle.altitude_amsl_m - self._ground_amsl_m, (0.0, 0.0, 0.0)
+        if above_m < _LOW_M:
+            way = self._way_m_s
+            slow = above_m >= speed_m_s(way) * _LOOK_US * 1e-6
+            if not (self._touches_ground or slow or looks):
                 self._measure_ground()
         since_boot_us, ground_amsl_m = now_us - controller.boot_us, self._ground_amsl_m
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
@@ -442,7 +460,8 @@ class Simulation:
             self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
-        self._watch_ground(way)
+        if above_m < _LOW_M:
+            self._watch_ground(way)
         if not self._scene.empty:
             self._watch_near()
         for lidar, driver in self._lidars:
@@ -612,7 +631,10 @@ class Simulation:
         if vehicle.altitude_amsl_m <= self._ground_amsl_m:
             vehicle.stand(self._ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            self._boot(self._make_autopilot(self._parameters.values()))
+            autopilot = self._make_autopilot(self._parameters.values())
+            self._ids = ids_of(self._personality, autopilot.parameters)
+            self._radio.boot_as(*self._ids)
+            self._boot(autopilot)
             self._port_change = True
         return self.now_us % _LOOK_US == 0
 
