@@ -20,6 +20,7 @@ from companion.mavlink.frames import Receiver, Skipped
 from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
 from companion.mavlink.mounting import MountingCheck, Seen, Turning
 from companion.mavlink.near_scanner import NearScanner
+from companion.mavlink.near_sensing import in_words
 from companion.mavlink.parameter_checks import Severity
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing, timestamp_of
@@ -415,7 +416,7 @@ def _battery(session: PreflightInputs, state: State) -> Iterator[Check]:
     if left is None:
         yield _remark("battery", "the vehicle does not say what is left")
         return
-    what = f"{left:.0%} left, reserve {mission.reserve:.0%}"
+    what = f"{math.floor(100.0 * left + 1e-6)}% left, reserve {100.0 * mission.reserve:g}%"
     if mission.endurance_s is None:
         what += "; battery.endurance_s is not given, so range is not checked"
     lasts = battery_lasts(state, mission)
@@ -459,9 +460,8 @@ def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check
     if session.near is None:
         return
     yield from _near_limits(session.near.limits_m, mission=session.mission)
-    if session.near.refused:
-        told = ", ".join(f"{why} ({count} times)" for why, count in session.near.refused.items())
-        yield _remark("sensor", f"not believed: {told}")
+    for words in in_words(session.near.refused):
+        yield _remark("sensor", words)
     if session.near.mounting is not None:
         yield from _mounting(session.near.mounting, sensor)
 

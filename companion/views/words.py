@@ -72,6 +72,23 @@ def metres(length_m: float) -> str:
     return f"{length_m:,.{0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2}f} m"
 
 
+def rounded_down(value: float, digits: int = 0) -> float:
+    """What must not look more than it is, as a clearance."""
+    scale = 10.0**digits
+    return math.floor(value * scale + 1e-6) / scale if math.isfinite(value) else value
+
+
+def metres_at_least(length_m: float) -> str:
+    """As `metres`, rounded down."""
+    digits = 0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2
+    return metres(rounded_down(length_m, -2 if abs(length_m) >= 10_000.0 else digits))
+
+
+def share_of(part: float) -> str:
+    """A part of a whole in percent, rounded down: all of it is only all of it."""
+    return f"{math.floor(1000.0 * part + 1e-6) / 10.0:g}%"
+
+
 def clock_text(time_s: float) -> str:
     """Minutes and seconds, or hours and minutes too."""
     minutes, seconds = divmod(int(time_s), 60)
