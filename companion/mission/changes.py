@@ -399,7 +399,7 @@ def _with_speed(state: State, speed_m_s: float | None) -> Step:
 
 
 def _return(state: State) -> Step:
-    if state.flight.returning:  # on its way back, or paused or told to land on it
+    if state.flight.returning or state.flight.homeward:  # or paused or told to land on its way
         return _back_again(state)
     return _stop_for(state, Reason.RETURN_ASKED)
 
@@ -471,7 +471,13 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         way=ReplanHome() if flight.homeward else Outward(),
         fallen_back=flight.fallen_back,
     )
-    vehicle = Vehicle(traits=state.vehicle.traits, bad_at_s=state.now_s)
+    known = state.vehicle.home_nea_m if state.airborne else None
+    vehicle = Vehicle(
+        traits=state.vehicle.traits,
+        bad_at_s=state.now_s,
+        home_nea_m=known,
+        home_kept=known is not None,
+    )
     if flight.returning:  # the way back is asked for again
         orders = Orders(Reason.RETURN_ASKED)
         paused = state.orders.active is Reason.PAUSED

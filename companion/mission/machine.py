@@ -147,7 +147,7 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
                 estimator_failed_at_s=failed_at_s,
                 error_m=error_m,
             )
-        case Home(position_nea_m=home):
+        case Home(position_nea_m=home) if not vehicle.home_kept:
             vehicle = replace(vehicle, home_nea_m=home)
         case LinkDelay(round_trip_s=round_trip_s):
             vehicle = replace(vehicle, round_trip_s=round_trip_s)

@@ -104,6 +104,7 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.TAKING_OFF, Trigger.HANDED_OVER): Phase.HOLDING,
     (Phase.FLYING, Trigger.TARGET_REACHED): Phase.ARRIVED,
     (Phase.ARRIVED, Trigger.NEXT_TARGET): Phase.FLYING,
+    (Phase.ARRIVED, Trigger.RESUME): Phase.FLYING,
     (Phase.ARRIVED, Trigger.END_HOLD): Phase.DONE,
     (Phase.ARRIVED, Trigger.END_LAND): Phase.LANDING,
     (Phase.ARRIVED, Trigger.BACKTRACK): Phase.RETURNING,
@@ -335,6 +336,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     take_off_taken_at_s: float = -1e9
     """When it last accepted a take-off."""
     home_nea_m: Vector | None = None
+    home_kept: bool = False
+    """Whether its autopilot has rebooted in the air: what it calls home since then is none."""
     fix_good: bool = False
     fix_at_s: float = -1e9
     estimator_good: bool = False
@@ -443,7 +446,7 @@ class Backtracking(Struct, frozen=True):
 
 @final
 class ReplanHome(Struct, frozen=True):
-    """To the start of the flight, planned to like a target, as the flown path is too far away."""
+    """Home, planned to like a target: the flown path does not lead there, or is too far away."""
 
 
 Direction = Outward | Backtracking | ReplanHome

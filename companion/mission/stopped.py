@@ -42,6 +42,7 @@ from companion.mission.events import (
     StatusText,
 )
 from companion.mission.health import TRUST_S
+from companion.mission.home import begins_at_home, home_ne_m, is_above_home
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import (
     Grounded,
@@ -217,11 +218,8 @@ def resumed(state: State) -> Step:
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
     if clear and backtracking.start_backtrack(state) is not None:
         return state, [], Trigger.BACKTRACK
-    return (
-        backtracking.replan_home(state),
-        [StatusText(text="returning another way")],
-        Trigger.RESUME,
-    )
+    reason = flight.fallen_back or state.reason or Reason.NO_PLAN
+    return backtracking.home_by_plan(state, "returning another way", reason)
 
 
 def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSetpoints) -> Step:
@@ -302,7 +300,9 @@ def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step
         after = replace(state, flight=replace(flight, way=back, planning_backtrack=None))
         if backtracking.start_backtrack(after) is not None:
             return after, [], Trigger.BACKTRACK
-    return give_up(state, state.reason or Reason.NO_PLAN)
+    reason = state.reason or Reason.NO_PLAN
+    text = f"{reason.text}: no way back is proven, planning one home"
+    return backtracking.home_by_plan(state, text, reason, warning=True)
 
 
 def _other_way(state: State, context: Context) -> Step:
@@ -312,11 +312,17 @@ def _other_way(state: State, context: Context) -> Step:
     """
     reason, flight = state.reason or Reason.NO_PLAN, state.flight
     how = fallback.wanted_fallback(state, context)
-    if how is not Fallback.RETURN or not flight.flown or flight.homeward:
+    at_home = not flight.flown and is_above_home(state)
+    if how is not Fallback.RETURN or flight.homeward or at_home:
         return give_up(state, reason)
+    why = f"{reason.text}{reason_text(state, reason)[0]}"
     state = replace(state, flight=replace(flight, fallen_back=reason))
+    if not flight.flown:
+        text = f"{why}: planning a way home"
+        return backtracking.home_by_plan(state, text, reason, warning=True)
     state, asking, trigger = backtracking.request_backtrack(state, context)
-    text = f"{reason.text}{reason_text(state, reason)[0]}: flying back and landing"
+    how_so = "flying back and landing" if begins_at_home(state) else "flying back, then home"
+    text = f"{why}: {how_so}"
     return state, [StatusText(text=text, warning=True, about="end"), *asking], trigger
 
 
@@ -447,9 +453,13 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
         action = EndAction.LAND
     if action is EndAction.LAND and (traits.lands or state.flight.homeward):
         return state, commands, Trigger.END_LAND if traits.lands else Trigger.HAND_OVER
-    if action is EndAction.RETURN and state.flight.flown:
+    if action is EndAction.RETURN:
         if state.flight.planning_backtrack is not None:
             return state, commands, None
+        if not state.flight.flown:
+            text = "returning: planning a way home"
+            step = backtracking.home_by_plan(state, text, Reason.NO_PLAN)
+            return preceded(commands, step)
         state, asking, _ = backtracking.request_backtrack(state, context)
         return state, [*commands, *asking], None
     if traits.holds_in_guided:
@@ -489,11 +499,8 @@ def landed_off_m(state: State) -> float:
     here, flight = state.vehicle.position_nea_m, state.flight
     if here is None or not state.targets_ne_m:
         return 0.0
-    place = state.targets_ne_m[flight.target]
-    if flight.returning and flight.flown:
-        north, east, _ = flight.flown[0].control_nea_m[0]
-        place = (float(north), float(east))
-    return math.dist(here[:2], place)
+    home = home_ne_m(state) if flight.returning else None
+    return math.dist(here[:2], home or state.targets_ne_m[flight.target])
 
 
 def landing_words(state: State, context: Context) -> str:

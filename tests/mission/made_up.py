@@ -217,6 +217,7 @@ class Craft:
         self.now_s = 0.0
         self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
         self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
+        self.home_nea_m: Vector | None = self.here
         self.velocity: Vector = (0.0, 0.0, 0.0)
         self.by_hand: Vector = (0.0, 0.0, 0.0)
         """Velocity at which somebody else flies it."""
@@ -328,8 +329,9 @@ class Craft:
                 LandedState(time_s=now, landed=self.landed),
                 GpsFix(time_s=now, good=self.fix),
                 Estimator(time_s=now, good=True),
-                Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)),
             ]
+            if self.home_nea_m is not None:
+                said.append(Home(time_s=now, position_nea_m=self.home_nea_m))
             if self.battery is not None:
                 said.append(Battery(time_s=now, remaining=self.battery))
         if self.phase is Phase.WAITING:
