@@ -604,7 +604,8 @@ class Session:
     def _on_time(self, time_s: float, heard: Incoming, *, ticks: bool = True) -> bool:
         """Take a new vehicle time; ticks: False if an event of the same time follows.
 
-        In lockstep nothing depends on the wall time at which it arrived.  False if it is doubted: then nothing else that the message tells counts either.
+        In lockstep the wall time at which it arrived says nothing.  False if it is doubted: then
+        nothing else that the message tells counts either.
         """
         before_s = self.clock.now_s
         reading = self.clock.read(time_s, None if self._lockstep else heard.at_s)
