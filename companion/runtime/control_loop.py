@@ -37,6 +37,8 @@ _MAX_TRACK = 20_000  # points; of a longer flight every second one, and so on
 _MAX_PLANS = 2_000
 _RESERVE_S = 10.0
 _BUSY_AGAIN_S = 10.0  # between two texts that the computer is busy
+_OBLIGES = frozenset({"phase", "set mode", "arm", "take off"})
+"""Journal entries after which the vehicle has to be told something else at the end."""
 
 
 class Planning(Protocol):
@@ -50,6 +52,30 @@ class Planning(Protocol):
     def ask(self, request: PlanRequest) -> None:
         """Compute a request, now or soon."""
         ...
+
+
+class Person(Protocol):
+    """Who may say go at the terminal."""
+
+    def says_go(self) -> bool:
+        """Whether somebody has said it since this was asked last."""
+        ...
+
+    def hears(self, answer: str) -> None:
+        """What became of it."""
+        ...
+
+
+@final
+class Nobody:
+    """Nobody is there to say it."""
+
+    def says_go(self) -> bool:
+        """Never."""
+        return False
+
+    def hears(self, answer: str) -> None:
+        """Nobody does."""
 
 
 @final
@@ -71,6 +97,7 @@ class ControlLoop:
     lockstep: bool
     stop_asked: Callable[[], bool]
     clock: Clock
+    person: Person = field(default_factory=Nobody)
     part: Worker = field(default_factory=lambda: Worker("decider"))
     ended: threading.Event = field(default_factory=threading.Event)
     _leaving: threading.Event = field(default_factory=threading.Event)
@@ -154,6 +181,8 @@ class ControlLoop:
         if not self._stopping and self.stop_asked():
             self._stopping = True
             self.session.stop()
+        if self.person.says_go():
+            self.person.hears(self.session.say_go() or "go: it takes off")
 
     def _quiet_s(self) -> float:
         """The shortest time that counts as a silence."""
@@ -170,6 +199,8 @@ class ControlLoop:
                 pass
             case PlanComputed():
                 self.flown.plans_s.append(item.took_s)
+                if getattr(item.outcome, "stopped_after", None) is not None:
+                    self.flown.out_of_time += 1
                 if isinstance(item.outcome, Planned):
                     self.flown.plans.append(item.outcome)
                 self._forget()
@@ -245,8 +276,10 @@ class ControlLoop:
         self._not_sent(out, sent)
         now_s = self.clock()
         self.times.turns.add(now_s - self._turned_s)
-        if any(entry["kind"] == "phase" for entry in out.journal):
+        kinds = {entry["kind"] for entry in out.journal}
+        if "phase" in kinds:
             self.times.paused()
+        if not kinds.isdisjoint(_OBLIGES):
             self._reserve_at_s = -math.inf
         if any(map(is_setpoint, sent)):
             self.times.sent(now_s, self._arrived_s)

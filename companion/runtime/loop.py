@@ -19,7 +19,7 @@ from companion.mavlink.link import VEHICLE_LINK
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
 from companion.runtime.compiler import Planner, load_libraries
-from companion.runtime.control_loop import ControlLoop
+from companion.runtime.control_loop import ControlLoop, Nobody, Person
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import GroundLinks, Link
 from companion.runtime.planner_process import PlannerProcess
@@ -55,6 +55,7 @@ def fly(
     planner: PlanFunction | None = None,
     persist: Callable[[], None] | None = None,
     ground: Sequence[Link] = (),
+    person: Person | None = None,
     clock: Clock = time.monotonic,
 ) -> FlightSummary:
     """Run a session until its mission ends; every end is a value, `FlightSummary.end`.
@@ -62,12 +63,17 @@ def fly(
     planner: by default the compiled one, in a process of its own unless in lockstep.
     persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
     ground: links to ground stations, for a session that `has_ground`.
+    person: who may say go at the terminal; None: there is none.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
     load_libraries()
     if planner is None:
         planner = Planner(lockstep=True) if lockstep else PlannerProcess()
-    flight = _Flight(session, link, ground, folder, lockstep, planner, persist, stop_asked, clock)
+    who = person or Nobody()
+    flight = _Flight(
+        session, link, ground, folder, lockstep, planner, persist, stop_asked, who, clock
+    )
+    flight.flown.asks_here = person is not None
     with prompt_threads():
         flight.run(on_progress)
     return flight.flown
@@ -104,6 +110,7 @@ class _Flight:
         planner: PlanFunction,
         persist: Callable[[], None] | None,
         stop_asked: Callable[[], bool],
+        person: Person,
         clock: Clock,
     ) -> None:
         self.flown = FlightSummary(session=session)
@@ -145,6 +152,7 @@ class _Flight:
             times=self._times,
             lockstep=lockstep,
             stop_asked=stop_asked,
+            person=person,
             clock=clock,
         )
 

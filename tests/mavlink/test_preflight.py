@@ -64,7 +64,9 @@ class Pair:
         vehicle = replace(world.vehicle, parameters=parameters or {})
         world = replace(world, vehicle=vehicle)
         self.vehicle = Simulation(world, seed=1, links=2, faults=faults)
-        self.session = Session(self.mission, seed=1, lockstep=False, shadow=shadow, signing=signing)
+        self.session = Session(
+            self.mission, seed=1, lockstep=False, shadow=shadow, signing=signing, go=True
+        )
         self.sent: list[Any] = []
         self.journal: list[dict[str, Any]] = []
         self.end: Any = None

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 
@@ -230,10 +231,45 @@ def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_foun
             assert outcome.tries == len(searched)
 
 
-def test_each_attempt_searches_wider(task: Task, truth: KnownMap) -> None:
-    first, third = planned(ask(task, truth)), planned(ask(task, truth, attempt=2))
-    assert first.tries == third.tries
-    assert third.evaluations == 3 * first.evaluations
+def walled_in(task: Task, truth: KnownMap) -> PlanRequest:
+    """From rest in a ring of walls: nothing can be proven, whatever is tried."""
+    north, east = truth.middles_m(0, 0, truth.upper_m.shape)
+    away_m = np.hypot(north - START[0], east - START[1])
+    walls_m = np.where((away_m > 120.0) & (away_m < 900.0), 690.0, 100.0)
+    near = with_budget(task, 60, cell_m=truth.cell_m)
+    return ask(near, replace(truth, upper_m=walls_m), from_rest=True)
+
+
+def test_what_attempts_together_search_is_what_one_with_enough_time_searches(
+    task: Task, truth: KnownMap
+) -> None:
+    """Each goes on where the last one ran out of time; then all is searched again, wider."""
+    whole = plan(walled_in(task, truth))
+    assert isinstance(whole, NotPlanned)
+    assert (whole.refusal, whole.untried) == (Refusal.NOTHING_SAFE, 0)
+    tried, evaluations, untried = 0, 0, whole.tries
+    for attempt in range(20):
+        request = replace(walled_in(task, truth), tried=tried, attempt=attempt)
+        part = plan(request, each(3))
+        assert isinstance(part, NotPlanned)
+        assert 0 < part.tries <= 4
+        tried, evaluations = tried + part.tries, evaluations + part.evaluations
+        untried = max(untried - part.tries, 0)
+        assert part.untried == untried
+        assert part.refusal is (Refusal.OUT_OF_TIME if untried else Refusal.NOTHING_SAFE)
+        if not untried:
+            break
+    assert tried >= whole.tries > 4
+    again = plan(replace(walled_in(task, truth), tried=whole.tries))
+    assert isinstance(again, NotPlanned)
+    assert again.evaluations == 2 * whole.evaluations
+    assert evaluations <= again.evaluations
+
+
+def each(calls: int) -> Callable[[], bool]:
+    """Time is up after so many questions whether it is."""
+    asked = count(1)
+    return lambda: next(asked) > calls
 
 
 @pytest.mark.parametrize("time_s", [0.1, 0.4, 1.0, 3.0, 10.0])
