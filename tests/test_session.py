@@ -367,9 +367,13 @@ def test_hold_frames_put_a_vehicle_that_flies_for_us_on_hold_and_change_nothing(
     assert it.session.hold_frames() == []
 
 
-def test_on_the_ground_there_are_no_hold_frames() -> None:
-    it = pair().run_until(lambda it: it.session.state.phase is Phase.ARMING)
-    assert it.session.hold_frames() == []
+def test_hold_frames_of_a_vehicle_that_is_told_to_take_off_disarm_it_too() -> None:
+    it = pair().run_until(lambda it: it.session.state.phase is Phase.PREPARING)
+    assert it.session.hold_frames() == []  # it was told nothing yet
+    it.run_until(lambda it: it.session.state.armed_by_us)
+    hold, disarm = messages(it.session.hold_frames())
+    assert (hold.command, hold.param2) == (176, BRAKE)
+    assert (disarm.command, disarm.param1) == (wire.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
 
 @pytest.mark.parametrize("part", ["reader", "writer", "decider"])

@@ -56,7 +56,12 @@ class Flight:
     def __init__(self, vehicle: Simulation, signing: Signing | None, resume: Any = None) -> None:
         self.vehicle = vehicle
         self.session = Session(
-            mission("ardupilot", "copter"), seed=1, lockstep=False, signing=signing, resume=resume
+            mission("ardupilot", "copter"),
+            seed=1,
+            lockstep=False,
+            signing=signing,
+            resume=resume,
+            go=True,
         )
         self.out = Output()
         self.heard: list[bytes] = []

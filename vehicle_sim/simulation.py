@@ -6,13 +6,20 @@ terrain radar and the radio.
 
 import math
 from collections.abc import Callable, Container, Mapping
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
 from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
-from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
+from vehicle_sim.autopilots.factory import (
+    ids_of,
+    make_vehicle,
+    overrides_of,
+    personality_of,
+    with_own_ids,
+)
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import Crash, is_crash, speed_m_s
 from vehicle_sim.dynamics.copter import Copter
@@ -55,6 +62,8 @@ _ALONG_M = 0.01
 _THINGS = "a tree, wall, building or wire"
 _OFF_GROUND_M = 0.3
 """Above the ground by this much a plane has taken off: what comes then is a landing, or none."""
+_LOW_M = 20.0
+"""Nobody sinks from here to the ground within a step."""
 _SLOPE_M = 0.5
 """The ground's slope is that between points so far to either side."""
 _FARTHEST_DOWN_M = 655.0
@@ -82,6 +91,7 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
+        world = replace(world, vehicle=with_own_ids(world.vehicle))
         vehicle = world.vehicle
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
@@ -122,6 +132,7 @@ class Simulation:
         reads_lidar = any(each.output == "autopilot" for each in world.lidars)
         given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
+        self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot.profile, links, byte_streams, forwards_all)
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
         names = ("lidar", "second lidar")
@@ -159,8 +170,14 @@ class Simulation:
     ) -> Radio:
         world = self._world
         lidar = world.lidar
+        system, component = self._ids
+        for name, beside in (("scanner", world.scanner), ("lidar", lidar)):
+            if beside is not None and beside.component_id == component:
+                rule = "is the autopilot's own"
+                raise InputError(f"{name}.component_id", component, rule, "Give another one.")
         return Radio(
-            system=world.vehicle.system_id,
+            system=system,
+            component=component,
             radar_component=None if world.scanner is None else world.scanner.component_id,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
             profile=profile,
@@ -246,20 +263,25 @@ class Simulation:
         return self._controller.autopilot.mode_name
 
     @property
+    def _is_down(self) -> bool:
+        """The autopilot has no power: it reboots."""
+        return self.now_us < self._down_until_us
+
+    @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
-        return self._controller.autopilot.armed
+        return self._controller.autopilot.armed and not self._is_down
 
     @property
     def landed(self) -> bool:
         """Whether it stands on the ground."""
-        return self._controller.autopilot.landed
+        return self._touches_ground if self._is_down else self._controller.autopilot.landed
 
     @property
     def armable(self) -> bool:
         """Whether the autopilot is healthy and has a position to fly by."""
         autopilot = self._controller.autopilot
-        return autopilot.status().prearm_ok and autopilot.estimate.position_ok
+        return not self._is_down and autopilot.status().prearm_ok and autopilot.estimate.position_ok
 
     def outcome(self) -> str:
         """Where it is and what it does, in a few words."""
@@ -299,7 +321,7 @@ class Simulation:
         return changed
 
     def send_heartbeat(self) -> None:
-        """Send both heartbeats now."""
+        """Send all heartbeats now: time stands still until somebody answers."""
         self._controller.send_heartbeat()
         if self._scanner is not None:
             self._scanner.send_heartbeat()
@@ -333,7 +355,7 @@ class Simulation:
     @property
     def system_id(self) -> int:
         """Of the vehicle."""
-        return self._world.vehicle.system_id
+        return self._ids[0]
 
     # --- what may go wrong --------------------------------------------------------------------
 
@@ -344,7 +366,7 @@ class Simulation:
     def set_parameter(self, name: str, value: float) -> None:
         """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
         self._parameters[name] = value
-        if self.now_us < self._down_until_us:
+        if self._is_down:
             return
         if self._world.vehicle.autopilot == "px4":  # also reports changes by clients
             self._controller.answer([SendParameter(name=name)])
@@ -409,7 +431,11 @@ class Simulation:
         if looks:
             self._look_down()
         if now_us < self._down_until_us:
-            return self._stay_down()
+            complete = self._stay_down()
+            for lidar, driver in self._lidars:
+                self._step_lidar(lidar, driver)
+            self._step_beside(complete)
+            return complete
         controller, conditions, vehicle = self._controller, self._conditions, self._vehicle
         wind, gps = self._wind, self._gps
         if not wind.still or conditions.wind is not wind.conditions:
@@ -417,10 +443,11 @@ class Simulation:
         if now_us - controller.boot_us >= gps.due_us:
             gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
         controller.now_us, controller.report.fix = now_us, gps.fix
-        way = self._way_m_s
-        if not self._touches_ground and not looks:
-            above_m = vehicle.altitude_amsl_m - self._ground_amsl_m
-            if above_m < speed_m_s(way) * _LOOK_US * 1e-6:
+        above_m, way = vehicle.altitude_amsl_m - self._ground_amsl_m, (0.0, 0.0, 0.0)
+        if above_m < _LOW_M:
+            way = self._way_m_s
+            slow = above_m >= speed_m_s(way) * _LOOK_US * 1e-6
+            if not (self._touches_ground or slow or looks):
                 self._measure_ground()
         since_boot_us, ground_amsl_m = now_us - controller.boot_us, self._ground_amsl_m
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
@@ -433,7 +460,8 @@ class Simulation:
             self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
-        self._watch_ground(way)
+        if above_m < _LOW_M:
+            self._watch_ground(way)
         if not self._scene.empty:
             self._watch_near()
         for lidar, driver in self._lidars:
@@ -443,11 +471,16 @@ class Simulation:
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None
+        self._step_beside(complete)
+        return complete
+
+    def _step_beside(self, complete: bool) -> None:
+        """What has its own power and its own computer: the radar, and who hears ADS-B."""
+        now_us = self.now_us
         if self._adsb is not None and now_us >= self._adsb.due_us:
             self._adsb.step(now_us)
         if self._scanner is not None and now_us >= self._scanner.due_us:
-            self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
-        return complete
+            self._scanner.step(now_us, self._vehicle, self._conditions.radar, tick=complete)
 
     def _step_lidar(self, lidar: Lidar, driver: LidarDriver | None) -> None:
         """Measure; what the autopilot gets of it, it gets at once."""
@@ -455,7 +488,8 @@ class Simulation:
         wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
         north_m, east_m, _ = self._place_nea_m()
         fired = lidar.step(self.now_us, self._vehicle, (north_m, east_m), wrong)
-        proximity = None if controller.ranging is None else controller.ranging.proximity
+        hears = controller.ranging is not None and not self._is_down
+        proximity = controller.ranging.proximity if controller.ranging and hears else None
         if driver is None:
             if proximity is not None and not wrong.silent:
                 angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
@@ -522,7 +556,7 @@ class Simulation:
         if self.crash is None:
             north_m, east_m, altitude_m = self._place_nea_m().tolist()
             self.crash = Crash(self.now_us * 1e-6, north_m, east_m, altitude_m, speed, into)
-        if self.now_us >= self._down_until_us:
+        if not self._is_down:
             self._controller.answer(self._controller.autopilot.crash())
 
     @property
@@ -549,16 +583,23 @@ class Simulation:
 
     def _look_down(self) -> None:
         """Where it is in the world, how high the ground is there; one line of truth."""
-        vehicle, autopilot = self._vehicle, self._controller.autopilot
+        vehicle = self._vehicle
         self._measure_ground()
         near_m = None
         if not self._scene.empty:
             here = (*self._local_m, vehicle.altitude_amsl_m)
             near_m = min(self._near_m, float(self._scene.distance_m(np.array(here))[0]))
             self.nearest_m, self._near_m = min(self.nearest_m, near_m), math.inf
-        line = truth.line(self.now_us, self._local_m, vehicle, autopilot, near_m, self.crash)
+        line = truth.line(
+            self.now_us,
+            self._local_m,
+            vehicle,
+            (self.mode_name, self.armed, self.landed),
+            near_m,
+            self.crash,
+        )
         self._truth.append(line)
-        shown = (autopilot.mode_name, autopilot.armed)
+        shown = (self.mode_name, self.armed)
         if shown != self._shown:
             self._shown = shown
             self._notice(f"{shown[0]}, {'armed' if shown[1] else 'disarmed'}")
@@ -590,7 +631,10 @@ class Simulation:
         if vehicle.altitude_amsl_m <= self._ground_amsl_m:
             vehicle.stand(self._ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            self._boot(self._make_autopilot(self._parameters.values()))
+            autopilot = self._make_autopilot(self._parameters.values())
+            self._ids = ids_of(self._personality, autopilot.parameters)
+            self._radio.boot_as(*self._ids)
+            self._boot(autopilot)
             self._port_change = True
         return self.now_us % _LOOK_US == 0
 
@@ -612,7 +656,7 @@ class Simulation:
                 self.answered_ns = message.ts1
             elif message.tc1 != 0:
                 self.mistaken_ns = message.ts1
-        if not received.to_autopilot or self.now_us < self._down_until_us:
+        if not received.to_autopilot or self._is_down:
             return
         if kind == "HEARTBEAT" and sender.link == 0:
             self._meet(sender, message.system_status)

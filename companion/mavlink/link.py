@@ -101,6 +101,8 @@ class VehicleSelector:
         """Of our vehicle; None: not known yet."""
         self.others: set[int] = set()
         """Systems with an autopilot that are not ours, or may not be."""
+        self.elsewhere: set[tuple[int, int]] = set()
+        """System and component of what sends an autopilot's heartbeat and is not component 1."""
         self._heard: dict[int, int] = {}
 
     @property
@@ -120,6 +122,8 @@ class VehicleSelector:
     def on_heartbeat(self, heard: Incoming) -> bool:
         """Whether this heartbeat completes the selection."""
         system = heard.system
+        if heard.component != AUTOPILOT_COMPONENT and _is_of_an_autopilot(heard):
+            self.elsewhere.add((system, heard.component))
         if system == self.system_id or not _is_an_autopilots(heard):
             return False
         self.others.add(system)
@@ -135,11 +139,23 @@ class VehicleSelector:
 
 def _is_an_autopilots(heard: Incoming) -> bool:
     """Whether this is an autopilot's heartbeat: those of other components are forwarded too."""
+    return heard.component == AUTOPILOT_COMPONENT and _is_of_an_autopilot(heard)
+
+
+def _is_of_an_autopilot(heard: Incoming) -> bool:
+    """Whether this heartbeat tells of an autopilot, of whatever component."""
     message = heard.message
     if heard.number != wire.MAVLINK_MSG_ID_HEARTBEAT or message is None:
         return False
-    flies = heard.component == AUTOPILOT_COMPONENT and message.type not in _NO_AUTOPILOTS
-    return bool(flies and message.autopilot != wire.MAV_AUTOPILOT_INVALID)
+    return message.type not in _NO_AUTOPILOTS and message.autopilot != wire.MAV_AUTOPILOT_INVALID
+
+
+TO_COMPONENT_1: Final = "Set the autopilot's component id to 1 (PX4: MAV_COMP_ID)."
+
+
+def ids_in_words(ids: Iterable[tuple[int, int]]) -> str:
+    """Such as: component 50 of system 1, component 51 of system 1."""
+    return ", ".join(f"component {component} of system {system}" for system, component in ids)
 
 
 _Key = tuple[int, int, bytes]

@@ -8,7 +8,7 @@ does not mean empty; a value is repeated for up to 1.75 s; what we send comes ba
 import bisect
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -44,8 +44,24 @@ _SILENT_S = 0.6  # several messages at 10 Hz
 _SET_S = 0.1  # in which the messages of one stamp come: a stamp may stand still
 _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
+_OTHER_CLOCK: Final = "a stamp of another clock"
+_STRANGE: Final = "a distance is outside its limits"
+_USED: Final = {_OTHER_CLOCK: ", taken as of now", _STRANGE: ", that sector says nothing"}
+"""Reasons for which a sweep is used all the same, and how."""
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
 _WHOLE_S = 2.5  # in it HEARTBEAT and SYS_STATUS come twice: one fewer sector fits beside them
+
+
+def in_words(refused: Mapping[str, int]) -> Iterator[str]:
+    """What was not believed, and what of it was used all the same."""
+    for heading, used in (("not believed", False), ("used all the same", True)):
+        told = [
+            f"{why}{_USED.get(why, '')} ({count:,} times)"
+            for why, count in refused.items()
+            if (why in _USED) is used
+        ]
+        if told:
+            yield f"{heading}: {', '.join(told)}"
 
 
 def is_sector(message: Message) -> bool:
@@ -197,7 +213,7 @@ class NearSensing:
         """ground_amsl_m: how high the ground is at a place, north and east, where that is known."""
         self._sensor, self._poses, self._ground_amsl_m = sensor, poses, ground_amsl_m
         self.refused: Counter[str] = Counter()
-        """How often something was not believed, by the reason."""
+        """How often something was not believed, or only in part (`in_words`), by the reason."""
         self._looks: deque[_Look | _Points] = deque(maxlen=20)
         self._set: list[Message] = []
         """Messages of one stamp and frame,"""
@@ -285,7 +301,7 @@ class NearSensing:
         if not (0.0 <= least_m < most_m < math.inf):
             return self._refuse("max_distance is no more than min_distance")
         if not max(least_m, 0.01) <= away_m < most_m:  # drivers put 9999 where they see nothing
-            return self._refuse("a distance is outside its limits")
+            return self._refuse("a point is outside its limits")
         self._limits_cm[0] = 100.0 * least_m, 100.0 * most_m
         if self._is_over(now_s, time_boot_ms=message.time_boot_ms, frame=message.frame):
             self._take_points()
@@ -425,7 +441,7 @@ class NearSensing:
         A stamp of another clock counts as now; one that stands still is taken all the same.
         """
         if abs(stamp_s - now_s) > _OTHER_CLOCK_S:
-            self.refused["a stamp of another clock"] += 1
+            self.refused[_OTHER_CLOCK] += 1
             stamp_s = now_s
         before_s, came_s = self._taken_s
         if 0.0 <= stamp_s - before_s < _APART_S and 0.0 <= now_s - came_s < _SET_S:
@@ -466,7 +482,7 @@ class NearSensing:
         met = (told_cm >= np.maximum(least_cm, 1.0)) & (told_cm < most_cm)
         strange = ~(met | full) & (told_cm != _UNKNOWN_CM)
         if strange.any():
-            self.refused["a distance is outside its limits"] += 1
+            self.refused[_STRANGE] += 1
         range_m = np.minimum(most_cm * 0.01, self._sensor.range_m)
         echo_m = np.where(met, told_cm * 0.01, np.inf)
         self._looks.append(

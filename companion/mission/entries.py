@@ -25,6 +25,7 @@ _SAME: Final[dict[type, type[journal.Entry]]] = {
     events.Rebooted: journal.VehicleRebooted,
     events.SetMode: journal.ModeAsked,
     events.Arm: journal.ArmAsked,
+    events.Disarm: journal.DisarmAsked,
     events.TakeOff: journal.TakeOffAsked,
 }
 """Events and commands whose fields are those of their entry.

@@ -347,6 +347,11 @@ class Arm(Struct, frozen=True, kw_only=True):
 
 
 @final
+class Disarm(Struct, frozen=True, kw_only=True):
+    """Ask the autopilot to disarm; in the air it refuses."""
+
+
+@final
 class TakeOff(Struct, frozen=True, kw_only=True):
     """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
 
@@ -420,6 +425,7 @@ Command = (
     RequestStreams
     | SetMode
     | Arm
+    | Disarm
     | TakeOff
     | SetSpeed
     | StartScan

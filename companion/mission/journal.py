@@ -401,6 +401,11 @@ class ArmAsked(Entry, frozen=True, tag="arm"):
 
 
 @final
+class DisarmAsked(Entry, frozen=True, tag="disarm"):
+    """Disarming was requested from the autopilot, which refuses in the air."""
+
+
+@final
 class TakeOffAsked(Entry, frozen=True, tag="take off"):
     """A take-off was requested from the autopilot."""
 

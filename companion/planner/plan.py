@@ -258,7 +258,7 @@ class _Plan:
             return self._refused(Refusal.OUT_OF_TIME if self._untried else Refusal.NOTHING_SAFE)
         if self._is_better_to_stop(best):
             return self._refused(Refusal.BETTER_TO_STOP)
-        return best
+        return replace(best, evaluations=self._evaluations, tries=self._tries)
 
     def ranked_nea_m(self, most: int) -> FloatArray:
         """Control points of the best candidates of the first search.  -> (M, points, 3)."""

@@ -92,9 +92,11 @@ class Planned:
     guide_rad: float
     route_ne_m: tuple[tuple[float, float], ...]
     evaluations: int
+    """Of all searches of the plan, as `tries`."""
     rank: int
-    """Rank by cost: 0 is the cheapest, more if cheaper ones could not be proven."""
+    """Rank by cost in its search: 0 is the cheapest, more if cheaper ones could not be proven."""
     tries: int
+    """How many searches there were, whichever found it."""
     stopped_after: int | None = None
     """How often the search was continued before its time was up; None: it never was.
 

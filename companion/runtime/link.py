@@ -196,8 +196,8 @@ class UdpLink(Link):
     """Datagrams to and from one peer: for udpin, the sender that turned out to be the vehicle."""
 
     def __init__(self, place: Address) -> None:
-        address = place.resolved()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        family, address = place.resolved()
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
         self._peer: tuple[str, int] | None = None
@@ -446,7 +446,7 @@ class TcpClient(_TcpLink):
 
     def __init__(self, place: Address) -> None:
         super().__init__()
-        self._address = place.resolved()
+        self._family, self._address = place.resolved()
         self._calling: socket.socket | None = None
 
     def _open(self, timeout_s: float) -> None:
@@ -455,7 +455,7 @@ class TcpClient(_TcpLink):
             if calling is None:
                 if not self._is_due(timeout_s):
                     return
-                calling = self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+                calling = self._calling = socket.socket(self._family, socket.SOCK_STREAM)
                 calling.setblocking(False)
                 calling.connect_ex(self._address)
             answered = select.select((), [calling], [calling], timeout_s)
@@ -481,8 +481,8 @@ class TcpServer(_TcpLink):
 
     def __init__(self, place: Address) -> None:
         super().__init__()
-        address = place.resolved()
-        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        family, address = place.resolved()
+        self._listener = socket.socket(family, socket.SOCK_STREAM)
         self._listener.setblocking(False)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -46,6 +46,13 @@ def answer(question: Callable[[], bool]) -> bool:
 
 def file_of_run(run_dir: Path, name: str, field: str = "RUN_DIR") -> Path:
     """A file of a run folder.  Raises InputError about the field if it is not there."""
+    if answer(run_dir.is_file):
+        rule = "it is a file, and a run folder is asked for"
+        remedy = (
+            "Logs of others are for companion replay LOG --shadow and companion view LOG; of a "
+            "flight of the companion give the folder."
+        )
+        raise InputError(field, str(run_dir), rule, remedy)
     if not answer((run_dir / name).is_file):
         rule = f"it holds no {name}" if answer(run_dir.is_dir) else "no such folder"
         remedy = "Give the run folder of a flight: the one that was given to companion fly --out."

@@ -28,6 +28,7 @@ from companion.sources.mission_schema import (
     MissionTable,
     MissionVehicleTable,
     ScannerTable,
+    ThreatsTable,
 )
 from companion.sources.places import Place, place_of, radar_of, zones_of
 from companion.sources.plan_defaults import with_plan
@@ -66,11 +67,16 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
     notes: list[str] = []
     given = table
     names = [key for key in ("plan", "threats") if isinstance(table.get(key), str)]
+    if isinstance(table.get("threats"), dict):
+        names.append("threats")
     terrain = table.get("terrain")
     if isinstance(table.get("plan"), str):
         table, notes = _with_plan(table, folder, where)
-    if isinstance(table.get("threats"), str):
-        threats = read_threats(folder / table["threats"], f"{where}: threats")
+    if "threats" in names:
+        asked = table["threats"]
+        asked = {"file": asked} if isinstance(asked, str) else asked
+        chosen = validated(ThreatsTable, asked, f"{where}: threats")
+        threats = read_threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key in ("keep_outs", "keep_ins", "radars"):

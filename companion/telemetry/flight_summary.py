@@ -36,6 +36,8 @@ class FlightSummary:
     elapsed_s: float = 0.0
     """Since the vehicle was first heard."""
     end: End | None = None
+    asks_here: bool = False
+    """Whether somebody can say go in the terminal."""
     died: bool = False
     """Whether a part of the companion did."""
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
 
-from companion.mavlink.near_sensing import NearSensing, Poses, Sight
+from companion.mavlink.near_sensing import NearSensing, Poses, Sight, in_words
 from companion.world.near_map import NearSensor, Sweep
 
 LIDAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=40.0, latency_s=0.0)
@@ -162,6 +162,11 @@ def test_a_stamp_of_another_clock_counts_as_now() -> None:
         sensing.on_obstacle_distance(obstacle_distance([500], time_usec=stamp_us), now_s)
     assert [sweep.time_s for sweep in sensing.sweeps()] == times_s
     assert sensing.refused == {"a stamp of another clock": 3}
+    assert list(in_words(sensing.refused)) == [
+        "used all the same: a stamp of another clock, taken as of now (3 times)"
+    ]
+    both = {"an angle is not finite": 2, **sensing.refused}
+    assert next(in_words(both)) == "not believed: an angle is not finite (2 times)"
 
 
 def test_what_is_told_again_at_once_is_one_sweep_and_proves_no_more() -> None:

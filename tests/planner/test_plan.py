@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 from planning import ask as asked
 from planning import column_distance_m, spline
 
+from companion.objective.scene import FlightScene
+from companion.optimise import refined_de
+from companion.optimise.refined_de import State
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
+from companion.planner.kernels import NUMPY
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
@@ -206,6 +210,25 @@ def test_another_seed_plan_or_attempt_is_another_search(
     request = ask(task, truth, scan_nea_m=beside_a_hill, start=pose, from_rest=False)
     a, b = planned(request), planned(replace(request, **changes))  # type: ignore[arg-type]
     assert not np.array_equal(a.subpath.control_nea_m, b.subpath.control_nea_m)
+
+
+def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_found_it(
+    task: Task, truth: KnownMap
+) -> None:
+    """Counted by the kernel, of plans that search again and keep what they had, or find nothing."""
+    for degrees in range(0, 360, 60):
+        searched: dict[int, tuple[object, int]] = {}
+
+        def search(state: State, scene: FlightScene, until: int) -> None:
+            NUMPY.search(state, scene, until)
+            searched[id(state)] = state, refined_de.spent(state)  # noqa: B023 - called in this turn
+
+        start = Pose(position_nea_m=np.array(START), **heading_to(degrees))
+        request = ask(with_budget(task, 60), truth, start=start, from_rest=False)
+        outcome = plan(request, kernel=replace(NUMPY, search=search))
+        assert outcome.evaluations == sum(spent for _, spent in searched.values())
+        if isinstance(outcome, Planned):
+            assert outcome.tries == len(searched)
 
 
 def walled_in(task: Task, truth: KnownMap) -> PlanRequest:

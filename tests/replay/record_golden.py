@@ -121,7 +121,7 @@ def _fly(how: dict[str, Any], scratch: Path, run: Path) -> None:
     killed_s = how.get("killed_after_wall_s")
     clock = ["--lockstep"] if killed_s is None else ["--speedup", "10"]
     link, faults = f"127.0.0.1:{_free_port()}", scratch / "faults.txt"
-    own = ["--lockstep"] if killed_s is None else []
+    own = ["--lockstep"] if killed_s is None else ["--start"]
     vehicle = _started(
         "vehicle-sim",
         scratch / "world.toml",

@@ -69,7 +69,7 @@ def fly(
     link: ScriptedLink, folder: RunFolder, lockstep: bool = True, **keywords: Any
 ) -> FlightSummary:
     return loop.fly(
-        Session(MISSION, seed=1, lockstep=lockstep),
+        Session(MISSION, seed=1, lockstep=lockstep, go=True),
         link,
         folder,
         lockstep=lockstep,

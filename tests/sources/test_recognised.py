@@ -2,12 +2,14 @@
 
 import gzip
 import json
+import os
 import zipfile
 from pathlib import Path
 
 import pytest
+from answers import answered
 
-from companion.config import load_mission, load_world
+from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
 
 MISSIONS = Path(__file__).parent / "missions"
@@ -55,7 +57,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
         (b"ULog\x01\x12\x35\x01", "a log of PX4", "replay LOG --shadow"),
         (b"\xa3\x95\x80\x80", "a log of ArduPilot", "replay LOG --shadow"),
         (b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09", "a log of MAVLink", "--shadow"),
-        ('name = "caf\u00e9"'.encode("latin-1"), "no text in UTF-8", ""),
+        ('name = "Z\u00fcrich"'.encode("latin-1"), "no text in UTF-8", ""),
     ],
 )
 def test_what_is_no_mission_is_told_what_it_is_and_where_it_belongs(
@@ -100,3 +102,35 @@ def test_zones_named_as_threats_are_read_and_other_files_are_told_what_they_are(
         (tmp_path / "x").write_text(content)
         with pytest.raises(InputError, match=what):
             load_mission(str(toml))
+
+
+def test_names_that_are_no_utf_8_are_files_like_others(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"fl\xfcge")
+    folder.mkdir()
+    plan = (MISSIONS / "fenced.plan").read_bytes()
+    waypoints = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 0 1\n1 0 3 16 0 0 0 0 47 8.002 40 1\n"
+    for name, content in ((b"pl\xe4n.plan", plan), (b"pl\xe4n", plan), (b"l\xefst", waypoints)):
+        path = folder / os.fsdecode(name)
+        path.write_bytes(content)
+        assert load_mission(str(path)).targets_ne_m
+        mission_text(str(path)).encode()
+    path.write_bytes(RING.encode())
+    with pytest.raises(InputError) as caught:
+        load_mission(str(path))
+    assert r"fl\xfcge/l\xefst" in str(caught.value)
+    assert str(caught.value).isascii()
+
+
+@pytest.mark.parametrize("command", [["report"], ["export", "--format", "kml"]])
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".ulg", ".log", ""])
+def test_a_file_in_place_of_a_run_folder_is_told_where_it_belongs(
+    tmp_path: Path, command: list[str], suffix: str
+) -> None:
+    log = tmp_path / f"any{suffix}"
+    log.write_bytes(b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09")
+    code, _, said = answered(command[0], log, *command[1:])
+    assert code == 2
+    assert "no such folder" not in said
+    assert "it is a file" in said
+    assert "companion replay LOG --shadow" in said
+    assert "companion view LOG" in said

@@ -3,6 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 from rich.table import Table
 
@@ -13,7 +15,10 @@ from companion.path.subpath import Subpath
 from companion.planner.request import Planned
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
+from companion.views.page import at_least
 from companion.views.text import clearance_text, flight_table, mission_summary, plans_table
+from companion.views.words import metres_at_least
+from companion.world.known_map import empty_map
 
 PROVEN = Certificate(
     clearance_m=612.4,
@@ -71,6 +76,35 @@ def test_targets_are_told_by_their_distances_from_the_origin_to_a_metre_in_10_km
     words = mission_summary(mission)
     assert "3 km south, 2 km west of the origin (3.606 km straight from there)" in words
     assert "100 km north, 100 km east" in mission_summary(load_mission("environment-1"))
+
+
+@pytest.mark.parametrize(
+    ("holes", "share"), [(0, "100%"), (1, "99.9%"), (6, "99.9%"), (120, "98.8%"), (9_999, "0%")]
+)
+def test_a_map_with_a_hole_is_not_known_whole(holes: int, share: str) -> None:
+    mission = load_mission("sitl-arducopter")
+    known = empty_map(50.0, (0.0, 5_000.0), (0.0, 5_000.0))
+    upper_m = np.full(known.upper_m.shape, 100.0)
+    assert upper_m.size == 10_000
+    upper_m.flat[:holes] = np.inf
+    words = mission_summary(replace(mission, known=replace(known, upper_m=upper_m)))
+    assert f"Terrain of {share} of the map" in words
+    hectares = math.ceil(holes * 50.0**2 / 1e4)
+    assert (f"(all but {hectares:,} ha)" in words) == (holes > 0)
+    assert ("all but" in words) == (holes > 0)
+
+
+@given(st.floats(0.0, 30_000.0))
+def test_no_clearance_looks_larger_than_it_is(clear_m: float) -> None:
+    for said in (
+        clearance_text(replace(PROVEN, clearance_m=clear_m)),
+        metres_at_least(clear_m),
+        f"{at_least(clear_m, 1)} m",
+    ):
+        number, unit = said.replace(",", "").split()
+        told_m = float(number) * {"m": 1.0, "km": 1000.0}[unit]
+        assert told_m <= clear_m + 1e-5
+        assert told_m == pytest.approx(clear_m, rel=0.02, abs=1.0)
 
 
 def test_a_clearance_is_told_only_of_what_is_proven() -> None:

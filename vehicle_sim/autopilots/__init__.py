@@ -387,6 +387,8 @@ class FirmwareProfile:
     custom_version: bytes = bytes(8)
     rates_hz: Mapping[int, float]
     """Default rates of a new link, by message number."""
+    first_heartbeat_us: int = 1_000_000
+    """Since boot; then at its rate."""
     streamable: frozenset[int]
     """What SET_MESSAGE_INTERVAL accepts."""
     requestable: frozenset[int]

@@ -75,6 +75,7 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
         capabilities=capabilities,
         software_version=67567616,
         custom_version=CUSTOM_VERSION,
+        first_heartbeat_us=900_000,  # ardupilot.md 1
         rates_hz=rates_hz,
         streamable=STREAMABLE,
         requestable=REQUESTABLE,
