@@ -100,6 +100,7 @@ def judgeable(terrain: Terrain, limits: Limits) -> Any:
     if isinstance(terrain, PeakTerrain) and terrain.sum_of_peaks:
         raise ValueError("a world whose peaks are added up cannot be judged: combine the maximum")
     if not isinstance(terrain, GridTerrain):
+        assert isinstance(terrain, PeakTerrain | ArrayTerrain)  # there are three kinds
         return terrain
     (south, north), (west, east) = limits.north_m, limits.east_m
     step_m = max(

@@ -117,10 +117,10 @@ def fly_on_cluster(runs: Sequence[Run], out: Path, scheduler: str) -> Iterator[R
                 if future.status == "finished":
                     yield future.result()
                 elif future.status == "error":
-                    cause = future.exception()
-                    if isinstance(cause, OSError) and cause.errno is not None:
-                        raise cause  # no room for its folder: no result, as on this machine
-                    yield lost_run(by_key[future.key], repr(cause))
+                    lost = future.exception()
+                    if isinstance(lost, OSError) and lost.errno is not None:
+                        raise lost  # no room for its folder: no result, as on this machine
+                    yield lost_run(by_key[future.key], repr(lost))
                 else:
                     text = "the Dask scheduler is gone, or has cancelled the campaign"
                     raise FlightInterrupted(text, "Give the same command again to go on.")

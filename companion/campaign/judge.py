@@ -32,7 +32,7 @@ import numpy as np
 from companion.campaign import truth
 from companion.campaign.drawn_faults import Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.flight import Flight
+from companion.campaign.flight import Flight, crash_of
 from companion.geodesy import BoolArray, FloatArray
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
 from companion.mavlink.frames import decoded, number_of, sender_of
@@ -106,7 +106,9 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     terrain_m = _terrain_m(table, drawn)
     excuses = table.excuses | _radar_excuse(table, done)
     known, unknown = _breaches("terrain", terrain_m, safety_m, table, excuses)
-    for each, found in zip((known, unknown), _touched(flight, table), strict=True):
+    touched = _touched(flight, table)
+    hit = touched if any(touched) else _crash(flight, table, excuses)
+    for each, found in zip((known, unknown), hit, strict=True):
         each += found
     for zone, known_s in _zones(flight, drawn, done):
         gap_m = _gap_m(table.points_nea_m, zone)
@@ -375,6 +377,21 @@ def _breaches(
             why = ", ".join(name for name, when in excuses.items() if when[here[0]])
             worst = f"{what} {gap_m[here].min():.1f} m from {table.t_s[here[0]]:.1f} s"
             said.append(f"{worst} ({why})" if why else worst)
+    return known, unknown
+
+
+def _crash(
+    flight: Flight, table: _Table, excuses: dict[str, BoolArray]
+) -> tuple[list[str], list[str]]:
+    """Into the ground or a thing, but for a landing, by whoever flew in the moment before."""
+    crash, known, unknown = crash_of(flight), list[str](), list[str]()
+    if crash is None:
+        return known, unknown
+    last = int(np.searchsorted(table.t_s, crash["t_s"])) - 1
+    if last >= 0 and table.rows[last]["mode"] not in LANDS | RETURNS:
+        what = f"hit {crash['into']} at {crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s"
+        why = ", ".join(name for name, when in excuses.items() if when[last])
+        (unknown if why else known).append(f"{what} ({why})" if why else what)
     return known, unknown
 
 

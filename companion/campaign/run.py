@@ -33,7 +33,7 @@ from companion.campaign import (
 from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld, judgeable
 from companion.campaign.file import Place, Run
-from companion.campaign.flight import Flight, FlightFiles, in_the_air
+from companion.campaign.flight import Flight, FlightFiles, crash_of, in_the_air
 from companion.campaign.rivals import flight as rivals
 from companion.campaign.rivals import ours
 from companion.campaign.rivals.measure import measured
@@ -51,6 +51,7 @@ _SPACING_M = 1.0
 """Between the points of a subpath at which it is checked, as far as that makes a few thousand."""
 _MOST_POINTS = 20_000
 _OF_SHAPE = ("turn radius", "climb angle", "dive angle")
+_TOUCHED = "flown: touched something"
 _MOST_GROWTH_MB = 10.0
 """In use, from the first hour of a flight to its end."""
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
@@ -281,6 +282,16 @@ def _files(run: Run, folder: Path) -> FlightFiles:
 
 def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str, Any]:
     """What a flight came to, from its journal and the truth."""
+    found, crash = _judged_way(flown, files, with_faults=with_faults), crash_of(flown)
+    if with_faults or crash is None or found.get("violated") == _TOUCHED:
+        return found
+    hit = f"flown: hit {crash['into']} at {crash['speed_m_s']:.1f} m/s"
+    violated = "; ".join(filter(None, [found.get("violated"), hit]))
+    return found | {"violations": (found.get("violations") or 0) + 1, "violated": violated}
+
+
+def _judged_way(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str, Any]:
+    """All of it but a crash; of flights with faults that too."""
     drawn = _as_drawn(str(files.world), str(files.mission))
     kinds = [entry["kind"] for entry in flown.journal]
     ends = [entry for entry in flown.journal if entry["kind"] == "end"]
@@ -394,7 +405,7 @@ def _near(flown: Flight, times_s: FloatArray) -> dict[str, Any]:
         "clearance_least_m": near.get("near_m"),
         "clearance_least_t_s": near["t_s"],
         "violations": int(touched),
-        "violated": "flown: touched something" if touched else None,
+        "violated": _TOUCHED if touched else None,
     }
 
 

@@ -6,10 +6,21 @@ from typing import final
 
 from msgspec.structs import replace
 
-from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
+from companion.mission.events import (
+    Command,
+    Disarm,
+    Event,
+    Landed,
+    LinkLost,
+    Mode,
+    Position,
+    SetMode,
+)
 from companion.mission.health import astray_m
 from companion.mission.mission import Mission
 from companion.mission.state import IN_AIR, Phase, Reason, State, TakeOver, Trigger, Vehicle
+from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
+from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 from companion.world.zone_index import index_of
 
@@ -41,6 +52,8 @@ class Context:
     """A simulator waits for each answer: a long silence means that it has ended."""
     shadow: bool = False
     """Watch only: plan and report, never command."""
+    go: bool = False
+    """Somebody has said go beforehand (--start): it takes off as soon as it is ready."""
 
 
 def ask(state: State, *commands: Command) -> Step:
@@ -64,7 +77,10 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy
     why, _, remedy = refusal.value.partition("; ")
-    detail = "" if refusal is Refusal.NOTHING_SAFE else f": {why}"  # else it is said twice
+    if refusal is Refusal.NOTHING_SAFE:  # why would be said twice
+        broken = bounds_text(state.flight.broken)
+        return f": it broke {broken}" if broken else "", f"{remedy[:1].upper()}{remedy[1:]}."
+    detail = f": {why}"
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
 
 
@@ -149,15 +165,60 @@ def is_grounded(state: State) -> bool:
 
 def is_own_takeoff(state: State) -> bool:
     """Whether the autopilot's take-off mode was requested by us."""
-    return state.phase in (Phase.ARMING, Phase.TAKING_OFF) or isinstance(state.hold, TakeOver)
+    return (
+        state.phase in (Phase.ARMING, Phase.TAKING_OFF)
+        or isinstance(state.hold, TakeOver)
+        or _still_goes_up(state)
+    )
+
+
+def _still_goes_up(state: State) -> bool:
+    """Whether it may still be in the take-off that we asked for, after a fault or a silence."""
+    begun = state.armed_by_us and state.flight.plan_id == 0 and not state.taken
+    return begun and state.phase in (Phase.PREPARING, Phase.HOLDING)
 
 
 def is_under_control(state: State) -> bool:
-    """Whether we control the vehicle now, so that it must be put on hold if we end."""
-    phase, mode = state.phase, state.vehicle.mode
-    flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING, Phase.ARMING)
+    """Whether the vehicle does what we asked of it, or will: if we end it must be told to hold.
+
+    Its last heartbeat may be from before what we asked last.
+    """
+    vehicle, phase, mode = state.vehicle, state.phase, state.vehicle.mode
+    if vehicle.traits is UNKNOWN or is_second_companion(state):
+        return False
     ours = mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and is_own_takeoff(state))
-    return flies and ours and not is_second_companion(state)
+    if phase is Phase.HOLDING and state.reason is Reason.BROKEN_OFF:
+        return ours or mode is Mode.HOLD or not vehicle.armed
+    if phase is Phase.ARMING:  # on the ground, before it was obeyed, no pilot has taken it
+        asked = state.asks > 0 or state.armed_by_us
+        return asked and (ours or (not state.obeyed and vehicle.landed is Landed.ON_GROUND))
+    if phase is Phase.TAKING_OFF or (_still_goes_up(state) and is_grounded(state)):
+        by_itself = vehicle.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
+        return ours or (mode is Mode.HOLD and by_itself)  # which ends its take-off
+    waits = mode is Mode.HOLD and state.asks > 0
+    flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING)
+    return flies and vehicle.armed and not is_grounded(state) and (ours or waits)
+
+
+def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
+    """What the vehicle is told when the companion goes: to hold; on the ground, to stay there.
+
+    stopped: a person wants it; then a landing of ours is broken off, too, which goes on otherwise.
+    """
+    vehicle = state.vehicle
+    if not is_under_control(state):
+        lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
+        lands = lands and vehicle.armed and not is_grounded(state)
+        return [SetMode(mode=Mode.HOLD)] if stopped and lands else []
+    at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
+    hold = SetMode(mode=Mode.HOLD, at_nea_m=at)
+    goes_up = state.phase is Phase.TAKING_OFF or _still_goes_up(state)
+    down = goes_up and is_grounded(state)
+    if state.phase is Phase.ARMING:
+        down = vehicle.landed is Landed.ON_GROUND
+    if down and state.armed_by_us:
+        return [hold, Disarm()]  # in this order: the first counts should it be in the air by now
+    return [hold]
 
 
 def is_duplicate_suspected(state: State) -> bool:

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from companion.mission import joining
 from companion.mission.events import Battery, Landed, Position, Vector
+from companion.mission.home import beyond_path_m
 from companion.mission.mission import Mission
 from companion.mission.state import Reason, State, Vehicle
 from companion.path.limits import Limits
@@ -254,7 +255,7 @@ def way_left_m(state: State) -> float:
         flown_m = flight.reference.length_m
         if flight.leg is None and ahead and here is not None:  # it was stopped on the first of them
             flown_m = joining.nearest(ahead[0], here)[1]
-        return sum(leg.subpath.length_m for leg in ahead) - flown_m
+        return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
     if here is None or not state.targets_ne_m:
         return 0.0
     route, from_here = flight.route_ne_m, itertools.repeat(here[:2])

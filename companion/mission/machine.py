@@ -16,8 +16,7 @@ from companion.mission import traffic as others
 from companion.mission.decisions import (
     Context,
     Step,
-    is_grounded,
-    is_under_control,
+    parting,
     reason_text,
 )
 from companion.mission.events import (
@@ -148,7 +147,7 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
                 estimator_failed_at_s=failed_at_s,
                 error_m=error_m,
             )
-        case Home(position_nea_m=home):
+        case Home(position_nea_m=home) if not vehicle.home_kept:
             vehicle = replace(vehicle, home_nea_m=home)
         case LinkDelay(round_trip_s=round_trip_s):
             vehicle = replace(vehicle, round_trip_s=round_trip_s)
@@ -195,6 +194,7 @@ _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | No
 IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
     Phase.WAITING: ground.waiting,
     Phase.PREPARING: ground.preparing,
+    Phase.READY: ground.ready,
     Phase.ARMING: ground.arming,
     Phase.TAKING_OFF: ground.taking_off,
     Phase.FLYING: flying.flying,
@@ -220,6 +220,13 @@ def _enter(
             in_control_since_s=min(state.in_control_since_s, in_control_since_s),
         )
     match state.phase:
+        case Phase.PREPARING if trigger is Trigger.UNREADY:
+            return state, commands
+        case Phase.READY:
+            says_ready = StatusText(
+                text="ready: waits for go: MISSION_START or a yes", about="phase"
+            )
+            return replace(state, unready=""), [*commands, says_ready]
         case Phase.PREPARING:
             says: list[Command] = [StatusText(text=f"mission {context.mission.name}")]
             news = (stopped.landing_words(state, context), state.news)
@@ -276,7 +283,7 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     says: list[Command] = [StatusText(text=text, warning=reason.warns, about="phase")]
     if isinstance(state.hold, HoldMode):
         state = replace(state, asked_at_s=state.now_s)
-        says.append(SetMode(mode=Mode.HOLD))
+        says += parting(state) if reason is Reason.BROKEN_OFF else [SetMode(mode=Mode.HOLD)]
     return state, [*commands, *says]
 
 
@@ -285,11 +292,7 @@ def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
     end = _end_of(before, trigger)
     if context.shadow or trigger in _AS_IT_SHOULD:
         return [end]
-    sent_up = before.phase is Phase.TAKING_OFF and before.asked_at_s > 0.0
-    in_air = sent_up or not is_grounded(before)
-    if not (is_under_control(before) and before.vehicle.armed and in_air):
-        return [end]
-    return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
+    return [*parting(before, stopped=trigger is Trigger.STOP), end]
 
 
 def _end_of(before: State, trigger: Trigger) -> End:

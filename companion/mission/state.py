@@ -28,6 +28,7 @@ class Phase(enum.Enum):
 
     WAITING = "waiting"
     PREPARING = "preparing"
+    READY = "ready"
     ARMING = "arming"
     TAKING_OFF = "taking off"
     FLYING = "flying"
@@ -47,7 +48,9 @@ class Trigger(enum.Enum):
 
     VEHICLE_FOUND = "the vehicle's heartbeat was heard"
     READY = "position, home, streams, parameters and fence are there, on the ground"
-    IN_FLIGHT = "the same, but the vehicle is in the air: take over"
+    GO = "somebody says go: MISSION_START, a yes in the terminal, or --start beforehand"
+    UNREADY = "a check fails while it waits for that; the text says which"
+    IN_FLIGHT = "position, home and so on are there, but the vehicle is in the air: take over"
     TAKE_OVER = "it still flies the path of the companion that was here before"
     WATCH = "the vehicle is known, and only to be watched"
     ARMED = "armed, in the mode that the take-off begins with"
@@ -69,7 +72,7 @@ class Trigger(enum.Enum):
     STOP = "a person asked for the end"
 
 
-ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.ARMING)
+ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.READY, Phase.ARMING)
 IN_AIR = (
     Phase.TAKING_OFF,
     Phase.FLYING,
@@ -86,17 +89,22 @@ _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 
 MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.VEHICLE_FOUND): Phase.PREPARING,
-    (Phase.PREPARING, Trigger.READY): Phase.ARMING,
+    (Phase.PREPARING, Trigger.READY): Phase.READY,
+    (Phase.PREPARING, Trigger.GO): Phase.ARMING,
+    (Phase.READY, Trigger.GO): Phase.ARMING,
+    (Phase.READY, Trigger.UNREADY): Phase.PREPARING,
     (Phase.PREPARING, Trigger.IN_FLIGHT): Phase.HOLDING,
     (Phase.PREPARING, Trigger.TAKE_OVER): Phase.FLYING,
     (Phase.PREPARING, Trigger.WATCH): Phase.SHADOW,
     (Phase.PREPARING, Trigger.END_LAND): Phase.LANDING,
     (Phase.PREPARING, Trigger.LANDED): Phase.DONE,
     (Phase.ARMING, Trigger.ARMED): Phase.TAKING_OFF,
+    (Phase.ARMING, Trigger.FAULT): Phase.HOLDING,
     (Phase.TAKING_OFF, Trigger.AIRBORNE): Phase.FLYING,
     (Phase.TAKING_OFF, Trigger.HANDED_OVER): Phase.HOLDING,
     (Phase.FLYING, Trigger.TARGET_REACHED): Phase.ARRIVED,
     (Phase.ARRIVED, Trigger.NEXT_TARGET): Phase.FLYING,
+    (Phase.ARRIVED, Trigger.RESUME): Phase.FLYING,
     (Phase.ARRIVED, Trigger.END_HOLD): Phase.DONE,
     (Phase.ARRIVED, Trigger.END_LAND): Phase.LANDING,
     (Phase.ARRIVED, Trigger.BACKTRACK): Phase.RETURNING,
@@ -202,6 +210,7 @@ class Reason(enum.Enum):
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
     TAKING_OVER = ("taking over", "Wait: it stops first.", TakeOver, False)
+    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", HoldMode, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
@@ -267,7 +276,11 @@ class Reason(enum.Enum):
     )
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
-    PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.", Replan)
+    PLAN_LATE = (
+        "the next subpath was not ready in time",
+        "Raise planner.planning_time_s, or use a faster computer.",
+        Replan,
+    )
     NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
     NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
     CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
@@ -323,6 +336,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     take_off_taken_at_s: float = -1e9
     """When it last accepted a take-off."""
     home_nea_m: Vector | None = None
+    home_kept: bool = False
+    """Whether its autopilot has rebooted in the air: what it calls home since then is none."""
     fix_good: bool = False
     fix_at_s: float = -1e9
     estimator_good: bool = False
@@ -364,6 +379,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """When it was last invalid for another reason than its place."""
     sight: Sight = Sight.NEVER_HEARD
     """Of its sensor of near things, if the mission has one."""
+    sees_m: float = math.inf
+    """The least range that this has told of in the air."""
     ground_above_m: float = 0.0
     """How much higher than on the map its rangefinder has seen the ground, last; 0: it is not."""
     believed_at_s: float = -1e9
@@ -429,7 +446,7 @@ class Backtracking(Struct, frozen=True):
 
 @final
 class ReplanHome(Struct, frozen=True):
-    """To the start of the flight, planned to like a target, as the flown path is too far away."""
+    """Home, planned to like a target: the flown path does not lead there, or is too far away."""
 
 
 Direction = Outward | Backtracking | ReplanHome
@@ -476,8 +493,14 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
     """Why there is no plan, in the planner's own words."""
+    broken: tuple[str, ...] = ()
+    """Which bounds the best candidate of the newest plan broke, if there is none."""
     failures: int = 0
     """Failed attempts in a row, from rest."""
+    tried: int = 0
+    """Searches that they have made,"""
+    untried: int = 0
+    """and kinds of search that they had no time for."""
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""
@@ -615,6 +638,8 @@ class State(Struct, frozen=True, kw_only=True):
     airborne: bool = False
     """Whether the vehicle has been in the air since the start: then it is never armed again."""
     prepared: frozenset[Item] = frozenset()
+    unready: str = ""
+    """Why it is not ready any more, having waited for a go; empty: it has not, or is."""
     orders: Orders = Orders()
     taken: bool = False
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""

@@ -21,6 +21,7 @@ from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, describ
 from companion.mavlink.autopilots.messages import is_nowhere
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import Receiver, number_of, sender_of
+from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.kernels import NUMPY, Kernel
@@ -191,6 +192,10 @@ def _place_of(message: Message) -> tuple[float, float, float] | None:
 
 def _of_no_use(log: Log, name: str) -> InputError:
     """The error about a log without a usable position."""
+    if log.system_id is None and log.elsewhere:
+        ids = ids_in_words(sorted(log.elsewhere))
+        rule = f"it has no HEARTBEAT of component 1, as autopilots are; it has that of {ids}"
+        return InputError("LOG", str(log.path), rule, f"{TO_COMPONENT_1} Then record again.")
     missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
     if missing is not None:
         rule = f"it has no {missing.message}: {missing.without}"

@@ -94,7 +94,7 @@ class MissionVehicleTable(
 
 
 _MOUNTING = ("forward_m", "right_m", "blind_m", "latency_s", "latency_error_s")
-_PROMISES = ("range_error_m", "position_error_m", "speaks_for_m")
+_PROMISES = ("range_error_m", "position_error_m", "drift_m_s", "speaks_for_m")
 
 
 class ScannerTable(

@@ -57,13 +57,16 @@ class Progress:
     def show(self, status: FlightStatus) -> None:
         """Show the flight as it stands now; to be called often."""
         now_s, lines = time.monotonic(), list(self._lines(status))
+        redraws = self._redraws and status.waits_for is None  # else it hides what is typed
+        if self._redraws and redraws is not self._live.is_started:
+            self._live.start() if redraws else self._live.stop()
         for line in lines:
             self._console.print(line, highlight=False, soft_wrap=not self._redraws, markup=False)
         if not lines and now_s - self._shown_s < _SHOWN_S:
             return
         self._shown_s = now_s
         self._frames.append((status.frames_heard, status.frames_lost))
-        if self._redraws and not self._output.is_behind:
+        if redraws and not self._output.is_behind:
             width = self._console.width
             self._live.update(status_table(status, width, self._lost()), refresh=True)
 
@@ -149,7 +152,7 @@ def _news(status: FlightStatus, *, legs: bool) -> tuple[object, ...]:
 def _notice(status: FlightStatus) -> str:
     """Why the mission holds, and the autopilot's failsafe; else the latest warning."""
     failsafe = "the autopilot is in failsafe" if status.failsafe else ""
-    return status.reason or failsafe or status.warning or ""
+    return status.waits_for or status.reason or failsafe or status.warning or ""
 
 
 def event_line(status: FlightStatus) -> str:

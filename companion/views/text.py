@@ -161,6 +161,9 @@ def flight_table(flown: FlightSummary) -> Table:
     if flown.plans_s:
         median, worst = statistics.median(flown.plans_s), max(flown.plans_s)
         rows.append(("planning, median / longest", f"{median * 1e3:,.0f} / {worst * 1e3:,.0f} ms"))
+    if flown.out_of_time:
+        remedy = "raise planner.planning_time_s, or use a faster computer"
+        rows.append(("plans cut by time", f"{flown.out_of_time}: {remedy}"))
     for name, value in rows:
         table.add_row(name, value)
     return table

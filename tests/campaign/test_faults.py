@@ -155,6 +155,36 @@ def test_a_position_that_was_told_wrong_excuses_and_one_within_its_error_does_no
     assert (judge.judged(flown, DRAWN, "")["excused"] is None) == bool(count)
 
 
+CRASH = {"t_s": 3.05, "into": "the ground", "speed_m_s": 9.13}
+
+
+@pytest.mark.parametrize(
+    ("mode", "told_off_m", "count"), [("GUIDED", 0.0, 1), ("GUIDED", 4.0, 0), ("LAND", 0.0, 0)]
+)
+def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
+    mode: str, told_off_m: float, count: int, tmp_path: Path
+) -> None:
+    flown = flight(tmp_path, [beside(50.0)] * 4, told_off_m=told_off_m, mode=mode)
+    before = violated(flown)
+    for row in flown.truth[30:]:
+        row |= {"landed": True, "armed": False, "crash": CRASH}
+    assert len(after := violated(flown)) - len(before) == count
+    assert ("hit the ground at 9.1 m/s, 3.0 s" in after) == bool(count)
+
+
+def test_without_faults_a_crash_is_a_violation_wherever_it_was(tmp_path: Path) -> None:
+    at = Path(families.__file__).parents[1] / "environments" / "environment-1"
+    files = FlightFiles(
+        world=at / "world.toml", mission=at / "mission.toml", faults="", folder=tmp_path
+    )
+    flown = flight(tmp_path, [TARGET] * 2)
+    rows = [run._judged(flown, files, with_faults=False)]
+    flown.truth[-1]["crash"] = CRASH
+    rows.append(run._judged(flown, files, with_faults=False))
+    assert rows[1]["violations"] == rows[0]["violations"] + 1
+    assert "flown: hit the ground at 9.1 m/s" in rows[1]["violated"]
+
+
 def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
     far = TARGET
     places = [beside(0.0)] * 3 + [far] * 5

@@ -19,6 +19,7 @@ from companion.mission.events import (
     Arm,
     Battery,
     Command,
+    Disarm,
     End,
     Estimator,
     Event,
@@ -28,6 +29,8 @@ from companion.mission.events import (
     Landed,
     LandedState,
     Mode,
+    Order,
+    OrderKind,
     Plan,
     PlanReady,
     Position,
@@ -203,8 +206,9 @@ class Craft:
         plan: Callable[[PlanRequest], PlanOutcome | None] = planned,
         traits: VehicleTraits = ARDUCOPTER.traits,
         shadow: bool = False,
+        go: bool = True,
     ) -> None:
-        self.context = Context(mission=of, seed=1, shadow=shadow)
+        self.context = Context(mission=of, seed=1, shadow=shadow, go=go)
         self.traits = traits
         self.told: list[Event] = []
         self.state = fresh(of)
@@ -213,6 +217,7 @@ class Craft:
         self.now_s = 0.0
         self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
         self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
+        self.home_nea_m: Vector | None = self.here
         self.velocity: Vector = (0.0, 0.0, 0.0)
         self.by_hand: Vector = (0.0, 0.0, 0.0)
         """Velocity at which somebody else flies it."""
@@ -252,7 +257,12 @@ class Craft:
                 case RequestStreams():
                     self.told += [Prepared(time_s=self.now_s, item=item) for item in Item]
                 case SetMode(mode=mode) if self.obeys_modes:
-                    self.mode = mode
+                    self.mode, self.climb_to_m = mode, None
+                    if self.landed is Landed.TAKING_OFF:
+                        on_ground = self.here[2] <= HOME_AMSL_M
+                        self.landed = Landed.ON_GROUND if on_ground else Landed.IN_AIR
+                case Disarm():
+                    self.armed = self.armed and self.landed is not Landed.ON_GROUND
                 case Arm() if self.arms:
                     self.armed = True
                 case TakeOff() if not self.takes_off and self.accepts:
@@ -319,8 +329,9 @@ class Craft:
                 LandedState(time_s=now, landed=self.landed),
                 GpsFix(time_s=now, good=self.fix),
                 Estimator(time_s=now, good=True),
-                Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)),
             ]
+            if self.home_nea_m is not None:
+                said.append(Home(time_s=now, position_nea_m=self.home_nea_m))
             if self.battery is not None:
                 said.append(Battery(time_s=now, remaining=self.battery))
         if self.phase is Phase.WAITING:
@@ -456,3 +467,16 @@ def arrived(of: Mission = MISSION) -> Craft:
 @once
 def landing() -> Craft:
     return arrived(LAND).fly_to(Phase.LANDING)
+
+
+def order_of(craft: Craft, kind: OrderKind) -> Order:
+    """An order by a ground station, with a place if it is one that needs it."""
+    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
+    return Order(
+        time_s=craft.now_s,
+        kind=kind,
+        target_ne_m=(6_000.0, 2_000.0) if placed else None,
+        speed_m_s=50.0 if kind is OrderKind.SPEED else None,
+        radius_m=300.0 if kind is OrderKind.KEEP_OUT else None,
+        sender="255/190",
+    )

@@ -136,6 +136,14 @@ def test_times_of_a_flight_that_was_resumed_are_said_to_be_those_since_then() ->
     assert len(rows) == 2
 
 
+def test_plans_that_time_has_cut_are_told_with_the_remedy() -> None:
+    flight = flown()
+    assert "cut by time" not in shown(flight_table(flight))
+    flight.out_of_time = 93
+    [row] = [line for line in shown(flight_table(flight)).splitlines() if "cut by time" in line]
+    assert "93: raise planner.planning_time_s, or use a faster computer" in row
+
+
 def test_a_flight_without_a_plan_has_a_table_without_costs() -> None:
     table = shown(flight_table(flown()))
     assert "arrived" in table
