@@ -646,6 +646,8 @@ class Session:
             return
         if self.vehicle is not None and self.state.phase is not Phase.WAITING:
             self._send_all(self.vehicle.on_time(now_s, at_s))
+            while self.vehicle.warnings:
+                self._send_text(self.vehicle.warnings.pop(0), warning=True)
             while self.vehicle.notes:
                 self._send_text(self.vehicle.notes.pop(0), warning=False)
         if self._component is not None:

@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple, final
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import KINDS, Message, wire
 from companion.mavlink.signing import SECRETS, Signing, strip_signature
 
 V1: Final = 0xFE
@@ -73,7 +73,7 @@ def intact_end(data: bytes, at: int) -> int:
     end, number = frame_extent(data, at)
     if number is None or end > size:
         return 0
-    kind = wire.mavlink_map.get(number)
+    kind = KINDS.get(number)
     if kind is None or (data[at] == V2 and data[at + 2] > _SIGNED):
         return 0
     if data[at] == V1 and data[at + 1] > kind.unpacker.size:
@@ -132,7 +132,7 @@ _IGNORED_NAMES: Final = """
     SIMSTATE SIM_STATE VFR_HUD VIBRATION
 """
 IGNORED_MESSAGES: Final = frozenset(
-    number for number, kind in wire.mavlink_map.items() if kind.msgname in _IGNORED_NAMES.split()
+    number for number, kind in KINDS.items() if kind.msgname in _IGNORED_NAMES.split()
 )
 """Message numbers that autopilots stream and the companion does not use: recorded, never decoded.
 
@@ -316,7 +316,7 @@ class Receiver:
                 self._pass_over(data[at:start])
             at = start
             end, number = frame_extent(data, at)
-            kind = wire.mavlink_map.get(number)
+            kind = None if number is None else KINDS.get(number)
             doubtful = number is not None and (kind is None or data[at] == V1)
             if doubtful and not _is_plausible(data, at, end, kind):
                 end = 0
@@ -360,7 +360,7 @@ class Receiver:
         while at <= last:
             marker, length, flags, system, component, low, high = _PLAIN.unpack_from(data, at)
             number, end = low | high << 16, at + _HEADER_2 + length
-            kind = wire.mavlink_map.get(number)
+            kind = KINDS.get(number)
             if marker != V2 or flags or kind is None or end + _CHECKSUM > len(data):
                 break
             covered = data[at + 1 : end] + _EXTRA[kind.crc_extra]

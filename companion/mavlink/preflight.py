@@ -22,6 +22,7 @@ from companion.mavlink.mounting import MountingCheck, Seen, Turning
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.near_sensing import in_words
 from companion.mavlink.parameter_checks import Severity
+from companion.mavlink.plan_client import FENCE
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mission import ground, stopped
@@ -342,6 +343,9 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
         waiting = ", ".join(vehicle.plans.waiting)
         yield _check("fence", False, f"not read: {waiting}", "Check the link.")
         return
+    if mission.fence_from_vehicle and (items := vehicle.plans.changing.get(FENCE)):
+        what = f"the fence has changed: reading {items:,} items"
+        yield _check("fence", False, what, "Wait until it is read.")
     if not mission.fence_from_vehicle:
         yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
     elif vehicle.fence is not None:
@@ -361,6 +365,9 @@ def _against_fence(drawn: fence.Fence, session: PreflightInputs) -> Iterator[Che
         yield _check("fence", False, what, f"{remedy}.")
     for line in drawn.notes:
         yield _remark("fence", line)
+    if drawn.misread:
+        what, _, remedy = drawn.misread.rpartition(". ")
+        yield _remark("fence", what, f"{remedy}.")
     if not against:
         yield _check("fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to")
 

@@ -282,6 +282,11 @@ class Reason(enum.Enum):
         Replan,
     )
     NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
+    FENCE_UNREAD = (
+        "the vehicle's fence has changed and is being read",
+        "Wait until it is read; from_vehicle.goes_on_while_reading lets it fly on.",
+        Replan,
+    )
     NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
     CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
     PAUSED = ("paused by a person", "Send the command to continue.", Paused, False)
@@ -652,6 +657,8 @@ class State(Struct, frozen=True, kw_only=True):
     given: Task
     """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
+    fence_unread_s: float | None = None
+    """Since when a fence that has changed is being read; None: it is known."""
     keep_outs: tuple[CircleZone, ...] = ()
     """Ordered in flight."""
     flown_under: Task | None = None
@@ -698,6 +705,7 @@ class State(Struct, frozen=True, kw_only=True):
             since_s=self.since_s + shift_s,
             asked_at_s=self.asked_at_s + shift_s,
             duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
+            fence_unread_s=None if self.fence_unread_s is None else self.fence_unread_s + shift_s,
             traffic=self.traffic and Traffic(rules=self.traffic.rules),
             vehicle=replace(
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None

@@ -27,6 +27,7 @@ from companion.mission.decisions import (
     preceded,
     reason_text,
     takeover_reason,
+    waits_for_fence,
     with_hold_reason,
 )
 from companion.mission.events import (
@@ -253,6 +254,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, LandOrdered):
         return (state, commands, None) if moving else _land_here(state, commands)
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
+        return state, commands, None
+    if waits_for_fence(state, context):
         return state, commands, None
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
     on_way_back = state.flight.returning or (low_battery and state.flight.homeward)
