@@ -16,14 +16,16 @@ from companion.mission.events import (
     Position,
     SetMode,
 )
-from companion.mission.health import astray_m
+from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.state import (
     IN_AIR,
+    Hold,
     Phase,
     Reason,
     State,
     StreamLost,
+    TakenOver,
     TakeOver,
     Trigger,
     Vehicle,
@@ -48,6 +50,7 @@ _COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
 _SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
+_ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
 _THERE_S = 5.0
 _SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
 
@@ -83,7 +86,8 @@ def preceded(says: list[Command], step: Step) -> Step:
 def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     """Detail and remedy of a reason; for plans the planner's own."""
     if reason is Reason.POSITION_ELSEWHERE:
-        return f": {astray_m(state.vehicle):.0f} m away", reason.remedy
+        off_m, allowed_m = astray_m(state.vehicle), may_differ_m(state.vehicle, state.task.limits)
+        return f": {_metres(off_m)} off, {_metres(allowed_m)} allowed", reason.remedy
     refusal = state.flight.refusal
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy
@@ -93,6 +97,11 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
         return f": it broke {broken}" if broken else "", f"{remedy[:1].upper()}{remedy[1:]}."
     detail = f": {why}"
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
+
+
+def _metres(length_m: float) -> str:
+    """With a decimal where that tells."""
+    return f"{length_m:.1f} m" if length_m < 9.95 else f"{length_m:.0f} m"
 
 
 def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
@@ -275,9 +284,26 @@ def landing_order(state: State) -> Reason | None:
     return Reason.LAND_ASKED if ordered else None
 
 
+def begin_hold(state: State, reason: Reason) -> Hold:
+    """The hold that begins for a reason."""
+    if reason is Reason.FAILSAFE:
+        return TakenOver(why=seen_cause(state))
+    return reason.hold()
+
+
+def seen_cause(state: State) -> Reason | None:
+    """What was seen to be wrong of late, on which an autopilot's failsafe may have acted."""
+    vehicle = state.vehicle
+    if vehicle.distrust is not None or state.now_s - vehicle.bad_at_s < _ACTS_S:
+        return vehicle.distrust or vehicle.last_distrust
+    if state.now_s - vehicle.estimator_failed_at_s < _ACTS_S:
+        return Reason.ESTIMATOR
+    return None if vehicle.battery_short_at_s is None else Reason.BATTERY_LOW
+
+
 def with_hold_reason(state: State, reason: Reason) -> State:
     """The state with another reason for the hold."""
-    hold = state.hold if isinstance(state.hold, reason.hold) else reason.hold()
+    hold = state.hold if isinstance(state.hold, reason.hold) else begin_hold(state, reason)
     state = replace(state, reason=reason, hold=hold, since_s=state.now_s)
     return replace(state, asked_at_s=-1e9, asks=0, obeyed=False)
 

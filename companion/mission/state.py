@@ -167,6 +167,8 @@ class TakenOver(Struct, frozen=True):
     """When the operator last ordered to continue."""
     failsafe_over: bool = False
     """Whether the end of the failsafe was reported."""
+    why: "Reason | None" = None
+    """What was seen to be wrong when it was taken."""
 
 
 @final
@@ -210,12 +212,13 @@ class Reason(enum.Enum):
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
     TAKING_OVER = ("taking over", "Wait: it stops first.", TakeOver, False)
+    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", TakeOver, False)
     BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", HoldMode, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
     POSITION_ELSEWHERE = (
-        "the position is not where the vehicle can be",
+        "the position is not where its speeds lead",
         "Check the GPS: it is believed once it agrees, or after 60 s without another jump.",
     )
     NO_FIX = ("the GPS fix is lost", "Wait for the fix to come back.")
@@ -380,6 +383,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """When the position was last invalid, for any reason."""
     distrust: Reason | None = None
     """Why it is invalid now (`health.distrust`); None: it is valid."""
+    last_distrust: Reason | None = None
+    """Why it was invalid at `bad_at_s`; None: it never was."""
     doubted_at_s: float = -1e9
     """When it was last invalid for another reason than its place."""
     sight: Sight = Sight.NEVER_HEARD
