@@ -33,10 +33,11 @@ from companion.live_view.command import (
     stay,
     view_command,
 )
-from companion.mavlink.preflight import CheckStatus, checks_of, flight_check
+from companion.mavlink.preflight import CheckStatus, checks_of, flight_check, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
+from companion.path.certificate import bounds_text
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
 from companion.printable import printable
@@ -629,21 +630,17 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
 
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
-    others, wanted = sorted(session.selector.others), session.mission.system_id
-    names = ", ".join(str(system) for system in others)
-    if not others:
+    if not session.senders and not session.receiver.passed.total():
         reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
         return reason, "Start the vehicle, or give the address that it sends to."
-    if wanted is None:
-        return f"vehicles with the system ids {names} were heard", "Choose one with --system."
-    reason = f"vehicle.system_id = {wanted}: only system {names} was heard"
-    return reason, "Give the vehicle's own system id with --system, or write it into the mission."
+    reason, remedy = not_heard(session)
+    return reason.replace("none was", "no vehicle was"), remedy
 
 
 def _exit_as_planned(flight: OfflineFlight) -> None:
     if flight.failure is not None:
         failure = flight.failure
-        broken = f" (broken: {', '.join(failure.broken)})" if failure.broken else ""
+        broken = f" (broken: {bounds_text(failure.broken)})" if failure.broken else ""
         raise FlightFailed(f"{failure.refusal.value}{broken}", "")
 
 

@@ -48,8 +48,8 @@ from companion.mavlink.statustext import StatusTexts, final_text, severity_of
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
 from companion.mavlink.terrain_download import ScanClient
 from companion.mission import changes, checkpoint, entries, events, machine
-from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_under_control
-from companion.mission.events import End, Mode, SetMode, Vector
+from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, parting
+from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.start import Resume, Start
@@ -68,6 +68,8 @@ _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 
 
+_SENSED: Final = frozenset({*near_sensing.MESSAGES.values(), wire.MAVLINK_MSG_ID_TERRAIN_DATA})
+"""Messages of sensors, which are chosen by their ids: to say who else sends them."""
 _frame_of: Final = attrgetter("frame")
 _ROUTINE: Final = (
     events.Position,
@@ -160,14 +162,18 @@ class Session:
         self._plan = PendingPlan()
         self._keeper = checkpoint.CheckpointPolicy(keeps_map=mission.near is None)
         self._end: End | None = None
-        self._confirming: SetMode | None = None
-        self._mode: Mode | None = None
+        self._last_asked: tuple[SetMode | Disarm, ...] = ()
+        """What the autopilot was told when the mission ended, until it has done it."""
+        self._status: VehicleStatus | None = None
+        """Its last heartbeat; at the end only one from after that."""
         self._mode_asked_at_s = self._kept_house_s = -math.inf
         self._due_s = -math.inf
         """When there is something to do in `_housekeeping`, at the latest; -inf: at once."""
         self._due_at_s = math.inf
         """The same by the clock of the outside."""
         self._roles = _roles_of(mission)
+        self.sensed: dict[int, set[tuple[int, int]]] = {}
+        """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
         self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version, has_ground=has_ground)
@@ -185,6 +191,11 @@ class Session:
         """Frames of our autopilot so far, and how many are missing between them."""
         sender = (self.selector.system_id or 0, AUTOPILOT_COMPONENT)
         return self._inbox.counted.get(sender, (0, 0, 0))[1:]
+
+    @property
+    def senders(self) -> list[tuple[int, int]]:
+        """System and component of all that were heard on the vehicle's link."""
+        return sorted(self._inbox.counted)
 
     # --- what the runtime calls
 
@@ -319,17 +330,26 @@ class Session:
             self._start_scan(here)
 
     def hold_frames(self) -> list[bytes]:
-        """The frames that put a vehicle under our control on hold.  Has no side effects."""
+        """The frames that put a vehicle under our control on hold, unsigned: no side effects."""
         return self._outbox.encode_unsent(self._holding())
 
     def final_text(self, why: str) -> list[bytes]:
-        """The frames of the text that the companion has ended, and why.  Has no side effects."""
+        """The frames of the text that the companion has ended, and why; as `hold_frames`."""
         return self._outbox.encode_unsent(final_text(f"ended, failed: {why}"))
 
+    def signed(self, frames: list[bytes]) -> list[bytes]:
+        """Those frames as they are to be sent now, by any thread: a signature ages."""
+        return self._outbox.signed(frames)
+
     def _holding(self) -> Sequence[Message]:
-        if self.vehicle is None or self.context.shadow or not is_under_control(self.state):
+        if self.vehicle is None or self.context.shadow:
             return ()
-        return self.vehicle.command_messages(SetMode(mode=Mode.HOLD), self.state)
+        messages: list[Message] = []
+        for command in parting(self.state):
+            if isinstance(command, SetMode):
+                command = SetMode(mode=command.mode)  # anywhere, as this is told once
+            messages += self.vehicle.command_messages(command, self.state)
+        return messages
 
     # --- messages
 
@@ -350,11 +370,17 @@ class Session:
                 pass
             elif number == _POSITION:
                 time_s = heard.message.time_boot_ms * 1e-3
-                if time_s >= self._plan.due_s and self._must_wait_for_plan(time_s):
+                if (
+                    time_s >= self._plan.due_s
+                    and self.clock.believes(time_s, None if self._lockstep else heard.at_s)
+                    and self._must_wait_for_plan(time_s)
+                ):
                     return False
-                self._on_time(time_s, ticks=False)
+                is_read = self._on_time(time_s, heard, ticks=False)
             elif (clock := _CLOCKS.get(number)) is not None:
                 is_read = clock(self, heard)
+        if number in _SENSED and heard.link == VEHICLE_LINK:
+            self.sensed.setdefault(number, set()).add((heard.system, heard.component))
         self._out.record.append((self.clock.now_s, heard.frame))
         if heard.component == COMPANION_COMPONENT:
             self._look_for_duplicates(heard)
@@ -557,20 +583,17 @@ class Session:
     # --- the clock
 
     def _on_time_only(self, heard: Incoming) -> bool:
-        """Handle a time-only message; whether it is newer."""
+        """Handle a time-only message; whether it is newer, and believed."""
         time_ms = boot_ms_of(heard.frame, heard.number)
         assert time_ms is not None
-        if news := self.clock.is_newer(heard.number, time_ms):
-            self._on_time(time_ms * 1e-3)
-        return news
+        return self.clock.is_newer(heard.number, time_ms) and self._on_time(time_ms * 1e-3, heard)
 
     def _on_system_time(self, heard: Incoming) -> bool:
-        self._on_time(heard.message.time_boot_ms * 1e-3)
-        return True
+        return self._on_time(heard.message.time_boot_ms * 1e-3, heard)
 
     def _on_simulated_time(self, heard: Incoming) -> bool:
         if self._lockstep and heard.message.tc1 == 0:
-            self._on_time(heard.message.ts1 * 1e-9)
+            self._on_time(heard.message.ts1 * 1e-9, heard)
         return True
 
     def _on_beat(self, heard: Incoming) -> bool:
@@ -578,10 +601,14 @@ class Session:
             self._handle(events.Tick(time_s=self.clock.going_on_s))
         return True
 
-    def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
-        """Take a new vehicle time; ticks: False if an event of the same time follows."""
+    def _on_time(self, time_s: float, heard: Incoming, *, ticks: bool = True) -> bool:
+        """Take a new vehicle time; ticks: False if an event of the same time follows.
+
+        In lockstep the wall time at which it arrived says nothing.  False if it is doubted: then
+        nothing else that the message tells counts either.
+        """
         before_s = self.clock.now_s
-        reading = self.clock.read(time_s)
+        reading = self.clock.read(time_s, None if self._lockstep else heard.at_s)
         if reading is ClockReading.FIRST:  # waits go on by the new clock
             self.state = self.state.rebase_time(time_s - before_s)
             self._due_s = -math.inf
@@ -595,6 +622,7 @@ class Session:
                 self.state = self.state.rebase_time(-ahead_s)
             if ticks:
                 self._handle(events.Tick(time_s=time_s))
+        return reading is not ClockReading.DOUBTED
 
     def _on_reboot(self) -> None:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""
@@ -629,9 +657,10 @@ class Session:
             self._mode_asked_at_s = now_s  # no vehicle is known yet: only our heartbeat
             self._send_all_to_ground([heartbeat(wire.MAV_STATE_STANDBY)])
         self._send_all_to_ground(self._texts.due(now_s))
-        left = self._confirming if self._end is not None and not self._settled() else None
-        if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
-            self._command(left)
+        left = self._last_asked if self._end is not None and not self._settled() else ()
+        if left and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
+            for command in left:
+                self._command(command)
         self._set_timer()
 
     def _set_timer(self) -> None:
@@ -685,8 +714,8 @@ class Session:
 
     def _handle(self, event: events.Event) -> None:
         before = self.state
-        if isinstance(event, events.VehicleStatus):
-            self._mode = event.mode
+        if isinstance(event, VehicleStatus):
+            self._status = event
         self.state, commands = machine.step(before, event, self.context)
         if type(event) not in _ROUTINE:
             self._due_s = -math.inf
@@ -723,10 +752,11 @@ class Session:
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
-            modes = [command for command in commands if isinstance(command, SetMode)]
-            self._confirming = modes[-1] if modes else None  # nothing from before counts any more
+            told = tuple(each for each in commands if isinstance(each, SetMode | Disarm))
+            self._last_asked = told  # nothing from before counts any more
+            self._status = None if told else self._status
             assert self._end is not None
-            self._send_end_text(self._end, held=any(each.mode is Mode.HOLD for each in modes))
+            self._send_end_text(self._end, told)
 
     def _carry_out(self, command: events.Command) -> None:
         self._due_s = -math.inf
@@ -750,7 +780,7 @@ class Session:
                 self._send_all([] if message is None else [message])
             case events.Setpoint():
                 pass  # goes out at once, or in shadow never
-            case SetMode() | events.SetSpeed() | events.Arm() | events.TakeOff():
+            case SetMode() | Disarm() | events.SetSpeed() | events.Arm() | events.TakeOff():
                 if not self.context.shadow:
                     self._command(command)
 
@@ -758,7 +788,7 @@ class Session:
         """What the autopilot is told to do."""
         assert self.vehicle is not None
         if isinstance(command, SetMode):
-            self._confirming, self._mode_asked_at_s = command, self.clock.going_on_s
+            self._mode_asked_at_s = self.clock.going_on_s
         if (noted := entries.of_command(command)) is not None:
             self._note(**noted)
         self._send_all(self.vehicle.command_messages(command, self.state))
@@ -769,17 +799,21 @@ class Session:
         self.warned = (self.now_s, text) if warning else self.warned
         self._texts.add(text, severity_of(warning=warning), self.clock.going_on_s, about)
 
-    def _send_end_text(self, end: End, *, held: bool) -> None:
+    def _send_end_text(self, end: End, told: Sequence[SetMode | Disarm]) -> None:
         """Send the final text at once."""
-        text, messages = self._texts.end(end, held=held)
+        held = any(isinstance(each, SetMode) and each.mode is Mode.HOLD for each in told)
+        text, messages = self._texts.end(end, held=held, disarmed=Disarm() in told)
         self._note("say", text=text, warning=end.outcome is not events.Outcome.ARRIVED)
         self._send_all_to_ground(messages)
 
     def _settled(self) -> bool:
-        """Whether the mission is over and the vehicle is in its final mode."""
-        gone = self._silence_told_s >= _NO_VEHICLE_S
-        ours = self._mode in (Mode.GUIDED, Mode.TAKE_OFF)  # else it, or somebody, has chosen
-        return gone or self._confirming is None or not ours
+        """Whether the mission is over and the vehicle has done what it was told last."""
+        status = self._status
+        if self._silence_told_s >= _NO_VEHICLE_S or not self._last_asked:
+            return True
+        if status is None or status.mode in (Mode.GUIDED, Mode.TAKE_OFF, Mode.LAND):
+            return False  # in any other it, or somebody, has chosen
+        return not (status.armed and Disarm() in self._last_asked)
 
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)

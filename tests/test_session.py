@@ -367,9 +367,13 @@ def test_hold_frames_put_a_vehicle_that_flies_for_us_on_hold_and_change_nothing(
     assert it.session.hold_frames() == []
 
 
-def test_on_the_ground_there_are_no_hold_frames() -> None:
-    it = pair().run_until(lambda it: it.session.state.phase is Phase.ARMING)
-    assert it.session.hold_frames() == []
+def test_hold_frames_of_a_vehicle_that_is_told_to_take_off_disarm_it_too() -> None:
+    it = pair().run_until(lambda it: it.session.state.phase is Phase.PREPARING)
+    assert it.session.hold_frames() == []  # it was told nothing yet
+    it.run_until(lambda it: it.session.state.armed_by_us)
+    hold, disarm = messages(it.session.hold_frames())
+    assert (hold.command, hold.param2) == (176, BRAKE)
+    assert (disarm.command, disarm.param1) == (wire.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
 
 @pytest.mark.parametrize("part", ["reader", "writer", "decider"])
@@ -497,6 +501,30 @@ def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_cloc
     again = messages(it.frames[count:])
     assert [m for m in again if m.get_type() == "HEARTBEAT"]
     assert [m for m in again if m.get_type() == "COMMAND_LONG"]
+
+
+@pytest.mark.parametrize("off_ms", [1_000_000, 2_500, -2_500, 4_000_000_000])
+@pytest.mark.parametrize("copies", [1, 3])
+def test_a_moment_with_a_wrong_time_stamp_changes_nothing_of_a_flight(
+    off_ms: int, copies: int
+) -> None:
+    """Its position, 11 m to the north, is not believed either."""
+    it, undisturbed = flying(), flying()
+    sender, stamp_ms = it.vehicle.autopilot, it.vehicle.time_ms + off_ms
+    [here] = messages([it.vehicle.position()])
+    place = (here.lat + 1_000, here.lon, here.alt, 0, here.vx, here.vy, here.vz, 0)
+    for wrong in (
+        wire.MAVLink_attitude_message(stamp_ms, 0, 0, 0, 0, 0, 0),
+        wire.MAVLink_global_position_int_message(stamp_ms, *place),
+        wire.MAVLink_system_time_message(0, stamp_ms),
+        wire.MAVLink_local_position_ned_message(stamp_ms, 0, 0, 0, 0, 0, 0),
+    ):
+        it.feed(copies * wrong.pack(sender))
+    for flight in (it, undisturbed):
+        flight.run_until(lambda it: it.vehicle.time_ms >= 60_000)
+    told = "SET_POSITION_TARGET_GLOBAL_INT"
+    assert [m.to_dict() for m in it.sent(told)] == [m.to_dict() for m in undisturbed.sent(told)]
+    assert it.session.state.phase is Phase.FLYING
 
 
 def test_silence_before_any_vehicle_ends_after_10_s() -> None:

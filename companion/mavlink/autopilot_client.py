@@ -23,6 +23,7 @@ from companion.mavlink.streams import StreamRequests
 from companion.mission.decisions import Context
 from companion.mission.events import (
     Arm,
+    Disarm,
     Event,
     FenceBreach,
     FenceChanged,
@@ -57,7 +58,7 @@ _NEWS_S = 0.005  # a change of less moves no setpoint by much
 _HOME_MOVED_M = 5.0
 
 
-AutopilotCommand = SetMode | SetSpeed | Arm | TakeOff
+AutopilotCommand = SetMode | SetSpeed | Arm | Disarm | TakeOff
 """Commands to an autopilot, besides setpoints."""
 
 
@@ -305,6 +306,8 @@ class AutopilotClient:
                 return self._speed
             case Arm():
                 return autopilot.arm(system)
+            case Disarm():
+                return autopilot.disarm(system)
             case TakeOff():
                 here = state.vehicle.position_nea_m
                 if here is None:

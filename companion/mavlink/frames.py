@@ -252,6 +252,11 @@ def _is_plausible(data: bytes, at: int, end: int, kind: Any) -> bool:
     return end >= len(data) or data[end] in (V1, V2)
 
 
+_RUNS = re.compile(rb"([\t\n\r\x20-\x7e]+)|[^\t\n\r\x20-\x7e]+")
+"""Text, or what is none."""
+_LEAST_TEXT = 8  # bytes: noise is all text of that length once in 2,400 times
+
+
 class Skipped(enum.Enum):
     """What was skipped."""
 
@@ -284,11 +289,25 @@ class Receiver:
         """
         self.passed: Counter[Skipped] = Counter()
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
+        self.harmless = 0
+        """How much of it is no fault of the link: text, as an autopilot says it on its console
+        while it boots; and up to one frame at the beginning, which was cut by coming late."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
         self._ignored, self._link = ignored, link
         self._rest = b""
+        self._has_begun = False
+        self._text = 0
+        """For how many bytes there was nothing but text."""
+
+    @property
+    def noise(self) -> str:
+        """What came damaged, in words; empty: nothing."""
+        if self.passed[Skipped.GARBAGE] + self.passed[Skipped.CHECKSUM] <= self.harmless:
+            return ""
+        kinds = (Skipped.GARBAGE, Skipped.CHECKSUM)
+        return ", ".join(f"{self.passed[each]} {each.value}" for each in kinds if self.passed[each])
 
     def feed(self, data: bytes) -> list[Message]:
         """The messages that are complete now, in order; their get_msgbuf() is without signature."""
@@ -303,7 +322,7 @@ class Receiver:
         while (found := find_marker(data, at)) is not None:
             start = found.start()
             if start > at:
-                self.passed[Skipped.GARBAGE] += start - at
+                self._pass_over(data[at:start])
             at = start
             end, number = frame_extent(data, at)
             kind = None if number is None else KINDS.get(number)
@@ -314,15 +333,30 @@ class Receiver:
                 break
             if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
                 at = self._read_plain(data, at_s, heard, end)
+                self._text = 0
             else:
-                self.passed[Skipped.GARBAGE] += 1
+                self._pass_over(data[at : at + 1])
                 at += 1
         else:
             if size > at:
-                self.passed[Skipped.GARBAGE] += size - at
+                self._pass_over(data[at:size])
             at = size
         self._rest = data[at:]
+        if heard and not self._has_begun:
+            self._has_begun = True
+            passed = self.passed[Skipped.GARBAGE]
+            if passed - self.harmless <= LONGEST:
+                self.harmless = passed + self.passed[Skipped.CHECKSUM]
         return heard
+
+    def _pass_over(self, data: bytes) -> None:
+        """Count what belongs to no frame, and whether it is text."""
+        self.passed[Skipped.GARBAGE] += len(data)
+        least = _LEAST_TEXT if self._has_begun else 1
+        for run in _RUNS.finditer(data):
+            before, self._text = self._text, self._text + len(run[0]) if run[1] else 0
+            if run[1] and self._text >= least:
+                self.harmless += len(run[0]) if before >= least else self._text
 
     def _read_plain(
         self, data: bytes, at_s: float | None, heard: list[Incoming], at: int = 0

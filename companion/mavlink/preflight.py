@@ -13,13 +13,14 @@ from typing import Protocol, final
 
 from msgspec.structs import replace
 
-from companion.mavlink import fence
+from companion.mavlink import fence, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.dialect import COMPANION_COMPONENT
-from companion.mavlink.frames import Receiver, Skipped
-from companion.mavlink.link import VehicleSelector
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
+from companion.mavlink.frames import Receiver
+from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
 from companion.mavlink.mounting import MountingCheck, Seen, Turning
 from companion.mavlink.near_scanner import NearScanner
+from companion.mavlink.near_sensing import in_words
 from companion.mavlink.parameter_checks import Severity
 from companion.mavlink.plan_client import FENCE
 from companion.mavlink.rangefinder import Rangefinder
@@ -46,6 +47,7 @@ _NO_RADAR = (
     "elevation file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
 )
 _SLOWEST_SWEEPS_HZ = 5.0
+_RANGE_ROUNDED_M = 0.0101  # autopilots cut limits off to whole centimetres (proximity.md 2)
 _LATE_SWEEPS_S = 0.3  # beyond the stated latency: positions and attitudes come 20 times a second
 _UNTOLD = {
     Turning.NOT_TURNED: "Turn it on the spot by 90 degrees while this runs with --turn.",
@@ -90,6 +92,12 @@ class PreflightInputs(Protocol):
     near: NearScanner | None
     rangefinder: Rangefinder | None
     last_scan: ScanDone | None
+    sensed: dict[int, set[tuple[int, int]]]
+
+    @property
+    def senders(self) -> list[tuple[int, int]]:
+        """All that were heard."""
+        ...
 
 
 @final
@@ -222,7 +230,8 @@ def checks_of(session: PreflightInputs) -> list[Check]:
     checks += _radar(session)
     if session.rangefinder is not None:
         heard = session.state.now_s - session.rangefinder.heard_s <= _PATIENCE_S
-        what = "the one that faces down: " + ("heard" if heard else "not heard")
+        what = "the one that faces down, of component 1: " + ("heard" if heard else "not heard")
+        what += "" if heard else _instead(session, (near_sensing.SECTORS,), AUTOPILOT_COMPONENT)
         checks.append(_check("rangefinder", heard, what, _NO_RANGEFINDER))
     checks += _signing(session)
     return checks
@@ -250,9 +259,29 @@ def _heard(session: PreflightInputs) -> Check:
         what = f"{session.found}: none that this mission is for"
         remedy = "Check vehicle.kind and vehicle.autopilot of the mission."
         return _check("vehicle", False, what, remedy)
+    return _check("vehicle", False, *not_heard(session))
+
+
+def not_heard(session: PreflightInputs) -> tuple[str, str]:
+    """Why there is no vehicle: what is heard instead; and what to do about it."""
+    selector, wanted = session.selector, session.mission.system_id
+    others, elsewhere = sorted(selector.others), sorted(selector.elsewhere)
+    names = ", ".join(str(system) for system in others)
+    if any(wanted in (None, system) for system, _ in elsewhere) or (elsewhere and not others):
+        what = f"none was heard as component 1; heard: an autopilot as {ids_in_words(elsewhere)}"
+        return what, TO_COMPONENT_1
+    if others and wanted is None:
+        return f"systems {names} were heard", "Choose one with --system."
     if others:
-        return _check("vehicle", False, f"systems {names} were heard", "Choose one with --system.")
-    return _check("vehicle", False, "none was heard", "Start it, or check --connect.")
+        what = f"vehicle.system_id = {wanted}: only system {names} was heard"
+        return what, "Give the vehicle's own system id with --system, or write it into the mission."
+    if session.senders:
+        what = f"none was heard: {ids_in_words(session.senders)} without an autopilot's HEARTBEAT"
+        return what, "Connect to where the autopilot sends it."
+    if session.receiver.passed.total():
+        what = "none was heard; what comes in is no MAVLink"
+        return what, "Check the baud rate, and that --connect names the autopilot's port."
+    return "none was heard", "Start it, or check --connect."
 
 
 def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:
@@ -274,9 +303,8 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
             else f", more than {_LONG_DELAY_S * 1e3:.0f} ms"
         )
         yield _check("link delay", ok, what, "Use a faster link.")
-    passed = session.receiver.passed.total() - session.receiver.passed[Skipped.UNKNOWN]
-    if passed:
-        yield _remark("noise", f"{passed} times something that is no message was passed over")
+    if noise := session.receiver.noise:
+        yield _remark("noise", f"passed over: {noise}")
 
 
 def _unique_ids(vehicle: AutopilotClient, state: State) -> Check:
@@ -394,7 +422,7 @@ def _battery(session: PreflightInputs, state: State) -> Iterator[Check]:
     if left is None:
         yield _remark("battery", "the vehicle does not say what is left")
         return
-    what = f"{left:.0%} left, reserve {mission.reserve:.0%}"
+    what = f"{math.floor(100.0 * left + 1e-6)}% left, reserve {100.0 * mission.reserve:g}%"
     if mission.endurance_s is None:
         what += "; battery.endurance_s is not given, so range is not checked"
     lasts = battery_lasts(state, mission)
@@ -413,7 +441,9 @@ def _radar(session: PreflightInputs) -> Iterator[Check]:
     elif scan is None or not scan.answered:
         component = mission.scanner_component_id
         what = f"the terrain radar, component {component}, did not answer TERRAIN_REQUEST"
-        yield _check("radar", False, what, _NO_RADAR)
+        others = _instead(session, (wire.MAVLINK_MSG_ID_TERRAIN_DATA,), component)
+        remedy = "Write the one that it is into vehicle.scanner_component_id."
+        yield _check("radar", False, what + others, remedy if others else _NO_RADAR)
     else:
         what = f"{scan.answered} of {scan.asked} blocks answered"
         if scan.answered >= _FEWEST_ANSWERS * scan.asked:
@@ -426,15 +456,47 @@ def _radar(session: PreflightInputs) -> Iterator[Check]:
 def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check]:
     state = session.state
     what = f"{sensor.kind.upper()} of component {sensor.component_id}: {state.vehicle.sight.value}"
-    sees = not state.vehicle.sight.is_blind
-    yield _check("sensor", sees, what, Reason.SENSOR_SILENT.remedy)
+    sees, remedy = not state.vehicle.sight.is_blind, Reason.SENSOR_SILENT.remedy
+    sender = session.selector.system_id or 0, sensor.component_id
+    if not sees and sender not in session.sensed.get(near_sensing.MESSAGES[sensor.kind], ()):
+        others = _instead(session, tuple(near_sensing.MESSAGES.values()), None)
+        what += others
+        remedy = "Write those that it is into scanner.kind and component." if others else remedy
+    yield _check("sensor", sees, what, remedy)
     if session.near is None:
         return
-    if session.near.refused:
-        told = ", ".join(f"{why} ({count} times)" for why, count in session.near.refused.items())
-        yield _remark("sensor", f"not believed: {told}")
+    yield from _near_limits(session.near.limits_m, mission=session.mission)
+    for words in in_words(session.near.refused):
+        yield _remark("sensor", words)
     if session.near.mounting is not None:
         yield from _mounting(session.near.mounting, sensor)
+
+
+def _near_limits(limits_m: tuple[float, float] | None, mission: Mission) -> Iterator[Check]:
+    """What the sensor says of itself against the mission."""
+    range_m = mission.task.settings.scan_range_m
+    if limits_m is None:
+        what = f"it has not told how far it sees: R = {range_m:g} m is believed"
+        yield _remark("sensor range", what, "Show it something within its reach.")
+        return
+    least_m, most_m = limits_m
+    what = f"it sees {most_m:g} m, and planner.scan_range_m is {range_m:g} m"
+    remedy = f"Set planner.scan_range_m to {most_m:g} or less, or use a sensor that sees farther."
+    yield _check("sensor range", most_m >= range_m - _RANGE_ROUNDED_M, what, remedy)
+    if mission.near is not None and least_m > mission.near.blind_m + _RANGE_ROUNDED_M:
+        what = f"it sees nothing nearer than {least_m:g} m, and scanner.blind_m is less"
+        yield _remark("sensor range", what, f"Raise scanner.blind_m to {least_m:g}.")
+
+
+def _instead(session: PreflightInputs, numbers: tuple[int, ...], component: int | None) -> str:
+    """Who else sends these messages, as text; component: of who should, None: nobody."""
+    ours = session.selector.system_id
+    found = []
+    for number in numbers:
+        senders = sorted(session.sensed.get(number, set()) - {(ours or 0, component or 0)})
+        if senders:
+            found.append(f"{wire.mavlink_map[number].msgname} of {ids_in_words(senders)}")
+    return f"; heard: {'; '.join(found)}" if found else ""
 
 
 def _mounting(mounting: MountingCheck, sensor: NearSensor) -> Iterator[Check]:

@@ -90,9 +90,10 @@ class StatusTexts:
         self._free_at_s = now_s + _PERIOD_S * len(messages)
         return messages
 
-    def end(self, end: End, *, held: bool) -> tuple[str, list[Message]]:
+    def end(self, end: End, *, held: bool, disarmed: bool = False) -> tuple[str, list[Message]]:
         """Text and messages for the end of the mission: the last ones, to be sent at once."""
-        text = f"ended, {end.outcome.value}: {end.reason}{'; told to hold' if held else ''}"
+        told = f"; told to hold{' and disarm' if disarmed else ''}" if held else ""
+        text = f"ended, {end.outcome.value}: {end.reason}{told}"
         return text, self.last(text, warning=end.outcome is not Outcome.ARRIVED)
 
     def last(self, text: str, *, warning: bool = True) -> list[Message]:

@@ -13,10 +13,12 @@ from companion.mission.decisions import (
     preceded,
     waits_for_fence,
 )
-from companion.mission.events import Event, Plan, PlanReady, Position
+from companion.mission.events import Event, Plan, PlanReady, Position, StatusText
+from companion.mission.home import begins_at_home, beyond_path_m, home_ne_m, is_above_home
 from companion.mission.state import (
     Backtracking,
     Flight,
+    Orders,
     PlanningBacktrack,
     Reason,
     ReplanHome,
@@ -26,13 +28,16 @@ from companion.mission.state import (
 from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.request import Backtrack, PlanRequest
+from companion.planner.rules import target_refusal
 
 
 def request_backtrack(state: State, context: Context) -> Step:
     """Request the proof of the backtrack; it takes effect as soon as it is ready."""
     planning = PlanningBacktrack(state.task, since_s=state.now_s)
     flight = replace(state.flight, plan_id=state.flight.plan_id + 1, planning_backtrack=planning)
-    here = state.vehicle.position_nea_m or (0.0, 0.0, 0.0)
+    here = state.vehicle.position_nea_m
+    if here is None:
+        return give_up(state, state.reason or Reason.POSITION_STALE)
     request = PlanRequest(
         plan_id=flight.plan_id,
         seed=context.seed,
@@ -109,13 +114,41 @@ def _with_next(flight: Flight) -> Flight:
     return replace(flight, next_leg=following_leg, way=Backtracking(tuple(rest)))
 
 
-def replan_home(state: State) -> State:
-    """Plan a path home: the start of the flight becomes the only target."""
-    flight = state.flight
-    start = flight.flown[0].control_nea_m[0] if flight.flown else (0.0, 0.0, 0.0)
-    home = (float(start[0]), float(start[1]))
-    flight = replace(flight, way=ReplanHome(), target=0, route_ne_m=(), stops=0, failures=0)
-    return replace(state, targets_ne_m=(home,), flight=flight)
+def replan_home(state: State) -> State | None:
+    """Plan a path home, which becomes the only target; None if that cannot be one."""
+    place = home_ne_m(state)
+    if place is None or target_refusal(state.task, place):
+        return None
+    flight = replace(
+        state.flight,
+        way=ReplanHome(),
+        target=0,
+        route_ne_m=(),
+        stops=0,
+        failures=0,
+        tried=0,
+        untried=0,
+        planning_backtrack=None,
+        search=None,
+    )
+    return replace(state, targets_ne_m=(place,), flight=flight, orders=Orders())
+
+
+def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = False) -> Step:
+    """Go home by a planned path; where none can be asked for, by the autopilot's own return.
+
+    text, warning: what is said before; reason: why the flight is given up in the second case.
+    """
+    if is_above_home(state) and state.vehicle.traits.lands:
+        says = StatusText(text="returning: above home, landing", about="end")
+        return state, [says], Trigger.END_LAND
+    planned = None if state.flight.homeward else replan_home(state)
+    if planned is not None:
+        return planned, [StatusText(text=text, warning=warning, about="end")], Trigger.RESUME
+    place, why = home_ne_m(state), "home is not known"
+    if place is not None:
+        why = target_refusal(state.task, place).replace("the target:", "home:")
+    return preceded([StatusText(text=why, warning=True)] if why else [], give_up(state, reason))
 
 
 def returning(state: State, event: Event, context: Context) -> Step:
@@ -161,8 +194,13 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         return replace(state, flight=went_on), commands, None
     there = flight.leg is not None and flight.leg.reaches_target
     state = replace(state, flight=following.at_rest_at_end(flight))
-    if not there:  # no more of it was proven: from here home is planned to
-        return replan_home(state), commands, Trigger.RESUME
+    if not there or not begins_at_home(state):  # from here home is planned to
+        reason = flight.fallen_back or Reason.NO_PLAN
+        left_m = beyond_path_m(state)
+        text = (
+            f"returning: planning {left_m:.0f} m on to home" if there else "returning another way"
+        )
+        return preceded(commands, home_by_plan(state, text, reason))
     lands = state.vehicle.traits.lands
     return state, commands, Trigger.END_LAND if lands else Trigger.HAND_OVER
 

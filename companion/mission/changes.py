@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import following, ground, loiter
-from companion.mission.decisions import Context, Step, give_up, preceded, with_hold_reason
+from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
     Event,
@@ -17,6 +17,7 @@ from companion.mission.events import (
     FenceChanged,
     FenceReading,
     GroundSeen,
+    Landed,
     NearSeen,
     Order,
     OrderKind,
@@ -35,6 +36,7 @@ from companion.mission.state import (
     Answered,
     Flight,
     Grounded,
+    HoldMode,
     LandOrdered,
     OnSetpoints,
     Orders,
@@ -48,6 +50,7 @@ from companion.mission.state import (
     Silent,
     State,
     TakenOver,
+    TakeOver,
     Trigger,
     Vehicle,
     with_circle,
@@ -60,6 +63,7 @@ from companion.world.known_map import empty_map
 from companion.world.threats import CircleZone
 from companion.world.zone_index import index_of
 
+_GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
 _FEW_ITEMS = 10  # of a fence: they are read before a person has read the text
@@ -75,12 +79,13 @@ class OrderResult(enum.Enum):
 
 def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
     """The result of an order, for its acknowledgement; go: it takes off without being told."""
-    in_air = state.phase in (*ON_PATH, Phase.HOLDING, Phase.ARRIVED)
+    in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
-            return OrderResult.ACCEPTED if in_air else OrderResult.NOT_NOW
+            led = in_air and state.phase not in _GOING_UP
+            return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
             ready = state.phase is Phase.READY and order.kind is OrderKind.START
             return OrderResult.ACCEPTED if ready else OrderResult.NOT_NOW
@@ -89,13 +94,15 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
         case OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
         case OrderKind.RETURN:
-            held = state.hold is not None and not _accepts_orders(state)
+            held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
         case OrderKind.LAND:
             held = isinstance(state.hold, TakenOver | Grounded | Silent)
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
-            return OrderResult.ACCEPTED if state.vehicle.traits.lands else OrderResult.INVALID
+            down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
+            lands = state.vehicle.traits.lands or down  # then it stays there
+            return OrderResult.ACCEPTED if lands else OrderResult.INVALID
         case OrderKind.KEEP_OUT if (
             order.target_ne_m is None
             or order.radius_m is None
@@ -140,14 +147,21 @@ def _is_short(state: State) -> bool:
 
 def _may_pause(state: State) -> bool:
     """Whether a pause is possible: a low battery would end it at once."""
+    if state.phase in _GOING_UP:
+        return True
     if _is_short(state):
         return False
-    return _accepts_orders(state) or state.phase in ON_PATH
+    return _accepts_orders(state) or _stops(state) or state.phase in ON_PATH
 
 
 def _accepts_orders(state: State) -> bool:
     """Whether an order takes effect immediately in this hold."""
     return isinstance(state.hold, OnSetpoints) and state.reason is not Reason.BATTERY_LOW
+
+
+def _stops(state: State) -> bool:
+    """Whether it is stopped by its autopilot: an order takes effect once it is led again."""
+    return isinstance(state.hold, HoldMode | TakeOver)
 
 
 # --- threats
@@ -209,10 +223,17 @@ def _with_zones(state: State, *said: Command) -> Step:
     return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
-def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
+def _with_near_things(state: State, event: NearSeen, context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    if event.sight is not state.vehicle.sight:
-        state = replace(state, vehicle=replace(state.vehicle, sight=event.sight))
+    range_m, vehicle = state.task.settings.scan_range_m, state.vehicle
+    if state.airborne and event.sees_m < min(range_m, vehicle.sees_m):  # before: preflight
+        state = replace(state, vehicle=replace(vehicle, sees_m=event.sees_m))
+        text = f"sensor sees {event.sees_m:g} m of R = {range_m:g} m"
+        return preceded(
+            [StatusText(text=text, warning=True)], _with_near_things(state, event, context)
+        )
+    if event.sight is not vehicle.sight:
+        state = replace(state, vehicle=replace(vehicle, sight=event.sight))
     flight = state.flight
     if state.phase not in ON_PATH or flight.leg is None:
         return state, [], None
@@ -300,8 +321,9 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
             return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
-    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, failures=0, way=Outward())
+    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, way=Outward())
     search = Answered() if isinstance(flight.search, Planning) else flight.search
+    flight = replace(flight, failures=0, tried=0, untried=0)
     flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
@@ -368,6 +390,10 @@ def _pause(state: State) -> Step:
     if not _may_pause(state):
         return state, [], None
     state = replace(state, orders=state.orders.paused())
+    if state.phase in _GOING_UP:
+        return fault(state, Reason.BROKEN_OFF)
+    if _stops(state):
+        return state, [StatusText(text=Reason.PAUSED.text)], None
     if state.phase in ON_PATH:
         return following.stop(state, Reason.PAUSED)
     state = replace(state, flight=replace(state.flight, planning_backtrack=None))
@@ -387,7 +413,7 @@ def _with_speed(state: State, speed_m_s: float | None) -> Step:
 
 
 def _return(state: State) -> Step:
-    if state.flight.returning:  # on its way back, or paused or told to land on it
+    if state.flight.returning or state.flight.homeward:  # or paused or told to land on its way
         return _back_again(state)
     return _stop_for(state, Reason.RETURN_ASKED)
 
@@ -416,6 +442,8 @@ def _land(state: State) -> Step:
 def _stop_for(state: State, order: Reason) -> Step:
     """Stop as the phase allows; then the order is carried out."""
     state = replace(state, orders=Orders(order))
+    if state.phase in _GOING_UP:
+        return fault(state, Reason.BROKEN_OFF)
     if state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
         return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
     if state.phase in (*ON_PATH, Phase.ARRIVED):
@@ -457,7 +485,13 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         way=ReplanHome() if flight.homeward else Outward(),
         fallen_back=flight.fallen_back,
     )
-    vehicle = Vehicle(traits=state.vehicle.traits, bad_at_s=state.now_s)
+    known = state.vehicle.home_nea_m if state.airborne else None
+    vehicle = Vehicle(
+        traits=state.vehicle.traits,
+        bad_at_s=state.now_s,
+        home_nea_m=known,
+        home_kept=known is not None,
+    )
     if flight.returning:  # the way back is asked for again
         orders = Orders(Reason.RETURN_ASKED)
         paused = state.orders.active is Reason.PAUSED

@@ -6,19 +6,32 @@ from typing import final
 
 from msgspec.structs import replace
 
-from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
-from companion.mission.health import astray_m
+from companion.mission.events import (
+    Command,
+    Disarm,
+    Event,
+    Landed,
+    LinkLost,
+    Mode,
+    Position,
+    SetMode,
+)
+from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.state import (
     IN_AIR,
+    Hold,
     Phase,
     Reason,
     State,
     StreamLost,
+    TakenOver,
     TakeOver,
     Trigger,
     Vehicle,
 )
+from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
+from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 from companion.world.zone_index import index_of
 
@@ -37,6 +50,7 @@ _COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
 _SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
+_ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
 _THERE_S = 5.0
 _SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
 
@@ -72,13 +86,21 @@ def preceded(says: list[Command], step: Step) -> Step:
 def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     """Detail and remedy of a reason; for plans the planner's own."""
     if reason is Reason.POSITION_ELSEWHERE:
-        return f": {astray_m(state.vehicle):.0f} m away", reason.remedy
+        off_m, allowed_m = astray_m(state.vehicle), may_differ_m(state.vehicle, state.task.limits)
+        return f": {_metres(off_m)} off, {_metres(allowed_m)} allowed", reason.remedy
     refusal = state.flight.refusal
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy
     why, _, remedy = refusal.value.partition("; ")
-    detail = "" if refusal is Refusal.NOTHING_SAFE else f": {why}"  # else it is said twice
+    broken = f"it broke {bounds_text(state.flight.broken)}" if state.flight.broken else ""
+    why = "" if refusal is Refusal.NOTHING_SAFE else why  # else it is said twice
+    detail = "".join(f": {each}" for each in (why, broken) if each)
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
+
+
+def _metres(length_m: float) -> str:
+    """With a decimal where that tells."""
+    return f"{length_m:.1f} m" if length_m < 9.95 else f"{length_m:.0f} m"
 
 
 def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
@@ -180,15 +202,60 @@ def is_grounded(state: State) -> bool:
 
 def is_own_takeoff(state: State) -> bool:
     """Whether the autopilot's take-off mode was requested by us."""
-    return state.phase in (Phase.ARMING, Phase.TAKING_OFF) or isinstance(state.hold, TakeOver)
+    return (
+        state.phase in (Phase.ARMING, Phase.TAKING_OFF)
+        or isinstance(state.hold, TakeOver)
+        or _still_goes_up(state)
+    )
+
+
+def _still_goes_up(state: State) -> bool:
+    """Whether it may still be in the take-off that we asked for, after a fault or a silence."""
+    begun = state.armed_by_us and state.flight.plan_id == 0 and not state.taken
+    return begun and state.phase in (Phase.PREPARING, Phase.HOLDING)
 
 
 def is_under_control(state: State) -> bool:
-    """Whether we control the vehicle now, so that it must be put on hold if we end."""
-    phase, mode = state.phase, state.vehicle.mode
-    flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING, Phase.ARMING)
+    """Whether the vehicle does what we asked of it, or will: if we end it must be told to hold.
+
+    Its last heartbeat may be from before what we asked last.
+    """
+    vehicle, phase, mode = state.vehicle, state.phase, state.vehicle.mode
+    if vehicle.traits is UNKNOWN or is_second_companion(state):
+        return False
     ours = mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and is_own_takeoff(state))
-    return flies and ours and not is_second_companion(state)
+    if phase is Phase.HOLDING and state.reason is Reason.BROKEN_OFF:
+        return ours or mode is Mode.HOLD or not vehicle.armed
+    if phase is Phase.ARMING:  # on the ground, before it was obeyed, no pilot has taken it
+        asked = state.asks > 0 or state.armed_by_us
+        return asked and (ours or (not state.obeyed and vehicle.landed is Landed.ON_GROUND))
+    if phase is Phase.TAKING_OFF or (_still_goes_up(state) and is_grounded(state)):
+        by_itself = vehicle.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
+        return ours or (mode is Mode.HOLD and by_itself)  # which ends its take-off
+    waits = mode is Mode.HOLD and state.asks > 0
+    flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING)
+    return flies and vehicle.armed and not is_grounded(state) and (ours or waits)
+
+
+def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
+    """What the vehicle is told when the companion goes: to hold; on the ground, to stay there.
+
+    stopped: a person wants it; then a landing of ours is broken off, too, which goes on otherwise.
+    """
+    vehicle = state.vehicle
+    if not is_under_control(state):
+        lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
+        lands = lands and vehicle.armed and not is_grounded(state)
+        return [SetMode(mode=Mode.HOLD)] if stopped and lands else []
+    at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
+    hold = SetMode(mode=Mode.HOLD, at_nea_m=at)
+    goes_up = state.phase is Phase.TAKING_OFF or _still_goes_up(state)
+    down = goes_up and is_grounded(state)
+    if state.phase is Phase.ARMING:
+        down = vehicle.landed is Landed.ON_GROUND
+    if down and state.armed_by_us:
+        return [hold, Disarm()]  # in this order: the first counts should it be in the air by now
+    return [hold]
 
 
 def is_duplicate_suspected(state: State) -> bool:
@@ -216,9 +283,26 @@ def landing_order(state: State) -> Reason | None:
     return Reason.LAND_ASKED if ordered else None
 
 
+def begin_hold(state: State, reason: Reason) -> Hold:
+    """The hold that begins for a reason."""
+    if reason is Reason.FAILSAFE:
+        return TakenOver(why=seen_cause(state))
+    return reason.hold()
+
+
+def seen_cause(state: State) -> Reason | None:
+    """What was seen to be wrong of late, on which an autopilot's failsafe may have acted."""
+    vehicle = state.vehicle
+    if vehicle.distrust is not None or state.now_s - vehicle.bad_at_s < _ACTS_S:
+        return vehicle.distrust or vehicle.last_distrust
+    if state.now_s - vehicle.estimator_failed_at_s < _ACTS_S:
+        return Reason.ESTIMATOR
+    return None if vehicle.battery_short_at_s is None else Reason.BATTERY_LOW
+
+
 def with_hold_reason(state: State, reason: Reason) -> State:
     """The state with another reason for the hold."""
-    hold = state.hold if isinstance(state.hold, reason.hold) else reason.hold()
+    hold = state.hold if isinstance(state.hold, reason.hold) else begin_hold(state, reason)
     state = replace(state, reason=reason, hold=hold, since_s=state.now_s)
     return replace(state, asked_at_s=-1e9, asks=0, obeyed=False)
 

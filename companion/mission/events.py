@@ -5,6 +5,7 @@ up in the local frame, altitudes AMSL.
 """
 
 import enum
+import math
 from typing import final
 
 from msgspec import Struct
@@ -244,6 +245,8 @@ class NearSeen(Event, frozen=True, kw_only=True):
     sight: Sight
     near: NearMap
     """As it is now: it changes with the next sweep, so it is not kept."""
+    sees_m: float = math.inf
+    """How far the sensor says it sees; inf: it did not say."""
 
 
 @final
@@ -354,6 +357,11 @@ class Arm(Struct, frozen=True, kw_only=True):
 
 
 @final
+class Disarm(Struct, frozen=True, kw_only=True):
+    """Ask the autopilot to disarm; in the air it refuses."""
+
+
+@final
 class TakeOff(Struct, frozen=True, kw_only=True):
     """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
 
@@ -427,6 +435,7 @@ Command = (
     RequestStreams
     | SetMode
     | Arm
+    | Disarm
     | TakeOff
     | SetSpeed
     | StartScan

@@ -2,7 +2,7 @@
 
 | the vehicle | `fallback` return | land | hold |
 |---|---|---|---|
-| may still be led, and a way back is proven | flies it, and lands | lands where it is | holds |
+| may still be led, and a way home is proven | flies it, and lands | lands where it is | holds |
 | does not do as it is told, or there is no way back | its autopilot's own return | lands | holds |
 | is above where it took off, or does not know where it is | lands | lands | holds |
 | cannot be told to land (ArduPlane) | its autopilot's own return | the same | holds |
@@ -13,12 +13,9 @@ and the operator asked to take over.  It is left alone if a pilot has control or
 if the operator or a dead part of the companion has ended the mission.
 """
 
-import math
-
 from msgspec.structs import replace
 
 from companion.mission.decisions import (
-    AT_M,
     Context,
     Step,
     ask,
@@ -33,6 +30,7 @@ from companion.mission.decisions import (
     takeover_reason,
 )
 from companion.mission.events import Event, Mode, SetMode, StatusText
+from companion.mission.home import is_above_home
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import UNKNOWN
@@ -62,7 +60,7 @@ def fall_back(state: State, context: Context) -> Step:
     if (mode := _MODES.get(state.phase)) is not None:
         refused_modes |= {mode}
     lost = state.vehicle.distrust is not None
-    lands = fallback is Fallback.LAND or lost or _is_above_home(state)
+    lands = fallback is Fallback.LAND or lost or is_above_home(state)
     order = (Mode.LAND, Mode.RETURN) if lands else (Mode.RETURN, Mode.LAND)
     ways = [
         mode
@@ -70,7 +68,8 @@ def fall_back(state: State, context: Context) -> Step:
         if mode not in refused_modes and (mode is Mode.RETURN or traits.lands)
     ]
     reason = state.reason or Reason.NO_PLAN
-    if reason is Reason.NOT_OBEYING and flight.fallen_back is not None:
+    follows = reason is Reason.NOT_OBEYING or flight.homeward
+    if follows and flight.fallen_back is not None:
         reason = flight.fallen_back  # that is why it was asked
     state = replace(state, flight=replace(flight, fallen_back=reason, refused_modes=refused_modes))
     if not ways:
@@ -97,13 +96,6 @@ def _is_left_to_us(state: State) -> bool:
     if vehicle.mode is Mode.HOLD:
         return state.phase is not Phase.PREPARING or state.asks > 0
     return vehicle.mode is Mode.GUIDED or (vehicle.mode is Mode.TAKE_OFF and is_own_takeoff(state))
-
-
-def _is_above_home(state: State) -> bool:
-    home, here = state.vehicle.home_nea_m, state.vehicle.position_nea_m
-    if home is None or here is None or not state.vehicle.traits.hovers:
-        return False
-    return math.dist(home[:2], here[:2]) < max(AT_M, state.task.limits.tracking_error_m)
 
 
 def handing_over(state: State, event: Event, context: Context) -> Step:

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from companion.mission import joining
 from companion.mission.events import Battery, Landed, Position, Vector
+from companion.mission.home import beyond_path_m
 from companion.mission.mission import Mission
 from companion.mission.state import Reason, State, Vehicle
 from companion.path.limits import Limits
@@ -138,7 +139,7 @@ def astray_m(vehicle: Vehicle) -> float:
     return math.hypot(*vehicle.astray_ne_m)
 
 
-def _may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
+def may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
     """Allowed distance from the predicted position.
 
     Both may have the mission's navigation error; velocities are reported to 0.1 m/s, and the error
@@ -154,7 +155,13 @@ def with_position_trust(vehicle: Vehicle, reason: Reason | None, now_s: float) -
     if reason is None:
         return replace(vehicle, distrust=None)
     doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
-    return replace(vehicle, distrust=reason, doubted_at_s=doubted_at_s, bad_at_s=now_s)
+    return replace(
+        vehicle,
+        distrust=reason,
+        last_distrust=reason,
+        doubted_at_s=doubted_at_s,
+        bad_at_s=now_s,
+    )
 
 
 def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
@@ -180,7 +187,7 @@ def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
         return Reason.INACCURATE
     if vehicle.astray_ne_m == (0.0, 0.0) or now_s - vehicle.doubted_at_s >= BELIEVED_AFTER_S:
         return None
-    elsewhere = astray_m(vehicle) > _may_differ_m(vehicle, limits)
+    elsewhere = astray_m(vehicle) > may_differ_m(vehicle, limits)
     return Reason.POSITION_ELSEWHERE if elsewhere else None
 
 
@@ -254,7 +261,7 @@ def way_left_m(state: State) -> float:
         flown_m = flight.reference.length_m
         if flight.leg is None and ahead and here is not None:  # it was stopped on the first of them
             flown_m = joining.nearest(ahead[0], here)[1]
-        return sum(leg.subpath.length_m for leg in ahead) - flown_m
+        return sum(leg.subpath.length_m for leg in ahead) - flown_m + beyond_path_m(state)
     if here is None or not state.targets_ne_m:
         return 0.0
     route, from_here = flight.route_ne_m, itertools.repeat(here[:2])

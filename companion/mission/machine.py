@@ -16,8 +16,8 @@ from companion.mission import traffic as others
 from companion.mission.decisions import (
     Context,
     Step,
-    is_grounded,
-    is_under_control,
+    begin_hold,
+    parting,
     reason_text,
 )
 from companion.mission.events import (
@@ -148,7 +148,7 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
                 estimator_failed_at_s=failed_at_s,
                 error_m=error_m,
             )
-        case Home(position_nea_m=home):
+        case Home(position_nea_m=home) if not vehicle.home_kept:
             vehicle = replace(vehicle, home_nea_m=home)
         case LinkDelay(round_trip_s=round_trip_s):
             vehicle = replace(vehicle, round_trip_s=round_trip_s)
@@ -269,7 +269,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
 def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     """Hold for the reason that there is."""
     reason = state.reason or Reason.NO_PLAN
-    state = replace(state, hold=reason.hold())
+    state = replace(state, hold=begin_hold(state, reason))
     match state.hold:
         case Paused() | ReturnOrdered() | LandOrdered():
             state = replace(state, orders=replace(state.orders, active=reason))
@@ -280,11 +280,12 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
             state = replace(state, flight=flight)
         case Replan() | TakeOver() | None:
             pass
-    text = f"hold: {reason.text}{reason_text(state, reason)[0]}"
+    says_so = "" if reason is Reason.TAKEN_OFF else "hold: "
+    text = f"{says_so}{reason.text}{reason_text(state, reason)[0]}"
     says: list[Command] = [StatusText(text=text, warning=reason.warns, about="phase")]
     if isinstance(state.hold, HoldMode):
         state = replace(state, asked_at_s=state.now_s)
-        says.append(SetMode(mode=Mode.HOLD))
+        says += parting(state) if reason is Reason.BROKEN_OFF else [SetMode(mode=Mode.HOLD)]
     return state, [*commands, *says]
 
 
@@ -293,11 +294,7 @@ def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
     end = _end_of(before, trigger)
     if context.shadow or trigger in _AS_IT_SHOULD:
         return [end]
-    sent_up = before.phase is Phase.TAKING_OFF and before.asked_at_s > 0.0
-    in_air = sent_up or not is_grounded(before)
-    if not (is_under_control(before) and before.vehicle.armed and in_air):
-        return [end]
-    return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
+    return [*parting(before, stopped=trigger is Trigger.STOP), end]
 
 
 def _end_of(before: State, trigger: Trigger) -> End:

@@ -99,10 +99,12 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.PREPARING, Trigger.END_LAND): Phase.LANDING,
     (Phase.PREPARING, Trigger.LANDED): Phase.DONE,
     (Phase.ARMING, Trigger.ARMED): Phase.TAKING_OFF,
+    (Phase.ARMING, Trigger.FAULT): Phase.HOLDING,
     (Phase.TAKING_OFF, Trigger.AIRBORNE): Phase.FLYING,
     (Phase.TAKING_OFF, Trigger.HANDED_OVER): Phase.HOLDING,
     (Phase.FLYING, Trigger.TARGET_REACHED): Phase.ARRIVED,
     (Phase.ARRIVED, Trigger.NEXT_TARGET): Phase.FLYING,
+    (Phase.ARRIVED, Trigger.RESUME): Phase.FLYING,
     (Phase.ARRIVED, Trigger.END_HOLD): Phase.DONE,
     (Phase.ARRIVED, Trigger.END_LAND): Phase.LANDING,
     (Phase.ARRIVED, Trigger.BACKTRACK): Phase.RETURNING,
@@ -165,6 +167,8 @@ class TakenOver(Struct, frozen=True):
     """When the operator last ordered to continue."""
     failsafe_over: bool = False
     """Whether the end of the failsafe was reported."""
+    why: "Reason | None" = None
+    """What was seen to be wrong when it was taken."""
 
 
 @final
@@ -208,11 +212,13 @@ class Reason(enum.Enum):
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
     TAKING_OVER = ("taking over", "Wait: it stops first.", TakeOver, False)
+    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", TakeOver, False)
+    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", HoldMode, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
     POSITION_ELSEWHERE = (
-        "the position is not where the vehicle can be",
+        "the position is not where its speeds lead",
         "Check the GPS: it is believed once it agrees, or after 60 s without another jump.",
     )
     NO_FIX = ("the GPS fix is lost", "Wait for the fix to come back.")
@@ -273,7 +279,11 @@ class Reason(enum.Enum):
     )
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
-    PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.", Replan)
+    PLAN_LATE = (
+        "the next subpath was not ready in time",
+        "Raise planner.planning_time_s, or use a faster computer.",
+        Replan,
+    )
     NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
     FENCE_UNREAD = (
         "the vehicle's fence has changed and is being read",
@@ -334,6 +344,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     take_off_taken_at_s: float = -1e9
     """When it last accepted a take-off."""
     home_nea_m: Vector | None = None
+    home_kept: bool = False
+    """Whether its autopilot has rebooted in the air: what it calls home since then is none."""
     fix_good: bool = False
     fix_at_s: float = -1e9
     estimator_good: bool = False
@@ -371,10 +383,14 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """When the position was last invalid, for any reason."""
     distrust: Reason | None = None
     """Why it is invalid now (`health.distrust`); None: it is valid."""
+    last_distrust: Reason | None = None
+    """Why it was invalid at `bad_at_s`; None: it never was."""
     doubted_at_s: float = -1e9
     """When it was last invalid for another reason than its place."""
     sight: Sight = Sight.NEVER_HEARD
     """Of its sensor of near things, if the mission has one."""
+    sees_m: float = math.inf
+    """The least range that this has told of in the air."""
     ground_above_m: float = 0.0
     """How much higher than on the map its rangefinder has seen the ground, last; 0: it is not."""
     believed_at_s: float = -1e9
@@ -440,7 +456,7 @@ class Backtracking(Struct, frozen=True):
 
 @final
 class ReplanHome(Struct, frozen=True):
-    """To the start of the flight, planned to like a target, as the flown path is too far away."""
+    """Home, planned to like a target: the flown path does not lead there, or is too far away."""
 
 
 Direction = Outward | Backtracking | ReplanHome
@@ -487,8 +503,14 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
     """Why there is no plan, in the planner's own words."""
+    broken: tuple[str, ...] = ()
+    """Which bounds the best candidate of the newest plan broke, if there is none."""
     failures: int = 0
     """Failed attempts in a row, from rest."""
+    tried: int = 0
+    """Searches that they have made,"""
+    untried: int = 0
+    """and kinds of search that they had no time for."""
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""

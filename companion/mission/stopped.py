@@ -19,9 +19,11 @@ from companion.mission.decisions import (
     is_at_rest,
     is_gone,
     is_grounded,
+    is_own_takeoff,
     is_silent,
     landing_order,
     longest_silence_s,
+    parting,
     preceded,
     reason_text,
     takeover_reason,
@@ -41,6 +43,7 @@ from companion.mission.events import (
     StatusText,
 )
 from companion.mission.health import TRUST_S
+from companion.mission.home import begins_at_home, home_ne_m, is_above_home
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import (
     Grounded,
@@ -79,6 +82,7 @@ _ANSWER_S = 60.0
 _ASKS_ABOUT = 2
 _CIRCLES = 2.5  # loiter radii: what circles its target is there
 _TOLD_TO_STAY_S = 1.0  # a setpoint may be lost: an end in guided mode is told several times
+_STAYS_DOWN_S = 10.0  # ten times asked for
 _LANDS_WITHIN = 1.5  # loiter radii
 
 
@@ -93,10 +97,12 @@ def holding(state: State, event: Event, context: Context) -> Step:
         return give_up(state, Reason.LINK_LOST)
     if isinstance(event, LinkLost) or (is_silent(state) and not isinstance(hold, Silent)):
         return with_hold_reason(_replan_hover(state), Reason.LINK_LOST), [], None
+    if state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND:
+        return _stay_down(state)
     if not state.vehicle.armed:
-        return give_up(state, Reason.DISARMED)
+        return _over(state, Reason.DISARMED)
     if is_grounded(state):
-        return give_up(state, Reason.GROUNDED)
+        return _over(state, Reason.GROUNDED)
     match hold:
         case Replan() | Paused() | ReturnOrdered() | LandOrdered():
             return _hold_on_setpoints(state, event, context, hold)
@@ -110,6 +116,36 @@ def holding(state: State, event: Event, context: Context) -> Step:
             return _while_taken_over(state, event, context, TakenOver())
         case Silent():
             return _heard_again(state, event, context)
+
+
+def _over(state: State, how: Reason) -> Step:
+    """End on the ground, with what was seen to lead to it."""
+    reason, hold = state.reason, state.hold
+    if reason is None or not (isinstance(hold, TakenOver) or reason.hold is HoldMode):
+        return give_up(state, how)
+    why = None
+    if reason is Reason.FAILSAFE and isinstance(hold, TakenOver):
+        late = state.vehicle.bad_at_s > state.since_s
+        why = hold.why or (state.vehicle.last_distrust if late else None)
+    remedy = why.remedy if why else how.remedy
+    detail = f": {reason.text}" + (f": {why.text}" if why else "")
+    return give_up(state, how, detail, reason.remedy if reason.hold is HoldMode else remedy)
+
+
+def _stay_down(state: State) -> Step:
+    """End before the flight: out of the take-off mode, and disarmed if we have armed it."""
+    vehicle, order = state.vehicle, state.orders.active or Reason.STOPPED
+    if vehicle.armed and vehicle.mode not in (Mode.GUIDED, Mode.TAKE_OFF, Mode.HOLD):
+        return _taken(state)
+    out = vehicle.mode not in (Mode.TAKE_OFF, Mode.GUIDED)
+    down = out and not (vehicle.armed and state.armed_by_us)
+    if down and vehicle.status_at_s > state.since_s:
+        remedy = "Start again to fly."
+        state = replace(state, reason=order, detail=" before it took off", remedy=remedy)
+        return state, [], Trigger.STOP
+    if in_phase_s(state) > _STAYS_DOWN_S:
+        return give_up(state, Reason.NOT_OBEYING)
+    return ask(state, *parting(state))
 
 
 def fence_breached(state: State) -> Step | None:
@@ -197,11 +233,8 @@ def resumed(state: State) -> Step:
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
     if clear and backtracking.start_backtrack(state) is not None:
         return state, [], Trigger.BACKTRACK
-    return (
-        backtracking.replan_home(state),
-        [StatusText(text="returning another way")],
-        Trigger.RESUME,
-    )
+    reason = flight.fallen_back or state.reason or Reason.NO_PLAN
+    return backtracking.home_by_plan(state, "returning another way", reason)
 
 
 def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSetpoints) -> Step:
@@ -248,8 +281,9 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
-    tries = flight.failures < context.mission.attempts and flight.stops <= flying.max_stops(context)
-    if on_way_back or tries:
+    cut = state.reason is Reason.NO_PLAN and flight.untried > 0  # each attempt comes to one more
+    may_try = flight.failures < context.mission.attempts or cut
+    if on_way_back or (may_try and flight.stops <= flying.max_stops(context)):
         if state.reason is Reason.NEW_THREAT and state.vehicle.traits.hovers:
             state = _replan_hover(state)  # the band may be another one
         return preceded(commands, resumed(state))
@@ -283,7 +317,9 @@ def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step
         after = replace(state, flight=replace(flight, way=back, planning_backtrack=None))
         if backtracking.start_backtrack(after) is not None:
             return after, [], Trigger.BACKTRACK
-    return give_up(state, state.reason or Reason.NO_PLAN)
+    reason = state.reason or Reason.NO_PLAN
+    text = f"{reason.text}: no way back is proven, planning one home"
+    return backtracking.home_by_plan(state, text, reason, warning=True)
 
 
 def _other_way(state: State, context: Context) -> Step:
@@ -293,11 +329,17 @@ def _other_way(state: State, context: Context) -> Step:
     """
     reason, flight = state.reason or Reason.NO_PLAN, state.flight
     how = fallback.wanted_fallback(state, context)
-    if how is not Fallback.RETURN or not flight.flown or flight.homeward:
+    at_home = not flight.flown and is_above_home(state)
+    if how is not Fallback.RETURN or flight.homeward or at_home:
         return give_up(state, reason)
+    why = f"{reason.text}{reason_text(state, reason)[0]}"
     state = replace(state, flight=replace(flight, fallen_back=reason))
+    if not flight.flown:
+        text = f"{why}: planning a way home"
+        return backtracking.home_by_plan(state, text, reason, warning=True)
     state, asking, trigger = backtracking.request_backtrack(state, context)
-    text = f"{reason.text}{reason_text(state, reason)[0]}: flying back and landing"
+    how_so = "flying back and landing" if begins_at_home(state) else "flying back, then home"
+    text = f"{why}: {how_so}"
     return state, [StatusText(text=text, warning=True, about="end"), *asking], trigger
 
 
@@ -305,7 +347,10 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode = state.vehicle, state.vehicle.mode
     taking_over = isinstance(state.hold, TakeOver)
-    if mode not in (Mode.GUIDED, Mode.HOLD) and not (taking_over and mode is Mode.TAKE_OFF):
+    climbs = mode is Mode.TAKE_OFF and (
+        taking_over or (is_own_takeoff(state) and not state.obeyed)  # it has not heard us yet
+    )
+    if mode not in (Mode.GUIDED, Mode.HOLD) and not climbs:
         return _taken(state)
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
         return state, [], Trigger.GIVE_UP
@@ -323,6 +368,9 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return ask(replace(_replan_hover(state), obeyed=False), SetMode(mode=Mode.HOLD))
     if is_stationary and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
         return _land_here(state, [])
+    unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
+    if unled and mode is Mode.HOLD and state.orders.active is Reason.RETURN_ASKED:
+        return give_up(state, Reason.RETURN_ASKED)  # there is no way back but its own
     if not is_stationary or not _is_trusted(state):
         return _replan_hover(state), [], None
     if mode is Mode.GUIDED:
@@ -422,9 +470,13 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
         action = EndAction.LAND
     if action is EndAction.LAND and (traits.lands or state.flight.homeward):
         return state, commands, Trigger.END_LAND if traits.lands else Trigger.HAND_OVER
-    if action is EndAction.RETURN and state.flight.flown:
+    if action is EndAction.RETURN:
         if state.flight.planning_backtrack is not None:
             return state, commands, None
+        if not state.flight.flown:
+            text = "returning: planning a way home"
+            step = backtracking.home_by_plan(state, text, Reason.NO_PLAN)
+            return preceded(commands, step)
         state, asking, _ = backtracking.request_backtrack(state, context)
         return state, [*commands, *asking], None
     if traits.holds_in_guided:
@@ -464,11 +516,8 @@ def landed_off_m(state: State) -> float:
     here, flight = state.vehicle.position_nea_m, state.flight
     if here is None or not state.targets_ne_m:
         return 0.0
-    place = state.targets_ne_m[flight.target]
-    if flight.returning and flight.flown:
-        north, east, _ = flight.flown[0].control_nea_m[0]
-        place = (float(north), float(east))
-    return math.dist(here[:2], place)
+    home = home_ne_m(state) if flight.returning else None
+    return math.dist(here[:2], home or state.targets_ne_m[flight.target])
 
 
 def landing_words(state: State, context: Context) -> str:

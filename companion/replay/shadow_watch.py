@@ -181,7 +181,9 @@ class Watch:
     def _look_at_clock(self, frame: bytes, number: int, at_s: float) -> None:
         """Whether it has rebooted, also while no session could tell."""
         boot_ms = boot_ms_of(frame, number)
-        if boot_ms is not None and self._clock.read(boot_ms * 1e-3) is ClockReading.REBOOTED:
+        if boot_ms is None:
+            return
+        if self._clock.read(boot_ms * 1e-3, at_s) is ClockReading.REBOOTED:
             self._notes.rebooted(at_s)
 
     def _hear_again(self, at_s: float) -> None:

@@ -31,6 +31,7 @@ from companion.runtime.workers import (
     LinkReader,
     PlanFunction,
     PlannerWorker,
+    WorkerDelayed,
     WorkerLost,
 )
 from companion.session import Session
@@ -116,7 +117,7 @@ class _Flight:
         self._session, self._folder, self._lockstep = session, folder, lockstep
         self._event_queue = EventQueue()
         grounds = GroundLinks(ground)
-        gate = Gate(link, clock, grounds)
+        gate = Gate(link, clock, grounds, session.signed)
         self._watchdog = Watchdog(
             gate,
             clock=clock,
@@ -124,6 +125,7 @@ class _Flight:
             final_text=session.final_text,
             on_failure=self._on_failure,
             on_loss=self._on_loss,
+            on_delay=self._on_delay,
             watches_time=not lockstep,
         )
         recorder = Recorder(folder, clock, persist)
@@ -191,6 +193,9 @@ class _Flight:
 
     def _on_loss(self, failure: Failure) -> None:
         self._event_queue.put(WorkerLost(failure, vital=False))
+
+    def _on_delay(self, part: str, waited_s: float) -> None:
+        self._event_queue.put(WorkerDelayed(part, waited_s))
 
     def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
         now_s = self._session.now_s

@@ -19,6 +19,7 @@ from companion.mission.events import (
     Arm,
     Battery,
     Command,
+    Disarm,
     End,
     Estimator,
     Event,
@@ -216,11 +217,12 @@ class Craft:
         self.now_s = 0.0
         self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
         self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
+        self.home_nea_m: Vector | None = self.here
         self.velocity: Vector = (0.0, 0.0, 0.0)
         self.by_hand: Vector = (0.0, 0.0, 0.0)
         """Velocity at which somebody else flies it."""
         self.climb_to_m: float | None = None
-        self.obeys_modes, self.follows, self.fix = True, True, True
+        self.obeys_modes, self.follows, self.fix, self.estimator = True, True, True, True
         self.answered, self.asked = 1, 1
         self.arms, self.takes_off, self.accepts = True, True, False
         self.battery: float | None = None
@@ -255,7 +257,12 @@ class Craft:
                 case RequestStreams():
                     self.told += [Prepared(time_s=self.now_s, item=item) for item in Item]
                 case SetMode(mode=mode) if self.obeys_modes:
-                    self.mode = mode
+                    self.mode, self.climb_to_m = mode, None
+                    if self.landed is Landed.TAKING_OFF:
+                        on_ground = self.here[2] <= HOME_AMSL_M
+                        self.landed = Landed.ON_GROUND if on_ground else Landed.IN_AIR
+                case Disarm():
+                    self.armed = self.armed and self.landed is not Landed.ON_GROUND
                 case Arm() if self.arms:
                     self.armed = True
                 case TakeOff() if not self.takes_off and self.accepts:
@@ -321,9 +328,10 @@ class Craft:
                 VehicleStatus(time_s=now, mode=self.mode, armed=self.armed, failsafe=self.failsafe),
                 LandedState(time_s=now, landed=self.landed),
                 GpsFix(time_s=now, good=self.fix),
-                Estimator(time_s=now, good=True),
-                Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)),
+                Estimator(time_s=now, good=self.estimator),
             ]
+            if self.home_nea_m is not None:
+                said.append(Home(time_s=now, position_nea_m=self.home_nea_m))
             if self.battery is not None:
                 said.append(Battery(time_s=now, remaining=self.battery))
         if self.phase is Phase.WAITING:

@@ -1,25 +1,42 @@
 """How a flight ends that cannot go on: never in the air, unless the mission or a person says so."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 from made_up import (
+    HOME_AMSL_M,
     Craft,
     flying,
     holding_mode_taken,
     holding_without_fix,
+    mission,
     not_planned,
     once,
     planned,
+    straight,
     two_legs_away,
 )
+from wild import Wild
 
 from companion.config import load_mission
-from companion.mission.events import Mode, Outcome, SetMode, StatusText
-from companion.mission.mission import Fallback, Mission
-from companion.mission.state import Phase, Reason
-from companion.planner.request import PlanOutcome, PlanRequest
+from companion.mavlink.autopilots import ALL, Autopilot
+from companion.mission.events import (
+    Landed,
+    Mode,
+    Order,
+    OrderKind,
+    Outcome,
+    Plan,
+    Rebooted,
+    SetMode,
+    StatusText,
+    Vector,
+)
+from companion.mission.mission import EndAction, Fallback, Mission
+from companion.mission.state import Phase, Reason, Replan, TakeOver
+from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
 
 AWAY = two_legs_away()
 
@@ -55,6 +72,11 @@ def no_position(of: Mission) -> Craft:
     return holding_without_fix(of)
 
 
+def broke(failure: Callable[[Mission], Craft]) -> str:
+    """What is said of plans: the bounds that the best candidate broke (`made_up.not_planned`)."""
+    return ": it broke floor" if failure is no_plan else ""
+
+
 FAILURES = [no_plan, radar_silent, battery_empty, does_not_follow, no_position]
 
 
@@ -87,7 +109,7 @@ def test_a_flight_that_fails_is_left_to_its_autopilots_return_where_no_way_back_
     assert craft.end().outcome is Outcome.FAILED
     reason = craft.state.flight.fallen_back
     assert reason is not None
-    assert craft.end().reason == f"its autopilot returns by itself: {reason.text}"
+    assert craft.end().reason == f"its autopilot returns by itself: {reason.text}{broke(failure)}"
 
 
 @pytest.mark.parametrize("failure", FAILURES)
@@ -125,7 +147,7 @@ def test_what_will_be_done_and_why_is_said_before_it_is_done(
     mode, how = Mode.RETURN, "its autopilot is told to return"
     if failure is no_position:
         mode, how = Mode.LAND, "landing here"
-    said = f"{reason.text}: {how}"
+    said = f"{reason.text}{broke(failure)}: {how}"
     assert said in warnings(craft)
     order = [c for c in craft.commands if c == SetMode(mode=mode) or isinstance(c, StatusText)]
     told = next(k for k, each in enumerate(order) if isinstance(each, SetMode))
@@ -165,3 +187,159 @@ def test_a_vehicle_that_somebody_else_has_is_told_nothing() -> None:
     craft.run_for(700.0)
     assert [c for c in craft.commands[begun:] if isinstance(c, SetMode)] == []
     assert craft.phase is Phase.HOLDING
+
+
+# --- home is where the vehicle has it
+
+
+OUT_NEA_M = (3_000.0, -2_000.0, HOME_AMSL_M + 100.0)
+"""Where a pilot has flown it before the companion was started."""
+FAR = mission(targets_ne_m=((20_000.0, 20_000.0),))
+
+
+def back_as_flown(request: PlanRequest) -> PlanOutcome:
+    """A planner that finds every way; the way back ends where the flown path begins."""
+    if request.flown is None:
+        return planned(request)
+    begins = request.flown[0].control_nea_m[0]
+    return Backtrack(
+        plan_id=request.plan_id,
+        subpaths=(straight(request.scan_nea_m, begins),),
+        through=(False,),
+        reaches_start=True,
+    )
+
+
+def taken_over(of: Mission = FAR) -> Craft:
+    """Started in the air, 3.6 km from home."""
+    craft = Craft(of, plan=back_as_flown)
+    craft.armed, craft.mode, craft.landed, craft.here = True, Mode.GUIDED, Landed.IN_AIR, OUT_NEA_M
+    return craft
+
+
+def under_way(craft: Craft) -> Craft:
+    """On its first leg, some kilometres on."""
+    return craft.run_until(lambda craft: craft.state.flight.reference.length_m > 2_000.0)
+
+
+def told(craft: Craft) -> None:
+    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.RETURN)))
+
+
+def low(craft: Craft) -> None:
+    craft.battery = 0.1
+
+
+def no_way_on(craft: Craft) -> None:
+    """To the target; home there is one."""
+    plan = craft.plan
+    craft.plan = lambda request: (
+        not_planned(request) if request.target_ne_m == FAR.targets_ne_m[0] else plan(request)
+    )
+
+
+def is_home(craft: Craft) -> bool:
+    """Landed there; or its autopilot flies there by itself."""
+    assert craft.home_nea_m is not None
+    return math.dist(craft.here[:2], craft.home_nea_m[:2]) < 100.0 and not craft.armed
+
+
+@pytest.mark.parametrize("why", [told, low, no_way_on])
+def test_taken_over_in_flight_it_returns_home_and_not_to_where_it_was_taken_over(
+    why: Callable[[Craft], None],
+) -> None:
+    craft = under_way(taken_over())
+    why(craft)
+    craft.fly_to(Phase.DONE)
+    assert is_home(craft)
+    assert [text for text in warnings(craft) if text.endswith(": flying back, then home")]
+
+
+@pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
+def test_so_does_each_autopilot(autopilot: Autopilot) -> None:
+    """One that has no mode to land is led home, and then left to its own return."""
+    it = Wild.calmly(autopilot.traits, fallback=Fallback.RETURN).aloft(Mode.GUIDED)
+    it.here = (-250.0, 200.0, it.here[2])
+    it.run_until(lambda it: it.state.flight.reference.length_m > 60.0)
+    it.take(Order(time_s=it.now_s, kind=OrderKind.RETURN))
+    it.fly_to(Phase.DONE)
+    limits = it.mission.task.limits
+    assert math.hypot(*it.here[:2]) < limits.tracking_error_m + 2.5 * limits.loiter_radius_m
+    assert it.mode is Mode.RETURN or not it.armed
+    assert (it.mode is Mode.RETURN) == (not autopilot.traits.lands)
+
+
+@pytest.mark.parametrize("why", [told, no_way_on])
+def test_with_nothing_flown_yet_it_plans_home_from_where_it_is(
+    why: Callable[[Craft], None],
+) -> None:
+    """As after a restart without memory, told to return at once."""
+    craft = taken_over()
+    if why is no_way_on:
+        why(craft)
+    craft.run_until(lambda craft: isinstance(craft.state.hold, TakeOver | Replan))
+    if why is told:
+        why(craft)
+    craft.fly_to(Phase.DONE)
+    assert is_home(craft)
+    assert [text for text in warnings(craft) if text.endswith(": planning a way home")]
+
+
+def test_at_the_last_target_too_and_that_is_an_arrival() -> None:
+    target = (8_000.0, -2_000.0)
+    craft = taken_over(replace(FAR, targets_ne_m=(target,), end_action=EndAction.RETURN))
+    craft.fly_to(Phase.DONE)
+    assert is_home(craft)
+    assert craft.end().outcome is Outcome.ARRIVED
+
+
+@pytest.mark.parametrize(
+    ("home_nea_m", "why"),
+    [
+        (None, "home is not known"),
+        ((0.0, 1e6, HOME_AMSL_M), "home: it lies outside the map"),
+    ],
+    ids=["unknown", "off the map"],
+)
+def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_said_before(
+    home_nea_m: Vector | None, why: str
+) -> None:
+    """The origin of the map is nobody's home."""
+    craft = taken_over()
+    craft.home_nea_m = home_nea_m
+    under_way(craft)
+    told(craft)
+    craft.fly_to(Phase.DONE)
+    assert craft.mode is Mode.RETURN
+    assert math.dist(craft.here[:2], OUT_NEA_M[:2]) < 1.0  # so far a way was proven
+    order = [c for c in craft.commands if isinstance(c, SetMode | StatusText)]
+    asked = order.index(SetMode(mode=Mode.RETURN))
+    said = [each.text for each in order[:asked] if isinstance(each, StatusText)]
+    assert [text for text in said if text.startswith(why)]
+    assert "told to return: its autopilot is told to return" in said
+    assert all(request.target_ne_m != (0.0, 0.0) for request in requests(craft))
+
+
+def requests(craft: Craft) -> list[PlanRequest]:
+    """Of ways to somewhere."""
+    asked = [plan.request for plan in craft.sent(Plan)]
+    return [request for request in asked if request.flown is None]
+
+
+def test_what_an_autopilot_calls_home_after_a_reboot_in_the_air_is_not_flown_to() -> None:
+    craft = flying(two_legs_away(), plan=back_as_flown).run_for(20.0)
+    craft.obey(craft.take(Rebooted(time_s=craft.now_s)))
+    craft.home_nea_m = craft.here
+    craft.run_until(lambda craft: craft.phase is Phase.FLYING)
+    told(craft)
+    craft.fly_to(Phase.DONE)
+    assert math.dist(craft.here[:2], (0.0, 0.0)) < 1.0
+
+
+def test_told_to_return_on_its_planned_way_home_it_flies_on() -> None:
+    craft = taken_over()
+    craft.run_until(lambda craft: isinstance(craft.state.hold, TakeOver))
+    told(craft)
+    craft.run_until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
+    told(craft)
+    assert is_home(craft.fly_to(Phase.DONE))

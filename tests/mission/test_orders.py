@@ -313,10 +313,15 @@ def test_a_new_target_without_a_speed_leaves_the_speed_as_it_is() -> None:
 # --- at the target
 
 
+def is_home(request: PlanRequest) -> bool:
+    """Whether it is asked for a way home."""
+    return math.hypot(*request.target_ne_m) < 10.0
+
+
 def no_way_back(request: PlanRequest) -> PlanOutcome:
-    """A planner that proves nothing of the way back."""
+    """A planner that proves nothing of the way back, and finds none home either."""
     if request.flown is None:
-        return planned(request)
+        return not_planned(request) if is_home(request) else planned(request)
     return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
 
 
@@ -348,8 +353,7 @@ def test_an_accepted_return_that_cannot_be_flown_is_left_to_the_autopilots_own(
 def test_so_is_one_that_finds_no_way_home_from_where_the_proven_one_ends() -> None:
     def half_way(request: PlanRequest) -> PlanOutcome:
         if request.flown is None:
-            home = abs(request.target_ne_m[0]) + abs(request.target_ne_m[1]) < 10.0
-            return not_planned(request) if home else planned(request)
+            return not_planned(request) if is_home(request) else planned(request)
         north, east, up = request.scan_nea_m
         return Backtrack(
             plan_id=request.plan_id,

@@ -8,7 +8,7 @@ ARROWS = {
     "waiting": {"preparing"},
     "preparing": {"ready", "arming", "holding", "flying", "landing", "shadow"} | DOWN | AGAIN,
     "ready": {"arming"} | AGAIN,
-    "arming": {"taking off"} | AGAIN,
+    "arming": {"taking off", "holding"} | AGAIN,
     "taking off": {"flying", "holding"} | DOWN | AGAIN,
     "flying": {"arrived", "holding"} | DOWN | AGAIN,
     "holding": {"flying", "returning"} | DOWN | AGAIN,

@@ -166,6 +166,10 @@ class Autopilot:
         """Ask it to arm, without force: its own checks stay on."""
         return [command_long(system_id, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
 
+    def disarm(self, system_id: int) -> list[Message]:
+        """Ask it to disarm, without force: in the air it refuses."""
+        return [command_long(system_id, wire.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)]
+
     def event_of(
         self,
         message: Message,

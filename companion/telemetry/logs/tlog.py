@@ -43,7 +43,7 @@ def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
     if looked is None:
         return None
     systems = tuple(sorted(looked.autopilots))
-    vehicle = chosen(path, systems, system_id)
+    vehicle = chosen(path, systems, system_id, looked.elsewhere)
     return Log(
         kind="tlog",
         path=path,
@@ -52,6 +52,7 @@ def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
         system_id=vehicle,
         autopilot=looked.autopilots.get(vehicle or 0),
         begin=partial(_TlogReader, looked, vehicle),
+        elsewhere=looked.elsewhere,
     )
 
 
