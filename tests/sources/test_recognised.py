@@ -40,6 +40,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
         ("#saved by Mission Planner\nRALLY\t60.0\t20.0\t50\n", "a list of rally points", ""),
         (b"\0\0\x27\x0a" + bytes(20), "a shapefile", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
         (b"SQLite format 3\0", "GeoPackage", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
+        ("", "it is empty", "mission.toml"),
         (KML, "KML", "threats = "),
         (KML, "KML", "ogr2ogr -f GeoJSON"),
         ('<gpx version="1.1"/>', "GPX", ".plan"),
