@@ -84,7 +84,7 @@ def _features(text: str, path: Path, where: str) -> Iterator[RawTable]:
             for geometry in placemark.iter()
             if _tag(geometry) in _GEOMETRIES and not _is_of_polygon(placemark, geometry)
         ]
-        for shape in found or [None]:
+        for shape in found or (None,):
             yield {"type": "Feature", "properties": properties, "geometry": shape}
 
 

@@ -110,16 +110,19 @@ _ITS_OWN_WAY: Final = check.when(
     "with the lidar and GUID_OPTIONS 64 it flies ways of its own",
     "Set it to 0, then reboot",
 )
-_TURNING_LIDARS: Final = (
-    5,
-    8,
-    15,
-)  # RPLidar, SF45B, LD06: of the silence of others nothing is known
+_SF45B: Final = 8
+_TURNING_LIDARS: Final = (5, _SF45B, 15)
+"""RPLidar, SF45B, LD06: of the silence of others nothing is known."""
 _LOOKS_ROUND: Final = check.when(
     lambda value, case: _by_its_own_lidar(case.mission) and value not in _TURNING_LIDARS,
     "what it does not tell of is taken for clear, and not each of its sectors is looked at",
     'Use a lidar that turns; of a driver on MAVLink read scanner.kind = "obstacle_distance"',
     severity=check.Severity.REFUSE,
+)
+_NOT_BEHIND: Final = check.when(
+    lambda value, case: _by_its_own_lidar(case.mission) and value == _SF45B,
+    "it swings by 170 degrees to either side, and does not look straight behind",
+    "Leave vehicle.yaw_deg out, so that the nose points along the path",
 )
 _IGNORES: Final = check.when(
     lambda value, case: _by_its_own_lidar(case.mission) and value > 0.0,
@@ -190,7 +193,7 @@ _RULES: Final = (
     ),
     Rule("AVOID_ENABLE", "its own avoidance of obstacles", (_AVOIDANCE, _ITS_OWN_LIDAR)),
     Rule("OA_TYPE", "its own ways round things", (_ITS_OWN_WAY,), matters=_by_its_own_lidar),
-    Rule("PRX1_TYPE", "what its lidar is", (_LOOKS_ROUND,), matters=_by_its_own_lidar),
+    Rule("PRX1_TYPE", "what its lidar is", (_LOOKS_ROUND, _NOT_BEHIND), matters=_by_its_own_lidar),
     *(
         Rule(f"PRX1_IGN_WID{k}", "what its lidar ignores", (_IGNORES,), matters=_by_its_own_lidar)
         for k in range(1, 5)
