@@ -33,10 +33,11 @@ from companion.live_view.command import (
     stay,
     view_command,
 )
-from companion.mavlink.preflight import CheckStatus, checks_of, flight_check
+from companion.mavlink.preflight import CheckStatus, checks_of, flight_check, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
+from companion.path.certificate import bounds_text
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
 from companion.replay.command import ProfileName, replay_command
@@ -47,6 +48,7 @@ from companion.runtime.link import open_link, open_links
 from companion.runtime.loop import fly
 from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
+from companion.runtime.terminal import Terminal
 from companion.session import Session
 from companion.sources.files import picture_file, remove_torn, writing
 from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status
@@ -153,6 +155,14 @@ def fly_command(
             help="Let a simulator that was started with --lockstep run as fast as both can.",
         ),
     ] = False,
+    start: Annotated[
+        bool,
+        typer.Option(
+            "--start",
+            help="Take off as soon as the vehicle is ready, without waiting for a go: for "
+            "simulators and scripts. --lockstep implies it.",
+        ),
+    ] = False,
     shadow: Annotated[
         bool, typer.Option("--shadow", help="Plan and say what would be done, never command.")
     ] = False,
@@ -193,6 +203,9 @@ def fly_command(
 ) -> None:
     """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
 
+    On the ground it waits, ready, for somebody to say go: MISSION_START from a ground station,
+    or **yes** in the terminal. A vehicle that flies already is taken over at once.
+
     Writes a run folder with the telemetry log, the journal of all decisions and a picture.
     Exit code: 0 arrived, 1 the flight failed, 2 the input was wrong, 75 it may go on (--resume),
     70 a crash, 130 stopped by Ctrl-C.
@@ -232,6 +245,7 @@ def fly_command(
             signing=key and key.signing(clock_s=_clock_s()),
             resume=recalled and recalled.resume,
             has_ground=bool(grounds),
+            go=start,
             version=version("companion"),
         )
         if view or view_control:
@@ -527,6 +541,10 @@ def _flown(
             Progress(console, shows.output) as progress,
         ):
             stop_asked = until_shown.enter_context(stop_signals())
+            person = None
+            if not (session.context.go or session.context.shadow) and sys.stdin.isatty():
+                say = partial(console.out, highlight=False)
+                person = until_shown.enter_context(Terminal(sys.stdin, say))
             begun = FlightBegun(
                 schema=SCHEMA,
                 version=VERSION,
@@ -557,6 +575,7 @@ def _flown(
                 lockstep=lockstep,
                 on_progress=show,
                 stop_asked=lambda: bool(stop_asked),
+                person=person,
                 planner=planner,
                 persist=None if key is None else partial(_keep_time, key, session.signing),
             )
@@ -609,21 +628,17 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
 
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
-    others, wanted = sorted(session.selector.others), session.mission.system_id
-    names = ", ".join(str(system) for system in others)
-    if not others:
+    if not session.senders and not session.receiver.passed.total():
         reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
         return reason, "Start the vehicle, or give the address that it sends to."
-    if wanted is None:
-        return f"vehicles with the system ids {names} were heard", "Choose one with --system."
-    reason = f"vehicle.system_id = {wanted}: only system {names} was heard"
-    return reason, "Give the vehicle's own system id with --system, or write it into the mission."
+    reason, remedy = not_heard(session)
+    return reason.replace("none was", "no vehicle was"), remedy
 
 
 def _exit_as_planned(flight: OfflineFlight) -> None:
     if flight.failure is not None:
         failure = flight.failure
-        broken = f" (broken: {', '.join(failure.broken)})" if failure.broken else ""
+        broken = f" (broken: {bounds_text(failure.broken)})" if failure.broken else ""
         raise FlightFailed(f"{failure.refusal.value}{broken}", "")
 
 

@@ -22,8 +22,9 @@ from companion.sources.files import (
     toml_text,
     with_settings,
 )
-from companion.sources.mission_file import MissionFile, complete, mission_of
+from companion.sources.mission_file import MissionFile, complete, explained, mission_of
 from companion.sources.mission_schema import MissionTable
+from companion.sources.recognised import is_plan, refuse_other
 from companion.sources.schema import FileWorldTable, WorldTable, validated
 from companion.sources.waypoint_file import is_waypoint_list
 from companion.world.terrain import Peak, PeakTerrain, Terrain
@@ -54,10 +55,9 @@ def mission_text(name_or_path: str) -> str:
 
     So a run folder needs no other file to be flown again but the elevation file, if there is one.
     """
-    raw = _text_of_mission(name_or_path)
-    whole = _whole(raw, name_or_path)
-    if whole.is_whole and not _is_plan(name_or_path):
-        return raw
+    whole = _whole(name_or_path)
+    if whole.is_whole:
+        return _read(name_or_path, "mission")
     head = [f"# As read from {plain(Path(name_or_path).name, 'a file')}."]
     head += [f"# {plain(note, '', 300)}" for note in whole.notes]
     return "\n".join(head) + "\n" + toml_text(whole.table)
@@ -65,13 +65,13 @@ def mission_text(name_or_path: str) -> str:
 
 def mission_name(name_or_path: str) -> str | None:
     """The name that a mission gives itself, if it does; InputError if it cannot be read."""
-    name = _whole(_text_of_mission(name_or_path), name_or_path).table.get("name")
+    name = _whole(name_or_path).table.get("name")
     return name if isinstance(name, str) else None
 
 
 def elevation_file(name_or_path: str) -> str | None:
     """The file that a mission knows its terrain from, if there is one; InputError as above."""
-    terrain = _whole(_text_of_mission(name_or_path), name_or_path).table.get("terrain")
+    terrain = _whole(name_or_path).table.get("terrain")
     file = terrain.get("file") if isinstance(terrain, dict) else None
     return file if isinstance(file, str) else None
 
@@ -83,25 +83,28 @@ def load_mission(
 
     profile overrides the file's; settings ("planner.safety_distance_m=300") its other keys.
     """
-    whole = _whole(_text_of_mission(name_or_path), name_or_path)
+    whole = _whole(name_or_path)
     table = with_settings(whole.table, settings)
-    model = validated(MissionTable, table, name_or_path)
-    return mission_of(model, profile, name_or_path, whole.notes)
-
-
-def _text_of_mission(name_or_path: str) -> str:
-    """The mission file, as TOML.  A plan is a mission that says nothing else."""
-    if not _is_plan(name_or_path) or not answer(Path(name_or_path).is_file):
-        return _read(name_or_path, "mission")
-    return toml_text({"plan": Path(name_or_path).name})
+    try:
+        model = validated(MissionTable, table, name_or_path)
+        return mission_of(model, profile, name_or_path, whole.notes)
+    except InputError as error:
+        raise explained(error, whole.assumed, name_or_path) from None
 
 
 def _is_plan(name_or_path: str) -> bool:
-    return name_or_path.lower().endswith(".plan") or is_waypoint_list(Path(name_or_path))
+    """Whether it is a plan or a list by itself: a mission that says nothing else."""
+    path = Path(name_or_path)
+    if name_or_path in bundled() or not answer(path.is_file):
+        return False
+    return path.suffix.lower() == ".plan" or is_waypoint_list(path) or is_plan(path)
 
 
-def _whole(text: str, name_or_path: str) -> MissionFile:
-    table = toml_table(text, name_or_path)
+def _whole(name_or_path: str) -> MissionFile:
+    if _is_plan(name_or_path):
+        table: RawTable = {"plan": Path(name_or_path).name}
+    else:
+        table = toml_table(_read(name_or_path, "mission"), name_or_path)
     if "terrain" in table and not _OF_MISSIONS & table.keys():
         raise InputError(
             "MISSION", name_or_path, "this is a world, not a mission", "Give its mission.toml."
@@ -170,4 +173,5 @@ def _read(name_or_path: str, kind: str) -> str:
         rule = "it is a folder" if answer(path.is_dir) else "no such file, and no bundled name"
         remedy = f"Give a {kind}.toml, or one of: {names}."
         raise InputError(kind.upper(), name_or_path, rule, remedy)
+    refuse_other(path, kind.upper())
     return read_text(path, kind.upper(), f"Give a readable {kind}.toml, or one of: {names}.")

@@ -20,6 +20,9 @@ BoolArray = npt.NDArray[np.bool_]
 Places = TypeVar("Places", float, FloatArray)
 
 _WGS84 = pyproj.Geod(ellps="WGS84")
+LEAST_RADIUS_M = 6_330_000.0
+"""The ground curves away no faster: WGS 84 has 6,335 km along the meridian at the equator, and
+altitudes of up to 5 km count as in height above them."""
 _BASELINE_M = 100.0  # long enough that rounding of the projection does not show in the azimuth
 _SAME_M = 32.0  # over which the convergence changes by less than 1e-5 rad below 85 degrees
 _NEAR = 64  # places whose convergence is kept: where the vehicle is, and is sent
@@ -77,6 +80,105 @@ def offset_deg(
         longitude_deg, latitude_deg, azimuth_deg, math.hypot(north_m, east_m)
     )
     return latitude, longitude
+
+
+# --- outlines that are straight in degrees
+
+_SIDE = 16
+"""Places along each side of a window: between them a side of 1,000 km bulges by less than 1 km."""
+_BEYOND_DEG = 0.1  # more than that bulge, up to the latitude from which a window goes all around
+_POLAR_DEG = 84.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Window:
+    """A part of the Earth between two latitudes and two longitudes, degrees."""
+
+    south_deg: float
+    north_deg: float
+    west_deg: float
+    east_deg: float
+
+    @classmethod
+    def about(
+        cls, frame: LocalFrame, north_m: tuple[float, float], east_m: tuple[float, float]
+    ) -> "Window":
+        """All of a rectangle of the local frame: lowest and highest north, west and east."""
+        steps = np.linspace(0.0, 1.0, _SIDE + 1)
+        north = north_m[0] + (north_m[1] - north_m[0]) * steps
+        east = east_m[0] + (east_m[1] - east_m[0]) * steps
+        sides = [(north, east[[k]]) for k in (0, -1)] + [(north[[k]], east) for k in (0, -1)]
+        rim = [np.broadcast_arrays(*side) for side in sides]
+        latitude, longitude = frame.to_geodetic_deg(*map(np.concatenate, zip(*rim, strict=True)))
+        south, north_deg = latitude.min() - _BEYOND_DEG, latitude.max() + _BEYOND_DEG
+        off = wrap_deg(longitude - frame.longitude_deg)
+        half = float(np.abs(off).max()) + _BEYOND_DEG / math.cos(math.radians(_POLAR_DEG))
+        if max(-south, north_deg) > _POLAR_DEG:
+            half = 180.0
+            south, north_deg = (-90.0, north_deg) if south < -_POLAR_DEG else (south, 90.0)
+        return cls(
+            south_deg=float(south),
+            north_deg=float(north_deg),
+            west_deg=frame.longitude_deg - half,
+            east_deg=frame.longitude_deg + half,
+        )
+
+    def parts_of(self, corners_deg: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
+        """The corners of what lies in the window of a polygon; [] if nothing does.
+
+        (latitude, longitude), edges straight in degrees, as the polygon's; its longitudes may go on
+        beyond 180 degrees.  One that goes nearly all around the Earth may have two parts.
+        Sutherland and Hodgman, side by side: what only hangs together outside of the window is
+        joined along its rim.
+        """
+        longitudes = [corner[1] for corner in corners_deg]
+        away_deg = 0.5 * (self.west_deg + self.east_deg - min(longitudes) - max(longitudes))
+        found = []
+        for turns in (-1, 0, 1):
+            east_deg = 360.0 * (round(away_deg / 360.0) + turns)
+            part = [(latitude, longitude + east_deg) for latitude, longitude in corners_deg]
+            part = _cut(part, 0, self.south_deg, 1.0)
+            part = _cut(part, 0, self.north_deg, -1.0)
+            part = _cut(part, 1, self.west_deg, 1.0)
+            part = _cut(part, 1, self.east_deg, -1.0)
+            found += [part] if len(part) > 2 else []
+        return found
+
+
+def _cut(
+    corners: list[tuple[float, float]], axis: int, limit: float, sign: float
+) -> list[tuple[float, float]]:
+    """The part of a polygon on one side of a line."""
+    kept: list[tuple[float, float]] = []
+    for k, corner in enumerate(corners):
+        before = corners[k - 1]
+        inside, was_inside = (sign * (each[axis] - limit) >= 0.0 for each in (corner, before))
+        if inside is not was_inside:
+            part = (limit - before[axis]) / (corner[axis] - before[axis])
+            meets = [a + part * (b - a) for a, b in zip(before, corner, strict=True)]
+            meets[axis] = limit
+            kept.append((meets[0], meets[1]))
+        if inside:
+            kept.append(corner)
+    return kept
+
+
+def short_way(corners_deg: list[tuple[float, float]]) -> list[tuple[float, float]] | None:
+    """The same corners with longitudes that go on: no edge goes more than half around the Earth.
+
+    None: the polygon goes around a pole.
+    """
+    found = corners_deg[:1]
+    for latitude, longitude in corners_deg[1:]:
+        found.append((latitude, found[-1][1] + wrap_deg(longitude - found[-1][1])))
+    closes = found[-1][1] + wrap_deg(found[0][1] - found[-1][1]) if found else 0.0
+    return found if not found or abs(closes - found[0][1]) < 1.0 else None
+
+
+def wrap_deg(angle_deg: Places) -> Places:
+    """The same angle from -180 to 180 degrees: numbers, or (...) of them."""
+    return (angle_deg + 180.0) % 360.0 - 180.0
 
 
 def rotate(north: float, east: float, angle_rad: float) -> tuple[float, float]:

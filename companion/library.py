@@ -19,7 +19,7 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.objective.scene import PROFILES
 from companion.optimise.registry import OPTIMISERS, Maker, temporarily_registered
-from companion.path.certificate import Certificate
+from companion.path.certificate import Certificate, bounds_text
 from companion.path.limits import Limits
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.offline import OfflineFlight, Scanner, fly_offline
@@ -236,7 +236,7 @@ def _flown(flight: OfflineFlight, task: Task, kernel: Kernel) -> Flown:
     failure = flight.failure
     why = ""
     if failure is not None:
-        broken = f" ({', '.join(failure.broken)})" if failure.broken else ""
+        broken = f" ({bounds_text(failure.broken)})" if failure.broken else ""
         why = f"{failure.refusal.name}: {failure.refusal.value}{broken}"
     return Flown(
         arrived=failure is None,

@@ -6,6 +6,7 @@
     session.silence(seconds)     the autopilot was not heard for so long (wall time of the runtime)
     session.part_died(part, why) a part of the runtime has died
     session.stop()               a person wants the end
+    session.say_go()             a person at the terminal says go
 
 Time is the vehicle's: the newest time_boot_ms of its autopilot (in lockstep, TIMESYNC too); until
 it is known, and for what must go on in a silence, the silence itself counts.  A plan becomes an
@@ -52,7 +53,7 @@ from companion.mission.events import Disarm, End, Mode, SetMode, Vector, Vehicle
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.start import Resume, Start
-from companion.mission.state import Phase
+from companion.mission.state import IN_AIR, Phase
 from companion.planner import outcomes
 from companion.planner.request import PlanOutcome
 
@@ -67,6 +68,8 @@ _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 
 
+_SENSED: Final = frozenset({*near_sensing.MESSAGES.values(), wire.MAVLINK_MSG_ID_TERRAIN_DATA})
+"""Messages of sensors, which are chosen by their ids: to say who else sends them."""
 _frame_of: Final = attrgetter("frame")
 _ROUTINE: Final = (
     events.Position,
@@ -117,13 +120,19 @@ class Session:
         signing: Signing | None = None,
         resume: Resume | None = None,
         has_ground: bool = False,
+        go: bool = False,
         version: str = "0",
     ) -> None:
-        """resume: from a previous companion; has_ground: there are ground station links."""
+        """resume: from a previous companion; has_ground: there are ground station links.
+
+        go: take off as soon as the vehicle is ready, without being told; in lockstep always.
+        """
         self.mission = mission
         self.state = checkpoint.initial_state(mission, resume)
         self.clock = VehicleClock(self.state.now_s)
-        self.context = Context(mission=mission, seed=seed, lockstep=lockstep, shadow=shadow)
+        self.context = Context(
+            mission=mission, seed=seed, lockstep=lockstep, shadow=shadow, go=go or lockstep
+        )
         self.found = ""
         """What the vehicle says that it is."""
         self.last_scan: events.ScanDone | None = None
@@ -163,6 +172,8 @@ class Session:
         self._due_at_s = math.inf
         """The same by the clock of the outside."""
         self._roles = _roles_of(mission)
+        self.sensed: dict[int, set[tuple[int, int]]] = {}
+        """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
         self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version, has_ground=has_ground)
@@ -180,6 +191,11 @@ class Session:
         """Frames of our autopilot so far, and how many are missing between them."""
         sender = (self.selector.system_id or 0, AUTOPILOT_COMPONENT)
         return self._inbox.counted.get(sender, (0, 0, 0))[1:]
+
+    @property
+    def senders(self) -> list[tuple[int, int]]:
+        """System and component of all that were heard on the vehicle's link."""
+        return sorted(self._inbox.counted)
 
     # --- what the runtime calls
 
@@ -229,6 +245,21 @@ class Session:
         """The operator ends the mission."""
         self._out.inputs.append(("stop",))
         self._handle(events.StopAsked(time_s=self.now_s))
+
+    def say_go(self) -> str:
+        """A person at the terminal says go; returns why not, empty if it takes off."""
+        self._out.inputs.append(("say_go",))
+        order = events.Order(time_s=self.now_s, kind=events.OrderKind.START, sender="terminal")
+        if self.state.phase in IN_AIR or self.state.phase is Phase.ARMING:
+            return f"the mission is {self.state.phase.value} already"
+        heard = {"sender": order.sender, "command": wire.MAV_CMD_MISSION_START}
+        if self._judged(order) is not changes.OrderResult.ACCEPTED:
+            why = changes.why_not(self.state, order)
+            self._note("command", **heard, result="temporarily_rejected", why=why)
+            return why
+        self._note("command", **heard, order="start")
+        self._handle(order)
+        return ""
 
     def complain(self, text: str) -> None:
         """Send a warning that frames were rejected; those are not in the inputs."""
@@ -299,12 +330,16 @@ class Session:
             self._start_scan(here)
 
     def hold_frames(self) -> list[bytes]:
-        """The frames that put a vehicle under our control on hold.  Has no side effects."""
+        """The frames that put a vehicle under our control on hold, unsigned: no side effects."""
         return self._outbox.encode_unsent(self._holding())
 
     def final_text(self, why: str) -> list[bytes]:
-        """The frames of the text that the companion has ended, and why.  Has no side effects."""
+        """The frames of the text that the companion has ended, and why; as `hold_frames`."""
         return self._outbox.encode_unsent(final_text(f"ended, failed: {why}"))
+
+    def signed(self, frames: list[bytes]) -> list[bytes]:
+        """Those frames as they are to be sent now, by any thread: a signature ages."""
+        return self._outbox.signed(frames)
 
     def _holding(self) -> Sequence[Message]:
         if self.vehicle is None or self.context.shadow:
@@ -335,11 +370,17 @@ class Session:
                 pass
             elif number == _POSITION:
                 time_s = heard.message.time_boot_ms * 1e-3
-                if time_s >= self._plan.due_s and self._must_wait_for_plan(time_s):
+                if (
+                    time_s >= self._plan.due_s
+                    and self.clock.believes(time_s, None if self._lockstep else heard.at_s)
+                    and self._must_wait_for_plan(time_s)
+                ):
                     return False
-                self._on_time(time_s, ticks=False)
+                is_read = self._on_time(time_s, heard, ticks=False)
             elif (clock := _CLOCKS.get(number)) is not None:
                 is_read = clock(self, heard)
+        if number in _SENSED and heard.link == VEHICLE_LINK:
+            self.sensed.setdefault(number, set()).add((heard.system, heard.component))
         self._out.record.append((self.clock.now_s, heard.frame))
         if heard.component == COMPANION_COMPONENT:
             self._look_for_duplicates(heard)
@@ -428,7 +469,7 @@ class Session:
             self._handle(answer)  # the position before may be a second old
         if vehicle.is_news:
             self._look_at_news(vehicle)
-        if self.state.phase is Phase.PREPARING:
+        if self.state.phase in (Phase.PREPARING, Phase.READY):
             self._check()
         if self._scanning.is_on:
             self._scan_on()
@@ -521,7 +562,7 @@ class Session:
         if served.text:
             self._send_text(served.text, warning=True)
         if served.order is not None:
-            verdict = changes.order_result(self.state, served.order)
+            verdict = self._judged(served.order)
             reply(component.order_done(served.order, verdict))
             if verdict is changes.OrderResult.ACCEPTED:
                 self._handle(served.order)
@@ -531,23 +572,28 @@ class Session:
             task = dataclasses.replace(served.task, zones=self.state.given.zones)
             self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
+    def _judged(self, order: events.Order) -> changes.OrderResult:
+        """The result of an order; of a go, after a look at every check."""
+        if order.kind is events.OrderKind.START and self.state.phase is Phase.READY:
+            self._handle(events.Tick(time_s=self.now_s))
+            if (failed := self._preflight.failed(self, at_once=True)) is not None:
+                self._handle(failed)
+        return changes.order_result(self.state, order, go=self.context.go)
+
     # --- the clock
 
     def _on_time_only(self, heard: Incoming) -> bool:
-        """Handle a time-only message; whether it is newer."""
+        """Handle a time-only message; whether it is newer, and believed."""
         time_ms = boot_ms_of(heard.frame, heard.number)
         assert time_ms is not None
-        if news := self.clock.is_newer(heard.number, time_ms):
-            self._on_time(time_ms * 1e-3)
-        return news
+        return self.clock.is_newer(heard.number, time_ms) and self._on_time(time_ms * 1e-3, heard)
 
     def _on_system_time(self, heard: Incoming) -> bool:
-        self._on_time(heard.message.time_boot_ms * 1e-3)
-        return True
+        return self._on_time(heard.message.time_boot_ms * 1e-3, heard)
 
     def _on_simulated_time(self, heard: Incoming) -> bool:
         if self._lockstep and heard.message.tc1 == 0:
-            self._on_time(heard.message.ts1 * 1e-9)
+            self._on_time(heard.message.ts1 * 1e-9, heard)
         return True
 
     def _on_beat(self, heard: Incoming) -> bool:
@@ -555,10 +601,14 @@ class Session:
             self._handle(events.Tick(time_s=self.clock.going_on_s))
         return True
 
-    def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
-        """Take a new vehicle time; ticks: False if an event of the same time follows."""
+    def _on_time(self, time_s: float, heard: Incoming, *, ticks: bool = True) -> bool:
+        """Take a new vehicle time; ticks: False if an event of the same time follows.
+
+        In lockstep the wall time at which it arrived says nothing.  False if it is doubted: then
+        nothing else that the message tells counts either.
+        """
         before_s = self.clock.now_s
-        reading = self.clock.read(time_s)
+        reading = self.clock.read(time_s, None if self._lockstep else heard.at_s)
         if reading is ClockReading.FIRST:  # waits go on by the new clock
             self.state = self.state.rebase_time(time_s - before_s)
             self._due_s = -math.inf
@@ -572,6 +622,7 @@ class Session:
                 self.state = self.state.rebase_time(-ahead_s)
             if ticks:
                 self._handle(events.Tick(time_s=time_s))
+        return reading is not ClockReading.DOUBTED
 
     def _on_reboot(self) -> None:
         """The autopilot has rebooted: prepare again; the known terrain is kept."""
@@ -595,6 +646,8 @@ class Session:
             return
         if self.vehicle is not None and self.state.phase is not Phase.WAITING:
             self._send_all(self.vehicle.on_time(now_s, at_s))
+            while self.vehicle.warnings:
+                self._send_text(self.vehicle.warnings.pop(0), warning=True)
             while self.vehicle.notes:
                 self._send_text(self.vehicle.notes.pop(0), warning=False)
         if self._component is not None:
@@ -649,11 +702,13 @@ class Session:
         self._scan_on()
 
     def _check(self) -> None:
-        """On the ground: run the preflight checks before arming."""
+        """On the ground: run the preflight checks before arming, and go on with them."""
         if (here := self._preflight.scan_position(self)) is not None:
             self._start_scan(here)
         elif (judged := self._preflight.result(self)) is not None:
             self._handle(judged)
+        elif (failed := self._preflight.failed(self)) is not None:
+            self._handle(failed)
 
     # --- events and commands
 

@@ -162,9 +162,7 @@ def test_bytes_that_are_no_text_are_refused(file: Path) -> None:
         load_mission(str(file))
 
 
-@pytest.mark.parametrize(
-    "text", ["schema = \n", "[origin\n", "a = 1\na = 2\n", "{}\n", '{"schema": 1}\n']
-)
+@pytest.mark.parametrize("text", ["schema = \n", "[origin\n", "a = 1\na = 2\n"])
 def test_what_is_not_toml_is_told_where(file: Path, text: str) -> None:
     message = refused(file, text)
     assert "not TOML" in message

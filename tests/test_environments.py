@@ -112,3 +112,16 @@ def test_world_and_mission_agree_on_the_frame_and_the_vehicle(name: str) -> None
     assert world["scanner"]["range_m"] >= mission["planner"]["scan_range_m"]
     turn_m_s2 = mission["vehicle"]["speed_m_s"] ** 2 / mission["vehicle"]["turn_radius_m"]
     assert turn_m_s2 <= world["vehicle"]["acceleration_max_m_s2"]
+
+
+def test_the_posts_stand_where_those_of_ardupilots_simulation_do() -> None:
+    """SITL.cpp:1327-1332 (docs/reference/proximity.md 1): lanes 8 m wide between them."""
+    world, mission = (read("posts", file) for file in ("world.toml", "mission.toml"))
+    rows = range(-10, 10)
+    places = sorted((3.0 + 10.0 * i, 2.0 + 10.0 * j) for i in rows for j in rows)
+    assert sorted((tree["north_m"], tree["east_m"]) for tree in world["trees"]) == places
+    assert {tree["radius_m"] for tree in world["trees"]} == {1.0}
+    origin = {"latitude_deg": 51.8752066, "longitude_deg": 14.648783}
+    assert world["origin"] == mission["origin"] == origin
+    tops_m = [world["terrain"]["ground_amsl_m"] + tree["height_m"] for tree in world["trees"]]
+    assert min(tops_m) > mission["altitude"]["ceiling_amsl_m"] + mission["scanner"]["speaks_for_m"]

@@ -503,6 +503,30 @@ def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_cloc
     assert [m for m in again if m.get_type() == "COMMAND_LONG"]
 
 
+@pytest.mark.parametrize("off_ms", [1_000_000, 2_500, -2_500, 4_000_000_000])
+@pytest.mark.parametrize("copies", [1, 3])
+def test_a_moment_with_a_wrong_time_stamp_changes_nothing_of_a_flight(
+    off_ms: int, copies: int
+) -> None:
+    """Its position, 11 m to the north, is not believed either."""
+    it, undisturbed = flying(), flying()
+    sender, stamp_ms = it.vehicle.autopilot, it.vehicle.time_ms + off_ms
+    [here] = messages([it.vehicle.position()])
+    place = (here.lat + 1_000, here.lon, here.alt, 0, here.vx, here.vy, here.vz, 0)
+    for wrong in (
+        wire.MAVLink_attitude_message(stamp_ms, 0, 0, 0, 0, 0, 0),
+        wire.MAVLink_global_position_int_message(stamp_ms, *place),
+        wire.MAVLink_system_time_message(0, stamp_ms),
+        wire.MAVLink_local_position_ned_message(stamp_ms, 0, 0, 0, 0, 0, 0),
+    ):
+        it.feed(copies * wrong.pack(sender))
+    for flight in (it, undisturbed):
+        flight.run_until(lambda it: it.vehicle.time_ms >= 60_000)
+    told = "SET_POSITION_TARGET_GLOBAL_INT"
+    assert [m.to_dict() for m in it.sent(told)] == [m.to_dict() for m in undisturbed.sent(told)]
+    assert it.session.state.phase is Phase.FLYING
+
+
 def test_silence_before_any_vehicle_ends_after_10_s() -> None:
     session = Session(MISSION, seed=1, lockstep=False)
     for tenth in range(1, 99):

@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
 
 from companion.config import load_mission
+from companion.mavlink.preflight import Check, CheckStatus, checks_of
 from companion.mission.state import Phase, Reason
 from companion.session import Session
 
@@ -23,6 +24,7 @@ class Seeing(Vehicle):
         self.driver = wire.MAVLink(None, srcSystem=1, srcComponent=196)
         self.parameters["GUID_TIMEOUT"] = 0.5
         self.is_dead = False
+        self.reach_cm = REACH_CM
         self.post_ne_m: tuple[float, float] | None = None
         self.sent_sweeps = 0
 
@@ -40,7 +42,7 @@ class Seeing(Vehicle):
                 if abs(off) < half + math.radians(2.5) and away_m < 16.0:
                     told[k] = round(100.0 * away_m)
         sweep = wire.MAVLink_obstacle_distance_message(
-            self.time_ms * 1000, 0, told, 5, 20, REACH_CM, 5.0, 0.0, wire.MAV_FRAME_BODY_FRD
+            self.time_ms * 1000, 0, told, 5, 20, self.reach_cm, 5.0, 0.0, wire.MAV_FRAME_BODY_FRD
         )
         return self.pack(sweep, self.driver) + said
 
@@ -80,3 +82,35 @@ def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second()
     assert it.session.state.reason is Reason.NEW_THREAT
     north, east = vehicle.post_ne_m
     assert math.hypot(north - vehicle.north_m, east - vehicle.east_m) - 0.3 > 1.0
+
+
+def range_check(reach_cm: int) -> Check:
+    """What preflight says of a sensor that sees so far; R is 16 m."""
+    vehicle = Seeing()
+    vehicle.reach_cm = reach_cm
+    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
+    it.run_until(lambda it: it.session.near is not None and it.session.near.limits_m is not None)
+    [check] = [each for each in checks_of(it.session) if each.name == "sensor range"]
+    return check
+
+
+@pytest.mark.parametrize("reach_cm", [4000, 1600, 1599])  # the last one was cut off
+def test_a_sensor_that_sees_as_far_as_r_passes(reach_cm: int) -> None:
+    assert range_check(reach_cm).status is CheckStatus.PASSED
+
+
+def test_a_sensor_that_sees_less_than_r_is_refused_with_the_remedy() -> None:
+    check = range_check(1200)
+    assert check.status is CheckStatus.REFUSED
+    assert "12 m" in check.what
+    assert "planner.scan_range_m is 16 m" in check.what
+    assert check.remedy.startswith("Set planner.scan_range_m to 12 or less")
+
+
+def test_a_sensor_that_comes_to_see_less_in_flight_is_told_of_once() -> None:
+    it, vehicle = flying()
+    for reach_cm in (1000, 1600, 1000):
+        vehicle.reach_cm, since_s = reach_cm, it.session.now_s
+        it.run_until(lambda it: it.session.now_s > since_s + 0.5)  # noqa: B023
+    said = "".join(each.text for each in it.sent("STATUSTEXT"))
+    assert said.count("sensor sees 10 m of R = 16 m") == 1

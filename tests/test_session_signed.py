@@ -16,6 +16,8 @@ from companion.mavlink.link import Output
 from companion.mavlink.signing import Refusal, Signing, key_of, timestamp_of
 from companion.mission.events import Outcome
 from companion.mission.state import Phase
+from companion.runtime.link import Link
+from companion.runtime.watchdog import Gate
 from companion.session import Session
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
@@ -54,7 +56,12 @@ class Flight:
     def __init__(self, vehicle: Simulation, signing: Signing | None, resume: Any = None) -> None:
         self.vehicle = vehicle
         self.session = Session(
-            mission("ardupilot", "copter"), seed=1, lockstep=False, signing=signing, resume=resume
+            mission("ardupilot", "copter"),
+            seed=1,
+            lockstep=False,
+            signing=signing,
+            resume=resume,
+            go=True,
         )
         self.out = Output()
         self.heard: list[bytes] = []
@@ -161,6 +168,37 @@ def test_in_flight_only_signed_and_new_orders_are_obeyed(on_its_way: Flight) -> 
     ours = flight.session.signing
     assert ours is not None
     assert ours.refused == {Refusal.UNSIGNED: 1, Refusal.WRONG: 1, Refusal.REPLAYED: 1}
+
+
+def test_a_hold_that_was_kept_in_reserve_is_obeyed_whenever_and_however_often_it_is_sent(
+    on_its_way: Flight,
+) -> None:
+    """The stream went on meanwhile, and each copy would be a replay of the one before."""
+    flight = on_its_way.copy()
+    reserve = flight.session.hold_frames()
+    for _ in range(50):
+        flight.tick()
+
+    sent: list[bytes] = []
+
+    @final
+    class ToVehicle(Link):
+        def send(self, frames: list[bytes]) -> None:
+            sent.extend(frames)
+
+    gate = Gate(ToVehicle(), clock=lambda: 0.0, signed=flight.session.signed)
+    gate.shut()
+    for _ in range(3):
+        gate.send_last(reserve)
+    vehicle = signing()
+    assert all(map(vehicle.accepts, flight.sent + sent))
+    for number in range(3):  # any one of them does it
+        again = flight.copy()
+        assert again.vehicle.mode_name == "GUIDED"
+        again.vehicle.receive(LINK, sent[number])
+        for _ in range(TICK_STEPS):
+            again.vehicle.step()
+        assert again.vehicle.mode_name == "BRAKE"
 
 
 def test_a_recording_of_the_vehicle_played_back_moves_nothing(on_its_way: Flight) -> None:

@@ -20,7 +20,7 @@ ASKS = (wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE)
 
 
 def session(**keywords: Any) -> Session:
-    return Session(OURS, seed=1, lockstep=False, **keywords)
+    return Session(OURS, seed=1, lockstep=False, go=True, **keywords)
 
 
 class Bus:

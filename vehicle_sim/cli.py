@@ -12,9 +12,11 @@ from typing import Annotated
 
 import typer
 
+from vehicle_sim.autopilots.factory import personality_of, with_own_ids
 from vehicle_sim.errors import InputError
 from vehicle_sim.faults.timeline import Timeline
 from vehicle_sim.links import Endpoint, Link, open_link, parse_endpoint
+from vehicle_sim.parameters import without_effect
 from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.terminal import run
@@ -171,6 +173,8 @@ def fly(
         ]
         used = [link.endpoint for links in opened for link in links]
         _say(_opening(worlds, used, settings))
+        for name in sorted(_names(param or []) & without_effect()):
+            _say(f"{name} is kept and can be read, but has no effect in this simulator.")
         stations = [
             Station(simulation=each, links=opened[k if port_step else 0], truth=truths[k])
             for k, each in enumerate(simulations)
@@ -180,7 +184,7 @@ def fly(
 
 
 def _ending(simulations: list[Simulation], wall_s: float) -> str:
-    flown_s = simulations[0].now_us * 1e-6
+    flown_s = max(each.now_us for each in simulations) * 1e-6
     times = flown_s / wall_s if wall_s > 0.0 else 0.0
     outcomes = "; ".join(each.outcome() for each in simulations[:3])
     return (
@@ -318,14 +322,22 @@ def _with_parameters(world: World, assignments: list[str]) -> World:
             raise InputError("--param", text, "must be a finite number", "Try GUID_TIMEOUT=1.")
     vehicle = world.vehicle
     parameters = vehicle.parameters | added
-    return dataclasses.replace(world, vehicle=dataclasses.replace(vehicle, parameters=parameters))
+    vehicle = with_own_ids(dataclasses.replace(vehicle, parameters=parameters))
+    return dataclasses.replace(world, vehicle=vehicle)
+
+
+def _names(assignments: list[str]) -> set[str]:
+    return {text.partition("=")[0] for text in assignments}
 
 
 def _row(world: World, count: int, port_step: int) -> list[World]:
     """The same world for each of so many vehicles, standing side by side."""
     vehicle = world.vehicle
-    if not 1 <= count <= _MAX_VEHICLES or vehicle.system_id + count - 1 > 255:
-        rule = f"must be 1 to {_MAX_VEHICLES}, with system ids up to 255"
+    highest = personality_of(vehicle).highest_id
+    if not 1 <= count <= _MAX_VEHICLES or vehicle.system_id + count - 1 > highest:
+        rule = (
+            f"must be 1 to {_MAX_VEHICLES}, with system ids from {vehicle.system_id} to {highest}"
+        )
         raise InputError("--count", count, rule, "Try 5.")
     if not 0 <= port_step <= 1000:
         raise InputError("--port-step", port_step, "must be from 0 to 1000", "Try 10.")

@@ -36,7 +36,7 @@ from vehicle_sim.wire.streams import Streams
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
 _RANGES = (DISTANCE_SENSOR, RANGEFINDER)
 _CURRENT_MODE_US = 500_000
-_GROUND_STATION = 6
+_FIXED_WING, _GROUND_STATION = 1, 6
 _SET_MODE = 11
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
@@ -84,10 +84,15 @@ class FlightController:
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
+        self._texts = 0
+        """So many have been said: the number of one that takes several messages."""
         self._told: dict[int, tuple[int, int | None, int]] = {}
         """Newest CURRENT_MODE of each link: mode, intended mode and when."""
         self.streams = Streams(profile)
         for link in radio.links:
+            for group, name in self._rates_of(link):
+                if self.parameters[name] != self.parameters.row(name).default:
+                    self.streams.set_default(link, group, self.parameters[name])
             self.streams.open(link, boot_us)
         self.report = Report(
             autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
@@ -143,7 +148,8 @@ class FlightController:
         return False
 
     def send_heartbeat(self) -> None:
-        """Send a heartbeat now."""
+        """Send a heartbeat now: whoever hears it may ask for more."""
+        self.streams.begin()
         self._send(_HEARTBEAT, None)
 
     def _renew_report(self) -> None:
@@ -200,9 +206,11 @@ class FlightController:
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
+        self._texts = self._texts % 0xFFFF + 1
         for link in self._radio.links:
             if link in self._ground_stations if self._is_px4 else self._radio.router.heard(link):
-                self._radio.send(messages.text(text), link)
+                for message in messages.texts(text, self._texts):
+                    self._radio.send(message, link)
         self._on_text(text)
 
     # --- in -----------------------------------------------------------------------------------
@@ -268,13 +276,21 @@ class FlightController:
         return ()
 
     def _on_data_stream(self, message: Any, link: int) -> None:
-        """ArduPilot keeps the rate as a parameter."""
+        """ArduPilot keeps the rate as a parameter; a plane over a reboot too.
+
+        Source: GCS_MAVLINK::handle_request_data_stream, persist_streamrates().
+        """
         self.streams.on_data_stream(message, link, self.now_us)
         rate_hz = message.req_message_rate if message.start_stop else 0
-        for group, part in _STREAM_PARAMETERS.items():
-            name = f"MAV{link + 1}_{part}"
-            if message.req_stream_id in (0, group) and name in self.parameters:
-                self.parameters[name] = rate_hz
+        parameters, persists = self.parameters, self.autopilot.profile.vehicle_type == _FIXED_WING
+        for group, name in self._rates_of(link):
+            if message.req_stream_id in (0, group):
+                (parameters.__setitem__ if persists else parameters.set_until_reboot)(name, rate_hz)
+
+    def _rates_of(self, link: int) -> list[tuple[int, str]]:
+        """Groups of REQUEST_DATA_STREAM, and the parameter that has the default rate of each."""
+        names = ((g, f"MAV{link + 1}_{part}") for g, part in _STREAM_PARAMETERS.items())
+        return [(group, name) for group, name in names if name in self.parameters]
 
 
 def _as_set_mode(reply: Reply) -> Reply:

@@ -20,11 +20,25 @@ FloatArray = NDArray[np.float64]
 WGS84 = Geod(ellps="WGS84")
 ARDUPILOT_M_PER_DEG = 111318.84502145034
 """ArduPilot's flat earth: a sphere's degree along the meridian, and times cos(latitude) across."""
+EARTH_RADIUS_M = 6_371_009.0
+"""Mean radius (2 a + b) / 3: of the sphere over which sight lines are straight."""
 _ONE_DEG_RAD = math.pi / 180.0
 _ECCENTRICITY_SQUARED = WGS84.es
 _RADIUS_DEG_M = WGS84.a * _ONE_DEG_RAD
 _MERIDIAN_SHARE = 1.0 - _ECCENTRICITY_SQUARED
 _MIN_COSINE = 1e-6
+
+
+def around(longitude_deg: float) -> float:
+    """The same meridian, from -180 to less than 180 degrees."""
+    if -180.0 <= longitude_deg < 180.0:
+        return longitude_deg
+    return (longitude_deg + 180.0) % 360.0 - 180.0
+
+
+def degrees_east(from_deg: float, to_deg: float) -> float:
+    """From one meridian to another the shorter way, degrees, also over the date line."""
+    return math.remainder(to_deg - from_deg, 360.0)
 
 
 def metres_per_degree(latitude_deg: float) -> tuple[float, float]:

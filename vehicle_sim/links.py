@@ -54,14 +54,34 @@ class Endpoint:
         return Endpoint(kind=self.kind, host=self.host, port=port)
 
 
+_OTHERS = {
+    "udpout": ("udpout", "udpc", "udpclient", "udp"),
+    "udpin": ("udpin", "udps", "udpserver"),
+    "tcpin": ("tcpin", "tcps", "tcp-l", "tcpserver", "tcp", "tcpout", "tcpc"),
+}
+"""How others call them; the simulator connects to nobody by TCP, clients connect to it."""
+
+
 def parse_endpoint(text: str) -> Endpoint:
-    """KIND:HOST:PORT; InputError says what is wrong with it."""
+    """KIND:HOST:PORT, or KIND://HOST:PORT; InputError says what is wrong with it."""
     kind, _, address = text.partition(":")
-    host, _, port = address.rpartition(":")
-    well_formed = host and port.isdecimal() and 0 <= int(port) < 65536
+    host, _, port = address.removeprefix("//").rpartition(":")
+    well_formed = port.isdecimal() and 0 <= int(port[:6]) < 65536 and not set(host) & set("/@?")
     listens = kind in ("udpin", "tcpin")
-    if kind not in ("udpout", "udpin", "tcpin") or not well_formed or not (listens or int(port)):
+    is_ours = kind in ("udpout", "udpin", "tcpin") and host and (listens or port.strip("0"))
+    if ":" in host and "@" not in host and not (host.startswith("[") and host.endswith("]")):
+        well_formed = False
+        rule = f"an IPv6 address stands in brackets: {kind}:[{host}]:{port}"
+    elif text.startswith(("serial", "/dev/", "tty")):
+        rule = "the simulator has no serial port, only UDP and TCP"
+    else:
         rule = "must be udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT"
+        if well_formed:
+            called = kind.lower() if host not in ("", "0.0.0.0") or kind != "udp" else "udpin"
+            heres = [here for here, names in _OTHERS.items() if called in names]
+            where = f"{host or '0.0.0.0'}:{port}"
+            rule += f"; this one is written {heres[0]}:{where}" if heres and port != "0" else ""
+    if not (well_formed and is_ours):
         raise InputError("--connect", text, rule, "Try udpout:127.0.0.1:14540.")
     return Endpoint(kind=kind, host=host.strip("[]"), port=int(port))  # type: ignore[arg-type]
 

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from vehicle_sim.geodesy import EARTH_RADIUS_M
 from vehicle_sim.terrain import FloatArray, PeakTerrain, Terrain
 
 _PIECE_M = 8.0
@@ -104,7 +105,8 @@ class Scene:
     ) -> FloatArray:
         """How far beams get: inf where nothing is within range.  (3,), (R, 3) -> (R,).
 
-        Directions are unit vectors (north, east, up).
+        Directions are unit vectors (north, east, up).  Beams are straight, and what is a distance
+        d away lies d^2 / 2 R_e lower than over a plane.
         """
         eye = np.asarray(eye_nea_m, dtype=np.float64)
         length_m = self._to_ground_m(eye, directions, range_m)
@@ -143,7 +145,9 @@ class Scene:
             for other in (sides, _round(back - along_m[long], ways, square, half_m[long])):
                 enter[:, long] = np.minimum(enter[:, long], other[0])
                 leave[:, long] = np.maximum(leave[:, long], other[1])
-        bottom_m, top_m = self._bottom_m[near], self._top_m[near]
+        middles = 0.5 * (self._from_ne_m[near] + self._to_ne_m[near])
+        drop_m = ((middles - eye[:2]) ** 2).sum(axis=1) / (2.0 * EARTH_RADIUS_M)
+        bottom_m, top_m = self._bottom_m[near] - drop_m, self._top_m[near] - drop_m
         enter, leave = _overlap(
             (enter, leave), _between(eye[2], _not_zero(directions[:, 2:]), bottom_m, top_m)
         )
@@ -154,11 +158,11 @@ class Scene:
     def _to_ground_m(self, eye: FloatArray, directions: FloatArray, range_m: float) -> FloatArray:
         """Where beams meet the ground, straight between samples of it.  (3,), (R, 3) -> (R,)."""
         if self._level_amsl_m is not None:
-            sinks = np.minimum(directions[:, 2], -_TINY)
-            high_m = max(eye[2] - self._level_amsl_m, 0.0)
-            return np.where(directions[:, 2] < 0.0, high_m / -sinks, np.inf)
+            return _to_level_m(eye[2] - self._level_amsl_m, directions)
         steps_m = np.linspace(0.0, range_m, math.ceil(range_m / _GROUND_STEP_M) + 1)
         points = eye + directions[:, None, :] * steps_m[:, None]  # (R, S, 3)
+        level2 = (directions[:, None, :2] ** 2).sum(axis=-1)
+        points[..., 2] += level2 * steps_m**2 / (2.0 * EARTH_RADIUS_M)
         above_m = points[..., 2] - self._terrain.height_amsl_m(points[..., 0], points[..., 1])
         below = above_m[:, 1:] < 0.0
         k = below.argmax(axis=1)
@@ -199,8 +203,7 @@ class _Solid:
         high_m = eye[2] - self.top_amsl_m
         if high_m <= 0.0:
             return
-        down = directions[:, 2] < 0.0
-        to_roof_m = np.where(down, high_m / np.where(down, -directions[:, 2], 1.0), np.inf)
+        to_roof_m = _to_level_m(high_m, directions)
         try_these = np.flatnonzero(to_roof_m < np.minimum(length_m, 1e6))
         points = eye[:2] + directions[try_these, :2] * to_roof_m[try_these, None]
         met = try_these[self.contains(points)]
@@ -219,6 +222,18 @@ def _pieces(thing: Upright) -> list[tuple[float, ...]]:
         for k in range(count):
             rows.append((norths[k], easts[k], norths[k + 1], easts[k + 1], *rest))
     return rows
+
+
+def _to_level_m(high_m: float, directions: FloatArray) -> FloatArray:
+    """Where beams from so far above a level surface come down on it.  (R, 3) -> (R,).
+
+    On the way their height above it is h + u s + c^2 s^2 / 2 R_e.
+    """
+    up, bend = directions[:, 2], (directions[:, :2] ** 2).sum(axis=1) / EARTH_RADIUS_M
+    root = up * up - 2.0 * bend * max(high_m, 0.0)
+    met = (up < 0.0) & (root >= 0.0)  # else beyond the horizon
+    down = np.where(met, np.sqrt(np.maximum(root, 0.0)) - up, 1.0)
+    return np.where(met, 2.0 * max(high_m, 0.0) / down, np.inf)
 
 
 def _not_zero(speed: FloatArray) -> FloatArray:

@@ -119,12 +119,22 @@ class Server:
 
     @property
     def _now_us(self) -> int:
+        """Vehicle time; in real time all of them have the same."""
         return self._simulations[0].now_us
 
-    def _over(self) -> bool:
+    def _timed_out(self, simulation: Simulation) -> bool:
         duration_s = self._settings.duration_s
-        timed_out = duration_s is not None and self._now_us >= duration_s * 1e6
-        return self._stop.requested or timed_out
+        return duration_s is not None and simulation.now_us >= duration_s * 1e6
+
+    def _over(self) -> bool:
+        return self._stop.requested or all(map(self._timed_out, self._simulations))
+
+    def _flying(self) -> list[Simulation]:
+        """In lockstep: whose companion still flies, and whose time is not over.
+
+        The clock of a vehicle whose companion has ended stands, so each is asked for its own.
+        """
+        return [s for s in self._simulations if not (s.companion_ended or self._timed_out(s))]
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -180,6 +190,7 @@ class Server:
             for _ in range(_MAX_DATAGRAMS):
                 datagram = link.receive()
                 if link.take_reopened():
+                    self._sorters[link].forget()
                     for simulation, number in hearers:
                         simulation.reopen(number)
                 if datagram is None:
@@ -207,12 +218,9 @@ class Server:
         for simulation in self._simulations:
             simulation.begin()
         start_s = time.monotonic()
-        while not self._over():
+        while not self._stop.requested and self._flying():
             asked: dict[Simulation, int] = {}
-            flying = [each for each in self._simulations if not each.companion_ended]
-            if not flying:
-                break
-            while not asked:
+            while not asked and not self._stop.requested and (flying := self._flying()):
                 for number, simulation in enumerate(flying):
                     if simulation.step():
                         asked[simulation] = simulation.ask_for_sync(number)
@@ -263,7 +271,7 @@ class Server:
                 self._send()
 
     def _silent(self, simulation: Simulation, question_ns: int) -> CompanionSilent:
-        silence_s, at_s = self._settings.silence_s, self._now_us * 1e-6
+        silence_s, at_s = self._settings.silence_s, simulation.now_us * 1e-6
         what = f"the companion was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
         if simulation.mistaken_ns == question_ns:
             what += "; it answered TIMESYNC with a time of its own: in lockstep tc1 must echo ts1"
@@ -273,9 +281,6 @@ class Server:
 
     def _real_time(self) -> float:
         speedup = self._settings.speedup
-        for simulation in self._simulations:
-            simulation.send_heartbeat()
-        self._send()
         start_s = origin_s = time.monotonic()  # origin: wall time of vehicle time 0, kept to
         while not self._over():
             behind_us = (time.monotonic() - origin_s) * speedup * 1e6 - self._now_us

@@ -6,14 +6,22 @@ terrain radar and the radio.
 
 import math
 from collections.abc import Callable, Container, Mapping
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
 from vehicle_sim import ground_station, truth
 from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
-from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
+from vehicle_sim.autopilots.factory import (
+    ids_of,
+    make_vehicle,
+    overrides_of,
+    personality_of,
+    with_own_ids,
+)
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
+from vehicle_sim.dynamics.contact import Crash, is_crash, speed_m_s
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
@@ -51,6 +59,13 @@ _DOWN_US = 1_100_000
 _NEAR_M = 3.0
 """Nearer to a thing than this, its distance is looked at in every step."""
 _ALONG_M = 0.01
+_THINGS = "a tree, wall, building or wire"
+_OFF_GROUND_M = 0.3
+"""Above the ground by this much a plane has taken off: what comes then is a landing, or none."""
+_LOW_M = 20.0
+"""Nobody sinks from here to the ground within a step."""
+_SLOPE_M = 0.5
+"""The ground's slope is that between points so far to either side."""
 _FARTHEST_DOWN_M = 655.0
 _OF_OBSTACLES = ("OBSTACLE_DISTANCE", "OBSTACLE_DISTANCE_3D", "DISTANCE_SENSOR")
 
@@ -76,6 +91,7 @@ class Simulation:
         forwards_all: bool = True,
         faults: str = "",
     ) -> None:
+        world = replace(world, vehicle=with_own_ids(world.vehicle))
         vehicle = world.vehicle
         self.now_us = 0
         """Since the start; the autopilot counts from its own boot."""
@@ -99,6 +115,9 @@ class Simulation:
         """To a tree, wall, building or wire: the least of the whole flight; and the least since
         the last line of truth."""
         self._unwatched_m = 0.0
+        self.crash: Crash | None = None
+        """The first contact that nobody survives, with the ground or with a thing."""
+        self._touches_ground, self._touches_thing, self._took_off = True, False, False
         place = self._frame.to_geographic(vehicle.north_m, vehicle.east_m)
         self._vehicle = make_vehicle(vehicle, *place, self._ground_amsl_m)
         self._plans = Plans()
@@ -110,19 +129,24 @@ class Simulation:
         self._truth: list[str] = [truth.header(world, seed)]
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         self._boots, self._port_change = 0, False
-        lidar = world.lidar
-        reads_lidar = lidar is not None and lidar.output == "autopilot"
+        reads_lidar = any(each.output == "autopilot" for each in world.lidars)
         given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
+        self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot.profile, links, byte_streams, forwards_all)
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
-        self._lidar = None if lidar is None else self._make_lidar(lidar)
+        names = ("lidar", "second lidar")
+        self._lidars = [self._make_lidar(*each) for each in zip(world.lidars, names, strict=False)]
         heard = world.traffic
         self._adsb = AdsbReceiver(heard, self._frame, self._radio) if heard else None
         self._timeline = self._read_faults(faults)
         self._down_until_us, self._since_power_s = 0, 0.0
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
+        self._local_m = (vehicle.north_m, vehicle.east_m)
+        self._rise_m_s = 0.0
+        """How fast the ground below rises, as the vehicle moves over it."""
+        self._measured_us, self._passed_ne = 0, (0.0, 0.0)
         self._look_down()
         self._must_stand_free()
 
@@ -146,8 +170,14 @@ class Simulation:
     ) -> Radio:
         world = self._world
         lidar = world.lidar
+        system, component = self._ids
+        for name, beside in (("scanner", world.scanner), ("lidar", lidar)):
+            if beside is not None and beside.component_id == component:
+                rule = "is the autopilot's own"
+                raise InputError(f"{name}.component_id", component, rule, "Give another one.")
         return Radio(
-            system=world.vehicle.system_id,
+            system=system,
+            component=component,
             radar_component=None if world.scanner is None else world.scanner.component_id,
             lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
             profile=profile,
@@ -162,11 +192,11 @@ class Simulation:
         rng = generator(self._seed, "radar")
         return RadarComponent(radar, rng, self._radio, scanner.component_id)
 
-    def _make_lidar(self, settings: LidarTable) -> tuple[Lidar, LidarDriver | None]:
-        lidar = Lidar(self._scene, settings, generator(self._seed, "lidar"))
+    def _make_lidar(self, settings: LidarTable, name: str) -> tuple[Lidar, LidarDriver | None]:
+        lidar = Lidar(self._scene, settings, generator(self._seed, name))
         if settings.output == "autopilot":
             return lidar, None
-        rng = generator(self._seed, "lidar driver")
+        rng = generator(self._seed, f"{name} driver")
         return lidar, LidarDriver(lidar, settings, rng, self._radio)
 
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
@@ -195,8 +225,8 @@ class Simulation:
     def _make_ranging(self, parameters: Parameters) -> RangeSensors | None:
         if "PRX1_TYPE" not in parameters:
             return None
-        lidar, kind = self._world.lidar, int(parameters["PRX1_TYPE"])
-        limits_m = (0.0, 0.0) if lidar is None else (lidar.min_m, lidar.range_m)
+        lidars, kind = self._world.lidars, int(parameters["PRX1_TYPE"])
+        limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         return RangeSensors(parameters, Proximity(kind, *limits_m), self._range_down_m)
 
     def _place_nea_m(self) -> FloatArray:
@@ -233,20 +263,25 @@ class Simulation:
         return self._controller.autopilot.mode_name
 
     @property
+    def _is_down(self) -> bool:
+        """The autopilot has no power: it reboots."""
+        return self.now_us < self._down_until_us
+
+    @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
-        return self._controller.autopilot.armed
+        return self._controller.autopilot.armed and not self._is_down
 
     @property
     def landed(self) -> bool:
         """Whether it stands on the ground."""
-        return self._controller.autopilot.landed
+        return self._touches_ground if self._is_down else self._controller.autopilot.landed
 
     @property
     def armable(self) -> bool:
         """Whether the autopilot is healthy and has a position to fly by."""
         autopilot = self._controller.autopilot
-        return autopilot.status().prearm_ok and autopilot.estimate.position_ok
+        return not self._is_down and autopilot.status().prearm_ok and autopilot.estimate.position_ok
 
     def outcome(self) -> str:
         """Where it is and what it does, in a few words."""
@@ -256,6 +291,12 @@ class Simulation:
         return (
             f"{round(north_m)} m north, {round(east_m)} m east, "
             f"{self._vehicle.altitude_amsl_m:.0f} m AMSL, {self.mode_name}, {armed}, {where}"
+            + (
+                ""
+                if self.crash is None
+                else f"; it hit {self.crash.into} at "
+                f"{self.crash.speed_m_s:.1f} m/s, {self.crash.t_s:.1f} s"
+            )
         )
 
     # --- out ----------------------------------------------------------------------------------
@@ -280,12 +321,13 @@ class Simulation:
         return changed
 
     def send_heartbeat(self) -> None:
-        """Send both heartbeats now."""
+        """Send all heartbeats now: time stands still until somebody answers."""
         self._controller.send_heartbeat()
         if self._scanner is not None:
             self._scanner.send_heartbeat()
-        if self._lidar is not None and self._lidar[1] is not None:
-            self._lidar[1].send_heartbeat()
+        for _, driver in self._lidars:
+            if driver is not None:
+                driver.send_heartbeat()
 
     def begin(self) -> None:
         """Reset the frame counters: the number of heartbeats before depends on wall time."""
@@ -313,7 +355,7 @@ class Simulation:
     @property
     def system_id(self) -> int:
         """Of the vehicle."""
-        return self._world.vehicle.system_id
+        return self._ids[0]
 
     # --- what may go wrong --------------------------------------------------------------------
 
@@ -324,7 +366,7 @@ class Simulation:
     def set_parameter(self, name: str, value: float) -> None:
         """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
         self._parameters[name] = value
-        if self.now_us < self._down_until_us:
+        if self._is_down:
             return
         if self._world.vehicle.autopilot == "px4":  # also reports changes by clients
             self._controller.answer([SendParameter(name=name)])
@@ -389,7 +431,11 @@ class Simulation:
         if looks:
             self._look_down()
         if now_us < self._down_until_us:
-            return self._stay_down()
+            complete = self._stay_down()
+            for lidar, driver in self._lidars:
+                self._step_lidar(lidar, driver)
+            self._step_beside(complete)
+            return complete
         controller, conditions, vehicle = self._controller, self._conditions, self._vehicle
         wind, gps = self._wind, self._gps
         if not wind.still or conditions.wind is not wind.conditions:
@@ -397,6 +443,12 @@ class Simulation:
         if now_us - controller.boot_us >= gps.due_us:
             gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
         controller.now_us, controller.report.fix = now_us, gps.fix
+        above_m, way = vehicle.altitude_amsl_m - self._ground_amsl_m, (0.0, 0.0, 0.0)
+        if above_m < _LOW_M:
+            way = self._way_m_s
+            slow = above_m >= speed_m_s(way) * _LOOK_US * 1e-6
+            if not (self._touches_ground or slow or looks):
+                self._measure_ground()
         since_boot_us, ground_amsl_m = now_us - controller.boot_us, self._ground_amsl_m
         replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
         if replies or controller.transfers:
@@ -408,29 +460,36 @@ class Simulation:
             self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
+        if above_m < _LOW_M:
+            self._watch_ground(way)
         if not self._scene.empty:
             self._watch_near()
-        if self._lidar is not None:
-            self._step_lidar()
+        for lidar, driver in self._lidars:
+            self._step_lidar(lidar, driver)
         if controller.ranging is not None and controller.ranging.proximity.kind:
             controller.ranging.proximity.step(since_boot_us)
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None
+        self._step_beside(complete)
+        return complete
+
+    def _step_beside(self, complete: bool) -> None:
+        """What has its own power and its own computer: the radar, and who hears ADS-B."""
+        now_us = self.now_us
         if self._adsb is not None and now_us >= self._adsb.due_us:
             self._adsb.step(now_us)
         if self._scanner is not None and now_us >= self._scanner.due_us:
-            self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
-        return complete
+            self._scanner.step(now_us, self._vehicle, self._conditions.radar, tick=complete)
 
-    def _step_lidar(self) -> None:
+    def _step_lidar(self, lidar: Lidar, driver: LidarDriver | None) -> None:
         """Measure; what the autopilot gets of it, it gets at once."""
-        assert self._lidar is not None
-        (lidar, driver), controller = self._lidar, self._controller
+        controller = self._controller
         wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
         north_m, east_m, _ = self._place_nea_m()
         fired = lidar.step(self.now_us, self._vehicle, (north_m, east_m), wrong)
-        proximity = None if controller.ranging is None else controller.ranging.proximity
+        hears = controller.ranging is not None and not self._is_down
+        proximity = controller.ranging.proximity if controller.ranging and hears else None
         if driver is None:
             if proximity is not None and not wrong.silent:
                 angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
@@ -444,9 +503,8 @@ class Simulation:
 
     def _watch_near(self) -> None:
         """How near it has come to anything; whoever touches something crashes."""
-        vehicle, controller = self._vehicle, self._controller
-        way = (vehicle.velocity_north_m_s, vehicle.velocity_east_m_s, vehicle.velocity_up_m_s)
-        step_m = math.hypot(*way) * _STEP_S
+        way = self._way_m_s
+        step_m = speed_m_s(way) * _STEP_S
         self._unwatched_m -= step_m
         if self._unwatched_m > 0.0:
             return
@@ -457,23 +515,91 @@ class Simulation:
             share = np.linspace(0.0, 1.0, math.ceil(step_m / _ALONG_M) + 1)[:, None]
             near_m = float(self._scene.distance_m(here - share * _STEP_S * np.array(way)).min())
         self._near_m = min(self._near_m, near_m)
-        if near_m == 0.0 and controller.autopilot.armed and not controller.autopilot.landed:
-            self._notice("it hits a tree, wall, building or wire")
-            vehicle.velocity_north_m_s = vehicle.velocity_east_m_s = 0.0
-            controller.answer(controller.autopilot.crash())
+        touches, self._touches_thing = self._touches_thing, near_m == 0.0
+        if self._touches_thing and not touches and any(way):
+            if self._touches_ground:
+                self._vehicle.stand(self._ground_amsl_m)
+            else:
+                self._vehicle.hit()
+            self._crashes(way, _THINGS)
+
+    def _watch_ground(self, way: tuple[float, float, float]) -> None:
+        """Whether it touches the ground, and survives that; its velocity before this step."""
+        vehicle, touched = self._vehicle, self._touches_ground
+        above_m = vehicle.altitude_amsl_m - self._ground_amsl_m
+        self._touches_ground = above_m <= 0.0
+        if not self._touches_ground:
+            self._took_off = self._took_off or above_m > _OFF_GROUND_M
+            return
+        if touched and (self._measured_us != self.now_us or not any(way)):
+            return
+        if touched:  # it rolls: along the ground, as that was
+            way = (way[0], way[1], self._rise_before_m_s)
+        lands, self._took_off = self._took_off, False
+        if self._is_crash(way, lands=lands):
+            vehicle.stand(self._ground_amsl_m)
+            self._crashes(way, "the ground")
+
+    def _is_crash(self, way: tuple[float, float, float], *, lands: bool) -> bool:
+        """By the slope about here, or by that of the way here, whichever is worse: a step up."""
+        rolls = self._world.vehicle.kind == "plane"
+        (north_m, east_m), height_m = self._local_m, self._terrain.height_at_amsl_m
+        north = height_m(north_m + _SLOPE_M, east_m) - height_m(north_m - _SLOPE_M, east_m)
+        east = height_m(north_m, east_m + _SLOPE_M) - height_m(north_m, east_m - _SLOPE_M)
+        about = (north / (2.0 * _SLOPE_M), east / (2.0 * _SLOPE_M))
+        slopes = (about, self._passed_ne)
+        return any(is_crash(way, each, rolls=rolls, lands=lands) for each in slopes)
+
+    def _crashes(self, way: tuple[float, float, float], into: str) -> None:
+        speed = speed_m_s(way)
+        self._notice(f"it hits {into} at {speed:.1f} m/s")
+        if self.crash is None:
+            north_m, east_m, altitude_m = self._place_nea_m().tolist()
+            self.crash = Crash(self.now_us * 1e-6, north_m, east_m, altitude_m, speed, into)
+        if not self._is_down:
+            self._controller.answer(self._controller.autopilot.crash())
+
+    @property
+    def _way_m_s(self) -> tuple[float, float, float]:
+        """Velocity to the north, east and up."""
+        vehicle = self._vehicle
+        return vehicle.velocity_north_m_s, vehicle.velocity_east_m_s, vehicle.velocity_up_m_s
+
+    def _measure_ground(self) -> None:
+        """Where it is in the world, and how high the ground is there."""
+        vehicle = self._vehicle
+        (before_n, before_e), before_m = self._local_m, self._ground_amsl_m
+        self._local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        self._ground_amsl_m = self._terrain.height_at_amsl_m(*self._local_m)
+        north_m, east_m = self._local_m[0] - before_n, self._local_m[1] - before_e
+        passed_m, rise_m = math.hypot(north_m, east_m), self._ground_amsl_m - before_m
+        self._passed_ne = (0.0, 0.0)
+        if passed_m > 1e-3:
+            slope = rise_m / passed_m
+            self._passed_ne = (slope * north_m / passed_m, slope * east_m / passed_m)
+        lasted_s = (self.now_us - self._measured_us) * 1e-6
+        self._rise_before_m_s, self._measured_us = self._rise_m_s, self.now_us
+        self._rise_m_s = rise_m / lasted_s if lasted_s > 0.0 else 0.0
 
     def _look_down(self) -> None:
         """Where it is in the world, how high the ground is there; one line of truth."""
-        vehicle, autopilot = self._vehicle, self._controller.autopilot
-        self._local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
-        self._ground_amsl_m = self._terrain.height_at_amsl_m(*self._local_m)
+        vehicle = self._vehicle
+        self._measure_ground()
         near_m = None
         if not self._scene.empty:
             here = (*self._local_m, vehicle.altitude_amsl_m)
             near_m = min(self._near_m, float(self._scene.distance_m(np.array(here))[0]))
             self.nearest_m, self._near_m = min(self.nearest_m, near_m), math.inf
-        self._truth.append(truth.line(self.now_us, self._local_m, vehicle, autopilot, near_m))
-        shown = (autopilot.mode_name, autopilot.armed)
+        line = truth.line(
+            self.now_us,
+            self._local_m,
+            vehicle,
+            (self.mode_name, self.armed, self.landed),
+            near_m,
+            self.crash,
+        )
+        self._truth.append(line)
+        shown = (self.mode_name, self.armed)
         if shown != self._shown:
             self._shown = shown
             self._notice(f"{shown[0]}, {'armed' if shown[1] else 'disarmed'}")
@@ -495,14 +621,20 @@ class Simulation:
 
     def _stay_down(self) -> bool:
         """One step without an autopilot: in the air it falls, and is back when it lies."""
-        vehicle = self._vehicle
+        vehicle, way = self._vehicle, self._way_m_s
         if vehicle.altitude_amsl_m > self._ground_amsl_m:
             vehicle.fall(_STEP_S)
             self._down_until_us = max(self._down_until_us, self.now_us + 2 * STEP_US)
-        else:
+        self._watch_ground(way)
+        if not self._scene.empty:
+            self._watch_near()
+        if vehicle.altitude_amsl_m <= self._ground_amsl_m:
             vehicle.stand(self._ground_amsl_m)
         if self.now_us + STEP_US >= self._down_until_us:
-            self._boot(self._make_autopilot(self._parameters.values()))
+            autopilot = self._make_autopilot(self._parameters.values())
+            self._ids = ids_of(self._personality, autopilot.parameters)
+            self._radio.boot_as(*self._ids)
+            self._boot(autopilot)
             self._port_change = True
         return self.now_us % _LOOK_US == 0
 
@@ -524,7 +656,7 @@ class Simulation:
                 self.answered_ns = message.ts1
             elif message.tc1 != 0:
                 self.mistaken_ns = message.ts1
-        if not received.to_autopilot or self.now_us < self._down_until_us:
+        if not received.to_autopilot or self._is_down:
             return
         if kind == "HEARTBEAT" and sender.link == 0:
             self._meet(sender, message.system_status)

@@ -2,8 +2,8 @@
 
 import json
 
-from vehicle_sim.autopilots import Autopilot
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.dynamics.contact import Crash
 from vehicle_sim.world import World
 
 INTERVAL_US = 100_000
@@ -30,14 +30,18 @@ def line(
     now_us: int,
     local_m: tuple[float, float],
     vehicle: Vehicle,
-    autopilot: Autopilot,
+    state: tuple[str, bool, bool],
     near_m: float | None,
+    crash: Crash | None = None,
 ) -> str:
-    """One moment; near_m: least distance to any near thing since the one before, None: no things.
+    """One moment; state: mode, whether it is armed, whether it stands on the ground.
+
+    near_m: least distance to any near thing since the moment before, None: no things.
+    crash: the first of the flight, as soon as there was one.
 
     Written by hand: json.dumps would take longer than the flying.
     """
-    north_m, east_m = local_m
+    (north_m, east_m), (mode, armed, landed) = local_m, state
     return (
         f'{{"t_s": {now_us * 1e-6:.2f}, "north_m": {north_m:.4f}, "east_m": {east_m:.4f}, '
         f'"altitude_amsl_m": {vehicle.altitude_amsl_m:.4f}, '
@@ -45,7 +49,14 @@ def line(
         f'"velocity_north_m_s": {vehicle.velocity_north_m_s:.4f}, '
         f'"velocity_east_m_s": {vehicle.velocity_east_m_s:.4f}, '
         f'"velocity_up_m_s": {vehicle.velocity_up_m_s:.4f}, '
-        f'"mode": "{autopilot.mode_name}", "armed": {str(autopilot.armed).lower()}, '
-        f'"landed": {str(autopilot.landed).lower()}'
-        + ("}" if near_m is None else f', "near_m": {near_m:.3f}}}')
+        f'"mode": "{mode}", "armed": {str(armed).lower()}, "landed": {str(landed).lower()}'
+        + ("" if near_m is None else f', "near_m": {near_m:.3f}')
+        + ("" if crash is None else f', "crash": {_crash(crash)}')
+        + "}"
+    )
+
+
+def _crash(crash: Crash) -> str:
+    return json.dumps(
+        {k: round(v, 4) if isinstance(v, float) else v for k, v in crash._asdict().items()}
     )

@@ -273,6 +273,13 @@ class World:
     walls: tuple[Wall, ...] = ()
     wires: tuple[Wire, ...] = ()
     lidar: LidarTable | None = None
+    second_lidar: LidarTable | None = None
+    """With `output = "autopilot"`, beside one with a driver of its own."""
+
+    @property
+    def lidars(self) -> tuple[LidarTable, ...]:
+        """All on board."""
+        return tuple(each for each in (self.lidar, self.second_lidar) if each is not None)
 
     @property
     def frame(self) -> LocalFrame:
@@ -451,21 +458,31 @@ def _check_near(world: World) -> None:
         if len(set(building.corners_ne_m)) < len(building.corners_ne_m):
             field, rule = f"buildings.{k}.corners_ne_m", "names a corner twice"
             raise InputError(field, building.corners_ne_m, rule, "Leave one out.")
-    lidar = world.lidar
-    if lidar is None:
+    if (second := world.second_lidar) is not None:
+        beside = world.lidar is not None and world.lidar.output != "autopilot"
+        if second.output != "autopilot" or not beside:
+            rule = "is an autopilot's, beside a [lidar] that is not"
+            remedy = 'Write second_lidar.output = "autopilot", or leave the table out.'
+            raise InputError("second_lidar.output", second.output, rule, remedy)
+        _check_lidar(world, "second_lidar", second)
+    if (lidar := world.lidar) is None:
         return
-    if lidar.min_m >= lidar.range_m:
-        rule = f"must be less than range_m, which is {lidar.range_m:g}"
-        raise InputError("lidar.min_m", lidar.min_m, rule, "Lessen it.")
-    if len(lidar.rows_deg) > 1 and lidar.output != "points":
-        rule, remedy = "only points have rows", 'Write lidar.output = "points", or leave it out.'
-        raise InputError("lidar.rows_deg", lidar.rows_deg, rule, remedy)
-    if lidar.output == "autopilot" and world.vehicle.autopilot != "ardupilot":
-        rule = f"{world.vehicle.autopilot} has no driver for it"
-        raise InputError("lidar.output", lidar.output, rule, "Write driver.")
+    _check_lidar(world, "lidar", lidar)
     if world.scanner is not None and world.scanner.component_id == lidar.component_id:
         rule = "is the terrain radar's too"
         raise InputError("lidar.component_id", lidar.component_id, rule, "Choose another.")
+
+
+def _check_lidar(world: World, name: str, lidar: LidarTable) -> None:
+    if lidar.min_m >= lidar.range_m:
+        rule = f"must be less than range_m, which is {lidar.range_m:g}"
+        raise InputError(f"{name}.min_m", lidar.min_m, rule, "Lessen it.")
+    if len(lidar.rows_deg) > 1 and lidar.output != "points":
+        rule, remedy = "only points have rows", f'Write {name}.output = "points", or leave it out.'
+        raise InputError(f"{name}.rows_deg", lidar.rows_deg, rule, remedy)
+    if lidar.output == "autopilot" and world.vehicle.autopilot != "ardupilot":
+        rule = f"{world.vehicle.autopilot} has no driver for it"
+        raise InputError(f"{name}.output", lidar.output, rule, "Write driver.")
 
 
 def flat_world(

@@ -13,6 +13,7 @@ from typing import Any, final
 
 import numpy as np
 
+from companion.campaign.drawn_faults import split
 from companion.campaign.flight import Flight, FlightFiles
 from companion.campaign.in_process import Flying
 from companion.geodesy import FloatArray
@@ -87,18 +88,34 @@ def _mission(mission: RawTable, target_ne_m: FloatArray, system: int) -> RawTabl
 def fly_together(
     several: Sequence[FlightFiles], *, seed: int, limit_s: float, recorded: bool
 ) -> list[Flight]:
-    """All of them, tick by tick; whose mission has ended flies no more."""
+    """All of them, tick by tick; whose mission has ended flies no more.
+
+    A companion that is killed is resumed from its folder, as if it flew alone.
+    """
     rng, air = np.random.default_rng((len(several), seed)), [list[_Due]() for _ in several]
+    timelines = [split(files.faults) for files in several]
     flying = [
-        Flying(files, seed=seed + 1000 * number, limit_s=limit_s, recorded=recorded, shared=_SHARED)
-        for number, files in enumerate(several)
+        Flying(
+            replace(files, faults=timeline),
+            seed=seed + 1000 * number,
+            limit_s=limit_s,
+            recorded=recorded or bool(to_come),
+            shared=_SHARED,
+        )
+        for number, (files, (timeline, to_come)) in enumerate(zip(several, timelines, strict=True))
     ]
     try:
         tick = 0
         while any(each.flies for each in flying):
             tick += 1
             for number in rng.permutation(len(flying)).tolist():
-                one = flying[number]
+                one, (_, to_come) = flying[number], timelines[number]
+                if one.flies and to_come and 1e6 * to_come[0].at_s <= tick * _TICK_US:
+                    happening = to_come.pop(0)
+                    one.fly_on(1e6 * happening.at_s)
+                    if one.flies:
+                        one.die(happening.until_s - happening.at_s)
+                    air[number].clear()  # nobody listened
                 if not one.flies:
                     continue
                 heard = b"".join(due.frame for due in air[number] if due.tick <= tick)

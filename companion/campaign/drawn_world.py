@@ -17,12 +17,17 @@ from scipy.ndimage import distance_transform_edt, label
 from companion.campaign.truth import height_m
 from companion.config import load_mission, load_world
 from companion.geodesy import BoolArray, FloatArray
+from companion.path.limits import Limits
 from companion.planner.settings import Task
-from companion.world.terrain import ArrayTerrain, PeakTerrain
+from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
 
 BAND_INSET = 1.1
 """How far inside the band plans keep, in tracking and navigation errors (`Task.band_amsl_m`)."""
 _CELLS_PER_RANGE = 80
+
+
+_HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
+"""Of elevation files: half of what a degree is; of the lattice that they are judged on, a side."""
 
 
 @final
@@ -78,14 +83,32 @@ def _terrain_facts(terrain: PeakTerrain | ArrayTerrain) -> tuple[Any, ...]:
 def bundled(name: str) -> DrawnWorld:
     """One of the environments that come with the package."""
     mission, world = load_mission(name), load_world(name)
-    assert isinstance(world.terrain, PeakTerrain | ArrayTerrain)  # all of them are
     return DrawnWorld(
         name=name,
-        terrain=world.terrain,
+        terrain=judgeable(world.terrain, mission.task.limits),
         task=mission.task,
         start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
         targets_ne_m=mission.targets_ne_m,
     )
+
+
+def judgeable(terrain: Terrain, limits: Limits) -> Any:
+    """The judge has its own mathematics: of peaks the highest, of heights the bilinear surface.
+
+    Heights of a file, in degrees, are taken anew in metres, twice as close.
+    """
+    if isinstance(terrain, PeakTerrain) and terrain.sum_of_peaks:
+        raise ValueError("a world whose peaks are added up cannot be judged: combine the maximum")
+    if not isinstance(terrain, GridTerrain):
+        assert isinstance(terrain, PeakTerrain | ArrayTerrain)  # there are three kinds
+        return terrain
+    (south, north), (west, east) = limits.north_m, limits.east_m
+    step_m = max(
+        _HALF_DEG_M * terrain.step_north_deg, max(north - south, east - west) / _MOST_CELLS
+    )
+    rows, columns = np.arange(south, north + step_m, step_m), np.arange(west, east + step_m, step_m)
+    heights_m = terrain.height_m(rows[:, None], columns[None, :])
+    return ArrayTerrain(heights_m=heights_m, spacing_m=step_m, south_m=south, west_m=west)
 
 
 def scaled(world: DrawnWorld, by: float) -> DrawnWorld:

@@ -94,7 +94,10 @@ def _end_worker() -> None:
 
 
 def fly_on_cluster(runs: Sequence[Run], out: Path, scheduler: str) -> Iterator[Row]:
-    """On the workers of a Dask scheduler, which sees to those that it loses."""
+    """On the workers of a Dask scheduler, which sees to those that it loses.
+
+    OSError: no room for a folder.
+    """
     need("cluster", "--scheduler", scheduler)
     from distributed import Client, as_completed
 
@@ -114,7 +117,10 @@ def fly_on_cluster(runs: Sequence[Run], out: Path, scheduler: str) -> Iterator[R
                 if future.status == "finished":
                     yield future.result()
                 elif future.status == "error":
-                    yield lost_run(by_key[future.key], repr(future.exception()))
+                    lost = future.exception()
+                    if isinstance(lost, OSError) and lost.errno is not None:
+                        raise lost  # no room for its folder: no result, as on this machine
+                    yield lost_run(by_key[future.key], repr(lost))
                 else:
                     text = "the Dask scheduler is gone, or has cancelled the campaign"
                     raise FlightInterrupted(text, "Give the same command again to go on.")

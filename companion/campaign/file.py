@@ -39,6 +39,7 @@ _OF_VEHICLES = ("vehicle", "sensor", "faults", "wind", "noise")
 _CHOSEN = ("sensor", "faults", "wind", "noise")
 _Index = Annotated[int, Field(ge=0, le=10_000_000)]
 _Seed = Annotated[int, Field(ge=0, le=2**31)]
+_Several = Annotated[list[Annotated[int, Field(ge=1, le=100)]], Field(min_length=1)]
 _Choices = Annotated[list[Name], Field(min_length=1)]
 
 
@@ -53,11 +54,11 @@ class PlaceTable(Table):
     """Of the family: which worlds are drawn."""
     first: _Index = 0
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 1
-    indices: list[_Index] | None = None
+    indices: Annotated[list[_Index], Field(min_length=1)] | None = None
     """In place of `first` and `count`."""
     over: Over | None = None
     """In place of the campaign's."""
-    vehicles: list[Annotated[int, Field(ge=1, le=100)]] | None = None
+    vehicles: _Several | None = None
     """So many copters in one airspace: a run for each number; left out: one, as the mission is."""
     vehicle: Vehicle | None = None
     """The only one that flies there, where there is no factor `vehicle`."""
@@ -72,11 +73,13 @@ class FactorsTable(Table):
     """What is combined, each with each; what is left out is as the mission has it."""
 
     vehicle: Annotated[list[Vehicle], Field(min_length=1)] | None = None
-    profile: list[Literal[tuple(PROFILES)]] | None = None  # type: ignore[valid-type]
+    profile: Annotated[list[Literal[tuple(PROFILES)]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
     optimiser: _Choices | None = None
-    budget: list[Annotated[int, Field(ge=60, le=200_000)]] | None = None
+    budget: (
+        Annotated[list[Annotated[int, Field(ge=60, le=200_000)]], Field(min_length=1)] | None
+    ) = None
     planner: _Choices | None = None
-    knowledge: list[Knowledge] | None = None
+    knowledge: Annotated[list[Knowledge], Field(min_length=1)] | None = None
     sensor: _Choices | None = None
     faults: _Choices | None = None
     wind: _Choices | None = None
@@ -210,12 +213,56 @@ def _check(campaign: CampaignTable, where: str) -> None:
         if (place.world is None) == (place.family is None):
             rule = "a place has either a world or a family"
             raise InputError(f"{where}: places[{k}]", place.world, rule, "Leave out the other.")
+        _check_place(place, f"{where}: places[{k}]")
+    _check_choices(campaign, where)
+
+
+def _check_place(place: PlaceTable, field: str) -> None:
+    """Every key of a place has an effect."""
+    without = {"mission": "a family draws its own missions"}
+    if place.family is None:
+        rule = "it is of a family: which worlds are drawn"
+        without = dict.fromkeys(("seed", "first", "count", "indices"), rule)
+    elif place.indices is not None:
+        without |= dict.fromkeys(("first", "count"), "indices says which worlds are drawn")
+    if place.vehicles is not None:
+        without["laps"] = "several vehicles fly to the other side of their circles, once"
+    _refuse_given(place, without, field)
+
+
+def _refuse_given(place: PlaceTable, without: dict[str, str], field: str) -> None:
+    for key, rule in without.items():
+        if key in place.model_fields_set:
+            raise InputError(f"{field}.{key}", getattr(place, key), rule, "Leave it out.")
+
+
+def _check_choices(campaign: CampaignTable, where: str) -> None:
+    """Every choice is one of some factor, and no other has its name."""
+    asked = {name for factor in _CHOSEN for name in getattr(campaign.factors, factor) or ()}
+    names = [choice.name for choice in campaign.choices]
+    for k, name in enumerate(names):
+        field = f"{where}: choices[{k}].name"
+        if name in names[:k] or name == _NONE:
+            rule = "another choice has this name" if name != _NONE else "it stands for no choice"
+            raise InputError(field, name, rule, "Give it another name.")
+        if name not in asked:
+            rule = f"no factor ({', '.join(_CHOSEN)}) asks for it"
+            raise InputError(field, name, rule, "Name it in [factors], or leave it out.")
 
 
 def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
     """InputError if its factors do not go with how it is flown."""
     ways = {place.over or over for place in campaign.places}
+    if ways == {"planner"} and "limit_s" in campaign.model_fields_set:
+        rule = "the planner alone has no vehicle, nor its time"
+        raise InputError(f"{where}: limit_s", campaign.limit_s, rule, "Leave it out.")
     for k, place in enumerate(campaign.places):
+        without = {}
+        if campaign.factors.vehicle:
+            without["vehicle"] = "the factor vehicle says which vehicles fly, at all places"
+        if (place.over or over) == "planner":
+            without = dict.fromkeys(("vehicle", "laps"), "the planner alone has no vehicle")
+        _refuse_given(place, without, f"{where}: places[{k}]")
         if place.vehicles and (place.over or over) != "process":
             rule, remedy = "several vehicles fly in one process", 'Write over = "process".'
             raise InputError(f"{where}: places[{k}].vehicles", place.over or over, rule, remedy)
@@ -231,6 +278,10 @@ def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
     if over != "udp" and any(table.family == "programs" for table in campaign.faults):
         rule = "faults of two processes need two"
         raise InputError(f"{where}: faults", "programs", rule, "Fly them with --over udp.")
+    for factor in ("optimiser", "profile"):
+        if getattr(campaign.factors, factor) and _OURS not in (campaign.factors.planner or [_OURS]):
+            rule, remedy = "rivals have none", f"Leave it out, or add {_OURS!r} to the planners."
+            raise InputError(f"{where}: factors.{factor}", campaign.factors.planner, rule, remedy)
     for factor, ours in (("planner", [_OURS]), ("knowledge", ["scans"])):
         if ways != {"planner"} and (getattr(campaign.factors, factor) or ours) != ours:
             rule = "rivals and full knowledge are of the planner alone"

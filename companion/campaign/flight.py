@@ -54,6 +54,14 @@ def truth_of(folder: Path) -> list[dict[str, Any]]:
     return [row for line in lines if "t_s" in (row := json.loads(line))]
 
 
+def crash_of(flight: Flight) -> dict[str, Any] | None:
+    """The first contact that nobody survives, as the simulator judged it: when, into what, speed.
+
+    None: it never crashed.
+    """
+    return next((row["crash"] for row in flight.truth if "crash" in row), None)
+
+
 def in_the_air(flight: Flight) -> tuple[FloatArray, FloatArray]:
     """The true track while subpaths were flown -> times (S,), north, east, altitude (S, 3).
 

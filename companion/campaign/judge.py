@@ -32,7 +32,7 @@ import numpy as np
 from companion.campaign import truth
 from companion.campaign.drawn_faults import Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.flight import Flight
+from companion.campaign.flight import Flight, crash_of
 from companion.geodesy import BoolArray, FloatArray
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
 from companion.mavlink.frames import decoded, number_of, sender_of
@@ -45,6 +45,8 @@ GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})
 LANDS: Final = frozenset({"LAND", "Land", "Descend", "AUTOLAND"})
 RETURNS: Final = frozenset({"RTL", "Return", "SMARTRTL"})
+THERE: Final = ("arrived", "held and resumed")
+"""Endings at the target."""
 _BY_ORDER: Final = {"hold": HOLDS, "land": LANDS, "return": RETURNS}
 KNOWN_AFTER_S: Final = 10.0
 GRACE_S: Final = 10.0
@@ -95,12 +97,19 @@ class _Told:
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     """The columns of a row that this judge fills in; `violated` in words, empty: nothing."""
     flight, is_cut = _until_stopped(flight)
-    done, told = happenings(timeline), _told(flight.folder / "flight.tlog")
+    done, told = (
+        happenings(timeline),
+        _told(flight.folder / "flight.tlog", flight.mission.system_id),
+    )
     table = _table(flight, drawn, done, told)
     safety_m = drawn.task.settings.safety_distance_m
     terrain_m = _terrain_m(table, drawn)
     excuses = table.excuses | _radar_excuse(table, done)
     known, unknown = _breaches("terrain", terrain_m, safety_m, table, excuses)
+    touched = _touched(flight, table)
+    hit = touched if any(touched) else _crash(flight, table, excuses)
+    for each, found in zip((known, unknown), hit, strict=True):
+        each += found
     for zone, known_s in _zones(flight, drawn, done):
         gap_m = _gap_m(table.points_nea_m, zone)
         excused = table.excuses | {
@@ -114,7 +123,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
     if ending.startswith("unexplained"):
         known.append(f"{ending}: {reason}")
-    elif not done and ending not in ("arrived", "held and resumed"):
+    elif not done and ending not in THERE:
         known.append(f"{ending} with nothing wrong: {reason}")
     return {
         "ending": ending,
@@ -144,13 +153,16 @@ def _any(excuses: dict[str, BoolArray]) -> BoolArray:
 # --- the flight as arrays
 
 
-def _told(log: Path) -> _Told:
-    """What the companion and its vehicle said to each other."""
+def _told(log: Path, system_id: int | None) -> _Told:
+    """What the companion and its vehicle said to each other; others' frames may be there too."""
     at_us, of_s, places, sent_us = list[int](), list[float](), list[tuple[float, ...]](), []
     with Records(log) as records:
         while (record := records.take()) is not None:
             us, frame = record
-            number, from_vehicle = number_of(frame), sender_of(frame)[1] == AUTOPILOT_COMPONENT
+            number, (system, component) = number_of(frame), sender_of(frame)
+            if system_id not in (None, system):
+                continue
+            from_vehicle = component == AUTOPILOT_COMPONENT
             if number == _POSITION.id and from_vehicle:
                 told = decoded(frame, _POSITION)
                 at_us.append(us)
@@ -366,6 +378,35 @@ def _breaches(
             worst = f"{what} {gap_m[here].min():.1f} m from {table.t_s[here[0]]:.1f} s"
             said.append(f"{worst} ({why})" if why else worst)
     return known, unknown
+
+
+def _crash(
+    flight: Flight, table: _Table, excuses: dict[str, BoolArray]
+) -> tuple[list[str], list[str]]:
+    """Into the ground or a thing, but for a landing, by whoever flew in the moment before."""
+    crash, known, unknown = crash_of(flight), list[str](), list[str]()
+    if crash is None:
+        return known, unknown
+    last = int(np.searchsorted(table.t_s, crash["t_s"])) - 1
+    if last >= 0 and table.rows[last]["mode"] not in LANDS | RETURNS:
+        what = f"hit {crash['into']} at {crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s"
+        why = ", ".join(name for name, when in excuses.items() if when[last])
+        (unknown if why else known).append(f"{what} ({why})" if why else what)
+    return known, unknown
+
+
+def _touched(flight: Flight, table: _Table) -> tuple[list[str], list[str]]:
+    """Whether it touched a tree, wall, building or wire, likewise; landing is no business of it."""
+    for row in flight.truth:
+        if row.get("near_m", math.inf) > 0.0 or row["mode"] in LANDS | RETURNS:
+            continue
+        newest = int(np.searchsorted(table.t_s, row["t_s"], side="right")) - 1
+        if newest < 0:  # before it flew
+            continue
+        said = f"flown: touched something at {row['t_s']:.1f} s"
+        why = ", ".join(name for name, when in table.excuses.items() if when[newest])
+        return ([], [f"{said} ({why})"]) if why else ([said], [])
+    return [], []
 
 
 # --- commands

@@ -39,7 +39,7 @@ def fly_over_udp(files: FlightFiles, *, seed: int, limit_s: float) -> Flight:
     simulator += ["--connect", f"udpout:{at}", "--out", str(files.folder), *pace]
     simulator += ["--seed", str(seed), "--duration", str(limit_s)]
     companion = [sys.executable, "-c", _COMPANION, "fly", str(files.mission)]
-    companion += [] if to_come else ["--lockstep"]
+    companion += ["--start"] if to_come else ["--lockstep"]
     companion += ["--connect", f"udpin:{at}", "--out", str(run), "--seed", str(seed)]
     log, again = files.folder / "programs.log", [*companion, "--resume"]
     with log.open("wb") as out:

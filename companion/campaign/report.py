@@ -266,11 +266,20 @@ def label_text(label: Label) -> str:
     return ", ".join("none" if value is None else str(value) for value in label) or "all"
 
 
-def interval_text(found: Interval | None, digits: int = 2, scale: float = 1.0) -> str:
-    """An estimate and its interval."""
+def interval_text(
+    found: Interval | None,
+    digits: int = 2,
+    scale: float = 1.0,
+    is_rate: bool = False,
+) -> str:
+    """An estimate and its interval; of a rate some are never none, and nearly all never all."""
     if found is None or not math.isfinite(found.value):
         return "–"
-    value = f"{scale * found.value + 0.0:,.{digits}f}"
+    shown = scale * found.value + 0.0
+    if is_rate and 0.0 < found.value < 1.0:
+        least = 10.0**-digits
+        shown = min(max(shown, least), scale - least)
+    value = f"{shown:,.{digits}f}"
     if found.low is None or found.high is None:
         return value
     return (
@@ -355,7 +364,7 @@ def _table(by: str, groups: Sequence[Group]) -> Table:
     for name in ("runs", *(m.words + ", %" for m in RATES), *(m.words for m in sizes)):
         table.add_column(name, justify="right")
     for each in groups:
-        rates = [interval_text(each.rates[m.name][0], 1, 100.0) for m in RATES]
+        rates = [interval_text(each.rates[m.name][0], 1, 100.0, True) for m in RATES]
         spreads = [(each.spreads[m.name], m.digits) for m in sizes]
         medians = [interval_text(s and s.median, digits) for s, digits in spreads]
         table.add_row(Text(label_text(each.label)), f"{each.runs:,}", *rates, *medians)

@@ -31,9 +31,9 @@ from companion.campaign import (
     truth,
 )  # fmt: skip
 from companion.campaign.drawn_files import write
-from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.drawn_world import DrawnWorld, judgeable
 from companion.campaign.file import Place, Run
-from companion.campaign.flight import Flight, FlightFiles, in_the_air
+from companion.campaign.flight import Flight, FlightFiles, crash_of, in_the_air
 from companion.campaign.rivals import flight as rivals
 from companion.campaign.rivals import ours
 from companion.campaign.rivals.measure import measured
@@ -44,17 +44,14 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
 from companion.objective.scene import PROFILES
-from companion.path.limits import Limits
 from companion.planner.settings import Task
 from companion.sources.files import toml_table, toml_text, with_settings
-from companion.world.terrain import ArrayTerrain, GridTerrain, PeakTerrain, Terrain
 
 _SPACING_M = 1.0
 """Between the points of a subpath at which it is checked, as far as that makes a few thousand."""
 _MOST_POINTS = 20_000
-_HALF_DEG_M, _MOST_CELLS = 55_597.0, 5_000
-"""Of elevation files: half of what a degree is; of the lattice that they are judged on, a side."""
 _OF_SHAPE = ("turn radius", "climb angle", "dive angle")
+_TOUCHED = "flown: touched something"
 _MOST_GROWTH_MB = 10.0
 """In use, from the first hour of a flight to its end."""
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
@@ -150,10 +147,13 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
         flights = airspace.fly_together(
             several, seed=run.seed, limit_s=run.limit_s, recorded=recorded
         )
-        return _judged_together(flights, several)
     else:
         flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
-    found = _judged(flown, files, with_faults=run.with_faults) | {"timeline": files.faults or None}
+    if run.place.vehicles is not None:
+        found = _judged_together(flights, several, with_faults=run.with_faults)
+    else:
+        found = _judged(flown, files, with_faults=run.with_faults)
+    found |= {"timeline": files.faults or None}
     return found | ({"faults": files.drawn} if run.script is not None else {})
 
 
@@ -212,29 +212,11 @@ def _as_drawn(world: str, mission: str) -> DrawnWorld:
     place, read = load_world(world), load_mission(mission)
     return DrawnWorld(
         name=place.name,
-        terrain=_judgeable(place.terrain, read.task.limits),
+        terrain=judgeable(place.terrain, read.task.limits),
         task=read.task,
         start_nea_m=(*place.start_ne_m, read.task.take_off_amsl_m),
         targets_ne_m=read.targets_ne_m,
     )
-
-
-def _judgeable(terrain: Terrain, limits: Limits) -> Any:
-    """The judge has its own mathematics: of peaks the highest, of heights the bilinear surface.
-
-    Heights of a file, in degrees, are taken anew in metres, twice as close.
-    """
-    if isinstance(terrain, PeakTerrain) and terrain.sum_of_peaks:
-        raise ValueError("a world whose peaks are added up cannot be judged: combine the maximum")
-    if not isinstance(terrain, GridTerrain):
-        return terrain
-    (south, north), (west, east) = limits.north_m, limits.east_m
-    step_m = max(
-        _HALF_DEG_M * terrain.step_north_deg, max(north - south, east - west) / _MOST_CELLS
-    )
-    rows, columns = np.arange(south, north + step_m, step_m), np.arange(west, east + step_m, step_m)
-    heights_m = terrain.height_m(rows[:, None], columns[None, :])
-    return ArrayTerrain(heights_m=heights_m, spacing_m=step_m, south_m=south, west_m=west)
 
 
 def _with_factors(drawn: DrawnWorld, run: Run) -> DrawnWorld:
@@ -300,6 +282,16 @@ def _files(run: Run, folder: Path) -> FlightFiles:
 
 def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str, Any]:
     """What a flight came to, from its journal and the truth."""
+    found, crash = _judged_way(flown, files, with_faults=with_faults), crash_of(flown)
+    if with_faults or crash is None or found.get("violated") == _TOUCHED:
+        return found
+    hit = f"flown: hit {crash['into']} at {crash['speed_m_s']:.1f} m/s"
+    violated = "; ".join(filter(None, [found.get("violated"), hit]))
+    return found | {"violations": (found.get("violations") or 0) + 1, "violated": violated}
+
+
+def _judged_way(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str, Any]:
+    """All of it but a crash; of flights with faults that too."""
     drawn = _as_drawn(str(files.world), str(files.mission))
     kinds = [entry["kind"] for entry in flown.journal]
     ends = [entry for entry in flown.journal if entry["kind"] == "end"]
@@ -323,12 +315,12 @@ def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str
     }
     if len(track) >= 2:
         found |= _of_track(track, drawn) | {"flight_s": float(times_s[-1] - times_s[0])}
-        if flown.mission.near is not None:
-            return found | _near(flown, times_s)
     if with_faults:
         return found | _with_faults(flown, drawn, files.faults)
     if len(track) < 2:
         return found
+    if flown.mission.near is not None:
+        return found | _near(flown, times_s)
     subpaths = [np.array(e["control_nea_m"]) for e in flown.journal if e["kind"] == "plan ready"]
     clearance_m = _clearance_m(track, drawn)
     least = int(np.argmin(clearance_m))
@@ -346,9 +338,12 @@ def _judged(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict[str
     )
 
 
-def _judged_together(flights: Sequence[Flight], several: Sequence[FlightFiles]) -> dict[str, Any]:
+def _judged_together(
+    flights: Sequence[Flight], several: Sequence[FlightFiles], *, with_faults: bool
+) -> dict[str, Any]:
     """Several vehicles as one row: sums, but for what has a worst, a longest or a median."""
-    rows = [_judged(*each, with_faults=False) for each in zip(flights, several, strict=True)]
+    pairs = zip(flights, several, strict=True)
+    rows = [_judged(*each, with_faults=with_faults) for each in pairs]
     arrived = [row for row in rows if row["arrived"]]
     found: dict[str, Any] = rows[0] | airspace.separation(flights)
     found |= {"vehicles_arrived": len(arrived), "clearance_least_t_s": None}
@@ -357,7 +352,8 @@ def _judged_together(flights: Sequence[Flight], several: Sequence[FlightFiles]) 
         found |= {"arrived": False, "outcome": left[0]["outcome"], "reason": reason}
     ways: dict[str, Callable[[list[Any]], Any]] = dict.fromkeys(_SUMS, sum)
     ways |= {"plan_ms_median": np.median, "plan_ms_p99": max, "flight_s": max}
-    ways |= {"clearance_least_m": min, "violated": "; ".join}
+    ways |= {"clearance_least_m": min, "violated": "; ".join, "excused": "; ".join}
+    ways |= {"silent_s": max, "position_off_m": max, "ending": _worst_ending}
     for name, way in ways.items():
         values = [row[name] for row in rows if row.get(name) is not None]
         found[name] = way(values) if values else None
@@ -367,12 +363,23 @@ def _judged_together(flights: Sequence[Flight], several: Sequence[FlightFiles]) 
     return found
 
 
+def _worst_ending(endings: list[str]) -> str:
+    """One that nobody explains, else one that is no arrival, else the first."""
+    return max(endings, key=lambda each: (each.startswith("unexplained"), each not in judge.THERE))
+
+
 def _with_faults(flown: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     """By the judge of faults; of subpaths planned in a wrong place only the shape is looked at."""
     verdict = judge.judged(flown, drawn, timeline)
     bounds = _OF_SHAPE if verdict.pop("is_distorted") else None
     subpaths = [np.array(e["control_nea_m"]) for e in flown.journal if e["kind"] == "plan ready"]
-    checked = _checked(subpaths, drawn, bounds=bounds)
+    if flown.mission.near is None:
+        checked = _checked(subpaths, drawn, bounds=bounds)
+    else:  # whether it touched anything, the judge of faults knows
+        checked = {"violations": 0, "violated": None}
+        times_s, track = in_the_air(flown)
+        if len(track) >= 2:
+            checked = _near(flown, times_s) | checked
     known = [*verdict.pop("violated"), *filter(None, [checked["violated"]])]
     checked["violations"] += len(known) - bool(checked["violated"])
     if (growth := flown.growth) is not None:
@@ -398,7 +405,7 @@ def _near(flown: Flight, times_s: FloatArray) -> dict[str, Any]:
         "clearance_least_m": near.get("near_m"),
         "clearance_least_t_s": near["t_s"],
         "violations": int(touched),
-        "violated": "flown: touched something" if touched else None,
+        "violated": _TOUCHED if touched else None,
     }
 
 

@@ -1,6 +1,7 @@
 """Table 1: four algorithms, two environments, two planning times, twenty runs each (4.2)."""
 
 import itertools
+import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -207,7 +208,10 @@ def violations_table(found: Sequence[Row]) -> Table:
             result.add_row(
                 row.place if outcome is row.outcomes[0] else "",
                 outcome.algorithm,
-                *(f"{kind['missions']:.0%}, {kind['mean_m']:,.0f} m" for kind in broken),
+                *(
+                    f"{math.ceil(100.0 * kind['missions'] - 1e-6)}%, {kind['mean_m']:,.0f} m"
+                    for kind in broken
+                ),
             )
         result.add_section()
     return result

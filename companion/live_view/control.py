@@ -11,6 +11,7 @@ from typing import Final, final
 from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Receiver
+from companion.mavlink.link import ids_in_words
 from companion.mission.mission import Mission
 from companion.runtime.link import Link, open_link
 
@@ -67,6 +68,8 @@ class GroundStation:
         self._codec = wire.MAVLink(None, srcSystem=system, srcComponent=component or _COMPONENT)
         self._receiver = Receiver()
         self._companion: int | None = mission.system_id
+        self._others: frozenset[tuple[int, int]] = frozenset()
+        """Heard, and no companion."""
         self._waits = threading.Condition()
         self._acks: list[Message] = []
         self._texts: list[str] = []
@@ -89,7 +92,9 @@ class GroundStation:
             self._texts.clear()
             for attempt in range(_SENDS):
                 if self._companion is None:
-                    return "no companion was heard on the link: nothing was sent"
+                    heard = f"; heard: {ids_in_words(sorted(self._others))}" if self._others else ""
+                    wanted = f"component {COMPANION_COMPONENT}"
+                    return f"no companion, {wanted}, was heard on the link: nothing was sent{heard}"
                 message.target_system = self._companion
                 if message.get_type() == "COMMAND_LONG":
                     message.confirmation = attempt
@@ -127,6 +132,7 @@ class GroundStation:
 
     def _hear(self, message: Message) -> None:
         if message.get_srcComponent() != COMPANION_COMPONENT:
+            self._others |= {(message.get_srcSystem(), message.get_srcComponent())}
             return
         with self._waits:
             self._companion = message.get_srcSystem()

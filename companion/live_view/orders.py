@@ -19,6 +19,7 @@ PlaceOf = Callable[[Sequence[float], Sequence[float]], Place | None]
 """North and east of where a ray meets the ground."""
 _RADIUS_M: Final = 500.0
 _PLAIN: Final = (
+    ("go", "Take off, if it is ready?", partial(control.command, wire.MAV_CMD_MISSION_START)),
     ("hold", "Stop, and hold?", partial(control.command, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)),
     (
         "continue",

@@ -19,7 +19,7 @@ from companion.live_view.recording import (
 from companion.mission.state import Phase
 from companion.telemetry.export.flight import Decided
 from companion.telemetry.export.shapes import Chords
-from companion.views.words import clock_text, metres
+from companion.views.words import clock_text, metres, metres_at_least
 
 _CHART_POINTS: Final = 600
 _DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
@@ -68,8 +68,8 @@ def status_html(moment: Moment, stretch: float) -> str:
     rows = {
         "time": clock_text(moment.time_s),
         "altitude": f"{altitude_m:,.0f} m AMSL",
-        "over known ground": metres(altitude_m - moment.under_m),
-        "clearance": metres(moment.clearance_m),
+        "over known ground": metres_at_least(altitude_m - moment.under_m),
+        "clearance": metres_at_least(moment.clearance_m),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }
     if decided.targets_ne_m and recording.mission is not None:
@@ -119,7 +119,7 @@ def _plan_html(decided: Decided, planning_s: float | None) -> str:
         "candidates": f"{plan.evaluations:,}",
         "planning took": "-" if planning_s is None else f"{planning_s * 1e3:,.0f} ms",
         "certificate": proven,
-        "proven clearance": metres(certificate.clearance_m),
+        "proven clearance": metres_at_least(certificate.clearance_m),
     }
     terms = {name: plan.terms.get(name) or 0.0 for name in _BARS}
     bars = "".join(

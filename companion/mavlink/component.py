@@ -93,5 +93,5 @@ def system_status(state: State) -> int:
     if state.phase is Phase.HOLDING:
         warns = state.reason is None or state.reason.warns
         return int(wire.MAV_STATE_CRITICAL if warns else wire.MAV_STATE_ACTIVE)
-    on_ground = state.phase in (Phase.PREPARING, Phase.ARMING, Phase.SHADOW)
+    on_ground = state.phase in (Phase.PREPARING, Phase.READY, Phase.ARMING, Phase.SHADOW)
     return int(wire.MAV_STATE_STANDBY if on_ground else wire.MAV_STATE_ACTIVE)

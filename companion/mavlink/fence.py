@@ -5,14 +5,16 @@ fence is ambiguous, the more restrictive reading is taken and noted.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
-from companion.geodesy import BoolArray, FloatArray, LocalFrame, deg
+from companion.geodesy import BoolArray, FloatArray, LocalFrame, Window, deg, short_way
 from companion.mavlink.dialect import wire
+from companion.mavlink.mission_items import not_done
 from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.polygons import Point, cleaned, crosses_itself, hull, offset
 from companion.mission.events import FenceChanged, Vector
@@ -40,7 +42,9 @@ _FRAMES: Final = frozenset(
 _LARGEST_M = 2.1e7  # half of the way around the Earth
 _CORNERS_AT_ONCE = 250
 """Enough for one event."""
-_EARTH_M, _NEAR_M = 6.37e6, 2e6
+_EARTH_M, _NEAR_M = 6.37e6, 1e6
+_AROUND_M = (-5e5, 5e5)
+"""Of what has corners beyond that, the part so near: farther than any flight."""
 _STRAIGHT_M = 0.5
 """Allowed distance between an edge straight in degrees and one straight in the local frame."""
 
@@ -77,6 +81,8 @@ class Fence:
     """Why this fence cannot be respected."""
     needs_home: bool = False
     """Whether a part is missing until home is known."""
+    misread: str = ""
+    """Which shapes the autopilot itself misreads, and the remedy; empty: none."""
 
     def changed(self, time_s: float) -> FenceChanged:
         """The event that tells the mission."""
@@ -85,6 +91,7 @@ class Fence:
             zones=self.zones,
             floor_amsl_m=self.floor_amsl_m,
             ceiling_amsl_m=self.ceiling_amsl_m,
+            misread=bool(self.misread),
         )
 
 
@@ -153,6 +160,29 @@ class FenceBuilder:
         refusal = self._wrongs[0] if self._wrongs else ""
         said = (*self._said, *self._wrongs[1:])
         return Fence(zones=tuple(self._zones), notes=said, refusal=refusal)
+
+
+def misread(items: Sequence[PlanItem], who: str) -> str:
+    """Which polygons an autopilot of that name misreads, with the remedy; empty: none.
+
+    After the first circle PX4's `geofence.cpp` takes each corner of a polygon for the beginning of
+    another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
+    """
+    circle, after = "", list[str]()
+    for number, (first, *_) in enumerate(_shapes(items), start=1):
+        side = "inclusion" if first.command in (POLYGON_IN, CIRCLE_IN) else "exclusion"
+        if first.command in (CIRCLE_IN, CIRCLE_OUT):
+            circle = circle or f"{side} {number}"
+        elif first.command in (POLYGON_IN, POLYGON_OUT) and circle:
+            after.append(f"{side} {number}")
+    if not after:
+        return ""
+    named = ", ".join(after[:3]) + (f" and {len(after) - 3} more" if len(after) > 3 else "")
+    polygons = "polygons come" if len(after) > 1 else "polygon comes"
+    return (
+        f"{who} misreads its fence, and may stop where no zone is: {polygons} after a circle "
+        f"({named} after {circle}). Upload polygons before circles"
+    )
 
 
 def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
@@ -257,6 +287,8 @@ def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...] |
     if any(abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000 for item in shape):
         return None
     corners = [(deg(item.x), deg(item.y)) for item in shape]
+    if len(corners) >= 3:
+        corners = _part_near(short_way(corners) or corners, frame)
     latitude, longitude = np.array(corners).T
     places = np.stack(frame.to_local_m(latitude, longitude), axis=-1)
     if not np.isfinite(places).all():
@@ -273,6 +305,15 @@ def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...] |
     return tuple(found)
 
 
+def _part_near(corners_deg: list[Point], frame: LocalFrame) -> list[Point]:
+    """Of a polygon with far corners, the part about the origin; all of it if none is near."""
+    latitude, longitude = np.array(corners_deg).T
+    if np.hypot(*frame.to_local_m(latitude, longitude)).max() <= _NEAR_M:
+        return corners_deg
+    parts = Window.about(frame, _AROUND_M, _AROUND_M).parts_of(corners_deg)
+    return parts[0] if len(parts) == 1 else corners_deg
+
+
 def _surely_straight(places_ne_m: FloatArray, latitude_deg: FloatArray) -> BoolArray:
     """Which sides are too short to bulge: by length^2 tan(latitude) / (8 R), and eight times less.
 
@@ -284,17 +325,27 @@ def _surely_straight(places_ne_m: FloatArray, latitude_deg: FloatArray) -> BoolA
     return near & (length_m**2 * steepest < _STRAIGHT_M * _EARTH_M)
 
 
-def _between(one: Point, other: Point, frame: LocalFrame, deepest: int = 6) -> list[Point]:
-    """Points of the side, latitudes and longitudes in degrees, so that it is straight enough."""
+def _between(one: Point, other: Point, frame: LocalFrame, deepest: int = 9) -> list[Point]:
+    """Points of the side, latitudes and longitudes in degrees, so that it is straight enough.
+
+    Looked at in three places: over the equator its middle lies on the straight line.
+    """
     if deepest == 0 or abs(one[1] - other[1]) > 180.0:
         return []
-    middle = (0.5 * (one[0] + other[0]), 0.5 * (one[1] + other[1]))
+    middle = _on_the_way(one, other, 0.5)
     a, b, m = (frame.to_local_m(*place) for place in (one, other, middle))
-    bulge_m = math.dist(m, (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])))
+    bulge_m = max(
+        math.dist(frame.to_local_m(*_on_the_way(one, other, part)), _on_the_way(a, b, part))
+        for part in (0.25, 0.5, 0.75)
+    )
     if not bulge_m > _STRAIGHT_M:
         return []
     before = _between(one, middle, frame, deepest - 1)
     return [*before, m, *_between(middle, other, frame, deepest - 1)]
+
+
+def _on_the_way(one: Point, other: Point, part: float) -> Point:
+    return one[0] + part * (other[0] - one[0]), one[1] + part * (other[1] - one[1])
 
 
 def _one_is_enough(fence: Fence, settings: FenceSettings, here_ne_m: Point | None) -> Fence:
@@ -407,6 +458,7 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
     """
     targets: list[Point] = []
     said: list[str] = []
+    left_out = Counter[str]()
     end: EndAction | None = None
     for number, item in list(enumerate(items))[int(home_first) :]:
         if end is not None:
@@ -418,11 +470,14 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
             places = _places((item,), frame)
             if places is not None and (item.x or item.y):
                 targets += places
+                left_out.update(not_done(item.command, item.parameters))
             elif item.command not in _ENDS:
                 said.append(f"item {number} ({_name(item.command)}) names no place: left out")
         elif item.command not in _ENDS:
             said.append(f"item {number} ({_name(item.command)}) is not flown: left out")
         end = _ENDS.get(item.command)
+    if left_out:
+        said.append(f"left out: {', '.join(f'{n} x {what}' for what, n in left_out.items())}")
     return Targets(targets_ne_m=tuple(targets), end_action=end, notes=tuple(said))
 
 

@@ -44,7 +44,7 @@ _GAP_S = 3.0  # after so long without any it begins anew,
 _GONE_S = 10.0  # and so long for one that was certain
 _TELL_S = 0.5
 
-_REBOOT_S = 2.0  # a clock that falls by more has begun again
+_REBOOT_S = 2.0  # a clock that falls by more has begun again; one that leaps by more is doubted
 _BEAT_S = 1.0  # between two heartbeats of an autopilot
 _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 
@@ -101,6 +101,8 @@ class VehicleSelector:
         """Of our vehicle; None: not known yet."""
         self.others: set[int] = set()
         """Systems with an autopilot that are not ours, or may not be."""
+        self.elsewhere: set[tuple[int, int]] = set()
+        """System and component of what sends an autopilot's heartbeat and is not component 1."""
         self._heard: dict[int, int] = {}
 
     @property
@@ -120,6 +122,8 @@ class VehicleSelector:
     def on_heartbeat(self, heard: Incoming) -> bool:
         """Whether this heartbeat completes the selection."""
         system = heard.system
+        if heard.component != AUTOPILOT_COMPONENT and _is_of_an_autopilot(heard):
+            self.elsewhere.add((system, heard.component))
         if system == self.system_id or not _is_an_autopilots(heard):
             return False
         self.others.add(system)
@@ -135,11 +139,23 @@ class VehicleSelector:
 
 def _is_an_autopilots(heard: Incoming) -> bool:
     """Whether this is an autopilot's heartbeat: those of other components are forwarded too."""
+    return heard.component == AUTOPILOT_COMPONENT and _is_of_an_autopilot(heard)
+
+
+def _is_of_an_autopilot(heard: Incoming) -> bool:
+    """Whether this heartbeat tells of an autopilot, of whatever component."""
     message = heard.message
     if heard.number != wire.MAVLINK_MSG_ID_HEARTBEAT or message is None:
         return False
-    flies = heard.component == AUTOPILOT_COMPONENT and message.type not in _NO_AUTOPILOTS
-    return bool(flies and message.autopilot != wire.MAV_AUTOPILOT_INVALID)
+    return message.type not in _NO_AUTOPILOTS and message.autopilot != wire.MAV_AUTOPILOT_INVALID
+
+
+TO_COMPONENT_1: Final = "Set the autopilot's component id to 1 (PX4: MAV_COMP_ID)."
+
+
+def ids_in_words(ids: Iterable[tuple[int, int]]) -> str:
+    """Such as: component 50 of system 1, component 51 of system 1."""
+    return ", ".join(f"component {component} of system {system}" for system, component in ids)
 
 
 _Key = tuple[int, int, bytes]
@@ -226,7 +242,7 @@ class ClockReading(enum.Enum):
     LATER = "it has moved on"
     SAME = "it has not"
     REBOOTED = "it has begun again"
-    DOUBTED = "it has fallen, for the first time: one such message may be a mistake"
+    DOUBTED = "it has fallen or leapt, for the first time: one such message may be a mistake"
 
 
 @final
@@ -241,7 +257,10 @@ class VehicleClock:
         self.passed_s = 0.0
         """How long it has been known, all boots together."""
         self._idle_s = 0.0
-        self._fallen_s: float | None = None
+        self._doubted_s: float | None = None
+        """The time stamp just before, if it was doubted."""
+        self._read_at_s: float | None = None
+        """When the newest time stamp arrived."""
         self._beat: tuple[float, float, int] | None = None
         """Time, idle time and sequence number at the last heartbeat."""
         self._told_ms: dict[int, int] = {}
@@ -257,25 +276,41 @@ class VehicleClock:
         self._told_ms[number] = time_boot_ms
         return True
 
-    def read(self, time_s: float) -> ClockReading:
-        """Take a time stamp of the vehicle."""
+    def believes(self, time_s: float, at_s: float | None = None) -> bool:
+        """Whether read() would take this time stamp.
+
+        It fits what has passed by the vehicle's time stamps, by the silence or by the arrival; or
+        the one before did not fit either, and this one goes on from it.
+        """
         if not self.is_known:
-            self.is_known = True
+            return True
+        passed_s = 0.0 if at_s is None or self._read_at_s is None else at_s - self._read_at_s
+        latest_s = max(self.going_on_s, self.now_s + passed_s) + _REBOOT_S
+        if self.now_s - _REBOOT_S <= time_s <= latest_s:
+            return True
+        # Two messages of one stamp, or two copies of one, are one mistake.
+        return self._doubted_s is not None and 0.0 < time_s - self._doubted_s < _REBOOT_S
+
+    def read(self, time_s: float, at_s: float | None = None) -> ClockReading:
+        """Take a time stamp of the vehicle; at_s: of its arrival, by any monotonic clock."""
+        goes_on = self.is_known and 0.0 <= time_s - self.now_s <= _REBOOT_S
+        if not goes_on and not self.believes(time_s, at_s):
+            self._doubted_s = time_s
+            return ClockReading.DOUBTED
+        self._doubted_s = None
+        if not self.is_known:
+            self.is_known, self._read_at_s = True, at_s
             self._show(time_s)
             return ClockReading.FIRST
         if time_s < self.now_s - _REBOOT_S:
-            before_s, self._fallen_s = self._fallen_s, time_s
-            if before_s is None or not 0.0 <= time_s - before_s < _REBOOT_S:
-                return ClockReading.DOUBTED
-            self._fallen_s = None
+            self._read_at_s = at_s
             self._show(time_s)
             return ClockReading.REBOOTED
-        self._fallen_s = None
         if time_s <= self.now_s:
             return ClockReading.SAME
         self.passed_s += time_s - self.now_s
         self.now_s = self.going_on_s = time_s
-        self._idle_s = 0.0
+        self._idle_s, self._read_at_s = 0.0, at_s
         return ClockReading.LATER
 
     def _show(self, now_s: float, idle_s: float = 0.0) -> None:
@@ -355,8 +390,9 @@ class FrameEncoder:
     def __init__(self, system_id: int | None, signing: Signing | None, *, has_ground: bool) -> None:
         """has_ground: whether there are links to ground stations besides the vehicle's."""
         self._codec, self._grounds = codec(system_id or 1), codec(system_id or 1)
+        self._unsent = codec(system_id or 1)
         self._has_ground = has_ground
-        self._plain = signing is None
+        self._signing = signing
         self.duplicates = DuplicateIdDetector()
         """Hears of other processes with our ids."""
         if signing is not None:
@@ -367,7 +403,8 @@ class FrameEncoder:
 
     def set_system_id(self, system_id: int) -> None:
         """Use this vehicle's system id from now on."""
-        self._codec.srcSystem = self._grounds.srcSystem = system_id
+        for each in (self._codec, self._grounds, self._unsent):
+            each.srcSystem = system_id
 
     def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
         """Send messages in order; to_ground: to the ground station links as well."""
@@ -376,7 +413,9 @@ class FrameEncoder:
             self._codec.seq = (self._codec.seq + 1) % 256
             self.out.frames.append(frame)
             self.duplicates.sent.append(frame)
-            self.out.record.append((now_s, frame if self._plain else strip_signature(frame)))
+            self.out.record.append(
+                (now_s, frame if self._signing is None else strip_signature(frame))
+            )
             if to_ground:
                 self.send_to_ground([message])
 
@@ -390,10 +429,13 @@ class FrameEncoder:
                 self.duplicates.sent.append(frame)  # a router may bring it to the vehicle's link
 
     def encode_unsent(self, messages: Iterable[Message]) -> list[bytes]:
-        """Encode messages that may never be sent: no sequence numbers are used up."""
-        before, frames = self._codec.seq, []
+        """Encode messages that may never be sent, unsigned: no sequence numbers are used up."""
+        frames, self._unsent.seq = [], self._codec.seq
         for message in messages:
-            frames.append(packed(message, self._codec))
-            self._codec.seq = (self._codec.seq + 1) % 256
-        self._codec.seq = before
+            frames.append(packed(message, self._unsent))
+            self._unsent.seq = (self._unsent.seq + 1) % 256
         return frames
+
+    def signed(self, frames: Iterable[bytes]) -> list[bytes]:
+        """Frames of `encode_unsent` as they are sent now, however long ago they were made."""
+        return [*frames] if self._signing is None else [*map(self._signing.sign, frames)]

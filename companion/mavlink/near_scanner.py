@@ -18,11 +18,13 @@ from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.known_map import NO_ANSWER, KnownMap, Scan
-from companion.world.near_map import NearMap, Rules, Sight, Window
+from companion.world.near_map import NearMap, Rules, Sight, Window, both
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
 _RATE_HZ: Final = 20.0
+_NO_DRIFT_S: Final = 1.0
+"""From one second to the next `position_error_m` says how wrong the position is."""
 _HIGH: Final = 1.0  # of R above the ceiling: there occupied cells end
 
 
@@ -63,7 +65,9 @@ class NearScanner:
         self._poses = Poses()
         self._component = sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
-        self._near = NearMap.empty(blank.lattice, Rules())
+        drifts_s = mission.task.limits.navigation_error_m / sensor.drift_m_s
+        free_for_s = max(drifts_s, _NO_DRIFT_S)
+        self._near = NearMap.empty(blank.lattice, Rules(free_for_s=free_for_s))
         self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings
         self._top_m = limits.ceiling_amsl_m + _HIGH * settings.scan_range_m
@@ -83,6 +87,11 @@ class NearScanner:
     def refused(self) -> dict[str, int]:
         """How often something was not believed, by the reason."""
         return dict(self._sensing.refused)
+
+    @property
+    def limits_m(self) -> tuple[float, float] | None:
+        """Least and greatest distance that the sensor says it measures; None: it told of none."""
+        return self._sensing.limits_m
 
     def _ground_at_m(self, north_m: float, east_m: float) -> float:
         row, column = self._known.cell_of(north_m, east_m)
@@ -109,21 +118,23 @@ class NearScanner:
         """What is new: sweeps, or what the silence means; None: nothing."""
         sweeps, sight = self._sensing.sweeps(), self._sensing.sight(now_s)
         for sweep in sweeps:
-            self._changed = _both(self._changed, self._near.add(sweep))
+            self._changed = both(self._changed, self._near.add(sweep))
             self._swept_s = now_s
             if self.mounting is not None and (pose := self._poses.at(sweep.time_s)) is not None:
                 self.mounting.add(sweep, pose.yaw_rad, now_s)
         if not sweeps and sight is self._sight:
             return None
         self._sight = sight
-        return NearSeen(time_s=now_s, sight=sight, near=self._near)
+        limits_m = self.limits_m
+        sees_m = math.inf if limits_m is None else limits_m[1]
+        return NearSeen(time_s=now_s, sight=sight, near=self._near, sees_m=sees_m)
 
     # --- scans
 
     def begin(self, _centre_nea_m: Vector, state: State, now_s: float) -> int:
         """Begin a scan: the next sweep ends it.  -> 1, the blocks of it."""
         if self._told is not None and state.flight.known is self._before:
-            self._changed = _both(self._changed, self._told)  # nobody has taken it
+            self._changed = both(self._changed, self._told)  # nobody has taken it
         self._before, self._told = state.flight.known, None
         self._began_s, self.is_on = now_s, True
         return 1
@@ -140,6 +151,8 @@ class NearScanner:
 
         A sensor that is well and silent has answered: what it saw before is all that there is.
         """
+        if (expired := self._near.expire(now_s)) is not None:
+            self._changed = both(self._changed, expired)
         swept = self._swept_s > self._began_s
         if not self.is_on or not (swept or now_s - self._began_s >= self._scan_time_s):
             return None
@@ -163,14 +176,3 @@ class NearScanner:
             complete=False,
             supersedes=supersedes,
         )
-
-
-def _both(a: Window | None, b: Window) -> Window:
-    """The least window that holds both."""
-    if a is None:
-        return b
-    rows, columns = (
-        slice(min(one.start, other.start), max(one.stop, other.stop))
-        for one, other in zip(a, b, strict=True)
-    )
-    return rows, columns

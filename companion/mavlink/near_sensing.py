@@ -8,7 +8,7 @@ does not mean empty; a value is repeated for up to 1.75 s; what we send comes ba
 import bisect
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -44,7 +44,24 @@ _SILENT_S = 0.6  # several messages at 10 Hz
 _SET_S = 0.1  # in which the messages of one stamp come: a stamp may stand still
 _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
+_OTHER_CLOCK: Final = "a stamp of another clock"
+_STRANGE: Final = "a distance is outside its limits"
+_USED: Final = {_OTHER_CLOCK: ", taken as of now", _STRANGE: ", that sector says nothing"}
+"""Reasons for which a sweep is used all the same, and how."""
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
+_WHOLE_S = 2.5  # in it HEARTBEAT and SYS_STATUS come twice: one fewer sector fits beside them
+
+
+def in_words(refused: Mapping[str, int]) -> Iterator[str]:
+    """What was not believed, and what of it was used all the same."""
+    for heading, used in (("not believed", False), ("used all the same", True)):
+        told = [
+            f"{why}{_USED.get(why, '')} ({count:,} times)"
+            for why, count in refused.items()
+            if (why in _USED) is used
+        ]
+        if told:
+            yield f"{heading}: {', '.join(told)}"
 
 
 def is_sector(message: Message) -> bool:
@@ -196,7 +213,7 @@ class NearSensing:
         """ground_amsl_m: how high the ground is at a place, north and east, where that is known."""
         self._sensor, self._poses, self._ground_amsl_m = sensor, poses, ground_amsl_m
         self.refused: Counter[str] = Counter()
-        """How often something was not believed, by the reason."""
+        """How often something was not believed, or only in part (`in_words`), by the reason."""
         self._looks: deque[_Look | _Points] = deque(maxlen=20)
         self._set: list[Message] = []
         """Messages of one stamp and frame,"""
@@ -204,8 +221,12 @@ class NearSensing:
         """and when the first of them came."""
         self._sectors: set[int] = set()
         """Those of ArduPilot's eight that were ever told."""
+        self._whole_s = -math.inf, -math.inf
+        """Since when all of these have come, and until when."""
         self._full_since_s = np.empty(0)
         """Since when each sector, as the sensor counts them, has said "max"; inf: it does not."""
+        self._limits_cm: dict[int, tuple[float, float]] = {}
+        """Least and greatest distance that the newest message of each sector has told of."""
         self._taken_s = -math.inf, -math.inf
         """The stamp of the newest sweep, and when it came."""
         self._heard_s = self._health_s = -math.inf
@@ -219,6 +240,14 @@ class NearSensing:
             _READERS[self._sensor.kind](self, message, now_s)
         elif number == HEALTH and self._sensor.kind == "distance_sensor":
             self.on_health(message, now_s)
+
+    @property
+    def limits_m(self) -> tuple[float, float] | None:
+        """Least and greatest distance that it measures in all directions; None: it told of none."""
+        if not self._limits_cm:
+            return None
+        least_cm, most_cm = zip(*self._limits_cm.values(), strict=True)
+        return max(least_cm) * 0.01, min(most_cm) * 0.01
 
     def on_obstacle_distance(self, message: Message, now_s: float) -> None:
         """OBSTACLE_DISTANCE of the sensor's component, at vehicle time now_s."""
@@ -239,9 +268,11 @@ class NearSensing:
         width_rad = math.radians(abs(width_deg))
         if (told_cm != _UNKNOWN_CM).any():  # one that knows nothing at all is blind
             self._heard_s = now_s
+        self._limits_cm[0] = message.min_distance, message.max_distance
         self._take(
             told_cm,
-            (message.min_distance, message.max_distance),
+            np.full(count, float(message.min_distance)),
+            np.full(count, float(message.max_distance)),
             empty_cm=message.max_distance + 1,
             time_s=self._time_of(message.time_usec * 1e-6, now_s),
             first_rad=math.radians(offset_deg) - 0.5 * width_rad,
@@ -270,7 +301,8 @@ class NearSensing:
         if not (0.0 <= least_m < most_m < math.inf):
             return self._refuse("max_distance is no more than min_distance")
         if not max(least_m, 0.01) <= away_m < most_m:  # drivers put 9999 where they see nothing
-            return self._refuse("a distance is outside its limits")
+            return self._refuse("a point is outside its limits")
+        self._limits_cm[0] = 100.0 * least_m, 100.0 * most_m
         if self._is_over(now_s, time_boot_ms=message.time_boot_ms, frame=message.frame):
             self._take_points()
         self._keep(message, now_s)
@@ -304,21 +336,41 @@ class NearSensing:
     def _take_sectors(self) -> None:
         """A sector is told from its first echo on: one that never was has none, as at "max".
 
-        Unless it was left out at the end of a set, where a link was too slow for the rest.
+        But the high sectors may be what a link had no room for (proximity.md 1).  Where that is so
+        the cut moves with what else is sent: those behind the last one were left out for it unless
+        all that was ever told has come for a while.
         """
         messages, self._set = self._set, []
+        messages = [m for m in messages if 0 <= m.min_distance < m.max_distance]
+        if not messages:
+            return self._refuse("max_distance is no more than min_distance")
         told_cm = np.full(_SECTORS, float(_UNKNOWN_CM))
         for message in messages:
             told_cm[message.orientation] = message.current_distance
-        one = messages[0]
+            self._limits_cm[message.orientation] = message.min_distance, message.max_distance
+        least_cm = np.full(_SECTORS, max(least for least, _ in self._limits_cm.values()))
+        most_cm = np.full(_SECTORS, min(most for _, most in self._limits_cm.values()))
+        for message in messages:
+            most_cm[message.orientation] = message.max_distance
+            least_cm[message.orientation] = message.min_distance
+        one, last = messages[0], max(message.orientation for message in messages)
+        since_s, until_s = self._whole_s
+        if not 0.0 <= self._set_s - until_s <= _SILENT_S or last < max(self._sectors, default=0):
+            since_s = self._set_s
+        if last < max(self._sectors, default=0):
+            self.refused["a link had no room for all sectors"] += 1
+        if self._set_s < until_s:  # the autopilot has begun anew, and what it has told
+            self._sectors.clear()
+        self._whole_s = since_s, self._set_s
         self._sectors.update(message.orientation for message in messages)
-        left_out = set(range(max(message.orientation for message in messages))) - self._sectors
-        told_cm[list(left_out)] = one.max_distance
-        if not 0 <= one.min_distance < one.max_distance:
-            return self._refuse("max_distance is no more than min_distance")
+        if self._sensor.component_id == AUTOPILOT_COMPONENT:  # of other drivers that is not known
+            end = _SECTORS if self._set_s - since_s >= _WHOLE_S else last
+            silent = [k for k in range(end) if k not in self._sectors]
+            told_cm[silent] = most_cm[silent]
         self._take(
             told_cm,
-            (one.min_distance, one.max_distance),
+            least_cm,
+            most_cm,
             empty_cm=math.inf,
             time_s=self._time_of(one.time_boot_ms * 1e-3, self._set_s),
             first_rad=-0.5 * _SECTOR_RAD,
@@ -343,11 +395,17 @@ class NearSensing:
                     time_s=now_s - self._sensor.latency_s,
                     first_rad=-0.5 * _SECTOR_RAD,
                     width_rad=_SECTOR_RAD,
-                    clear_m=np.full(_SECTORS, self._sensor.range_m),
+                    clear_m=np.full(_SECTORS, self._range_m),
                     echo_m=nothing,
                     from_nose=True,
                 )
             )
+
+    @property
+    def _range_m(self) -> float:
+        """How far it sees in all directions: R, or less by its own word."""
+        limits_m = self.limits_m
+        return self._sensor.range_m if limits_m is None else min(self._sensor.range_m, limits_m[1])
 
     def sight(self, now_s: float) -> Sight:
         """Whether the sensor sees, or what its silence means.
@@ -383,7 +441,7 @@ class NearSensing:
         A stamp of another clock counts as now; one that stands still is taken all the same.
         """
         if abs(stamp_s - now_s) > _OTHER_CLOCK_S:
-            self.refused["a stamp of another clock"] += 1
+            self.refused[_OTHER_CLOCK] += 1
             stamp_s = now_s
         before_s, came_s = self._taken_s
         if 0.0 <= stamp_s - before_s < _APART_S and 0.0 <= now_s - came_s < _SET_S:
@@ -398,7 +456,8 @@ class NearSensing:
     def _take(
         self,
         told_cm: FloatArray,
-        limits_cm: tuple[float, float],
+        least_cm: FloatArray,
+        most_cm: FloatArray,
         *,
         empty_cm: float,
         time_s: float | None,
@@ -412,7 +471,6 @@ class NearSensing:
         """
         if time_s is None:
             return
-        least_cm, most_cm = limits_cm
         full = (told_cm == most_cm) | ((told_cm >= empty_cm) & (told_cm != _UNKNOWN_CM))
         if len(self._full_since_s) != len(full):
             self._full_since_s = np.full(len(full), np.inf)
@@ -421,11 +479,11 @@ class NearSensing:
         empty = full & (time_s - since >= _EMPTY_AFTER_S)
         if math.isfinite(empty_cm):
             empty |= full & (told_cm >= empty_cm)
-        met = (told_cm >= max(least_cm, 1.0)) & (told_cm < most_cm)
+        met = (told_cm >= np.maximum(least_cm, 1.0)) & (told_cm < most_cm)
         strange = ~(met | full) & (told_cm != _UNKNOWN_CM)
         if strange.any():
-            self.refused["a distance is outside its limits"] += 1
-        range_m = min(most_cm * 0.01, self._sensor.range_m)
+            self.refused[_STRANGE] += 1
+        range_m = np.minimum(most_cm * 0.01, self._sensor.range_m)
         echo_m = np.where(met, told_cm * 0.01, np.inf)
         self._looks.append(
             _Look(

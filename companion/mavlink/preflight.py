@@ -13,14 +13,16 @@ from typing import Protocol, final
 
 from msgspec.structs import replace
 
-from companion.mavlink import fence
+from companion.mavlink import fence, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.dialect import COMPANION_COMPONENT
-from companion.mavlink.frames import Receiver, Skipped
-from companion.mavlink.link import VehicleSelector
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
+from companion.mavlink.frames import Receiver
+from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
 from companion.mavlink.mounting import MountingCheck, Seen, Turning
 from companion.mavlink.near_scanner import NearScanner
+from companion.mavlink.near_sensing import in_words
 from companion.mavlink.parameter_checks import Severity
+from companion.mavlink.plan_client import FENCE
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mission import ground, stopped
@@ -34,6 +36,7 @@ from companion.world.near_map import NearSensor
 _EARLIEST_S = 1_735_689_600.0  # 2025: a clock before that has not been set
 _MAX_LOOKS = 3
 _PATIENCE_S = 5.0  # for rates and delays that have not come yet
+_CHECK_S = 1.0  # between two looks at a vehicle that waits
 _LONG_DELAY_S = 0.5
 _LARGEST_GEOID_M = 110.0
 _FEWEST_ANSWERS = 0.9
@@ -44,11 +47,14 @@ _NO_RADAR = (
     "elevation file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
 )
 _SLOWEST_SWEEPS_HZ = 5.0
+_RANGE_ROUNDED_M = 0.0101  # autopilots cut limits off to whole centimetres (proximity.md 2)
 _LATE_SWEEPS_S = 0.3  # beyond the stated latency: positions and attitudes come 20 times a second
 _UNTOLD = {
     Turning.NOT_TURNED: "Turn it on the spot by 90 degrees while this runs with --turn.",
     Turning.UNDECIDED: "Turn it where some things stand in reach, not all alike.",
 }
+_LOOK_AGAIN_S = 60.0
+"""Between two scans of a vehicle that waits: a radar that is off is told before the flight."""
 _LISTENED_S = 5.0  # for other companions: `fly` does, before it takes over
 
 
@@ -86,6 +92,12 @@ class PreflightInputs(Protocol):
     near: NearScanner | None
     rangefinder: Rangefinder | None
     last_scan: ScanDone | None
+    sensed: dict[int, set[tuple[int, int]]]
+
+    @property
+    def senders(self) -> list[tuple[int, int]]:
+        """All that were heard."""
+        ...
 
 
 @final
@@ -99,22 +111,58 @@ class Preflight:
         self._preparing_since_s: float | None = None
         self._looked, self._looks = False, 0
         self._answered_s: float | None = None
+        self._failing_s: float | None = None
+        self._looked_s = self._checked_s = -math.inf
+        self._told = ""
 
     def scan_position(self, heard: PreflightInputs) -> Vector | None:
         """Position to scan from now; None if no scan is needed."""
         state, here = heard.state, heard.state.vehicle.position_nea_m
+        if state.phase is Phase.READY and here is not None:
+            return here if self._looks_again(heard) else None
         if state.phase is not Phase.PREPARING or heard.context.shadow:
             return None
         if state.since_s != self._preparing_since_s:  # prepared anew
             self._preparing_since_s, self._answered_s = state.since_s, None
-            self._looked, self._looks = False, 0
+            self._looked, self._looks, self._told = False, 0, ""
         if self._looked or state.airborne or not state.targets_ne_m or here is None:
             return None
         if distrust(state.vehicle, state.now_s, state.task.limits) is not None:
             return None
         self._looked, heard.last_scan = True, None
         self._looks += 1
+        self._looked_s = state.now_s
         return here
+
+    def _looks_again(self, heard: PreflightInputs) -> bool:
+        """Whether another scan is due while it is ready; what the last one saw counts till then."""
+        now_s = heard.state.now_s
+        due = heard.mission.near is None and not 0.0 <= now_s - self._looked_s < _LOOK_AGAIN_S
+        if due:
+            self._looked_s = now_s
+        return due
+
+    def failed(self, heard: PreflightInputs, *, at_once: bool = False) -> Prepared | None:
+        """The check that a vehicle that is ready does not pass any more, for some seconds.
+
+        at_once: for a moment is enough; somebody has said go.
+        """
+        now_s = heard.state.now_s
+        if heard.state.phase is not Phase.READY:
+            self._failing_s = None
+            return None
+        if not at_once and 0.0 <= now_s - self._checked_s < _CHECK_S:
+            return None
+        self._checked_s = now_s
+        refused = _refused(heard)
+        if refused is None:
+            self._failing_s = None
+            return None
+        if self._failing_s is None:
+            self._failing_s = now_s
+        if not at_once and now_s - self._failing_s < _PATIENCE_S:
+            return None
+        return _as_event(refused, now_s)
 
     def result(self, heard: PreflightInputs) -> Prepared | None:
         """Whether the checks have passed, or which one failed; None while answers are missing."""
@@ -124,20 +172,31 @@ class Preflight:
             return None
         if self._answered_s is None:
             self._answered_s = state.now_s
-        refused = [each for each in checks_of(heard) if each.status is CheckStatus.REFUSED]
-        if not refused:
+        if self._told and 0.0 <= state.now_s - self._checked_s < _CHECK_S:
+            return None
+        self._checked_s = state.now_s
+        refused = _refused(heard)
+        if refused is None:
             return Prepared(time_s=state.now_s, item=Item.CHECKS)
-        if refused[0].name == "radar" and self._looks < _MAX_LOOKS:
+        waited = bool(state.unready) and state.now_s - self._looked_s > _LOOK_AGAIN_S
+        if refused.name == "radar" and (self._looks < _MAX_LOOKS or waited):
             self._looked = False
             return None
         if state.now_s - self._answered_s < _PATIENCE_S:
             return None
-        return Prepared(
-            time_s=state.now_s,
-            item=Item.CHECKS,
-            refusal=f"{refused[0].name}: {refused[0].what}",
-            remedy=refused[0].remedy,
-        )
+        event = _as_event(refused, state.now_s)
+        again, self._told = event.refusal == self._told, event.refusal
+        return None if again else event
+
+
+def _refused(heard: PreflightInputs) -> Check | None:
+    """The first check that refuses the flight; None: none does."""
+    return next((each for each in checks_of(heard) if each.status is CheckStatus.REFUSED), None)
+
+
+def _as_event(refused: Check, now_s: float) -> Prepared:
+    refusal = f"{refused.name}: {refused.what}"
+    return Prepared(time_s=now_s, item=Item.CHECKS, refusal=refusal, remedy=refused.remedy)
 
 
 def waiting_for(heard: PreflightInputs) -> str:
@@ -171,7 +230,8 @@ def checks_of(session: PreflightInputs) -> list[Check]:
     checks += _radar(session)
     if session.rangefinder is not None:
         heard = session.state.now_s - session.rangefinder.heard_s <= _PATIENCE_S
-        what = "the one that faces down: " + ("heard" if heard else "not heard")
+        what = "the one that faces down, of component 1: " + ("heard" if heard else "not heard")
+        what += "" if heard else _instead(session, (near_sensing.SECTORS,), AUTOPILOT_COMPONENT)
         checks.append(_check("rangefinder", heard, what, _NO_RANGEFINDER))
     checks += _signing(session)
     return checks
@@ -199,9 +259,29 @@ def _heard(session: PreflightInputs) -> Check:
         what = f"{session.found}: none that this mission is for"
         remedy = "Check vehicle.kind and vehicle.autopilot of the mission."
         return _check("vehicle", False, what, remedy)
+    return _check("vehicle", False, *not_heard(session))
+
+
+def not_heard(session: PreflightInputs) -> tuple[str, str]:
+    """Why there is no vehicle: what is heard instead; and what to do about it."""
+    selector, wanted = session.selector, session.mission.system_id
+    others, elsewhere = sorted(selector.others), sorted(selector.elsewhere)
+    names = ", ".join(str(system) for system in others)
+    if any(wanted in (None, system) for system, _ in elsewhere) or (elsewhere and not others):
+        what = f"none was heard as component 1; heard: an autopilot as {ids_in_words(elsewhere)}"
+        return what, TO_COMPONENT_1
+    if others and wanted is None:
+        return f"systems {names} were heard", "Choose one with --system."
     if others:
-        return _check("vehicle", False, f"systems {names} were heard", "Choose one with --system.")
-    return _check("vehicle", False, "none was heard", "Start it, or check --connect.")
+        what = f"vehicle.system_id = {wanted}: only system {names} was heard"
+        return what, "Give the vehicle's own system id with --system, or write it into the mission."
+    if session.senders:
+        what = f"none was heard: {ids_in_words(session.senders)} without an autopilot's HEARTBEAT"
+        return what, "Connect to where the autopilot sends it."
+    if session.receiver.passed.total():
+        what = "none was heard; what comes in is no MAVLink"
+        return what, "Check the baud rate, and that --connect names the autopilot's port."
+    return "none was heard", "Start it, or check --connect."
 
 
 def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:
@@ -223,9 +303,8 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
             else f", more than {_LONG_DELAY_S * 1e3:.0f} ms"
         )
         yield _check("link delay", ok, what, "Use a faster link.")
-    passed = session.receiver.passed.total() - session.receiver.passed[Skipped.UNKNOWN]
-    if passed:
-        yield _remark("noise", f"{passed} times something that is no message was passed over")
+    if noise := session.receiver.noise:
+        yield _remark("noise", f"passed over: {noise}")
 
 
 def _unique_ids(vehicle: AutopilotClient, state: State) -> Check:
@@ -264,6 +343,9 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
         waiting = ", ".join(vehicle.plans.waiting)
         yield _check("fence", False, f"not read: {waiting}", "Check the link.")
         return
+    if mission.fence_from_vehicle and (items := vehicle.plans.changing.get(FENCE)):
+        what = f"the fence has changed: reading {items:,} items"
+        yield _check("fence", False, what, "Wait until it is read.")
     if not mission.fence_from_vehicle:
         yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
     elif vehicle.fence is not None:
@@ -283,6 +365,9 @@ def _against_fence(drawn: fence.Fence, session: PreflightInputs) -> Iterator[Che
         yield _check("fence", False, what, f"{remedy}.")
     for line in drawn.notes:
         yield _remark("fence", line)
+    if drawn.misread:
+        what, _, remedy = drawn.misread.rpartition(". ")
+        yield _remark("fence", what, f"{remedy}.")
     if not against:
         yield _check("fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to")
 
@@ -337,7 +422,7 @@ def _battery(session: PreflightInputs, state: State) -> Iterator[Check]:
     if left is None:
         yield _remark("battery", "the vehicle does not say what is left")
         return
-    what = f"{left:.0%} left, reserve {mission.reserve:.0%}"
+    what = f"{math.floor(100.0 * left + 1e-6)}% left, reserve {100.0 * mission.reserve:g}%"
     if mission.endurance_s is None:
         what += "; battery.endurance_s is not given, so range is not checked"
     lasts = battery_lasts(state, mission)
@@ -356,7 +441,9 @@ def _radar(session: PreflightInputs) -> Iterator[Check]:
     elif scan is None or not scan.answered:
         component = mission.scanner_component_id
         what = f"the terrain radar, component {component}, did not answer TERRAIN_REQUEST"
-        yield _check("radar", False, what, _NO_RADAR)
+        others = _instead(session, (wire.MAVLINK_MSG_ID_TERRAIN_DATA,), component)
+        remedy = "Write the one that it is into vehicle.scanner_component_id."
+        yield _check("radar", False, what + others, remedy if others else _NO_RADAR)
     else:
         what = f"{scan.answered} of {scan.asked} blocks answered"
         if scan.answered >= _FEWEST_ANSWERS * scan.asked:
@@ -369,15 +456,47 @@ def _radar(session: PreflightInputs) -> Iterator[Check]:
 def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check]:
     state = session.state
     what = f"{sensor.kind.upper()} of component {sensor.component_id}: {state.vehicle.sight.value}"
-    sees = not state.vehicle.sight.is_blind
-    yield _check("sensor", sees, what, Reason.SENSOR_SILENT.remedy)
+    sees, remedy = not state.vehicle.sight.is_blind, Reason.SENSOR_SILENT.remedy
+    sender = session.selector.system_id or 0, sensor.component_id
+    if not sees and sender not in session.sensed.get(near_sensing.MESSAGES[sensor.kind], ()):
+        others = _instead(session, tuple(near_sensing.MESSAGES.values()), None)
+        what += others
+        remedy = "Write those that it is into scanner.kind and component." if others else remedy
+    yield _check("sensor", sees, what, remedy)
     if session.near is None:
         return
-    if session.near.refused:
-        told = ", ".join(f"{why} ({count} times)" for why, count in session.near.refused.items())
-        yield _remark("sensor", f"not believed: {told}")
+    yield from _near_limits(session.near.limits_m, mission=session.mission)
+    for words in in_words(session.near.refused):
+        yield _remark("sensor", words)
     if session.near.mounting is not None:
         yield from _mounting(session.near.mounting, sensor)
+
+
+def _near_limits(limits_m: tuple[float, float] | None, mission: Mission) -> Iterator[Check]:
+    """What the sensor says of itself against the mission."""
+    range_m = mission.task.settings.scan_range_m
+    if limits_m is None:
+        what = f"it has not told how far it sees: R = {range_m:g} m is believed"
+        yield _remark("sensor range", what, "Show it something within its reach.")
+        return
+    least_m, most_m = limits_m
+    what = f"it sees {most_m:g} m, and planner.scan_range_m is {range_m:g} m"
+    remedy = f"Set planner.scan_range_m to {most_m:g} or less, or use a sensor that sees farther."
+    yield _check("sensor range", most_m >= range_m - _RANGE_ROUNDED_M, what, remedy)
+    if mission.near is not None and least_m > mission.near.blind_m + _RANGE_ROUNDED_M:
+        what = f"it sees nothing nearer than {least_m:g} m, and scanner.blind_m is less"
+        yield _remark("sensor range", what, f"Raise scanner.blind_m to {least_m:g}.")
+
+
+def _instead(session: PreflightInputs, numbers: tuple[int, ...], component: int | None) -> str:
+    """Who else sends these messages, as text; component: of who should, None: nobody."""
+    ours = session.selector.system_id
+    found = []
+    for number in numbers:
+        senders = sorted(session.sensed.get(number, set()) - {(ours or 0, component or 0)})
+        if senders:
+            found.append(f"{wire.mavlink_map[number].msgname} of {ids_in_words(senders)}")
+    return f"; heard: {'; '.join(found)}" if found else ""
 
 
 def _mounting(mounting: MountingCheck, sensor: NearSensor) -> Iterator[Check]:
@@ -450,4 +569,4 @@ def flight_check(session: PreflightInputs) -> Check:
         return _check("ready", False, f"{after.reason.text}{after.detail}", remedy)
     if trigger is not Trigger.READY:
         return _remark("ready", "it is in the air: it would be taken over there")
-    return _check("ready", True, "it would be armed and take off")
+    return _check("ready", True, "it would be armed and take off, once somebody says go")

@@ -82,13 +82,17 @@ def strip_signature(frame: bytes) -> bytes:
     """The same frame unsigned, as logs keep it: the flag cleared, the checksum right again."""
     if not is_signed(frame):
         return frame
-    end = len(frame) - _TAIL - 2
-    # A checksum is linear: clearing one bit changes it by the checksum of that bit alone, which
+    return _flag_flipped(frame[:-_TAIL])
+
+
+def _flag_flipped(frame: bytes) -> bytes:
+    """A frame without a signature, with the flag that tells of one flipped."""
+    end = len(frame) - 2
+    # A checksum is linear: flipping one bit changes it by the checksum of that bit alone, which
     # needs neither the payload nor the dialect.  One byte more: the dialect's, which is not sent.
     change = mcrf4xx(bytes((0, _SIGNED)) + bytes(end - 2), 0)
-    checksum = int.from_bytes(frame[end : end + 2], "little") ^ change
-    flags = bytes((frame[2] & ~_SIGNED,))
-    return frame[:2] + flags + frame[3:end] + checksum.to_bytes(2, "little")
+    checksum = int.from_bytes(frame[end:], "little") ^ change
+    return frame[:2] + bytes((frame[2] ^ _SIGNED,)) + frame[3:end] + checksum.to_bytes(2, "little")
 
 
 @final
@@ -120,6 +124,19 @@ class Signing:
     def attach(self, codec: wire.MAVLink) -> None:
         """From now on this codec signs what it packs."""
         codec.signing = self._ours
+
+    def sign(self, frame: bytes) -> bytes:
+        """A whole unsigned MAVLink 2 frame signed: newer than any before.  For any thread."""
+        if frame[0] != _MARKER or is_signed(frame):
+            return frame
+        self._raise_to(self._ours.timestamp + 1)  # pymavlink raises it only after it has signed
+        timestamp = self.timestamp
+        self._raise_to(timestamp + 1)
+        stamp = bytes((self._ours.link_id,)) + timestamp.to_bytes(6, "little")
+        signed = _flag_flipped(frame) + stamp
+        digest = self._hash.copy()
+        digest.update(signed)
+        return signed + digest.digest()[:_HASH]
 
     def on_time(self, at_s: float) -> None:
         """Advance the time stamp by a clock, of which only differences matter, seconds."""

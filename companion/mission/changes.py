@@ -8,13 +8,14 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, loiter
+from companion.mission import following, ground, loiter
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
     Event,
     FenceBreach,
     FenceChanged,
+    FenceReading,
     GroundSeen,
     Landed,
     NearSeen,
@@ -65,6 +66,7 @@ from companion.world.zone_index import index_of
 _GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
+_FEW_ITEMS = 10  # of a fence: they are read before a person has read the text
 
 
 class OrderResult(enum.Enum):
@@ -75,8 +77,8 @@ class OrderResult(enum.Enum):
     NOT_NOW = "it cannot be carried out now"
 
 
-def order_result(state: State, order: Order) -> OrderResult:
-    """The result of an order, for its acknowledgement."""
+def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
+    """The result of an order, for its acknowledgement; go: it takes off without being told."""
     in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
@@ -84,6 +86,9 @@ def order_result(state: State, order: Order) -> OrderResult:
                 return OrderResult.INVALID
             led = in_air and state.phase not in _GOING_UP
             return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
+        case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
+            ready = state.phase is Phase.READY and order.kind is OrderKind.START
+            return OrderResult.ACCEPTED if ready else OrderResult.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE:
             return OrderResult.NOT_NOW if state.phase in _NOT_TO_GO_ON else OrderResult.ACCEPTED
         case OrderKind.PAUSE:
@@ -120,9 +125,20 @@ def why_not(state: State, order: Order) -> str:
             why = "none that was ordered in flight is there"
     elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
+    elif order.kind is OrderKind.START and _waits_for_go(state):
+        why = ground.why_no_go(state)
+    elif state.phase is Phase.READY:
+        why = "it waits for MISSION_START"
     elif state.phase is Phase.HOLDING and state.reason is not None:
         why = state.reason.text
     return f"{order.kind.name.lower()} refused: {why}"
+
+
+def _waits_for_go(state: State) -> bool:
+    """Whether it is on the ground, and nobody has said go yet."""
+    if state.airborne or (state.vehicle.armed and state.phase is not Phase.READY):
+        return False
+    return state.phase in (Phase.WAITING, Phase.PREPARING, Phase.READY)
 
 
 def _is_short(state: State) -> bool:
@@ -156,6 +172,18 @@ def _with_fence(state: State, event: FenceChanged, _context: Context) -> Step:
     known = state.fence is not None
     state = state.with_rules(state.given, event)
     return _with_zones(state, StatusText(text=f"fence: {len(event.zones)} zones", warning=known))
+
+
+def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step:
+    """The fence has changed: said at once; who waits for it is `decisions.waits_for_fence`."""
+    if not event.items:
+        return replace(state, fence_unread_s=None), [], None
+    if state.fence_unread_s is None:
+        state = replace(state, fence_unread_s=event.time_s)
+    if event.items <= _FEW_ITEMS:
+        return state, [], None
+    text = f"the fence has changed: reading {event.items:,} items"
+    return state, [StatusText(text=text, warning=True)], None
 
 
 def _keep_outs(state: State, order: Order) -> tuple[CircleZone, ...]:
@@ -195,10 +223,17 @@ def _with_zones(state: State, *said: Command) -> Step:
     return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
-def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
+def _with_near_things(state: State, event: NearSeen, context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    if event.sight is not state.vehicle.sight:
-        state = replace(state, vehicle=replace(state.vehicle, sight=event.sight))
+    range_m, vehicle = state.task.settings.scan_range_m, state.vehicle
+    if state.airborne and event.sees_m < min(range_m, vehicle.sees_m):  # before: preflight
+        state = replace(state, vehicle=replace(vehicle, sees_m=event.sees_m))
+        text = f"sensor sees {event.sees_m:g} m of R = {range_m:g} m"
+        return preceded(
+            [StatusText(text=text, warning=True)], _with_near_things(state, event, context)
+        )
+    if event.sight is not vehicle.sight:
+        state = replace(state, vehicle=replace(vehicle, sight=event.sight))
     flight = state.flight
     if state.phase not in ON_PATH or flight.leg is None:
         return state, [], None
@@ -280,14 +315,15 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
             [StatusText(text="mission changed: returning all the same", warning=True)],
             None,
         )
-    if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING):
+    if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
         text = "the vehicle's mission is empty: the old one is flown"
         return state, [StatusText(text=text, warning=True)], None
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
             return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
-    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, failures=0, way=Outward())
+    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, way=Outward())
     search = Answered() if isinstance(flight.search, Planning) else flight.search
+    flight = replace(flight, failures=0, tried=0, untried=0)
     flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
@@ -313,6 +349,8 @@ def _flies_there(state: State) -> bool:
 
 def _ordered(state: State, order: Order, _context: Context) -> Step:
     match order.kind:
+        case OrderKind.START if state.phase is Phase.READY:
+            return state, [StatusText(text=f"go: told by {order.sender}")], Trigger.GO
         case OrderKind.START | OrderKind.CONTINUE:
             return _go_on(state)
         case OrderKind.PAUSE:
@@ -425,7 +463,7 @@ def _fence_breach(state: State, event: FenceBreach, _context: Context) -> Step:
 
 
 def _prepared(state: State, event: Prepared, _context: Context) -> Step | None:
-    if not event.refusal or state.phase is Phase.PREPARING:
+    if not event.refusal or state.phase in (Phase.PREPARING, Phase.READY):
         return None
     if state.phase is Phase.ARMING:
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
@@ -458,11 +496,14 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         orders = Orders(Reason.RETURN_ASKED)
         paused = state.orders.active is Reason.PAUSED
         state = replace(state, orders=orders.paused() if paused else orders)
+    waited = state.phase is Phase.READY or state.unready
     state = replace(
         state,
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
+        fence_unread_s=None,
+        unready=Reason.REBOOTED.text if waited else "",
     )
     return state, [StatusText(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN
 
@@ -472,6 +513,7 @@ HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]]
     GroundSeen: _on_ground_seen,
     ScanDone: loiter.on_loiter_scan,
     FenceChanged: _with_fence,
+    FenceReading: _fence_reading,
     FenceBreach: _fence_breach,
     SettingsChanged: _with_settings,
     TargetsChanged: _with_vehicles_targets,

@@ -321,7 +321,7 @@ class CheckpointPolicy:
         self, state: State, now_s: float, *, at_once: bool = False
     ) -> tuple[Values | None, KnownMap | None]:
         """The checkpoint, if it is time for one, and the map, if it has changed since the last."""
-        if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.ARMING):
+        if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.READY, Phase.ARMING):
             return None, None
         grown = self._keeps_map and state.flight.known is not self.known
         since_s = now_s - self.kept_at_s

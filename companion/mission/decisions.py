@@ -24,12 +24,14 @@ from companion.mission.state import (
     Phase,
     Reason,
     State,
+    StreamLost,
     TakenOver,
     TakeOver,
     Trigger,
     Vehicle,
 )
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
+from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
 from companion.world.zone_index import index_of
 
@@ -44,6 +46,8 @@ AT_M = 5.0
 LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
 _HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
 _GROUNDED_S = 1.5
+_COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
+_FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
 _SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
 _ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
@@ -62,6 +66,8 @@ class Context:
     """A simulator waits for each answer: a long silence means that it has ended."""
     shadow: bool = False
     """Watch only: plan and report, never command."""
+    go: bool = False
+    """Somebody has said go beforehand (--start): it takes off as soon as it is ready."""
 
 
 def ask(state: State, *commands: Command) -> Step:
@@ -86,7 +92,10 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy
     why, _, remedy = refusal.value.partition("; ")
-    detail = "" if refusal is Refusal.NOTHING_SAFE else f": {why}"  # else it is said twice
+    if refusal is Refusal.NOTHING_SAFE:  # why would be said twice
+        broken = bounds_text(state.flight.broken)
+        return f": it broke {broken}" if broken else "", f"{remedy[:1].upper()}{remedy[1:]}."
+    detail = f": {why}"
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
 
 
@@ -135,11 +144,20 @@ def takeover_reason(state: State) -> Reason:
     acts = (
         vehicle.traits.needs_setpoints_before_offboard
         and vehicle.failsafe
-        and _is_out_of_its_fence(state)
+        and (_is_out_of_its_fence(state) or _is_held_by_what_it_misreads(state))
     )
     if said or acts:
         return Reason.FENCE_BREACHED
     return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
+
+
+def _is_held_by_what_it_misreads(state: State) -> bool:
+    """Whether PX4 goes on holding although setpoints come, with a fence that it misreads.
+
+    Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
+    """
+    fence, lost = state.fence, isinstance(state.hold, StreamLost)
+    return fence is not None and fence.misread and lost and in_phase_s(state) > _COMES_BACK_S
 
 
 def _is_out_of_its_fence(state: State) -> bool:
@@ -151,6 +169,15 @@ def _is_out_of_its_fence(state: State) -> bool:
     if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
         return True
     return index_of(fence.zones).nearest(here[0], here[1])[1] < error_m
+
+
+def waits_for_fence(state: State, context: Context) -> bool:
+    """Whether nothing is flown on until the changed fence is known; not by a low battery."""
+    since_s, flight = state.fence_unread_s, state.flight
+    if since_s is None or context.mission.goes_on_while_reading:
+        return False
+    low = Reason.BATTERY_LOW in (state.reason, state.orders.active, flight.fallen_back)
+    return not low and state.now_s - since_s > _FENCE_READ_S
 
 
 def is_silent(state: State) -> bool:

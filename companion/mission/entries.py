@@ -53,9 +53,15 @@ def of_event(event: Event, state: State) -> Entry | None:
                 planned,
                 length_m=curve.length_m,
                 control_nea_m=curve.control_nea_m,
+                out_of_time=planned.stopped_after is not None,
             )
         case events.PlanReady(outcome=NotPlanned() as refused):
-            return _entry(journal.PlanRefused, refused, reason=refused.refusal.name)
+            return _entry(
+                journal.PlanRefused,
+                refused,
+                reason=refused.refusal.name,
+                out_of_time=refused.stopped_after is not None,
+            )
         case events.DuplicateId(certain=True, news=True):
             return _entry(journal.AnotherCompanion)
         case events.Order():

@@ -5,6 +5,7 @@ up in the local frame, altitudes AMSL.
 """
 
 import enum
+import math
 from typing import final
 
 from msgspec import Struct
@@ -176,6 +177,16 @@ class FenceChanged(Event, frozen=True, kw_only=True):
     zones: tuple[Zone, ...]
     floor_amsl_m: float | None = None
     ceiling_amsl_m: float | None = None
+    misread: bool = False
+    """Whether the autopilot itself misreads it, so that it may act where no zone is."""
+
+
+@final
+class FenceReading(Event, frozen=True, kw_only=True):
+    """The vehicle's fence has changed and is being read, or it is not any more."""
+
+    items: int
+    """How many it has; 0: what counts is known again."""
 
 
 @final
@@ -234,6 +245,8 @@ class NearSeen(Event, frozen=True, kw_only=True):
     sight: Sight
     near: NearMap
     """As it is now: it changes with the next sweep, so it is not kept."""
+    sees_m: float = math.inf
+    """How far the sensor says it sees; inf: it did not say."""
 
 
 @final

@@ -15,6 +15,7 @@ from companion.mission.decisions import (
     give_up,
     is_gone,
     reason_text,
+    waits_for_fence,
 )
 from companion.mission.events import (
     Command,
@@ -86,6 +87,10 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and battery_runs_low(state):
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
+        if trigger is not None:
+            return state, commands, trigger
+    if state.flight.stop is None and waits_for_fence(state, context):
+        state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
         if trigger is not None:
             return state, commands, trigger
     others = state.traffic
@@ -250,6 +255,7 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         route_ne_m=flight.route_ne_m,
         rest=None if leg is None else leg.rest(task),
         attempt=flight.failures,
+        tried=flight.tried if leg is None else 0,
     )
     flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
     plan = Plan(request=request, due_s=event.time_s + request.time_s)
@@ -286,7 +292,16 @@ def on_plan(state: State, event: PlanReady) -> Step:
     state = replace(state, flight=replace(flight, search=Answered()))
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
-        refusal = outcome.refusal if isinstance(outcome, NotPlanned) else None
+        refusal = None
+        if isinstance(outcome, NotPlanned):
+            refusal, from_rest = outcome.refusal, flight.leg is None
+            flight = replace(
+                state.flight,
+                broken=outcome.broken,
+                tried=flight.tried + outcome.tries if from_rest else 0,
+                untried=outcome.untried if from_rest else 0,
+            )
+            state = replace(state, flight=flight)
         state = replace(state, flight=replace(state.flight, refusal=refusal))
         silent = flight.shortfall is Reason.RADAR_SILENT
         reason = Reason.RADAR_SILENT if silent else Reason.NO_PLAN
@@ -409,6 +424,8 @@ def _accepted(state: State, planned: Planned) -> Flight:
         circling=not hovers and not planned.is_escape,  # out of trouble at once
         search=None,
         failures=flight.failures if blind else 0,  # about what is known it could fly for ever
+        tried=0,
+        untried=0,
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
     )

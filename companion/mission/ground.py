@@ -1,4 +1,7 @@
-"""The phases before the flight: waiting, preparing, arming, taking off.  Each wait has an end."""
+"""The phases before the flight: waiting, preparing, ready, arming, taking off.
+
+Each wait has an end, but for that of a vehicle that is ready: somebody has to say go.
+"""
 
 import math
 
@@ -81,8 +84,12 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     if isinstance(event, Prepared) and event.refusal and not context.shadow:
         if _is_flying(state):
             return state, [StatusText(text=event.refusal, warning=True)], None
+        if state.unready:
+            return _still_unready(_without(state, event.item), event.refusal)
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
-    if in_phase_s(state) > _PREPARE_S:
+    if state.unready and vehicle.armed and not context.shadow:
+        return give_up(state, Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
+    if in_phase_s(state) > _PREPARE_S and not state.unready:
         return give_up(state, Reason.NOT_READY, _missing(state))
     if is_silent(state):
         return state, [], None
@@ -106,9 +113,64 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return state, [], None
     if state.airborne:
         return give_up(state, Reason.GROUNDED)
-    state, commands, trigger = _on_ground(state, context)
-    waits = trigger is Trigger.READY and Item.CHECKS not in state.prepared
-    return state, commands, None if waits else trigger
+    reason = _refused(state, context)
+    if reason is not None and state.unready:
+        return _still_unready(state, reason.text)
+    if reason is not None:
+        return give_up(state, reason)
+    if Item.CHECKS not in state.prepared:
+        return state, [], None
+    return state, [], Trigger.GO if context.go else Trigger.READY
+
+
+def ready(state: State, event: Event, context: Context) -> Step:
+    """Wait for somebody to say go, for as long as it takes; the checks have to go on passing."""
+    if is_second_companion(state):
+        return give_up(state, Reason.NOT_ALONE)
+    if state.vehicle.armed:
+        return give_up(state, Reason.ARMED_ALREADY)
+    if isinstance(event, Prepared) and event.refusal:
+        return _unready(_without(state, event.item), event.refusal)
+    why = Reason.LINK_LOST.text if isinstance(event, LinkLost) else _why_unready(state, context)
+    return _unready(state, why) if why else (state, [], None)
+
+
+def why_no_go(state: State) -> str:
+    """Why a go is refused, as text for who says it."""
+    if state.phase is Phase.WAITING:
+        return Reason.NO_VEHICLE.text
+    missing = _missing(state).removeprefix(": ")
+    return f"it is not ready: {state.unready or missing or 'its checks are not over'}"
+
+
+def _why_unready(state: State, context: Context) -> str:
+    """What is missing for the flight by now; empty: nothing."""
+    if is_silent(state):
+        return Reason.LINK_LOST.text
+    if missing := _missing(state):
+        return missing.removeprefix(": ")
+    if state.vehicle.landed is not Landed.ON_GROUND:
+        return "it says that it is not on the ground"
+    reason = _refused(state, context)
+    return "" if reason is None else reason.text
+
+
+def _unready(state: State, why: str) -> Step:
+    """Back to preparing; what was checked is checked again."""
+    says = StatusText(text=f"not ready any more: {why}", warning=True, about="phase")
+    return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
+
+
+def _still_unready(state: State, why: str) -> Step:
+    if why == state.unready:
+        return state, [], None
+    says = StatusText(text=f"not ready: {why}", warning=True, about="phase")
+    return replace(state, unready=why), [says], None
+
+
+def _without(state: State, item: Item) -> State:
+    """The state with one more thing to prepare (again)."""
+    return replace(state, prepared=state.prepared - {item})
 
 
 def _may_not_be_alone(state: State) -> bool:
@@ -174,18 +236,17 @@ def _missing(state: State) -> str:
     return f": {', '.join(missing)}" if missing else ""
 
 
-def _on_ground(state: State, context: Context) -> Step:
+def _refused(state: State, context: Context) -> Reason | None:
+    """Why the vehicle must not take off from here; None: it may."""
     if not state.targets_ne_m:
-        return give_up(state, Reason.NO_TARGETS)
+        return Reason.NO_TARGETS
     if state.vehicle.armed and not state.armed_by_us:
-        return give_up(state, Reason.ARMED_ALREADY)
+        return Reason.ARMED_ALREADY
     if height_m(state) <= 0.0:
-        return give_up(state, Reason.HOME_TOO_HIGH)
+        return Reason.HOME_TOO_HIGH
     if not may_take_off(state):
-        return give_up(state, Reason.OUTSIDE)
-    if not battery_lasts(state, context.mission):
-        return give_up(state, Reason.BATTERY_SHORT)
-    return state, [], Trigger.READY
+        return Reason.OUTSIDE
+    return None if battery_lasts(state, context.mission) else Reason.BATTERY_SHORT
 
 
 def _in_flight(state: State) -> Step:

@@ -178,7 +178,7 @@ class PlanAsked(Entry, frozen=True, tag="plan asked", kw_only=True):
 
 
 @final
-class PlanReady(Entry, frozen=True, tag="plan ready"):
+class PlanReady(Entry, frozen=True, tag="plan ready", omit_defaults=True):
     """A subpath was found: the answer to `plan asked`, when it takes effect."""
 
     plan_id: int
@@ -207,6 +207,8 @@ class PlanReady(Entry, frozen=True, tag="plan ready"):
     """Control points of a clamped cubic B-spline with evenly spaced inner knots."""
     certificate: Certificate
     """Its certificate."""
+    out_of_time: bool = False
+    """Whether time was up before the search was done (real time only)."""
 
     @property
     def subpath(self) -> Subpath:
@@ -228,6 +230,10 @@ class PlanRefused(Entry, frozen=True, tag="plan refused", omit_defaults=True):
     """Candidates evaluated."""
     place_ne_m: tuple[float, float] | None = None
     """North and east of where all routes are blocked; with NO_WAY only."""
+    untried: int = 0
+    """Kinds of search that no attempt from there has come to."""
+    out_of_time: bool = False
+    """Whether time was up before the search was done (real time only)."""
 
 
 @final

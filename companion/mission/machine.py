@@ -195,6 +195,7 @@ _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | No
 IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
     Phase.WAITING: ground.waiting,
     Phase.PREPARING: ground.preparing,
+    Phase.READY: ground.ready,
     Phase.ARMING: ground.arming,
     Phase.TAKING_OFF: ground.taking_off,
     Phase.FLYING: flying.flying,
@@ -220,6 +221,13 @@ def _enter(
             in_control_since_s=min(state.in_control_since_s, in_control_since_s),
         )
     match state.phase:
+        case Phase.PREPARING if trigger is Trigger.UNREADY:
+            return state, commands
+        case Phase.READY:
+            says_ready = StatusText(
+                text="ready: waits for go: MISSION_START or a yes", about="phase"
+            )
+            return replace(state, unready=""), [*commands, says_ready]
         case Phase.PREPARING:
             says: list[Command] = [StatusText(text=f"mission {context.mission.name}")]
             news = (stopped.landing_words(state, context), state.news)

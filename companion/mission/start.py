@@ -37,6 +37,8 @@ class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The map that is resumed with (`packed_map`)."""
     has_ground: bool = False
     """Whether there were links to ground stations besides the vehicle's."""
+    go: bool = True
+    """Whether somebody had said go beforehand (--start).  Older recordings asked nobody."""
     terrain: str | None = None
     """Of the terrain that the mission knows in advance (`digest_of`); "": it knows none.
 
@@ -59,6 +61,7 @@ class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             lockstep=context.lockstep,
             shadow=context.shadow,
             has_ground=has_ground,
+            go=context.go,
             resume=values,
             known=None if known is None else packed_map(known),
             terrain=terrain_of(mission),

@@ -28,6 +28,7 @@ class Phase(enum.Enum):
 
     WAITING = "waiting"
     PREPARING = "preparing"
+    READY = "ready"
     ARMING = "arming"
     TAKING_OFF = "taking off"
     FLYING = "flying"
@@ -47,7 +48,9 @@ class Trigger(enum.Enum):
 
     VEHICLE_FOUND = "the vehicle's heartbeat was heard"
     READY = "position, home, streams, parameters and fence are there, on the ground"
-    IN_FLIGHT = "the same, but the vehicle is in the air: take over"
+    GO = "somebody says go: MISSION_START, a yes in the terminal, or --start beforehand"
+    UNREADY = "a check fails while it waits for that; the text says which"
+    IN_FLIGHT = "position, home and so on are there, but the vehicle is in the air: take over"
     TAKE_OVER = "it still flies the path of the companion that was here before"
     WATCH = "the vehicle is known, and only to be watched"
     ARMED = "armed, in the mode that the take-off begins with"
@@ -69,7 +72,7 @@ class Trigger(enum.Enum):
     STOP = "a person asked for the end"
 
 
-ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.ARMING)
+ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.READY, Phase.ARMING)
 IN_AIR = (
     Phase.TAKING_OFF,
     Phase.FLYING,
@@ -86,7 +89,10 @@ _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 
 MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.VEHICLE_FOUND): Phase.PREPARING,
-    (Phase.PREPARING, Trigger.READY): Phase.ARMING,
+    (Phase.PREPARING, Trigger.READY): Phase.READY,
+    (Phase.PREPARING, Trigger.GO): Phase.ARMING,
+    (Phase.READY, Trigger.GO): Phase.ARMING,
+    (Phase.READY, Trigger.UNREADY): Phase.PREPARING,
     (Phase.PREPARING, Trigger.IN_FLIGHT): Phase.HOLDING,
     (Phase.PREPARING, Trigger.TAKE_OVER): Phase.FLYING,
     (Phase.PREPARING, Trigger.WATCH): Phase.SHADOW,
@@ -273,8 +279,17 @@ class Reason(enum.Enum):
     )
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
-    PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.", Replan)
+    PLAN_LATE = (
+        "the next subpath was not ready in time",
+        "Raise planner.planning_time_s, or use a faster computer.",
+        Replan,
+    )
     NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
+    FENCE_UNREAD = (
+        "the vehicle's fence has changed and is being read",
+        "Wait until it is read; from_vehicle.goes_on_while_reading lets it fly on.",
+        Replan,
+    )
     NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
     CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
     PAUSED = ("paused by a person", "Send the command to continue.", Paused, False)
@@ -374,6 +389,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """When it was last invalid for another reason than its place."""
     sight: Sight = Sight.NEVER_HEARD
     """Of its sensor of near things, if the mission has one."""
+    sees_m: float = math.inf
+    """The least range that this has told of in the air."""
     ground_above_m: float = 0.0
     """How much higher than on the map its rangefinder has seen the ground, last; 0: it is not."""
     believed_at_s: float = -1e9
@@ -486,8 +503,14 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
     """Why there is no plan, in the planner's own words."""
+    broken: tuple[str, ...] = ()
+    """Which bounds the best candidate of the newest plan broke, if there is none."""
     failures: int = 0
     """Failed attempts in a row, from rest."""
+    tried: int = 0
+    """Searches that they have made,"""
+    untried: int = 0
+    """and kinds of search that they had no time for."""
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""
@@ -625,6 +648,8 @@ class State(Struct, frozen=True, kw_only=True):
     airborne: bool = False
     """Whether the vehicle has been in the air since the start: then it is never armed again."""
     prepared: frozenset[Item] = frozenset()
+    unready: str = ""
+    """Why it is not ready any more, having waited for a go; empty: it has not, or is."""
     orders: Orders = Orders()
     taken: bool = False
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""
@@ -637,6 +662,8 @@ class State(Struct, frozen=True, kw_only=True):
     given: Task
     """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
+    fence_unread_s: float | None = None
+    """Since when a fence that has changed is being read; None: it is known."""
     keep_outs: tuple[CircleZone, ...] = ()
     """Ordered in flight."""
     flown_under: Task | None = None
@@ -683,6 +710,7 @@ class State(Struct, frozen=True, kw_only=True):
             since_s=self.since_s + shift_s,
             asked_at_s=self.asked_at_s + shift_s,
             duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
+            fence_unread_s=None if self.fence_unread_s is None else self.fence_unread_s + shift_s,
             traffic=self.traffic and Traffic(rules=self.traffic.rules),
             vehicle=replace(
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None

@@ -27,6 +27,7 @@ from companion.mission.decisions import (
     preceded,
     reason_text,
     takeover_reason,
+    waits_for_fence,
     with_hold_reason,
 )
 from companion.mission.events import (
@@ -268,6 +269,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
         return (state, commands, None) if moving else _land_here(state, commands)
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
         return state, commands, None
+    if waits_for_fence(state, context):
+        return state, commands, None
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
     on_way_back = state.flight.returning or (low_battery and state.flight.homeward)
     goes_back = on_way_back or state.flight.homeward
@@ -278,8 +281,9 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
-    tries = flight.failures < context.mission.attempts and flight.stops <= flying.max_stops(context)
-    if on_way_back or tries:
+    cut = state.reason is Reason.NO_PLAN and flight.untried > 0  # each attempt comes to one more
+    may_try = flight.failures < context.mission.attempts or cut
+    if on_way_back or (may_try and flight.stops <= flying.max_stops(context)):
         if state.reason is Reason.NEW_THREAT and state.vehicle.traits.hovers:
             state = _replan_hover(state)  # the band may be another one
         return preceded(commands, resumed(state))

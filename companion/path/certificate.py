@@ -45,6 +45,27 @@ class Margins:
     """How long the vehicle flies on after the last setpoint, before it brakes, seconds."""
 
 
+_SETTINGS = {
+    "terrain clearance": "planner.safety_distance_m",
+    "keep-out zone": "planner.safety_distance_m",
+    "dead-man reach": "vehicle.speed_m_s",
+    "turn radius": "vehicle.turn_radius_m",
+    "climb angle": "vehicle.climb_angle_deg",
+    "dive angle": "vehicle.dive_angle_deg",
+    "floor of the band": "altitude.floor_amsl_m",
+    "ceiling of the band": "altitude.ceiling_amsl_m",
+    "edge of the map": "[area]",
+}
+"""What a mission sets of each bound."""
+
+
+def bounds_text(broken: tuple[str, ...]) -> str:
+    """Bounds, each with what a mission sets of it."""
+    return ", ".join(
+        f"{name} ({_SETTINGS[name]})" if name in _SETTINGS else name for name in broken
+    )
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:

@@ -1,7 +1,9 @@
 """One plan: the next subpath from the known map at p_scan, or a refusal with its reason.
 
 Guidance, search, proof: the best candidate that is proven safe is taken (verify, then commit);
-if none is, the search is repeated with more variables, other directions and a nearer end.
+if none is, the search is repeated with more variables, other directions and a nearer end.  Time may
+end before all of these searches are done: the next attempt from the same place goes on with the one
+that comes next.
 """
 
 import math
@@ -193,7 +195,9 @@ def _escape(request: PlanRequest, found: StartViolation, kernel: Kernel) -> Plan
     escape = escape_path(request, found, kernel.prove) if request.from_rest else None
     if escape is None:
         refusal = Refusal.START_IN_KEEP_OUT if found.zones else Refusal.START_NEAR_TERRAIN
-        if found.unknown and not found.zones:
+        if not found.zones and request.task.settings.is_near:
+            refusal = Refusal.START_NEAR_THINGS
+        elif not found.zones and found.unknown:
             refusal = Refusal.START_NEAR_UNKNOWN
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
     subpath, certificate = escape
@@ -235,6 +239,9 @@ class _Plan:
         settings = request.task.settings
         self._per_metre = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
         self._evaluations = self._tries = 0
+        self._is_cut = False
+        """Whether time was up in the middle of the newest search."""
+        self._made = self._untried = 0
         self._broken: tuple[str, ...] = ()
 
     def outcome(self) -> Planned | NotPlanned:
@@ -246,19 +253,12 @@ class _Plan:
             closed = blocked_at(request.known, request.task, self._field, here_ne_m, target_ne_m)
         if closed is not None:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
-        ways = (_FIRST, *self._to_edge_of_sight(), *_OTHER_WAYS)
-        best = self._best(None, ways, enough=_DEARER)
-        best = self._best(best, _HARDER, enough=_MUCH_DEARER)
-        if request.from_rest and request.task.settings.is_near:
-            best = self._best(best, _SHORT, enough=_MUCH_DEARER)
-        if best is None or request.from_rest:
-            ways = _ANY_WAY + (_ALL_ROUND if request.from_rest else ())
-            best = self._best(best, ways, enough=_MUCH_DEARER)
+        best = self._searched()
         if best is None:
-            return self._refused(Refusal.NOTHING_SAFE)
+            return self._refused(Refusal.OUT_OF_TIME if self._untried else Refusal.NOTHING_SAFE)
         if self._is_better_to_stop(best):
             return self._refused(Refusal.BETTER_TO_STOP)
-        return best
+        return replace(best, evaluations=self._evaluations, tries=self._tries)
 
     def ranked_nea_m(self, most: int) -> FloatArray:
         """Control points of the best candidates of the first search.  -> (M, points, 3)."""
@@ -310,26 +310,46 @@ class _Plan:
         return NotPlanned(
             plan_id=self._request.plan_id,
             refusal=refusal,
-            broken=self._broken if refusal is Refusal.NOTHING_SAFE else (),
+            broken=() if refusal is Refusal.BETTER_TO_STOP else self._broken,
             evaluations=self._evaluations,
+            tries=self._made,
+            untried=self._untried,
         )
 
-    def _best(
-        self, best: Planned | None, ways: tuple[_SearchVariant, ...], *, enough: float
-    ) -> Planned | None:
-        """The cheapest of the best so far and the given variants, until it is cheap enough.
-
-        enough: allowed excess over the prediction, in costs of R.
-        """
-        for how in ways:
-            if best is not None and self._excess(best) <= enough:
+    def _searched(self) -> Planned | None:
+        """The cheapest subpath of all searches, until one is cheap enough or time is up."""
+        ways, before = self._ways(), self._request.tried
+        best: Planned | None = None
+        for number in range(before, before + len(ways)):
+            how, enough = ways[number % len(ways)]
+            if how is _ANY_WAY[0] and best is not None and not self._request.from_rest:
                 break
-            if self._tries and self._stop():
-                break
-            planned = self._attempt(how)
-            if best is None or (planned and self._price(planned) < self._price(best)):
-                best = planned
+            if how is not None and (best is None or self._excess(best) > enough):
+                if self._tries and self._stop():
+                    break
+                planned = self._attempt(how, wider=1 + number // len(ways))
+                if best is None or (planned and self._price(planned) < self._price(best)):
+                    best = planned
+                if self._is_cut and self._made:
+                    break  # it is made again; the only one is not, or no attempt got past it
+            self._made += 1
+        self._untried = max(len(ways) - before - self._made, 0)
         return best
+
+    def _ways(self) -> list[tuple[_SearchVariant | None, float]]:
+        """All searches in their order, and up to which excess of the best each is left out.
+
+        In costs of R, over the prediction.  Among near things a vehicle at rest tries short and
+        turned ones before the others: where sight is short, they are what is left.
+        """
+        edge = self._to_edge_of_sight() or (None,)
+        ways = [(how, _DEARER) for how in (_FIRST, *edge)]
+        others = [(how, _DEARER) for how in _OTHER_WAYS] + [(how, _MUCH_DEARER) for how in _HARDER]
+        near = self._request.from_rest and self._request.task.settings.is_near
+        turned = [(how, _MUCH_DEARER) for how in ((*_SHORT, *_ANY_WAY) if near else _ANY_WAY)]
+        ways += turned + others if near else others + turned
+        all_round = _ALL_ROUND if self._request.from_rest else ()
+        return ways + [(how, _MUCH_DEARER) for how in all_round]
 
     def _price(self, planned: Planned) -> float:
         """The cost by which candidates of different searches are compared."""
@@ -366,19 +386,24 @@ class _Plan:
         climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)
         return level_m + down_m + climb_m
 
-    def _attempt(self, how: _SearchVariant, scene: FlightScene | None = None) -> Planned | None:
+    def _attempt(
+        self, how: _SearchVariant, scene: FlightScene | None = None, *, wider: int = 1
+    ) -> Planned | None:
         """One search, and the best of its candidates that has a certificate."""
         self._tries += 1
         scene = _vary(scene or self._scene, how)
-        return self._first_proven(self._search(scene), scene)
+        return self._first_proven(self._search(scene, wider), scene)
 
-    def _search(self, scene: FlightScene) -> FloatArray:
-        """The candidates of one search, best first.  -> (M, D)."""
+    def _search(self, scene: FlightScene, wider: int = 1) -> FloatArray:
+        """The candidates of one search, best first.  -> (M, D).
+
+        wider: how often the mission's number of evaluations.
+        """
         request, settings = self._request, self._request.task.settings
         rng = np.random.default_rng(
             [request.seed, STREAM_PLAN, request.plan_id, request.attempt, self._tries]
         )
-        evaluations = (1 + request.attempt) * settings.evaluations
+        evaluations, self._is_cut = wider * settings.evaluations, False
         name, seeds = settings.optimiser or settings.profile.optimiser, _seeds(scene)
         if name != "refined-de":
             optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)
@@ -386,11 +411,13 @@ class _Plan:
                 optimiser, lambda x: self._kernel.costs(x, scene), evaluations, self._stop
             )
             self._evaluations += ranked.evaluations
+            self._is_cut = ranked.evaluations < evaluations
             return ranked.x
         state = refined_de.begin(scene.variables, evaluations, seeds, _SEARCH, rng)
         for until in range(_CHUNK, evaluations + _CHUNK, _CHUNK):
             self._kernel.search(state, scene, min(until, evaluations))
             if self._stop():
+                self._is_cut = until < evaluations
                 break
         self._evaluations += refined_de.spent(state)
         return refined_de.ranked(state)[0]

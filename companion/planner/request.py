@@ -55,7 +55,9 @@ class PlanRequest:
     flown: tuple[FlownSegment, ...] | None = None
     """The flown segments, to request a backtrack; None: the next subpath is requested."""
     attempt: int = 0
-    """Number of failed attempts before; each time the search is wider."""
+    """Number of failed attempts before; each time there is more time."""
+    tried: int = 0
+    """Searches that they have made from here: this attempt goes on behind them."""
 
     @property
     def around(self) -> KnownMap:
@@ -64,7 +66,7 @@ class PlanRequest:
 
     @property
     def time_s(self) -> float:
-        """How long the answer may take: T; at rest more, as each attempt searches more."""
+        """How long the answer may take: T; at rest more with each attempt."""
         time_s = self.task.settings.planning_time_s
         if not self.from_rest:
             return time_s
@@ -90,9 +92,11 @@ class Planned:
     guide_rad: float
     route_ne_m: tuple[tuple[float, float], ...]
     evaluations: int
+    """Of all searches of the plan, as `tries`."""
     rank: int
-    """Rank by cost: 0 is the cheapest, more if cheaper ones could not be proven."""
+    """Rank by cost in its search: 0 is the cheapest, more if cheaper ones could not be proven."""
     tries: int
+    """How many searches there were, whichever found it."""
     stopped_after: int | None = None
     """How often the search was continued before its time was up; None: it never was.
 
@@ -109,7 +113,11 @@ class Refusal(enum.Enum):
 
     NOTHING_SAFE = (
         "no candidate subpath could be proven safe; "
-        "lower planner.safety_distance_m or raise planner.evaluations"
+        "relax what it broke, lower planner.safety_distance_m or raise planner.evaluations"
+    )
+    OUT_OF_TIME = (
+        "time was up before all searches for it were done; "
+        "raise planner.planning_time_s, or use a faster computer"
     )
     BETTER_TO_STOP = (
         "every subpath that goes on from here costs more than to stop at the end of this one, "
@@ -122,6 +130,12 @@ class Refusal(enum.Enum):
     START_NEAR_TERRAIN = (
         "the vehicle is too near to the terrain, and no way out could be proven; "
         "climb by hand, or lower planner.safety_distance_m"
+    )
+    START_NEAR_THINGS = (
+        "what the sensor has not shown to be free comes too near to the vehicle (something stands "
+        "there, or it does not see all round), and no way out could be proven; "
+        "fly it by hand to an open place, check what preflight says of the sensor, or lower "
+        "planner.safety_distance_m"
     )
     START_OUTSIDE = (
         "the vehicle is outside the map or the altitude band; fly it back by hand, or widen [area] "
@@ -176,6 +190,10 @@ class NotPlanned:
     place_ne_m: tuple[float, float] | None = None
     """Where all routes are blocked (`NO_WAY`)."""
     evaluations: int = 0
+    tries: int = 0
+    """Searches made, for `PlanRequest.tried`."""
+    untried: int = 0
+    """Kinds of search that neither this attempt nor one before it has come to."""
     stopped_after: int | None = None
     """As of Planned."""
 

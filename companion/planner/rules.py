@@ -19,7 +19,7 @@ from companion.world.threats import Zone
 Place = tuple[float, float]
 
 _GRAVITY_M_S2 = 9.81
-_MAX_CELLS = 2.5e7
+MAX_CELLS = 2.5e7
 _MAX_LATERAL_M_S2 = 20.0
 _MAX_BANK_DEG = 45.0
 """Of a plane: ArduPlane's default roll limit; PX4's is 50 degrees."""
@@ -169,8 +169,8 @@ def _check_map(task: Task, where: str) -> None:
         )
         raise InputError(f"{where}altitude.ceiling_amsl_m", ceiling, rule, "Widen the band.")
     cells = math.prod(high - low for low, high in (limits.north_m, limits.east_m))
-    if cells / task.cell_m**2 > _MAX_CELLS:
-        rule = f"the map has more than {_MAX_CELLS:.0e} cells of R / 80"
+    if cells / task.cell_m**2 > MAX_CELLS:
+        rule = f"the map has more than {MAX_CELLS:.0e} cells of R / 80"
         remedy = "Raise it, or make [area] smaller."
         raise InputError(f"{where}planner.scan_range_m", task.settings.scan_range_m, rule, remedy)
 

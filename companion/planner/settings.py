@@ -16,7 +16,7 @@ from companion.path.limits import Limits
 from companion.ranges import NotNegative, Positive
 from companion.world.threats import Radar, Zone
 
-_CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
+CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
 
 
 @final
@@ -83,7 +83,7 @@ class Task:
     def cell_m(self) -> float:
         """Size of the cells of the known map."""
         settings = self.settings
-        return settings.cell_m or float(max(round(settings.scan_range_m / _CELLS_PER_RANGE), 1))
+        return settings.cell_m or float(max(round(settings.scan_range_m / CELLS_PER_RANGE), 1))
 
     @cached_property
     def digest(self) -> str:

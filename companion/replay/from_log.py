@@ -2,7 +2,7 @@
 
 A log has the frames, both ways, but neither silences, nor which frames came together, nor how long
 plans took: each frame is handled by itself, and each plan is ready at once, as in lockstep.  So
-only flights in lockstep are reproduced.
+only flights in lockstep are reproduced, which nobody had to say go to.
 """
 
 import math
@@ -58,6 +58,7 @@ class LogReplay:
             replace(mission, system_id=self.inputs.system_id or mission.system_id),
             seed=seed,
             lockstep=self._lockstep,
+            go=True,
             version=version,
         )
         self._made: deque[tuple[float, bytes]] = deque()

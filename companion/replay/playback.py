@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.frames import sender_of
+from companion.mavlink.link import ids_in_words
 from companion.runtime.connection import Address, parsed
 from companion.runtime.link import Link, open_link
 from companion.runtime.watchdog import Clock
@@ -178,6 +179,8 @@ def play_file(
     if only_vehicle:
         if log.system_id is None:
             rule = "the log has no autopilot in it"
+            if log.elsewhere:
+                rule += f" as component 1, only as {ids_in_words(sorted(log.elsewhere))}"
             raise InputError("--only-vehicle", True, rule, "Play it both ways.")
         playing = replace(playing, only_vehicle=log.system_id)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())

@@ -28,6 +28,7 @@ _ARGUMENTS: Final[dict[str, Any]] = {
     "silence": tuple[_Seconds],
     "deliver": tuple[Any],
     "stop": tuple[()],
+    "say_go": tuple[()],
     "complain": tuple[str],
     "part_died": tuple[str, str],
     "recording_stopped": tuple[str],
@@ -90,6 +91,7 @@ def session_of(start: Start, mission_of: MissionOf) -> Session:
         shadow=start.shadow,
         resume=_resume_of(start, mission),
         has_ground=start.has_ground,
+        go=start.go,
         version=start.companion,
     )
 

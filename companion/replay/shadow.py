@@ -21,6 +21,7 @@ from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, describ
 from companion.mavlink.autopilots.messages import is_nowhere
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import Receiver, number_of, sender_of
+from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.kernels import NUMPY, Kernel
@@ -28,7 +29,7 @@ from companion.planner.plan import plan
 from companion.planner.settings import PlannerSettings, Task
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import Limitation, ShadowReport
-from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, OnOutput, Watch
+from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, SLOW_S, OnOutput, Watch
 from companion.telemetry.logs import Anomaly, Log, Missing, open_log
 
 _SHOWN_BYTES: Final = 65_536
@@ -170,12 +171,14 @@ def _look(log: Log) -> _LogOverview:
         if heartbeat is not None and autopilot_of(heartbeat) is not None and place is not None:
             break
     place = place or first
-    if heartbeat is None or place is None:
-        raise _of_no_use(log, "HEARTBEAT" if heartbeat is None else "GLOBAL_POSITION_INT")
+    if heartbeat is None:
+        raise _of_no_use(log, "HEARTBEAT")
     autopilot = autopilot_of(heartbeat)
-    if autopilot is None:
+    if autopilot is None:  # whatever else it lacks
         rule = f"it is of {described(heartbeat)}, which the companion does not fly"
         raise InputError("LOG", str(log.path), rule, f"It flies: {', '.join(NAMES)}.")
+    if place is None:
+        raise _of_no_use(log, "GLOBAL_POSITION_INT")
     return _LogOverview(heartbeat=heartbeat, autopilot=autopilot, place=place)
 
 
@@ -189,6 +192,10 @@ def _place_of(message: Message) -> tuple[float, float, float] | None:
 
 def _of_no_use(log: Log, name: str) -> InputError:
     """The error about a log without a usable position."""
+    if log.system_id is None and log.elsewhere:
+        ids = ids_in_words(sorted(log.elsewhere))
+        rule = f"it has no HEARTBEAT of component 1, as autopilots are; it has that of {ids}"
+        return InputError("LOG", str(log.path), rule, f"{TO_COMPONENT_1} Then record again.")
     missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
     if missing is not None:
         rule = f"it has no {missing.message}: {missing.without}"
@@ -279,10 +286,11 @@ def _could_not(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limi
     if watching.slow_s > 0.0:
         yield Limitation(
             what="tell in time that a position is missing",
-            because=f"GLOBAL_POSITION_INT comes at {1.0 / watching.slowest_s:.1f} Hz for "
-            f"{watching.slow_s:.0f} s: in flight the companion asks for "
+            because=f"GLOBAL_POSITION_INT comes at less than {1.0 / SLOW_S:.1f} Hz for "
+            f"{math.ceil(watching.slow_s):,} s in all (at the slowest at "
+            f"{1.0 / watching.slowest_s:.1f} Hz): in flight the companion asks for "
             f"{rate_hz:g} Hz, and takes 0.5 s without one for a fault",
-            remedy="Record it at 5 Hz or more",
+            remedy="Record it at 6 Hz or more",
             message="GLOBAL_POSITION_INT",
         )
     if report.watched_from_s is None:

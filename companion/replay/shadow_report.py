@@ -14,6 +14,7 @@ from rich.console import RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
+from companion.mavlink.near_sensing import in_words
 from companion.telemetry.logs import LogAnomaly, Missing
 from companion.world.near_map import Sight
 
@@ -178,7 +179,7 @@ class NearThings(Struct, kw_only=True):
     occupied_m2: float = 0.0
     """Area where something stood, or may have stood, as far as it was told."""
     refused: dict[str, int] = {}
-    """How often something was not believed, by the reason."""
+    """How often something was not believed, or only in part, by the reason."""
 
 
 @final
@@ -431,7 +432,7 @@ def _answers(run: list[PlanAttempt]) -> str:
     if all(asked.reaches_target for asked in run):
         words += ", to the target"
     clear = [asked.clearance_m for asked in run if asked.clearance_m is not None]
-    return words + (f", clear by {min(clear):,.0f} m" if clear else "")
+    return words + (f", clear by {math.floor(min(clear) + 1e-6):,} m" if clear else "")
 
 
 def _off_words(off: TrackDeviation | None) -> str:
@@ -480,7 +481,7 @@ def _near_words(near: NearThings) -> Iterator[str]:
         f"{near.free_m2:,.0f} m2 free, {near.occupied_m2:,.0f} m2 where something stands"
     )
     yield f"  {'; '.join(times)}"
-    yield from (f"  {why}: {count:,} times" for why, count in near.refused.items())
+    yield from (f"  {words}" for words in in_words(near.refused))
 
 
 def _where(place: Place | None) -> str:

@@ -11,7 +11,7 @@ from statistics import median
 from typing import Final, final
 
 from companion.mavlink.autopilots import FIRMWARES, Autopilot
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
 from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
@@ -181,7 +181,9 @@ class Watch:
     def _look_at_clock(self, frame: bytes, number: int, at_s: float) -> None:
         """Whether it has rebooted, also while no session could tell."""
         boot_ms = boot_ms_of(frame, number)
-        if boot_ms is not None and self._clock.read(boot_ms * 1e-3) is ClockReading.REBOOTED:
+        if boot_ms is None:
+            return
+        if self._clock.read(boot_ms * 1e-3, at_s) is ClockReading.REBOOTED:
             self._notes.rebooted(at_s)
 
     def _hear_again(self, at_s: float) -> None:
@@ -243,7 +245,7 @@ class Watch:
         self._stand_in_s = at_s
         for number, frame in self._stand_ins.items():
             if not self.heard_of[number]:
-                name = wire.mavlink_map[number].msgname
+                name = KINDS[number].msgname
                 self.stood_in.setdefault(name, at_s)
                 self._feed(frame, wall_s, at_s)
 

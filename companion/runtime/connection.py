@@ -1,5 +1,6 @@
 """Parses connection strings."""
 
+import contextlib
 import errno
 import re
 import socket
@@ -15,6 +16,26 @@ _REMEDY = (
     "it), tcpin:HOST:PORT or /dev/ttyACM0,57600 (serial port, baud rate)."
 )
 _WINDOWS_PORT = re.compile(r"(\\\\\.\\)?COM[0-9]{1,3}", re.IGNORECASE)
+_DEVICE = r"(?:/dev/|tty|cu\.)[^,;@?\s]*?|(?:\\\\\.\\)?COM[0-9]{1,3}"
+_DEVICE_AND_RATE = re.compile(
+    rf"({_DEVICE})(?:[:;@ ]+([0-9]{{3,8}}))?(?:\?.*?baud=([0-9]+))?(?:[:,?].*)?",
+    re.IGNORECASE,
+)
+"""A device, as others have it, and its rate behind a colon."""
+_ADDRESS = re.compile(
+    r"(?P<kind>[a-z][a-z0-9-]*):(?://)?(?:(?P<bound>[^@]*)@)?(?P<host>\[[^\]]*\]|[^:/?@]*)"
+    r"(?::(?P<port>[0-9]{1,5}))?/?(?:\?.*)?",
+    re.IGNORECASE,
+)
+"""As URLs of MAVSDK and MAVROS, and as mavp2p has them."""
+_KINDS = {
+    "udpin": ("udpin", "udps", "udpserver"),
+    "udpout": ("udpout", "udpc", "udpclient", "udpcl", "udpbcast", "udpb", "udp-b", "udp-pb"),
+    "tcpin": ("tcpin", "tcps", "tcp-l", "tcpserver"),
+    "tcp": ("tcp", "tcpout", "tcpc", "tcpclient"),
+    "udp": ("udp",),
+}
+"""What is called so here, and by others; their udp may mean either way."""
 
 
 @final
@@ -30,10 +51,13 @@ class Address:
     option: str = "--connect"
     """Command line option, for error messages."""
 
-    def resolved(self) -> tuple[str, int]:
-        """The numeric address; InputError if there is no such host."""
+    def resolved(self) -> tuple[socket.AddressFamily, tuple[str, int]]:
+        """The kind of network and the numeric address; InputError if there is no such host."""
         try:
-            return socket.gethostbyname(self.host), self.port
+            with contextlib.suppress(socket.gaierror):
+                return socket.AF_INET, (socket.gethostbyname(self.host), self.port)
+            found = socket.getaddrinfo(self.host, self.port, socket.AF_INET6)
+            return socket.AF_INET6, (str(found[0][4][0]), self.port)
         except (OSError, UnicodeError) as error:
             raise InputError(self.option, self.text, "no such host", _REMEDY) from error
 
@@ -52,8 +76,12 @@ class Device:
 def parsed(connection: str, option: str = "--connect") -> Address | Device:
     """Parse a connection string; InputError names the option and the rule."""
     kind, _, rest = connection.partition(":")
+    if rest.startswith("//") and kind in ("udpin", "udpout", "tcp", "tcpin", "serial"):
+        rest = rest[2:]  # as MAVSDK has it; its udp:// may mean either way
     if kind in ("udp", "udpin", "udpout", "tcp", "tcpin"):
         return _address(option, connection, kind, rest)
+    if kind == "serial" and "?" in rest:
+        raise _otherwise(option, connection, "not a serial port")
     if kind == "serial":
         mark = "," if "," in rest else ":"
         name, _, baud = rest.rpartition(mark)
@@ -61,15 +89,64 @@ def parsed(connection: str, option: str = "--connect") -> Address | Device:
             name, baud = rest, str(DEFAULT_BAUD)
         return _device(option, connection, name, baud)
     name, comma, baud = connection.partition(",")
+    colon = _DEVICE_AND_RATE.fullmatch(name)
+    if colon is not None and colon[2] is not None:
+        raise _otherwise(option, connection)
     if name.startswith("/") or _WINDOWS_PORT.fullmatch(name):
         return _device(option, connection, name, baud if comma else str(DEFAULT_BAUD))
-    raise InputError(option, connection, "not a connection string", _REMEDY)
+    raise _otherwise(option, connection, "not a connection string")
+
+
+def _otherwise(option: str, connection: str, rule: str = "") -> InputError:
+    """The error about a string that others would take, with what it is here; else the rule."""
+    return InputError(option, connection, _here(connection) or rule, _REMEDY)
+
+
+def _here(connection: str) -> str:
+    """How others' notation is written here, as a rule; empty: it is nobody's."""
+    kind, _, rest = connection.partition(":")
+    device = rest.removeprefix("//") if kind.lower().startswith("serial") else connection
+    if (serial_port := _DEVICE_AND_RATE.fullmatch(device.strip())) is not None:
+        name, rate = serial_port[1], serial_port[2] or serial_port[3]
+        name = f"/dev/{name}" if name.startswith(("tty", "cu.")) else name
+        if rate is None:
+            return f"a serial port is written {name}, or with its baud rate {name},{DEFAULT_BAUD}"
+        return f"the baud rate of a serial port comes after a comma: {name},{rate}"
+    for text in (connection, f"udp:{connection}"):
+        if (found := _ADDRESS.fullmatch(text)) is not None:
+            bound, host, port = found["bound"], found["host"], found["port"]
+            kinds = [here for here, names in _KINDS.items() if found["kind"].lower() in names]
+            if bound is not None:  # MAVROS: where it listens, @, whom it calls
+                own_host, _, own_port = bound.rpartition(":")
+                listens = own_port.isdecimal()
+                kinds = ["udpin"] if listens else ["udpout"]
+                host, port = (own_host, own_port) if listens else (host, port)
+            elif port is None and host.isdecimal():
+                host, port = "", host
+            if kinds and port is not None:
+                return _address_here(kinds[0], host, port)
+    return ""
+
+
+def _address_here(kind: str, host: str, port: str) -> str:
+    """As `_here`, of an address."""
+    if host in ("", "0.0.0.0", "[::]") and kind in ("udp", "udpin", "tcpin"):
+        kind, host = "udpin" if kind == "udp" else kind, host or "0.0.0.0"
+    where = f"{host or 'HOST'}:{port}"
+    if kind == "udp":
+        return f"udpin:{where} waits for the vehicle there, udpout:{where} calls it"
+    return f"here that is written {kind}:{where}"
 
 
 def _address(option: str, connection: str, kind: str, rest: str) -> Address:
-    host, colon, port = rest.partition(":")
-    if not host or not colon or ":" in port:
-        raise InputError(option, connection, f"not {kind}:HOST:PORT", _REMEDY)
+    host, colon, port = rest.rpartition(":")
+    brackets = host.startswith("[") and host.endswith("]")
+    if ":" in host and not brackets and host.count(":") > 1 and "/" not in host:
+        rule = f"an IPv6 address stands in brackets: {kind}:[{host}]:{port}"
+        raise InputError(option, connection, rule, _REMEDY)
+    if not host or not colon or "/" in rest or "@" in rest or (":" in host and not brackets):
+        raise _otherwise(option, connection, f"not {kind}:HOST:PORT")
+    host = host.strip("[]")
     kind = "udpin" if kind == "udp" else kind
     if not _is_number(port, 1, 65535):  # 0 would be one that nobody else knows
         rule = "a port is a number from 1 to 65535"

@@ -11,9 +11,9 @@ from typing import Protocol, final
 from companion.mavlink.link import VEHICLE_LINK, Output
 from companion.planner.request import Planned, PlanRequest
 from companion.runtime.latency import StreamTimes
-from companion.runtime.link import GroundLinks, Link
+from companion.runtime.link import GroundLinks, Link, is_setpoint
 from companion.runtime.recorder import WRITER, Batch, Writer
-from companion.runtime.watchdog import Clock, Gate, Watchdog, Worker, is_setpoint
+from companion.runtime.watchdog import Clock, Gate, Watchdog, Worker
 from companion.runtime.workers import (
     POLL_S,
     Datagram,
@@ -21,6 +21,7 @@ from companion.runtime.workers import (
     Item,
     LinkReader,
     PlanComputed,
+    WorkerDelayed,
     WorkerLost,
 )
 from companion.session import Session
@@ -35,6 +36,7 @@ _TRACK_S = 0.5
 _MAX_TRACK = 20_000  # points; of a longer flight every second one, and so on
 _MAX_PLANS = 2_000
 _RESERVE_S = 10.0
+_BUSY_AGAIN_S = 10.0  # between two texts that the computer is busy
 _OBLIGES = frozenset({"phase", "set mode", "arm", "take off"})
 """Journal entries after which the vehicle has to be told something else at the end."""
 
@@ -50,6 +52,30 @@ class Planning(Protocol):
     def ask(self, request: PlanRequest) -> None:
         """Compute a request, now or soon."""
         ...
+
+
+class Person(Protocol):
+    """Who may say go at the terminal."""
+
+    def says_go(self) -> bool:
+        """Whether somebody has said it since this was asked last."""
+        ...
+
+    def hears(self, answer: str) -> None:
+        """What became of it."""
+        ...
+
+
+@final
+class Nobody:
+    """Nobody is there to say it."""
+
+    def says_go(self) -> bool:
+        """Never."""
+        return False
+
+    def hears(self, answer: str) -> None:
+        """Nobody does."""
 
 
 @final
@@ -71,6 +97,7 @@ class ControlLoop:
     lockstep: bool
     stop_asked: Callable[[], bool]
     clock: Clock
+    person: Person = field(default_factory=Nobody)
     part: Worker = field(default_factory=lambda: Worker("decider"))
     ended: threading.Event = field(default_factory=threading.Event)
     _leaving: threading.Event = field(default_factory=threading.Event)
@@ -82,6 +109,7 @@ class ControlLoop:
     _track_at_s: float = -math.inf
     _track_every_s: float = _TRACK_S
     _reserve_at_s: float = -math.inf
+    _busy_at_s: float = -math.inf
     _ended_s: float | None = None
 
     def leave(self) -> None:
@@ -153,6 +181,8 @@ class ControlLoop:
         if not self._stopping and self.stop_asked():
             self._stopping = True
             self.session.stop()
+        if self.person.says_go():
+            self.person.hears(self.session.say_go() or "go: it takes off")
 
     def _quiet_s(self) -> float:
         """The shortest time that counts as a silence."""
@@ -169,10 +199,16 @@ class ControlLoop:
                 pass
             case PlanComputed():
                 self.flown.plans_s.append(item.took_s)
+                if getattr(item.outcome, "stopped_after", None) is not None:
+                    self.flown.out_of_time += 1
                 if isinstance(item.outcome, Planned):
                     self.flown.plans.append(item.outcome)
                 self._forget()
                 self.session.deliver(item.outcome)
+            case WorkerDelayed(part=part, waited_s=waited_s):
+                if now_s - self._busy_at_s >= _BUSY_AGAIN_S:
+                    self._busy_at_s = now_s
+                    self.session.complain(f"computer busy: the {part} waited for {waited_s:.1f} s")
             case WorkerLost(failure=failure, vital=True):
                 self.session.part_died(failure.part, failure.error)
             case WorkerLost(failure=failure) if failure.part != WRITER:
@@ -235,8 +271,10 @@ class ControlLoop:
 
     def _send(self, frames: list[bytes], out: Output) -> None:
         """Send frames, and remove those not sent from the record."""
-        is_open = not (frames or out.to_ground) or self.gate.send(frames, out.to_ground)
-        sent = frames if is_open else []
+        sent = frames
+        if frames or out.to_ground:
+            since_s = self._turned_s if self._arrived_s is None else self._arrived_s
+            sent = self.gate.send(frames, out.to_ground, None if self.lockstep else since_s)
         self._not_sent(out, sent)
         now_s = self.clock()
         self.times.turns.add(now_s - self._turned_s)

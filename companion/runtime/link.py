@@ -8,8 +8,9 @@
 
 A link drops what it cannot send at once, as a radio does, and never raises for temporary failures:
 an absent peer, an unplugged device.  One thread receives, another may send.  Bytes of a stream
-(TCP, serial) are passed on as they come; frames are sent whole or not at all: if the peer does not
-read the newest are dropped, and with the loss of a stream all that are buffered.
+(TCP, serial) are passed on as they come; frames are sent whole or not at all, in order.  What a
+peer that does not read makes wait is what is still true: the newest setpoint and not those before,
+and of equal messages the last.  With the loss of a stream all of it goes.
 """
 
 import contextlib
@@ -17,6 +18,7 @@ import math
 import os
 import select
 import socket
+import sys
 import threading
 import time
 from abc import abstractmethod
@@ -29,20 +31,69 @@ import serial
 from companion.runtime.connection import Address, Device, parsed, refused
 
 try:
+    from fcntl import ioctl as _ioctl
+    from termios import TIOCOUTQ as _UNSENT
     from termios import error as _TerminalError
 except ImportError:  # Windows has no terminals of this kind
-    _TerminalError = OSError  # type: ignore[assignment,misc]
+    _UNSENT, _TerminalError = 0, OSError  # type: ignore[assignment,misc]
 
 LARGEST_DATAGRAM = 1400  # stays below the usual MTU
 _AGAIN_S = 0.5
 """Between attempts to connect or to open again."""
-_PENDING_BYTES = 2048
-"""Buffer for a peer that reads slowly: half a second of setpoints, not more."""
+_WAITING_BYTES = 6144
+"""What may wait for a peer that reads slowly, orders apart: a second at 57600 baud."""
+_UNDER_WAY_BYTES = 1024
+"""What this computer may hold of what was sent: unsent in its serial port, unacknowledged by TCP.
+
+It cannot be taken back.  A dozen setpoints; at 10 Hz enough for a round trip of a second.
+"""
+_PUSH_S = 0.01
+"""Between two looks whether there is room again: 1 kB in each is the fastest serial port."""
+_STALE_S = 0.5
+"""A setpoint that has waited for longer is not sent: a newer one, or an order, comes."""
+_SETPOINTS, _COMMAND_INT = (84, 86), 75
+_ORDERS = (11, _COMMAND_INT, 76)
+"""SET_MODE, COMMAND_INT, COMMAND_LONG."""
+_REPOSITION, _NO_SWITCH = (192).to_bytes(2, "little"), bytes(4)
 _PIECE_BYTES = 65536
 _UNANSWERED_MS = 5000  # a TCP peer that is gone without a word
 _LOST = (OSError, _TerminalError, TypeError, ValueError)
 """Exceptions of a lost stream; the last two if it was just closed."""
 _Stream = TypeVar("_Stream", socket.socket, serial.Serial)
+
+
+def is_setpoint(frame: bytes) -> bool:
+    """Whether a MAVLink 2 frame tells a vehicle where to be: SET_POSITION_TARGET_*, DO_REPOSITION.
+
+    DO_REPOSITION with a mode change (parameter 2) is a hold command, no setpoint.
+    COMMAND_INT holds its command after four parameters, two coordinates and a height (28 bytes).
+    """
+    message_id = _number_of(frame)
+    if message_id == _COMMAND_INT:
+        return frame[38:40] == _REPOSITION and frame[14:18] == _NO_SWITCH
+    return message_id in _SETPOINTS
+
+
+def _number_of(frame: bytes) -> int | None:
+    """Which message a MAVLink 2 frame holds; None: it is none."""
+    if len(frame) < 12 or frame[0] != 0xFD:
+        return None
+    return int.from_bytes(frame[7:10], "little")
+
+
+def _is_order(frame: bytes) -> bool:
+    return _number_of(frame) in _ORDERS and not is_setpoint(frame)
+
+
+def _says(frame: bytes) -> object:
+    """What makes a frame needless that waits: a newer one of an equal value.
+
+    Setpoints are all equal; other messages are if their sender and content are, whatever their
+    sequence number and signature.
+    """
+    if _number_of(frame) is None:
+        return object()
+    return is_setpoint(frame) or frame[:2] + frame[5 : 10 + frame[1]]
 
 
 def _readable(sockets: list[socket.socket], timeout_s: float) -> list[socket.socket]:
@@ -145,8 +196,8 @@ class UdpLink(Link):
     """Datagrams to and from one peer: for udpin, the sender that turned out to be the vehicle."""
 
     def __init__(self, place: Address) -> None:
-        address = place.resolved()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        family, address = place.resolved()
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
         self._peer: tuple[str, int] | None = None
@@ -198,7 +249,12 @@ class _StreamLink(Link, Generic[_Stream]):
 
     def __init__(self) -> None:
         self._stream: _Stream | None = None
-        self._pending = b""
+        self._begun = b""
+        """The rest of a frame of which a part is sent."""
+        self._waiting: dict[object, tuple[bytes, float]] = {}
+        """Whole frames by what they say, in order, and since when they wait."""
+        self._size = 0
+        """Of all that waits, bytes."""
         self._lock = threading.Lock()
         """Held while bytes are written: a stream that is closed under it is not written to."""
         self._next_s = -math.inf
@@ -212,6 +268,7 @@ class _StreamLink(Link, Generic[_Stream]):
             if self._over.is_set():  # it was closed meanwhile
                 self._drop()
             return None
+        timeout_s = min(timeout_s, self._push(stream))
         try:
             data = self._read(stream, timeout_s)
         except (BlockingIOError, InterruptedError):
@@ -228,33 +285,105 @@ class _StreamLink(Link, Generic[_Stream]):
         if stream is None:
             return
         with self._lock:
+            full = False
             for frame in frames:
-                if len(self._pending) + len(frame) > _PENDING_BYTES:
-                    self._flush(stream)
-                if len(self._pending) + len(frame) <= _PENDING_BYTES:
-                    self._pending += frame
+                if not self._put(frame) and not full:
+                    self._flush(stream, all_of_it=True)
+                    full = not self._put(frame)
             self._flush(stream)
 
-    def _flush(self, stream: _Stream) -> None:
-        """Write the buffer, as far as there is room; a lost stream clears it."""
+    def _put(self, frame: bytes) -> bool:
+        """Queue a frame, last, in the place of one that says the same; False: there is no room."""
+        says = _says(frame)
+        self._remove(says)
+        if self._size + len(frame) > _WAITING_BYTES and not _is_order(frame):
+            return False
+        self._waiting[says] = frame, time.monotonic()
+        self._size += len(frame)
+        return True
+
+    def _remove(self, says: object) -> bytes:
+        """The frame that says so waits no more; empty: there was none."""
+        frame = self._waiting.pop(says, (b"", 0.0))[0]
+        self._size -= len(frame)
+        return frame
+
+    def _push(self, stream: _Stream) -> float:
+        """Send what waits, as far as there is room; for how long then to wait for more."""
+        if self._waiting or self._begun:
+            if self._lock.acquire(blocking=False):  # else somebody is at it
+                try:
+                    self._flush(stream)
+                finally:
+                    self._lock.release()
+            if self._waiting or self._begun:
+                return _PUSH_S
+        return math.inf
+
+    def _flush(self, stream: _Stream, *, all_of_it: bool = False) -> None:
+        """Write what waits, as far as there is room; a lost stream clears it."""
         try:
-            while self._pending and (taken := self._write(stream, self._pending)):
-                self._pending = self._pending[taken:]
+            while self._begun or self._waiting:
+                data = self._next(stream, all_of_it=all_of_it)
+                if not data:
+                    return
+                taken = self._write(stream, data)
+                self._taken(taken)
+                if taken < len(data):
+                    return
         except BlockingIOError:
             return
         except _LOST:  # the receiving side notices, too
-            self._pending = b""
+            self._clear()
+
+    def _next(self, stream: _Stream, *, all_of_it: bool) -> bytes:
+        """What is to be written now, in front of which nothing waits.
+
+        A setpoint that has waited for too long goes.  An order has to get out: with all that waits
+        it is given to the computer as far as that takes it.
+        """
+        setpoint = self._waiting.get(True)
+        if setpoint is not None and time.monotonic() - setpoint[1] > _STALE_S:
+            self._remove(True)
+        frames = [frame for frame, _ in self._waiting.values()]
+        if all_of_it or any(map(_is_order, frames)):
+            room = sys.maxsize
+        else:
+            room = _UNDER_WAY_BYTES - self._under_way(stream)
+        data = self._begun if room > 0 else b""
+        for frame in frames:
+            if len(data) >= room:
+                break
+            data += frame
+        return data
+
+    def _taken(self, count: int) -> None:
+        """So many bytes of what was next are written."""
+        rest = count - len(self._begun)
+        self._begun = self._begun[count:]
+        while rest > 0:
+            frame = self._remove(next(iter(self._waiting)))
+            self._begun = frame[rest:]
+            rest -= len(frame)
+
+    def _clear(self) -> None:
+        self._begun, self._size = b"", 0
+        self._waiting.clear()
 
     def close(self) -> None:
-        """Close the stream for good; a thread waiting for one returns."""
+        """Close the stream for good, after what waits; a thread waiting for one returns."""
         self._over.set()
+        stream = self._stream
+        if stream is not None:
+            with self._lock:
+                self._flush(stream, all_of_it=True)
         self._drop()
 
     def _drop(self) -> None:
         """The stream is lost: a new one begins with a whole frame."""
         stream, self._stream = self._stream, None
         with self._lock, contextlib.suppress(OSError):
-            self._pending = b""
+            self._clear()
             if stream is not None:
                 stream.close()
 
@@ -281,6 +410,10 @@ class _StreamLink(Link, Generic[_Stream]):
     def _write(self, stream: _Stream, data: bytes) -> int:
         """Write what there is room for; how many bytes that was."""
 
+    @abstractmethod
+    def _under_way(self, stream: _Stream) -> int:
+        """How many bytes this computer still holds of what was written; 0 if it does not tell."""
+
 
 class _TcpLink(_StreamLink[socket.socket]):
     """Common part of TCP client and server."""
@@ -290,6 +423,8 @@ class _TcpLink(_StreamLink[socket.socket]):
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
+        if not sys.platform.startswith("linux"):  # it would not tell how much it holds
+            stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 * _UNDER_WAY_BYTES)
         self._drop()
         self._stream = stream
 
@@ -299,6 +434,11 @@ class _TcpLink(_StreamLink[socket.socket]):
     def _write(self, stream: socket.socket, data: bytes) -> int:
         return stream.send(data)
 
+    def _under_way(self, stream: socket.socket) -> int:
+        if not sys.platform.startswith("linux"):
+            return 0
+        return int.from_bytes(_ioctl(stream.fileno(), _UNSENT, bytes(4)), sys.byteorder)
+
 
 @final
 class TcpClient(_TcpLink):
@@ -306,7 +446,7 @@ class TcpClient(_TcpLink):
 
     def __init__(self, place: Address) -> None:
         super().__init__()
-        self._address = place.resolved()
+        self._family, self._address = place.resolved()
         self._calling: socket.socket | None = None
 
     def _open(self, timeout_s: float) -> None:
@@ -315,7 +455,7 @@ class TcpClient(_TcpLink):
             if calling is None:
                 if not self._is_due(timeout_s):
                     return
-                calling = self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+                calling = self._calling = socket.socket(self._family, socket.SOCK_STREAM)
                 calling.setblocking(False)
                 calling.connect_ex(self._address)
             answered = select.select((), [calling], [calling], timeout_s)
@@ -341,8 +481,8 @@ class TcpServer(_TcpLink):
 
     def __init__(self, place: Address) -> None:
         super().__init__()
-        address = place.resolved()
-        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        family, address = place.resolved()
+        self._listener = socket.socket(family, socket.SOCK_STREAM)
         self._listener.setblocking(False)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -355,6 +495,8 @@ class TcpServer(_TcpLink):
     def receive(self, timeout_s: float) -> bytes | None:
         """The next piece of the stream, or None if none came in time."""
         stream = self._stream
+        if stream is not None:
+            timeout_s = min(timeout_s, self._push(stream))
         ready = _readable([self._listener, *([] if stream is None else [stream])], timeout_s)
         if self._listener in ready:
             with contextlib.suppress(OSError):  # it has gone again already
@@ -408,3 +550,6 @@ class SerialLink(_StreamLink[serial.Serial]):
         if os.name == "posix":
             return os.write(stream.fileno(), data)
         return stream.write(data) or 0
+
+    def _under_way(self, stream: serial.Serial) -> int:
+        return int(stream.out_waiting)

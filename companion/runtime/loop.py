@@ -19,7 +19,7 @@ from companion.mavlink.link import VEHICLE_LINK
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
 from companion.runtime.compiler import Planner, load_libraries
-from companion.runtime.control_loop import ControlLoop
+from companion.runtime.control_loop import ControlLoop, Nobody, Person
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import GroundLinks, Link
 from companion.runtime.planner_process import PlannerProcess
@@ -31,6 +31,7 @@ from companion.runtime.workers import (
     LinkReader,
     PlanFunction,
     PlannerWorker,
+    WorkerDelayed,
     WorkerLost,
 )
 from companion.session import Session
@@ -54,6 +55,7 @@ def fly(
     planner: PlanFunction | None = None,
     persist: Callable[[], None] | None = None,
     ground: Sequence[Link] = (),
+    person: Person | None = None,
     clock: Clock = time.monotonic,
 ) -> FlightSummary:
     """Run a session until its mission ends; every end is a value, `FlightSummary.end`.
@@ -61,12 +63,17 @@ def fly(
     planner: by default the compiled one, in a process of its own unless in lockstep.
     persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
     ground: links to ground stations, for a session that `has_ground`.
+    person: who may say go at the terminal; None: there is none.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
     load_libraries()
     if planner is None:
         planner = Planner(lockstep=True) if lockstep else PlannerProcess()
-    flight = _Flight(session, link, ground, folder, lockstep, planner, persist, stop_asked, clock)
+    who = person or Nobody()
+    flight = _Flight(
+        session, link, ground, folder, lockstep, planner, persist, stop_asked, who, clock
+    )
+    flight.flown.asks_here = person is not None
     with prompt_threads():
         flight.run(on_progress)
     return flight.flown
@@ -103,13 +110,14 @@ class _Flight:
         planner: PlanFunction,
         persist: Callable[[], None] | None,
         stop_asked: Callable[[], bool],
+        person: Person,
         clock: Clock,
     ) -> None:
         self.flown = FlightSummary(session=session)
         self._session, self._folder, self._lockstep = session, folder, lockstep
         self._event_queue = EventQueue()
         grounds = GroundLinks(ground)
-        gate = Gate(link, clock, grounds)
+        gate = Gate(link, clock, grounds, session.signed)
         self._watchdog = Watchdog(
             gate,
             clock=clock,
@@ -117,6 +125,7 @@ class _Flight:
             final_text=session.final_text,
             on_failure=self._on_failure,
             on_loss=self._on_loss,
+            on_delay=self._on_delay,
             watches_time=not lockstep,
         )
         recorder = Recorder(folder, clock, persist)
@@ -143,6 +152,7 @@ class _Flight:
             times=self._times,
             lockstep=lockstep,
             stop_asked=stop_asked,
+            person=person,
             clock=clock,
         )
 
@@ -183,6 +193,9 @@ class _Flight:
 
     def _on_loss(self, failure: Failure) -> None:
         self._event_queue.put(WorkerLost(failure, vital=False))
+
+    def _on_delay(self, part: str, waited_s: float) -> None:
+        self._event_queue.put(WorkerDelayed(part, waited_s))
 
     def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
         now_s = self._session.now_s

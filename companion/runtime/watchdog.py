@@ -8,13 +8,15 @@ C1, C2).  The writer is not vital: a flight goes on without its recording.
 
 import contextlib
 import math
+import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from companion.runtime.link import GroundLinks, Link
+from companion.runtime.link import GroundLinks, Link, is_setpoint
 
 Clock = Callable[[], float]
 """Seconds that only ever grow, of this computer."""
@@ -23,14 +25,23 @@ STALL_S = 0.2
 """How long a worker may stall while setpoints are streamed."""
 IDLE_STALL_S = 5.0
 """The same without a stream: a busy computer at start-up is no danger."""
+SETPOINT_AGE_S = 0.5
+"""A setpoint is not sent later than this after the position that it answers has arrived."""
 STREAMING_S = 0.4
 """Setpoints count as streamed if one was sent this recently."""
 _TICK_S = 0.025
 _HOLD_AGAIN_S = (0.0, 0.3, 0.7)
 """Waits before each time that the hold is sent: a datagram may get lost."""
 _LOCK_S = 0.05
-_SETPOINTS = (84, 86)
-_COMMAND_INT, _REPOSITION, _NO_SWITCH = 75, (192).to_bytes(2, "little"), bytes(4)
+_COMPUTES = 0.5
+"""What has run for so much of its limit without a beat does not wait: it does not come to an end.
+
+A turn of the decider takes a twentieth.
+"""
+_SERVED = 0.2
+"""What has a processor for so much of the time comes to the end of a turn within its limit."""
+_POLL = 1.5
+"""CPython looks for its lock once per switch interval; at most so many pass between two looks."""
 
 
 @final
@@ -54,11 +65,15 @@ class Worker:
         """For how long the watchdog has seen no beat."""
         self.seen = 0
         self.excused_s = 0.0
-        """For how much longer there was none because the computer had no time for it."""
+        """For how much longer there was none because it wanted to run and could not."""
         self.thread_id: int | None = None
         """As the operating system knows it, once it runs."""
-        self.processor_ns = 0
-        """How long it had run when the watchdog last looked."""
+        self.looked: tuple[float, int, int, int] | None = None
+        """When the watchdog last looked, and what the operating system said: see `unserved_s`."""
+        self.ran_s = 0.0
+        """How long it has run since its last beat, as far as is known."""
+        self.ahead_s = 0.0
+        """Of a wait for the processor that is not over, what was counted already."""
 
     def beat(self, limit_s: float) -> None:
         """Alive; the next beat comes within limit_s."""
@@ -70,27 +85,49 @@ class Worker:
         self.beat(math.inf)
 
 
-def waits_for_processor(part: Worker) -> bool:
-    """Whether a worker is runnable but gets no processor time: busy, not dead.
+def unserved_s(part: Worker) -> float:
+    """For how long since the last call a worker wanted to run and could not: busy, not dead.
 
-    Its state is runnable, and its processor time has not advanced since the last call.  Linux only.
+    Linux counts how long a thread has run and how long it has waited for a processor, ns, and how
+    often it got one.  A thread that waits for the interpreter's lock runs for some microseconds
+    once per switch interval, one that sleeps does not.  0 where nobody counts.
     """
     try:
         task = Path(f"/proc/self/task/{part.thread_id}")
-        ran_ns = int((task / "schedstat").read_text().split()[0])
+        ran_ns, waited_ns, times = map(int, (task / "schedstat").read_text().split())
         state = (task / "stat").read_text().rpartition(")")[2].split()[0]
     except (OSError, ValueError, IndexError):
-        return False
-    before_ns, part.processor_ns = part.processor_ns, ran_ns
-    return state == "R" and ran_ns == before_ns
+        return 0.0
+    before, part.looked = part.looked, (time.monotonic(), ran_ns, waited_ns, times)
+    if before is None:
+        return 0.0
+    passed_s, ran_s = part.looked[0] - before[0], (ran_ns - before[1]) * 1e-9
+    part.ran_s += ran_s
+    if state == "R" and ran_ns == before[1]:  # the wait is counted once it is over
+        part.ahead_s += passed_s
+        return passed_s
+    if ran_s > _SERVED * passed_s:
+        return 0.0
+    waited_s = max((waited_ns - before[2]) * 1e-9 - part.ahead_s, 0.0)
+    part.ahead_s = 0.0
+    polled_s = (times - before[3]) * _POLL * sys.getswitchinterval()
+    return waited_s + max(min(passed_s - ran_s - waited_s, polled_s), 0.0)
 
 
 @final
 class Gate:
     """The session's only way to the link.  Once shut it stays shut."""
 
-    def __init__(self, link: Link, clock: Clock, ground: GroundLinks | None = None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        clock: Clock,
+        ground: GroundLinks | None = None,
+        signed: Callable[[list[bytes]], list[bytes]] = list,
+    ) -> None:
+        """signed: signs the watchdog's frames, for a link whose peer demands it."""
         self._link, self._clock, self._ground = link, clock, ground or GroundLinks([])
+        self._signed = signed
         self._lock = threading.Lock()
         self._is_shut = False
         self._streamed_s = -math.inf
@@ -104,27 +141,41 @@ class Gate:
         """How long a worker may stall now."""
         return STALL_S if self._clock() - self._streamed_s < STREAMING_S else IDLE_STALL_S
 
-    def send(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> bool:
-        """Send frames; False if the gate is shut and they were dropped."""
+    def send(
+        self,
+        frames: list[bytes],
+        to_ground: Sequence[bytes] = (),
+        since_s: float | None = None,
+    ) -> list[bytes]:
+        """Send frames; those that were sent: none if the gate is shut, and no stale setpoint.
+
+        since_s: when what they answer has arrived; None: setpoints are sent whatever their age.
+        """
         with self._lock:
             if self._is_shut:
-                return False
+                return []
+            if since_s is not None and self._clock() - since_s > SETPOINT_AGE_S:
+                frames = [frame for frame in frames if not is_setpoint(frame)]
             self._link.send(frames)
             self._ground.send(to_ground)
         if any(map(is_setpoint, frames)):
             self._streamed_s = self._clock()
-        return True
+        return frames
 
     def shut(self) -> None:
         """Shut: no frame of the session is sent from now on, except one being sent just now."""
         self._is_shut = True
 
     def send_last(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> None:
-        """Send the watchdog's own frames through the shut gate, without waiting."""
+        """Send the watchdog's own unsigned frames through the shut gate, without waiting.
+
+        They are signed here: a signature that is older than the last one sent is refused, and so is
+        a copy of one that has arrived.
+        """
         locked = self._lock.acquire(timeout=_LOCK_S)
         try:
-            self._link.send(frames)
-            self._ground.send(to_ground)
+            self._link.send(self._signed(frames))
+            self._ground.send(self._signed([*to_ground]))
         finally:
             if locked:
                 self._lock.release()
@@ -143,21 +194,23 @@ class Watchdog:
         final_text: Callable[[str], list[bytes]] = lambda _: [],
         on_failure: Callable[[Failure, list[bytes]], None],
         on_loss: Callable[[Failure], None],
+        on_delay: Callable[[str, float], None] = lambda _part, _waited_s: None,
         watches_time: bool = True,
-        waits: Callable[[Worker], bool] = waits_for_processor,
+        waits: Callable[[Worker], float] = unserved_s,
     ) -> None:
         """A watchdog that is started by start().
 
         hold_frames: makes the frames that put the autopilot on hold; final_text: those with the
         reason as text.  on_failure: told of a vital worker's end, and of the frames that are sent
-        on it; on_loss: of the end of a worker that is not vital.  watches_time: False in lockstep,
-        where nothing depends on wall time: workers are only checked for death.  waits: whether a
-        worker stalls for lack of processor time, which is tolerated for 5 s.
+        on it; on_loss: of the end of a worker that is not vital; on_delay: of one that is busy
+        again after it was excused for so many seconds.  watches_time: False in lockstep, where
+        nothing depends on wall time: workers are only checked for death.  waits: for how much of
+        the time since it was last asked a worker could not run, which is tolerated for 5 s.
         """
         self.failure: Failure | None = None
         self._gate, self._clock = gate, clock
         self._hold_frames, self._final_text = hold_frames, final_text
-        self._on_failure, self._on_loss = on_failure, on_loss
+        self._on_failure, self._on_loss, self._on_delay = on_failure, on_loss, on_delay
         self._watches_time, self._waits = watches_time, waits
         self._parts: list[Worker] = []
         self._reserve: list[bytes] = []
@@ -237,15 +290,20 @@ class Watchdog:
 
     def _look(self, elapsed_s: float) -> None:
         for part in tuple(self._parts):
+            if not self._watches_time:
+                continue
+            unserved_s = min(self._waits(part), elapsed_s) if part.limit_s < math.inf else 0.0
             if part.beats != part.seen:
-                part.seen, part.still_s, part.excused_s = part.beats, 0.0, 0.0
-            elif self._watches_time and part.limit_s < math.inf:
-                if part.excused_s < IDLE_STALL_S and self._waits(part):
-                    part.excused_s += elapsed_s
-                    continue
-                part.still_s += elapsed_s
-                if part.still_s > part.limit_s:
-                    self.died(part, f"it has stood still for {part.still_s:.1f} s")
+                if part.excused_s > STALL_S:
+                    self._on_delay(part.name, part.excused_s)
+                part.seen, part.still_s, part.excused_s, part.ran_s = part.beats, 0.0, 0.0, 0.0
+            elif part.limit_s < math.inf:
+                unserved_s = min(unserved_s, IDLE_STALL_S - part.excused_s)
+                part.excused_s += unserved_s
+                part.still_s += elapsed_s - unserved_s
+                computes = part.ran_s > _COMPUTES * part.limit_s
+                if part.still_s + (part.excused_s if computes else 0.0) > part.limit_s:
+                    self.died(part, _stood_still(part))
 
     def _hold(self) -> None:
         """Put the vehicle on hold; the session is notified after its hold frames were made."""
@@ -266,15 +324,9 @@ class Watchdog:
             words = []  # once
 
 
-def is_setpoint(frame: bytes) -> bool:
-    """Whether a MAVLink 2 frame tells a vehicle where to be: SET_POSITION_TARGET_*, DO_REPOSITION.
-
-    DO_REPOSITION with a mode change (parameter 2) is a hold command, no setpoint.
-    COMMAND_INT holds its command after four parameters, two coordinates and a height (28 bytes).
-    """
-    if len(frame) < 12 or frame[0] != 0xFD:
-        return False
-    message_id = int.from_bytes(frame[7:10], "little")
-    if message_id == _COMMAND_INT:
-        return frame[38:40] == _REPOSITION and frame[14:18] == _NO_SWITCH
-    return message_id in _SETPOINTS
+def _stood_still(part: Worker) -> str:
+    """For how long, and for how much longer it could not run."""
+    text = f"it has stood still for {part.still_s:.1f} s"
+    if part.excused_s < 0.1:
+        return text
+    return f"{text}, after {part.excused_s:.1f} s in which the computer did not let it run"

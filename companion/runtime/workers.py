@@ -58,7 +58,16 @@ class WorkerLost:
     vital: bool
 
 
-Item = Datagram | PlanComputed | WorkerLost
+@final
+@dataclass(frozen=True, slots=True)
+class WorkerDelayed:
+    """A worker goes on that could not run for so long: the computer is busy."""
+
+    part: str
+    waited_s: float
+
+
+Item = Datagram | PlanComputed | WorkerLost | WorkerDelayed
 
 
 @final

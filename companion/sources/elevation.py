@@ -109,6 +109,28 @@ def read_known_map(
     return replace(blank, upper_m=upper, seen=seen, given=known)
 
 
+def height_at_m(
+    path: Path,
+    place_deg: tuple[float, float],
+    *,
+    vertical_datum: VerticalDatum,
+    nodata: Nodata,
+    field: str,
+) -> float | None:
+    """The highest of the cells of an elevation file about a latitude and longitude, metres AMSL.
+
+    None: one of them lies beyond the file, or has no height and nodata does not say any.  Raises
+    InputError naming the field as `read_terrain` does.
+    """
+    with _opened(path, vertical_datum, field) as source:
+        frame = LocalFrame(latitude_deg=place_deg[0], longitude_deg=place_deg[1])
+        reached = _reached(source, frame, ((0.0, 0.0), (0.0, 0.0)))
+        heights, empty, beyond = _read_where_it_is(source, reached.rows, reached.columns)
+        if beyond.any() or (empty.any() and nodata is None):
+            return None
+        return float(_filled(heights, empty, nodata).max())
+
+
 def write_elevation(
     path: Path,
     heights_m: FloatArray,

@@ -29,7 +29,10 @@ def read_text(path: Path, field: str, remedy: str) -> str:
             rule = f"it is larger than {_MAX_BYTES / 1e6:g} MB"
             raise InputError(field, str(path), rule, remedy)
         return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        rule = f"it cannot be read: it is no text in UTF-8, from byte {error.start}"
+        raise InputError(field, str(path), rule, remedy) from error
+    except OSError as error:
         raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
 
 
@@ -43,6 +46,13 @@ def answer(question: Callable[[], bool]) -> bool:
 
 def file_of_run(run_dir: Path, name: str, field: str = "RUN_DIR") -> Path:
     """A file of a run folder.  Raises InputError about the field if it is not there."""
+    if answer(run_dir.is_file):
+        rule = "it is a file, and a run folder is asked for"
+        remedy = (
+            "Logs of others are for companion replay LOG --shadow and companion view LOG; of a "
+            "flight of the companion give the folder."
+        )
+        raise InputError(field, str(run_dir), rule, remedy)
     if not answer((run_dir / name).is_file):
         rule = f"it holds no {name}" if answer(run_dir.is_dir) else "no such folder"
         remedy = "Give the run folder of a flight: the one that was given to companion fly --out."
@@ -96,11 +106,14 @@ def toml_table(text: str, where: str) -> RawTable:
         raise InputError("file", where, rule, "Mend it; see docs/files.md.") from None
 
 
-def json_table(path: Path, field: str, remedy: str) -> RawTable:
-    """The object in a JSON file.  Raises InputError about the field."""
+def json_table(path: Path, field: str, remedy: str, *, nan_is_null: bool = False) -> RawTable:
+    """The object in a JSON file.  Raises InputError about the field.
+
+    nan_is_null: NaN, which JSON does not know, is taken for null.
+    """
     text = read_text(path, field, remedy)
     try:
-        found = json.loads(text, parse_constant=_no_number)
+        found = json.loads(text, parse_constant=_null_or_no_number if nan_is_null else _no_number)
     except (RecursionError, ValueError) as error:
         raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
     if not isinstance(found, dict):
@@ -203,6 +216,11 @@ def _string(text: str) -> str:
 
 def _no_number(name: str) -> NoReturn:
     raise ValueError(f"{name} is no number")
+
+
+def _null_or_no_number(name: str) -> None:
+    if name != "NaN":
+        _no_number(name)
 
 
 def _one_line(error: Exception) -> str:

@@ -1,5 +1,7 @@
 """Zones and radars from a GeoJSON file (RFC 7946: longitude before latitude, WGS84)."""
 
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, final
@@ -14,6 +16,18 @@ from companion.sources.schema import validated
 _REMEDY = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
 _WGS84 = ("CRS84", "4326")
 _MAX_FEATURES = 100_000
+_LINES = ("LineString", "MultiLineString", "Track", "MultiTrack")
+"""Those of KML too."""
+_ALONE = ("Polygon", "MultiPolygon", "Point", "MultiPoint", "GeometryCollection")
+
+NoZone = Literal["points", "lines", "empty"]
+"""Kinds of features that maps have beside zones."""
+_NO_ZONES: dict[NoZone, tuple[str, str]] = {
+    "points": ("point without radius_m", "points without radius_m"),
+    "lines": ("line", "lines"),
+    "empty": ("without a geometry", "without a geometry"),
+}
+"""One, and several."""
 
 
 @final
@@ -28,7 +42,7 @@ class Threats:
     """What was left out or taken otherwise than it is written, for people."""
 
 
-def read_geojson(path: Path, where: str) -> Threats:
+def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> Threats:
     """The threats of a file.  Raises InputError about it, or naming the feature in it.
 
     Polygons and multipolygons are zones; a point with the property radius_m is a circle, one of
@@ -36,22 +50,94 @@ def read_geojson(path: Path, where: str) -> Threats:
     """
     found = json_table(path, where, _REMEDY)
     _check_coordinates(found, path, where)
+    if found.get("type") in _ALONE:
+        found = {"type": "Feature", "properties": None, "geometry": found}
     features = found.get("features") if found.get("type") == "FeatureCollection" else [found]
     if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)
-    return threats_of(features, path.name)
+    return threats_of(features, path.name, leave_out)
 
 
-def threats_of(features: list[Any], name: str) -> Threats:
-    """The threats of GeoJSON features; name: of the file.  Raises InputError naming the feature."""
+def threats_of(features: list[Any], name: str, leave_out: Collection[NoZone] = ()) -> Threats:
+    """The threats of GeoJSON features; name: of the file, leave_out: what is there for no zone.
+
+    Raises InputError naming the feature, or counting those that are no zones.
+    """
     if len(features) > _MAX_FEATURES:
         rule = f"it has more than {_MAX_FEATURES:,}"
         remedy = "Keep those that are near the mission."
         raise InputError(f"{name}: features", len(features), rule, remedy)
-    threats = Threats()
+    threats, no_zones = Threats(), Counter[NoZone]()
     for index, feature in enumerate(features):
-        _add(threats, feature, f"{name}: features[{index}]", index)
+        for part in _parts(feature):
+            if (kind := _no_zone(part)) is not None:
+                no_zones[kind] += 1
+            else:
+                _add(threats, part, f"{name}: features[{index}]", index)
+    unasked = {kind: count for kind, count in no_zones.items() if kind not in leave_out}
+    if unasked:
+        rule = "a zone is a polygon, or a point with radius_m"
+        kinds = ", ".join(f'"{kind}"' for kind in no_zones)
+        remedy = (
+            "Remove or complete them, or leave them out: "
+            f'threats = {{ file = "{plain(name, "")}", leave_out = [{kinds}] }}.'
+        )
+        raise InputError(f"{name}: features", _counted(unasked), rule, remedy)
+    if no_zones:
+        threats.notes.append(f"{name}: left out, as they are no zones: {_counted(no_zones)}")
     return threats
+
+
+def _counted(kinds: Mapping[NoZone, int]) -> str:
+    return ", ".join(f"{count:,} {_NO_ZONES[kind][count > 1]}" for kind, count in kinds.items())
+
+
+def _parts(feature: Any, deepest: int = 8) -> Iterator[Any]:
+    """The feature, or one for each geometry of a collection and each place of a MultiPoint."""
+    geometry = feature.get("geometry") if isinstance(feature, dict) else None
+    inner: Any = None
+    if isinstance(geometry, dict) and geometry.get("type") == "GeometryCollection":
+        inner = geometry.get("geometries")
+    elif isinstance(geometry, dict) and geometry.get("type") == "MultiPoint":
+        places = geometry.get("coordinates")
+        if isinstance(places, list):
+            inner = [{"type": "Point", "coordinates": place} for place in places]
+    elif isinstance(geometry, dict) and geometry.get("type") == "MultiPolygon":
+        polygons = geometry.get("coordinates")
+        if isinstance(polygons, list) and any(map(_is_empty, polygons)):
+            whole = [each for each in polygons if not _is_empty(each)]
+            empty = [geometry | {"coordinates": []}] * (len(polygons) - len(whole))
+            inner = [geometry | {"coordinates": whole}, *empty] if whole else None
+    if not isinstance(inner, list) or not inner or deepest == 0:
+        yield feature
+        return
+    for each in inner:
+        yield from _parts(feature | {"geometry": each}, deepest - 1)
+
+
+def _no_zone(feature: Any) -> NoZone | None:
+    """What a feature is that can be no zone, whatever was meant by it; None: it may be one."""
+    if not isinstance(feature, dict) or feature.get("type") != "Feature":
+        return None
+    geometry, properties = feature.get("geometry"), feature.get("properties")
+    if geometry is None:
+        return "empty"
+    if not isinstance(geometry, dict):
+        return None
+    kind = geometry.get("type")
+    inside = geometry.get("geometries" if kind == "GeometryCollection" else "coordinates")
+    if kind in (*_ALONE, *_LINES) and _is_empty(inside):
+        return "empty"
+    if kind in _LINES:
+        return "lines"
+    given = properties if isinstance(properties, dict) else {}
+    if kind == "Point" and given.get("kind") != "radar" and given.get("radius_m") is None:
+        return "points"
+    return None
+
+
+def _is_empty(coordinates: Any) -> bool:
+    return isinstance(coordinates, list) and all(_is_empty(each) for each in coordinates)
 
 
 def _check_coordinates(found: RawTable, path: Path, where: str) -> None:

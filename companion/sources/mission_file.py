@@ -21,17 +21,20 @@ from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.sources.altitudes import about_altitudes, carried_on
-from companion.sources.elevation import read_known_map
+from companion.sources.elevation import height_at_m, read_known_map
 from companion.sources.files import RawTable, plain
 from companion.sources.mission_schema import (
     KnownTerrainTable,
     MissionTable,
     MissionVehicleTable,
     ScannerTable,
+    ThreatsTable,
 )
 from companion.sources.places import Place, place_of, radar_of, zones_of
 from companion.sources.plan_defaults import with_plan
-from companion.sources.plan_file import read_plan
+from companion.sources.plan_file import Ground, read_plan
+from companion.sources.recognised import is_plan, refuse_other
+from companion.sources.schema import validated
 from companion.sources.threat_file import read_threats
 from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
 from companion.world.known_map import KnownMap, empty_map
@@ -55,17 +58,25 @@ class MissionFile:
     """What was assumed and what was left out, for people."""
     is_whole: bool
     """Whether it was so from the beginning: it names no other file."""
+    assumed: frozenset[str] = frozenset()
+    """Keys, with dots, that nobody wrote: what a plan lacks."""
 
 
 def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
     """Take into a table what other files hold that it names.  Raises InputError about them."""
     notes: list[str] = []
+    given = table
     names = [key for key in ("plan", "threats") if isinstance(table.get(key), str)]
+    if isinstance(table.get("threats"), dict):
+        names.append("threats")
     terrain = table.get("terrain")
     if isinstance(table.get("plan"), str):
         table, notes = _with_plan(table, folder, where)
-    if isinstance(table.get("threats"), str):
-        threats = read_threats(folder / table["threats"], f"{where}: threats")
+    if "threats" in names:
+        asked = table["threats"]
+        asked = {"file": asked} if isinstance(asked, str) else asked
+        chosen = validated(ThreatsTable, asked, f"{where}: threats")
+        threats = read_threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key in ("keep_outs", "keep_ins", "radars"):
@@ -75,25 +86,74 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
         names.append("terrain")
         table = table | {"terrain": terrain | {"file": str(_absolute(folder / terrain["file"]))}}
-    return MissionFile(table=table, notes=tuple(notes), is_whole=not names)
+    assumed = _keys(table) - _keys(given) if "plan" in names else frozenset[str]()
+    return MissionFile(table=table, notes=tuple(notes), is_whole=not names, assumed=assumed)
+
+
+def _keys(table: RawTable, above: str = "") -> frozenset[str]:
+    """With dots, those of tables in it too; lists say by themselves where they are from."""
+    found = set[str]()
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= _keys(value, f"{above}{key}.")
+        if not isinstance(value, list):
+            found.add(f"{above}{key}")
+    return frozenset(found)
+
+
+def explained(error: InputError, assumed: frozenset[str], where: str) -> InputError:
+    """The error, where it is about a key that nobody wrote, with the word that it was assumed."""
+    if error.field.removeprefix(f"{where}: ") not in assumed:
+        return error
+    remedy = (
+        f"It was assumed for the plan: name the plan in a mission.toml to say it. {error.remedy}"
+    )
+    return InputError(error.field, error.value, error.rule, remedy)
 
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
     path = folder / table["plan"]
-    read = read_waypoint_list if is_waypoint_list(path) else read_plan
-    plan = read(path, f"{where}: plan")
+    is_list = is_waypoint_list(path)
+    if not is_list and not is_plan(path):
+        refuse_other(path, f"{where}: plan")
+    read = read_waypoint_list if is_list else read_plan
+    plan = read(path, f"{where}: plan", _ground(table, folder, where))
     if plan.targets and "targets" in table:
         rule = f"{plan.name} has waypoints too"
         raise InputError(f"{where}: targets", len(plan.targets), rule, "Remove one of them.")
     stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else " " for c in plan.stem)
     given = {key: value for key, value in table.items() if key != "plan"}
-    complete_table, notes = with_plan(given, plan, plain(stem, "").lstrip(" _-.") or "plan")
+    name = plain(stem, "").lstrip(" _-.") or "plan"
+    complete_table, notes = with_plan(given, plan, name)
     from_vehicle = given.get("from_vehicle")
     elsewhere = isinstance(from_vehicle, dict) and from_vehicle.get("targets") is True
     if not complete_table.get("targets") and not elsewhere:
         rule = "it has no waypoints"
         raise InputError(f"{where}: plan", plan.name, rule, "Add a waypoint.")
     return complete_table, notes
+
+
+def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
+    """The ground that [terrain] knows, for altitudes above it; None: it says nothing."""
+    if not isinstance(table.get("terrain"), dict):
+        return None
+
+    def at(latitude_deg: float, longitude_deg: float) -> float | None:
+        terrain = validated(KnownTerrainTable, table["terrain"], f"{where}: terrain")
+        _check_terrain(terrain, where)
+        if terrain.highest_amsl_m is not None:
+            return terrain.highest_amsl_m
+        assert terrain.file is not None
+        assert terrain.vertical_datum is not None
+        return height_at_m(
+            folder / terrain.file,
+            (latitude_deg, longitude_deg),
+            vertical_datum=terrain.vertical_datum,
+            nodata=terrain.nodata,
+            field=f"{where}: terrain.file",
+        )
+
+    return at
 
 
 def _absolute(path: Path) -> Path:

@@ -13,6 +13,7 @@ from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
 from companion.sources.elevation import VerticalDatum
+from companion.sources.geojson import NoZone
 from companion.sources.schema import (
     NAME,
     SENDER,
@@ -93,7 +94,7 @@ class MissionVehicleTable(
 
 
 _MOUNTING = ("forward_m", "right_m", "blind_m", "latency_s", "latency_error_s")
-_PROMISES = ("range_error_m", "position_error_m", "speaks_for_m")
+_PROMISES = ("range_error_m", "position_error_m", "drift_m_s", "speaks_for_m")
 
 
 class ScannerTable(
@@ -170,9 +171,21 @@ class TrafficTable(keys_of(TrafficRules, *(each.name for each in fields(TrafficR
 
 
 class FromVehicleTable(
-    keys_of(Mission, targets_from_vehicle="targets", fence_from_vehicle="fence")  # type: ignore[misc]
+    keys_of(  # type: ignore[misc]
+        Mission,
+        "goes_on_while_reading",
+        targets_from_vehicle="targets",
+        fence_from_vehicle="fence",
+    )
 ):
     """What is taken from the vehicle's own mission and fence."""
+
+
+class ThreatsTable(Table):
+    """A file of zones and radars, and what of it is none."""
+
+    file: FileName
+    leave_out: list[NoZone] = Field(default_factory=list)
 
 
 class KnownTerrainTable(Table):

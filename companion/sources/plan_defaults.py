@@ -5,10 +5,13 @@ A mission.toml that names the plan overrides any of them.  Each assumption is re
 
 import math
 
+from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.objective.scene import FLIGHT
+from companion.planner.rules import MAX_CELLS
+from companion.planner.settings import CELLS_PER_RANGE
 from companion.sources.files import RawTable
-from companion.sources.plan_file import Plan
+from companion.sources.plan_file import Plan, listing
 
 _GRAVITY_M_S2 = 9.81
 _COPTER: RawTable = {
@@ -37,13 +40,15 @@ _MIN_DISTANCE_M = {"copter": 10.0, "plane": 20.0}
 _SEARCH_ERRORS = 1.1  # of the vehicle's errors: what paths keep besides d_s (`Task.band_amsl_m`)
 _BAND_ERRORS = 8.0
 _MAX_M_S = 500.0
+_FARTHEST_M = 1e6  # from the origin, as for any place (`sources.places`)
 
 
 def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[str]]:
     """A mission table with the plan in it, and what was assumed, for people.
 
     What is given, itself not yet checked, goes before the plan; zones and rally points of both
-    count.  name: of the mission, if nothing is given.
+    count.  name: of the mission, if nothing is given.  Raises InputError about a waypoint that is
+    too far from launch for any map, or whose altitude without a radar is not known.
     """
     vehicle, notes = _vehicle(given, plan)
     vehicle_as_given = _merged(vehicle, _table(given, "vehicle"))
@@ -51,6 +56,8 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     ground_m = max(ground_m, plan.home_amsl_m)
     is_blind = vehicle_as_given.get("scanner") is False
     planner = _planner(given, vehicle["kind"])
+    if plan.unknown_altitudes:
+        notes.append(_about_unknown_altitudes(plan, is_blind=is_blind))
     if is_blind and "safety_distance_m" not in _table(given, "planner"):
         planner["safety_distance_m"] = _least_distance_m(plan, vehicle_as_given, ground_m)
     assumed: RawTable = {
@@ -71,6 +78,7 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
         notes.append(_about_altitude(plan, assumed["altitude"], is_blind=is_blind))
     table = _merged(assumed, given)
     if "area" not in given and (area := _area(table, plan, planner["scan_range_m"])):
+        _check_reach(table, plan, area, planner["scan_range_m"])
         table["area"] = area
         notes.append(f"map assumed: {planner['scan_range_m']:g} m around launch and targets")
     if "scan_range_m" not in _table(given, "planner"):
@@ -193,17 +201,9 @@ def _area(table: RawTable, plan: Plan, margin_m: float) -> RawTable | None:
     if not (abs(latitude) <= 85.0 and abs(longitude) <= 180.0):
         return None  # refused by the schema
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
-    places = [frame.to_local_m(*plan.home_deg)]
-    for target in table.get("targets") or []:
-        if not isinstance(target, dict):
-            return None
-        lat, lon, north_m, east_m = (
-            _number(target, key, math.nan)
-            for key in ("latitude_deg", "longitude_deg", "north_m", "east_m")
-        )
-        places.append((north_m, east_m) if math.isnan(lat) else frame.to_local_m(lat, lon))
+    places = [frame.to_local_m(*plan.home_deg), *_targets_ne_m(table, frame)]
     north, east = ([place[axis] for place in places] for axis in (0, 1))
-    if not all(math.isfinite(value) and abs(value) < 1e6 for value in (*north, *east)):
+    if not all(math.isfinite(value) for value in (*north, *east)):
         return None
     return {
         "north_min_m": float(math.floor(min(north) - margin_m)),
@@ -211,6 +211,60 @@ def _area(table: RawTable, plan: Plan, margin_m: float) -> RawTable | None:
         "east_min_m": float(math.floor(min(east) - margin_m)),
         "east_max_m": float(math.ceil(max(east) + margin_m)),
     }
+
+
+def _targets_ne_m(table: RawTable, frame: LocalFrame) -> list[tuple[float, float]]:
+    """Where the targets lie; nan for what the schema refuses."""
+    targets, found = table.get("targets") or [], []
+    for target in targets if isinstance(targets, list) else []:
+        lat, lon, north_m, east_m = (
+            _number(target if isinstance(target, dict) else {}, key, math.nan)
+            for key in ("latitude_deg", "longitude_deg", "north_m", "east_m")
+        )
+        found.append((north_m, east_m) if math.isnan(lat) else frame.to_local_m(lat, lon))
+    return found
+
+
+def _check_reach(table: RawTable, plan: Plan, area: RawTable, sight_m: float) -> None:
+    """Refuse an assumed map that is too large, by the waypoint that makes it so."""
+    sides = [area[f"{axis}_max_m"] - area[f"{axis}_min_m"] for axis in ("north", "east")]
+    by_hand = _table(table, "scanner").get("kind", "terrain_radar") != "terrain_radar"
+    cells = math.prod(sides) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
+    if max(map(abs, area.values())) < _FARTHEST_M and (by_hand or cells <= MAX_CELLS):
+        return
+    latitude, longitude = plan.home_deg
+    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
+    far_m = [math.hypot(*place) for place in _targets_ne_m(table, frame)]
+    if not far_m:
+        return
+    index = far_m.index(max(far_m))
+    target = table["targets"][index]
+    name = f"{plan.name}: {target.get('name') or f'targets[{index}]'}"
+    shown = [target.get("latitude_deg"), target.get("longitude_deg")]
+    rule = (
+        f"it lies {max(far_m) / 1000.0:,.0f} km from launch ({latitude:g}, {longitude:g}), too far "
+        "for one map"
+    )
+    remedy = (
+        "Correct it or launch; if both are right, name the plan in a mission.toml with a larger "
+        "planner.scan_range_m."
+    )
+    raise InputError(name, shown, rule, remedy)
+
+
+def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
+    """A note; without a radar, where altitudes are flown as they are planned, an InputError."""
+    where, height_m = plan.unknown_altitudes[0]
+    remedy = (
+        "Give [terrain] with highest_amsl_m or an elevation file that has the place, or an "
+        "altitude above launch or above mean sea level."
+    )
+    if is_blind:
+        rule = "it is above terrain, and how high the ground is there is not known"
+        raise InputError(f"{where}: altitude", height_m, rule, remedy)
+    names = [label.removeprefix(f"{plan.name}: ") for label, _ in plan.unknown_altitudes]
+    what = "altitudes above terrain, where the ground is not known"
+    return f"left out: {len(names)} {what} ({listing(names)}). {remedy}"
 
 
 def _merged(assumed: RawTable, given: RawTable) -> RawTable:

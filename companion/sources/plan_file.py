@@ -5,14 +5,16 @@ place to reach; its altitude only says between which altitudes the person meant 
 companion chooses its own within a band.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, final
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
+from companion.mavlink.mission_items import not_done
 from companion.ranges import Longitude, Positive
 from companion.sources.files import RawTable, json_table
 from companion.sources.schema import validated
@@ -20,14 +22,22 @@ from companion.sources.schema import validated
 _REMEDY = "Give a .plan that QGroundControl has saved."
 _MAX_TARGETS = 1000
 
-_PLACES = {16: "", 82: "spline", 17: "", 18: "loiter", 19: "loiter", 31: "loiter"}
-"""Commands that go to a place, and what of them is not done."""
+_PLACES = (16, 82, 17, 18, 19, 31)
+"""Commands that go to a place."""
 _TAKE_OFFS = (22, 24)
 _LAND, _RETURN, _LOITER_FOR_EVER, _DELAY, _ROI, _JUMP = 21, 20, 17, 93, 80, 177
+_SET_HOME = 179
 _LAST_NAV = 95
 _FIXED_WING, _COPTERS = 1, (2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE
 
 _AMSL, _ABOVE_HOME, _ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)  # MAV_FRAME
+_TERRAIN_MODES = (3, 4)
+"""AltitudeMode of QGroundControl: above terrain, sent as AMSL (3) or as it is (4)."""
+_NAMED = 3
+"""So many items of a kind are named, of the others only the number is said."""
+
+Ground = Callable[[float, float], float | None]
+"""How high the ground is known to be, AMSL, at a latitude and a longitude; None: it is not."""
 
 
 class _Json(BaseModel):
@@ -35,12 +45,32 @@ class _Json(BaseModel):
 
 
 _Corner = Annotated[list[Longitude], Field(min_length=2, max_length=3)]
-_Number = float | None
+
+
+def _given(value: Any) -> Any:
+    """MAVLink says "not given" by no number, JSON by null; some programs write it as a text."""
+    return None if isinstance(value, str) and value.lower() in ("nan", "null") else value
+
+
+_Number = Annotated[float | None, BeforeValidator(_given)]
+
+
+class _Camera(_Json):
+    distance_m: _Number = Field(default=None, alias="DistanceToSurface")
+    above_launch: bool = Field(default=True, alias="DistanceToSurfaceRelative")
+    mode: int | None = Field(default=None, alias="DistanceMode")
+
+    def frame(self) -> int:
+        """What the distance is above, as a MAV_FRAME."""
+        by_mode = {1: _ABOVE_HOME, 2: _AMSL, 3: _ABOVE_TERRAIN, 4: _ABOVE_TERRAIN}
+        return by_mode.get(self.mode or 0, _ABOVE_HOME if self.above_launch else _AMSL)[0]
 
 
 class _Transects(_Json):
     items: list["Item"] = Field(default_factory=list, alias="Items")
     points: list[_Corner] = Field(default_factory=list, alias="VisualTransectPoints")
+    camera: _Camera = Field(default=_Camera(), alias="CameraCalc")
+    follows_terrain: bool = Field(default=False, alias="FollowTerrain")
 
 
 class Item(_Json):
@@ -51,7 +81,10 @@ class Item(_Json):
     frame: int = 0
     params: list[_Number] = Field(default_factory=list)
     coordinate: list[_Number] | None = None
+    altitude_mode: int | None = Field(default=None, alias="AltitudeMode")
+    altitude_m: _Number = Field(default=None, alias="Altitude")
     above_terrain_amsl_m: _Number = Field(default=None, alias="AMSLAltAboveTerrain")
+    goes_on: bool = Field(default=True, alias="autoContinue")
     complex_type: str = Field(default="", alias="complexItemType")
     transects: _Transects | None = Field(default=None, alias="TransectStyleComplexItem")
 
@@ -121,6 +154,8 @@ class Plan:
     """Of take-off and waypoints, those that are known."""
     target_amsl_m: list[float | None] = field(default_factory=list)
     """Of each target; None: as the one before it."""
+    unknown_altitudes: list[tuple[str, float]] = field(default_factory=list)
+    """Items at so many metres above terrain where it is not known how high that is."""
     end_action: str = "hold"
     keep_outs: list[RawTable] = field(default_factory=list)
     keep_ins: list[RawTable] = field(default_factory=list)
@@ -142,24 +177,20 @@ class Plan:
         self.rally_points.append({"latitude_deg": latitude_deg, "longitude_deg": longitude_deg})
 
 
-def read_plan(path: Path, where: str) -> Plan:
-    """The plan in a file.
+def read_plan(path: Path, where: str, ground: Ground | None = None) -> Plan:
+    """The plan in a file; ground: what is known of it, for altitudes above terrain.
 
     Raises InputError about the field (where) if it cannot be read as a .plan, or naming the item
     that cannot be flown: jumps, take-off or landing as a VTOL, places without a known datum.
     """
-    found = json_table(path, where, _REMEDY)
+    found = json_table(path, where, _REMEDY, nan_is_null=True)
     if found.get("fileType") != "Plan":
         raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
     content = validated(_Plan, found, path.name)
     mission = content.mission
-    latitude, longitude, altitude = mission.home
     launch = f"{path.name}: mission.plannedHomePosition"
-    check_place(latitude, longitude, launch)
-    if latitude is None or longitude is None or altitude is None:
-        rule = "the altitude of launch is missing, and the plan's altitudes are measured from it"
-        remedy = "Set it in QGroundControl (Mission Start), or write its metres AMSL for the null."
-        raise InputError(launch, mission.home, rule, remedy)
+    remedy = "Set it in QGroundControl (Mission Start)."
+    latitude, longitude, altitude = launch_of(mission.home, launch, remedy)
     plan = Plan(
         name=path.name,
         kind=_kind(mission.vehicle_type, path.name),
@@ -168,7 +199,7 @@ def read_plan(path: Path, where: str) -> Plan:
         home_amsl_m=altitude,
     )
     _add_fences(plan, content)
-    reader = Items(plan)
+    reader = Items(plan, ground)
     for number, item in enumerate(mission.items):
         reader.take(item, f"{path.name}: mission.items[{number}]")
     reader.finish()
@@ -208,10 +239,12 @@ def _add_fences(plan: Plan, content: _Plan) -> None:
 class Items:
     """The mission items of a plan, one after the other."""
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        self._ended_by = ""
+    def __init__(self, plan: Plan, ground: Ground | None = None) -> None:
+        self._plan, self._ground = plan, ground
+        self._ended_by, self._home_moves = "", False
         self._left_out: dict[str, int] = {}
+        self._above_ground: list[str] = []
+        self._without_altitude: list[str] = []
 
     def take(self, item: Item, where: str) -> None:
         """Add an item to the plan.  Raises InputError naming it if it cannot be flown."""
@@ -227,6 +260,12 @@ class Items:
         if self._left_out:
             listed = ", ".join(f"{n} x {name}" for name, n in self._left_out.items())
             self._plan.notes.append(f"left out: {listed}")
+        if self._above_ground:
+            which = listing(self._above_ground)
+            self._plan.notes.append(f"above terrain, taken above the ground of [terrain]: {which}")
+        if self._without_altitude:
+            which = listing(self._without_altitude)
+            self._plan.notes.append(f"without an altitude, so that of the one before: {which}")
 
     def _take_complex(self, item: Item, where: str) -> None:
         if item.complex_type.endswith("LandingPattern"):
@@ -235,8 +274,12 @@ class Items:
             for number, inner in enumerate(item.transects.items):
                 self.take(inner, f"{where}.TransectStyleComplexItem.Items[{number}]")
         elif item.transects is not None and item.transects.points:
+            camera = item.transects.camera
+            frame = _ABOVE_TERRAIN[0] if item.transects.follows_terrain else camera.frame()
             for number, point in enumerate(item.transects.points):
-                self._add_target(point[0], point[1], f"{where} transect point {number + 1}")
+                at = Item(frame=frame, coordinate=[*point[:2], camera.distance_m])
+                label = f"{where} transect point {number + 1}"
+                self._add_target(point[0], point[1], label, self._note_altitude(at, label))
         else:
             rule = "it holds no waypoints"
             remedy = "Replace it by waypoints."
@@ -246,7 +289,10 @@ class Items:
         if command in _PLACES:
             self._take_place(item, command, where)
         elif command in _TAKE_OFFS:
-            self._note_altitude(item, where)
+            if self._plan.targets:  # once in the air it takes off no more
+                self._leave_out(_enum_name("MAV_CMD", command))
+            else:
+                self._note_altitude(item, where)
         elif command == _RETURN:
             self._end("return", command)
         elif command == _LAND:
@@ -254,6 +300,9 @@ class Items:
             if latitude or longitude:
                 self._add_target(latitude, longitude, where)
             self._end("land", command)
+        elif command == _SET_HOME:
+            self._home_moves = True
+            self._leave_out(_enum_name("MAV_CMD", command))
         elif command == _JUMP or (command <= _LAST_NAV and command not in (_DELAY, _ROI)):
             rule = f"{_enum_name('MAV_CMD', command)} cannot be flown by the companion"
             remedy = "Replace it by waypoints."
@@ -271,8 +320,10 @@ class Items:
         self._add_target(latitude, longitude, where, altitude)
         if command == _LOITER_FOR_EVER:
             self._end("hold", command)
-        elif _PLACES[command]:
-            self._leave_out(f"{_PLACES[command]} at a waypoint")
+        for words in not_done(command, item.params[:4]):
+            self._leave_out(words)
+        if not item.goes_on:
+            self._leave_out("stop at a waypoint (autocontinue 0)")
 
     def _add_target(
         self, latitude: Any, longitude: Any, where: str, altitude_amsl_m: float | None = None
@@ -285,8 +336,9 @@ class Items:
         if len(targets) >= _MAX_TARGETS:
             rule = f"it has more than {_MAX_TARGETS} waypoints"
             raise InputError(where, len(targets) + 1, rule, "Divide the plan.")
-        name = where.removeprefix(f"{self._plan.name}: ").removeprefix("mission.")
-        targets.append({"name": name, "latitude_deg": latitude, "longitude_deg": longitude})
+        targets.append(
+            {"name": self._short(where), "latitude_deg": latitude, "longitude_deg": longitude}
+        )
         self._plan.target_amsl_m.append(altitude_amsl_m)
 
     def _end(self, action: str, command: int) -> None:
@@ -299,18 +351,67 @@ class Items:
     def _note_altitude(self, item: Item, where: str) -> float | None:
         """How high an item was meant to be, AMSL, if that can be known: remembered."""
         numbers = item.params[4:] if item.coordinate is None else item.coordinate
-        altitude = numbers[2] if len(numbers) > 2 else None
-        if item.frame in _ABOVE_TERRAIN:
-            altitude = item.above_terrain_amsl_m
-        elif item.frame in _ABOVE_HOME:
-            altitude = None if altitude is None else self._plan.home_amsl_m + altitude
-        elif item.frame not in _AMSL:
+        given = numbers[2] if len(numbers) > 2 else None
+        if item.frame in _ABOVE_TERRAIN or item.altitude_mode in _TERRAIN_MODES:
+            altitude = self._above_terrain(item, given, where)
+        elif item.frame in (*_ABOVE_HOME, *_AMSL):
+            if self._home_moves and item.frame in _ABOVE_HOME:
+                rule = "do set home comes before it, so what its altitude is above is not known"
+                remedy = "Remove that, or give altitudes above mean sea level."
+                raise InputError(f"{where}.frame", item.frame, rule, remedy)
+            above_m = self._plan.home_amsl_m if item.frame in _ABOVE_HOME else 0.0
+            altitude = None if given is None else above_m + given
+            if altitude is None and item.command not in _TAKE_OFFS:
+                self._without_altitude.append(self._short(where))
+        else:
             rule = "what its altitude is above is not known"
             remedy = "Give altitudes above launch or above mean sea level."
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
         if altitude is not None:
             self._plan.altitudes_amsl_m.append(altitude)
         return altitude
+
+    def _above_terrain(self, item: Item, given: float | None, where: str) -> float | None:
+        """By the plan's own word of it, else by the ground that is known there."""
+        if item.above_terrain_amsl_m is not None:
+            return item.above_terrain_amsl_m
+        if item.frame in _AMSL and given not in (None, item.altitude_m):
+            return given  # AltitudeMode 3: this is what is sent
+        height_m = given if item.altitude_m is None else item.altitude_m
+        if height_m is None:
+            self._without_altitude.append(self._short(where))
+            return None
+        if item.command in _TAKE_OFFS:  # at launch, which stands on the ground
+            return self._plan.home_amsl_m + height_m
+        latitude, longitude = _place(item)
+        known = self._ground is not None and latitude is not None and longitude is not None
+        ground_m = self._ground(latitude, longitude) if known else None  # type: ignore[misc, arg-type]
+        if ground_m is None:
+            self._plan.unknown_altitudes.append((where, height_m))
+            return None
+        self._above_ground.append(self._short(where))
+        return ground_m + height_m
+
+    def _short(self, where: str) -> str:
+        return where.removeprefix(f"{self._plan.name}: ").removeprefix("mission.")
+
+
+def listing(names: list[str]) -> str:
+    """Some of them by name, and how many there are."""
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def launch_of(home: list[float | None], field: str, remedy: str) -> tuple[float, float, float]:
+    """Latitude, longitude and altitude of launch.  Raises InputError if there is no such place."""
+    latitude, longitude, altitude = home
+    if latitude is None or longitude is None or (latitude == 0.0 and longitude == 0.0):
+        raise InputError(field, home, "launch has no latitude and longitude", remedy)
+    check_place(latitude, longitude, field)
+    if altitude is None:
+        rule = "the altitude of launch is missing, and the plan's altitudes are measured from it"
+        raise InputError(field, home, rule, f"{remedy} Or write its metres AMSL there.")
+    return latitude, longitude, altitude
 
 
 def _place(item: Item) -> tuple[float | None, float | None]:

@@ -4,14 +4,15 @@ GeoJSON, KML (OGC 12-007r2, read as the GeoJSON that it corresponds to), and fen
 Mission Planner and MAVProxy.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
 from companion.errors import InputError
 from companion.sources.files import RawTable, read_text
-from companion.sources.geojson import Threats, read_geojson, threats_of
+from companion.sources.geojson import NoZone, Threats, read_geojson, threats_of
+from companion.sources.recognised import refuse_other
 from companion.sources.waypoint_file import (
     is_waypoint_list,
     read_fence_list,
@@ -34,20 +35,31 @@ _GEOMETRIES: Final = (
 _NUMBERS: Final = ("radius_m", "altitude_amsl_m", "range_m")
 
 
-def read_threats(path: Path, where: str) -> Threats:
-    """The threats of a file.  Raises InputError about it, or naming the place in it."""
+def read_threats(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> Threats:
+    """The threats of a file; leave_out: what a map may have beside zones.
+
+    Raises InputError about it, or naming the place in it.
+    """
+    threats = _read(path, where, leave_out)
+    if not (threats.keep_outs or threats.keep_ins or threats.radars):
+        threats.notes.append(f"{path.name}: it holds no zone and no radar")
+    return threats
+
+
+def _read(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
     if is_waypoint_list(path):
         plan = read_waypoint_fence(path, where)
         notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
         return Threats(
             keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
         )
+    refuse_other(path, where, but_zones=True)
     text = read_text(path, where, _REMEDY)
     first = text.lstrip()[:1]
     if first == "{":
-        return read_geojson(path, where)
+        return read_geojson(path, where, leave_out)
     if first == "<":
-        return threats_of(list(_features(text, path, where)), path.name)
+        return threats_of(list(_features(text, path, where)), path.name, leave_out)
     if first and first in "#+-.0123456789":
         return Threats(keep_ins=[read_fence_list(path, where)])
     raise InputError(where, str(path), "what is in it is not known", _REMEDY)
@@ -67,13 +79,13 @@ def _features(text: str, path: Path, where: str) -> Iterator[RawTable]:
             key = str(datum.get("name"))
             value = _text(datum, "value") if _tag(datum) == "Data" else (datum.text or "")
             properties[key] = _number(value) if key in _NUMBERS else value.strip()
-        for geometry in placemark.iter():
-            if _tag(geometry) in _GEOMETRIES and not _is_of_polygon(placemark, geometry):
-                yield {
-                    "type": "Feature",
-                    "properties": properties,
-                    "geometry": {"type": _shape(geometry), "coordinates": _coordinates(geometry)},
-                }
+        found: list[RawTable | None] = [
+            {"type": _shape(geometry), "coordinates": _coordinates(geometry)}
+            for geometry in placemark.iter()
+            if _tag(geometry) in _GEOMETRIES and not _is_of_polygon(placemark, geometry)
+        ]
+        for shape in found or (None,):
+            yield {"type": "Feature", "properties": properties, "geometry": shape}
 
 
 def _tag(element: ElementTree.Element) -> str:

@@ -7,17 +7,20 @@ Older fence lists have only a latitude and a longitude a line: the return point,
 """
 
 import math
+import re
 from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from companion.errors import InputError
 from companion.sources.files import RawTable, answer, read_text
-from companion.sources.plan_file import Item, Items, Plan, check_place
+from companion.sources.plan_file import Ground, Item, Items, Plan, check_place, launch_of
 
 _HEAD: Final = "QGC WPL"
 _VERSION: Final = "110"
 _REMEDY: Final = "Save it again with Mission Planner, MAVProxy or QGroundControl."
-_WAYPOINT: Final = 16
+_NOT_GIVEN: Final = re.compile(r"[-+]?nan(\(.*\))?|null|[-+]?1\.#(qnan|snan|ind)\d*", re.IGNORECASE)
+"""How programs, those of Windows too, write what is no number: MAVLink's "not given"."""
+_AMSL: Final = (0, 5)  # MAV_FRAME
 _RETURN_POINT, _CORNER_IN, _CORNER_OUT, _CIRCLE_IN, _CIRCLE_OUT, _RALLY = (
     5000,
     5001,
@@ -36,7 +39,18 @@ class _Row(NamedTuple):
     frame: int
     command: int
     parameters: tuple[float, ...]
-    """Seven of them: four, then latitude, longitude and altitude."""
+    """Seven of them: four, then latitude, longitude and altitude; nan: not given."""
+    goes_on: bool
+
+    @property
+    def is_of_zones(self) -> bool:
+        """Whether it is of a fence or a rally point, and not of a mission."""
+        return _RETURN_POINT <= self.command <= _RALLY
+
+    @property
+    def given(self) -> list[float | None]:
+        """The parameters as plans have them."""
+        return [None if math.isnan(value) else value for value in self.parameters]
 
     @property
     def place_deg(self) -> tuple[float, float]:
@@ -55,40 +69,49 @@ def is_waypoint_list(path: Path) -> bool:
     return answer(path.is_file) and answer(begins)
 
 
-def read_waypoint_list(path: Path, where: str) -> Plan:
-    """The waypoints, fence and rally points of a list, as a plan.
+def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> Plan:
+    """The waypoints, fence and rally points of a list, as a plan; ground: as for `read_plan`.
 
     Raises InputError about the field (where), or naming the item that cannot be taken.
     """
-    plan = _read(path, where)
-    if not all(map(math.isfinite, plan.home_deg)) or plan.home_deg == (0.0, 0.0):
+    rows = _rows(read_text(path, where, _REMEDY), path.name, where)
+    remedy = "Set home before you save it. (A list of zones alone: name it as threats.)"
+    if not rows or rows[0].is_of_zones:
         rule = "launch, its first item, has no latitude and longitude"
-        remedy = "Set home before you save it. (A list of zones alone: name it as threats.)"
         raise InputError(where, path.name, rule, remedy)
-    return plan
+    home = rows.pop(0)
+    latitude, longitude, altitude = launch_of(home.given[4:], f"{home.label} (launch)", remedy)
+    plan = _plan(path.name, (latitude, longitude), altitude)
+    if home.frame not in _AMSL and altitude != 0.0:
+        said = f"of frame {home.frame}, is taken to be above mean sea level"
+        plan.notes.append(f"launch: its altitude, {altitude:g} m {said}")
+    return _filled(plan, rows, ground)
 
 
 def read_waypoint_fence(path: Path, where: str) -> Plan:
     """The fence in such a list, which may lack a launch; InputError as above."""
-    return _read(path, where)
-
-
-def _read(path: Path, where: str) -> Plan:
     rows = _rows(read_text(path, where, _REMEDY), path.name, where)
-    home = rows.pop(0) if rows and rows[0].command == _WAYPOINT else None
-    nowhere = (math.nan, math.nan)
-    plan = Plan(
-        name=path.name,
+    if rows and not rows[0].is_of_zones:
+        rows.pop(0)
+    return _filled(_plan(path.name, (math.nan, math.nan), math.nan), rows, None)
+
+
+def _plan(name: str, home_deg: tuple[float, float], home_amsl_m: float) -> Plan:
+    return Plan(
+        name=name,
         kind=None,
         speed_m_s={"copter": None, "plane": None},
-        home_deg=nowhere if home is None else home.place_deg,
-        home_amsl_m=math.nan if home is None else home.parameters[6],
+        home_deg=home_deg,
+        home_amsl_m=home_amsl_m,
     )
-    reader, fence = Items(plan), _Fence(plan)
+
+
+def _filled(plan: Plan, rows: list[_Row], ground: Ground | None) -> Plan:
+    reader, fence = Items(plan, ground), _Fence(plan)
     for row in rows:
         if not fence.take(row):
-            given: list[float | None] = list(row.parameters)
-            reader.take(Item(command=row.command, frame=row.frame, params=given), row.label)
+            item = Item(command=row.command, frame=row.frame, params=row.given)
+            reader.take(item.model_copy(update={"goes_on": row.goes_on}), row.label)
     fence.finish()
     reader.finish()
     return plan
@@ -129,7 +152,7 @@ def _rows(text: str, name: str, where: str) -> list[_Row]:
         if not words or words[0].startswith("#"):
             continue
         label = f"{name}: line {number}"
-        numbers = _numbers(words, label)
+        numbers = _numbers(words, label, or_not_given=True)
         whole = len(numbers) == 12 and all(numbers[at].is_integer() for at in (0, 2, 3))
         if not whole:
             rule = (
@@ -138,18 +161,29 @@ def _rows(text: str, name: str, where: str) -> list[_Row]:
             )
             raise InputError(label, f"{len(words)} numbers", rule, _REMEDY)
         item = f"{name}: item {int(numbers[0])}"
-        rows.append(_Row(item, int(numbers[2]), int(numbers[3]), tuple(numbers[4:11])))
+        goes_on = numbers[11] != 0.0
+        rows.append(_Row(item, int(numbers[2]), int(numbers[3]), tuple(numbers[4:11]), goes_on))
     return rows
 
 
-def _numbers(words: list[str], label: str) -> list[float]:
+def _numbers(words: list[str], label: str, *, or_not_given: bool = False) -> list[float]:
+    """The numbers of a line; nan for those that are not given, where these may be missing."""
     try:
-        numbers = [float(word) for word in words]
+        numbers = [
+            math.nan if or_not_given and _NOT_GIVEN.fullmatch(word) else _finite(word)
+            for word in words
+        ]
     except ValueError:
-        numbers = [math.nan]
-    if not all(map(math.isfinite, numbers)):
-        raise InputError(label, " ".join(words)[:60], "it is made of finite numbers", _REMEDY)
+        rule = "it is made of finite numbers"
+        raise InputError(label, " ".join(words)[:60], rule, _REMEDY) from None
     return numbers
+
+
+def _finite(word: str) -> float:
+    number = float(word)
+    if not math.isfinite(number):
+        raise ValueError(word)
+    return number
 
 
 @final
@@ -169,7 +203,7 @@ class _Fence:
         elif command in (_CIRCLE_IN, _CIRCLE_OUT):
             latitude, longitude = row.place_deg
             radius_m = row.parameters[0]
-            if radius_m <= 0.0:
+            if not radius_m > 0.0:
                 raise InputError(row.label, radius_m, "a circle has a radius above 0", _REMEDY)
             place = {"latitude_deg": latitude, "longitude_deg": longitude}
             shape = place | {"radius_m": radius_m}
@@ -192,7 +226,7 @@ class _Fence:
         first = self._first or row
         if (row.command, row.parameters[0]) != (first.command, first.parameters[0]):
             self.finish()
-        if row.parameters[0] < 3.0:
+        if not row.parameters[0] >= 3.0:
             raise InputError(row.label, row.parameters[0], "a polygon has 3 corners", _REMEDY)
         self._first = first
         self._corners.append(list(row.place_deg))

@@ -13,7 +13,7 @@ from msgspec import Struct
 from companion.mission.decisions import reason_text
 from companion.mission.events import Outcome, Vector
 from companion.mission.health import way_left_m
-from companion.mission.state import IN_AIR, ON_PATH, Reason, State, TakenOver
+from companion.mission.state import IN_AIR, ON_PATH, Phase, Reason, State, TakenOver
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
@@ -44,6 +44,8 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """The reason's name, which stays the same if its text is improved."""
     remedy: str | None
     """What to do about it."""
+    waits_for: str | None
+    """What a person has to do before it takes off; null: nothing."""
     warning: str | None
     """The companion's latest warning of this phase, for a minute."""
     vehicle: str
@@ -162,6 +164,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         reason=reason,
         code=None if state.reason is None else state.reason.name,
         remedy=remedy,
+        waits_for=_waits_for(flown) if state.phase is Phase.READY else None,
         warning=warning if _stands(warned_at_s, now_s, state.since_s) else None,
         vehicle=session.found,
         vehicle_text=said if _stands(said_at_s, now_s) else None,
@@ -204,6 +207,14 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         plan_clearance_m=None if plan is None else plan.certificate.clearance_m,
         plan_broken=() if plan is None else plan.certificate.broken,
     )
+
+
+def _waits_for(flown: FlightSummary) -> str:
+    """How to say go; there is no terminal for it in a service or a script."""
+    if flown.asks_here:
+        return "waits for go: type yes here, or send MISSION_START from a ground station"
+    here = "no terminal is here for a yes, and --start was not given"
+    return f"waits for go: send MISSION_START from a ground station ({here})"
 
 
 def _reason(state: State) -> tuple[str | None, str | None]:

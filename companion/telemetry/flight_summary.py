@@ -26,6 +26,8 @@ class FlightSummary:
     plans: list[Planned] = field(default_factory=list)
     plans_s: list[float] = field(default_factory=list)
     """How long each plan took."""
+    out_of_time: int = 0
+    """Plans that were cut by time, found or not."""
     track_nea_m: list[Vector] = field(default_factory=list)
     """Positions that the vehicle reported, twice a second of its time."""
     scans_nea_m: list[Vector] = field(default_factory=list)
@@ -36,6 +38,8 @@ class FlightSummary:
     passed_m: float = math.inf
     """The nearest that a plane was to its last target, horizontally: it circles it afterwards."""
     end: End | None = None
+    asks_here: bool = False
+    """Whether somebody can say go in the terminal."""
     died: bool = False
     """Whether a part of the companion did."""
     _target: int = 0

@@ -18,7 +18,7 @@ from companion.errors import CompanionError
 from companion.mission.events import End, Outcome
 from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
 from companion.views.output import PatientOutput
-from companion.views.words import clock_text
+from companion.views.words import clock_text, rounded_down
 
 _SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
 _LOSS_S = 10.0  # of which the share of lost frames is told
@@ -57,13 +57,16 @@ class Progress:
     def show(self, status: FlightStatus) -> None:
         """Show the flight as it stands now; to be called often."""
         now_s, lines = time.monotonic(), list(self._lines(status))
+        redraws = self._redraws and status.waits_for is None  # else it hides what is typed
+        if self._redraws and redraws is not self._live.is_started:
+            self._live.start() if redraws else self._live.stop()
         for line in lines:
             self._console.print(line, highlight=False, soft_wrap=not self._redraws, markup=False)
         if not lines and now_s - self._shown_s < _SHOWN_S:
             return
         self._shown_s = now_s
         self._frames.append((status.frames_heard, status.frames_lost))
-        if self._redraws and not self._output.is_behind:
+        if redraws and not self._output.is_behind:
             width = self._console.width
             self._live.update(status_table(status, width, self._lost()), refresh=True)
 
@@ -149,7 +152,7 @@ def _news(status: FlightStatus, *, legs: bool) -> tuple[object, ...]:
 def _notice(status: FlightStatus) -> str:
     """Why the mission holds, and the autopilot's failsafe; else the latest warning."""
     failsafe = "the autopilot is in failsafe" if status.failsafe else ""
-    return status.reason or failsafe or status.warning or ""
+    return status.waits_for or status.reason or failsafe or status.warning or ""
 
 
 def event_line(status: FlightStatus) -> str:
@@ -274,7 +277,7 @@ def _clearance(status: FlightStatus) -> _Value:
         return "clearance", "-", ""
     more = "> " if clear_m >= status.looked_m else ""
     too_near = clear_m < least_m and status.subpaths_flown > 0
-    text = f"{more}{_length(clear_m)} (d_s {_length(least_m)})"
+    text = f"{more}{_at_least(clear_m)} (d_s {_length(least_m)})"
     return "clearance", f"! {text}" if too_near else text, _SEVERE if too_near else ""
 
 
@@ -283,7 +286,11 @@ def _battery(status: FlightStatus) -> _Value:
     if left is None:
         return "battery", "not told", ""
     style = _SEVERE if left <= reserve else _NOTABLE if left <= reserve + _LOW else ""
-    return "battery", f"{'! ' if style else ''}{left:.0%} (reserve {reserve:.0%})", style
+    return (
+        "battery",
+        f"{'! ' if style else ''}{rounded_down(100.0 * left):.0f}% (reserve {100.0 * reserve:g}%)",
+        style,
+    )
 
 
 def _link(status: FlightStatus, lost: float) -> _Value:
@@ -293,7 +300,11 @@ def _link(status: FlightStatus, lost: float) -> _Value:
     trip_s = status.link_round_trip_s
     trip = "" if trip_s is None or age_s > _SLOW_S else f", {trip_s * 1e3:.0f} ms"
     style = _SEVERE if age_s > _SILENT_S else _NOTABLE if age_s > _SLOW_S or lost > _LOSSY else ""
-    return "link", f"{'! ' if style else ''}{age_s:.1f} s old, {lost:.0%} lost{trip}", style
+    return (
+        "link",
+        f"{'! ' if style else ''}{age_s:.1f} s old, {math.ceil(100.0 * lost - 1e-6)}% lost{trip}",
+        style,
+    )
 
 
 def _mode(status: FlightStatus) -> str:
@@ -304,7 +315,12 @@ def _mode(status: FlightStatus) -> str:
 def _proof(status: FlightStatus) -> str:
     """The clearance that is proven for the newest plan."""
     clear_m = status.plan_clearance_m
-    return "not proven" if status.plan_broken or clear_m is None else _length(clear_m)
+    return "not proven" if status.plan_broken or clear_m is None else _at_least(clear_m)
+
+
+def _at_least(value_m: float) -> str:
+    """Rounded down: no clearance looks larger than it is."""
+    return _length(rounded_down(value_m, 1 if value_m < 10.0 else 0 if value_m < 9_950.0 else -2))
 
 
 def _length(value_m: float) -> str:

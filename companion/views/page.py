@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from companion.views.figure import DPI, PATH
-from companion.views.words import metres
+from companion.views.words import metres, metres_at_least, rounded_down
 
 _INK: Final = "#010203"
 THEME: Final = {_INK: "currentColor"}
@@ -49,7 +49,8 @@ def page(template: str, package: str = "views", **values: object) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    pages.filters |= {"metres": metres, "number": number, "degrees": _degrees}
+    pages.filters |= {"metres": metres, "metres_at_least": metres_at_least, "number": number}
+    pages.filters |= {"at_least": at_least, "at_most": at_most, "degrees": _degrees}
     return pages.get_template(template).render(**values)
 
 
@@ -58,6 +59,16 @@ def number(value: float | None, digits: int = 0) -> str:
     if value is None or not math.isfinite(value):
         return "–"
     return f"{round(value, digits) + 0.0:,.{digits}f}"
+
+
+def at_least(value: float | None, digits: int = 0) -> str:
+    """Likewise, rounded down: a clearance must not look larger than it is."""
+    return number(None if value is None else rounded_down(value, digits), digits)
+
+
+def at_most(value: float, digits: int = 0) -> str:
+    """Likewise, rounded up: a risk must not look smaller than it is."""
+    return number(-rounded_down(-value, digits), digits)
 
 
 def _degrees(angle_rad: float) -> str:

@@ -27,6 +27,7 @@ _ON_THE_WAY = {
     if phase not in (Phase.TAKING_OFF, Phase.LANDING)
 }
 _REMEDIES = {reason.text: reason.remedy for reason in Reason}
+_ANSWERS = (noted.PlanReady, noted.PlanRefused)
 _STEP_S = 1.0  # between the points of a route: finer, and the noise of a hover adds up
 _MOST_CELLS = 16  # about a position, in which terrain is looked for
 _AT_ONCE = 4000  # positions
@@ -267,6 +268,12 @@ class FlightFacts:
     def count(self, kind: str) -> int:
         """How many entries of a kind the journal has."""
         return sum(entry.kind == kind for _, _, entry in self.flight.entries)
+
+    @property
+    def out_of_time(self) -> int:
+        """How many plans were cut by time, found or not."""
+        plans = (e for _, _, e in self.flight.entries if isinstance(e, _ANSWERS))
+        return sum(plan.out_of_time for plan in plans)
 
     # --- link and GPS
 

@@ -14,6 +14,7 @@ from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.telemetry.flight_summary import FlightSummary
+from companion.views.words import rounded_down, share_of
 from companion.world.near_map import NearSensor
 
 
@@ -84,11 +85,13 @@ def _sight(mission: Mission) -> str:
     task, settings = mission.task, mission.task.settings
     known = ""
     if mission.known is not None:
-        share = float(np.isfinite(mission.known.upper_m).mean())
-        known = f" Terrain of {share:.0%} of the map is known in advance."
+        known_m = np.isfinite(mission.known.upper_m)
+        hole_ha = float(np.count_nonzero(~known_m)) * mission.known.cell_m**2 / 1e4
+        hole = f" (all but {max(math.ceil(hole_ha), 1):,} ha)" if hole_ha else ""
+        known = f" Terrain of {share_of(known_m.mean())} of the map is known in advance{hole}."
         if mission.known.guess_m is not None:
             share = float(np.isfinite(mission.known.guess_m).mean())
-            known = f" A file guides over {share:.0%} of the map, and proves nothing."
+            known = f" A file guides over {share_of(share)} of the map, and proves nothing."
     if mission.near is not None:
         return _near_sight(mission, mission.near)
     if mission.scanner_component_id is None:
@@ -162,6 +165,9 @@ def flight_table(flown: FlightSummary) -> Table:
     if flown.plans_s:
         median, worst = statistics.median(flown.plans_s), max(flown.plans_s)
         rows.append(("planning, median / longest", f"{median * 1e3:,.0f} / {worst * 1e3:,.0f} ms"))
+    if flown.out_of_time:
+        remedy = "raise planner.planning_time_s, or use a faster computer"
+        rows.append(("plans cut by time", f"{flown.out_of_time}: {remedy}"))
     for name, value in rows:
         table.add_row(name, value)
     return table
@@ -188,7 +194,8 @@ def plans_table(plans: tuple[Planned, ...]) -> Table:
 
 def clearance_text(certificate: Certificate) -> str:
     """The clearance that is proven for a subpath, or which bounds are not."""
-    return f"{certificate.clearance_m:,.0f} m" if certificate.proven else "not proven"
+    proven = certificate.proven
+    return f"{rounded_down(certificate.clearance_m):,.0f} m" if proven else "not proven"
 
 
 _COLOURS = {CheckStatus.PASSED: "green", CheckStatus.NOTED: "yellow", CheckStatus.REFUSED: "red"}

@@ -45,11 +45,14 @@ _BAD: Final = (
 
 def entry_words(entry: Entry) -> tuple[str, bool] | None:
     """What an entry says, and whether it is bad; None: nothing that people would miss."""
+    after = ""
     match entry:
         case noted.Phase(phase=phase, reason=reason):
             return f"{phase}: {reason}" if reason else phase, phase in _BAD_PHASES
         case noted.Prepared(item=item, refusal=refusal) if refusal:
             return f"{item}: {refusal}", True
+        case noted.PlanRefused(out_of_time=True, evaluations=count):
+            is_bad, after = True, f"; time was up after {count:,} candidates"
         case noted.Said(warning=is_bad):
             pass
         case noted.End(outcome=outcome):
@@ -57,7 +60,7 @@ def entry_words(entry: Entry) -> tuple[str, bool] | None:
         case _:
             is_bad = isinstance(entry, _BAD)
     words = _WORDS.get(type(entry))
-    return None if words is None else (words.format(entry), is_bad)
+    return None if words is None else (words.format(entry) + after, is_bad)
 
 
 def metres(length_m: float) -> str:
@@ -67,6 +70,23 @@ def metres(length_m: float) -> str:
     if abs(length_m) >= 10_000.0:
         return f"{length_m / 1000.0:,.1f} km"
     return f"{length_m:,.{0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2}f} m"
+
+
+def rounded_down(value: float, digits: int = 0) -> float:
+    """What must not look more than it is, as a clearance."""
+    scale = 10.0**digits
+    return math.floor(value * scale + 1e-6) / scale if math.isfinite(value) else value
+
+
+def metres_at_least(length_m: float) -> str:
+    """As `metres`, rounded down."""
+    digits = 0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2
+    return metres(rounded_down(length_m, -2 if abs(length_m) >= 10_000.0 else digits))
+
+
+def share_of(part: float) -> str:
+    """A part of a whole in percent, rounded down: all of it is only all of it."""
+    return f"{math.floor(1000.0 * part + 1e-6) / 10.0:g}%"
 
 
 def clock_text(time_s: float) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import LEAST_RADIUS_M, BoolArray, FloatArray
 from companion.world.rays import Lattice, Rays, overlooking_line_m
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
@@ -26,6 +26,7 @@ NO_ANSWER = math.nan  # the radar did not answer
 _ON_EDGE_M = 1e-3
 _NO_LENGTH = -(2**52)
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1  # radars this close count as one
+_SLACK_CELLS = 1.5  # of a sight line, for the lattice alone
 
 
 @final
@@ -207,10 +208,14 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     On the lattice p is up to 0.71 cells from the middle of its cell and the ray up to 0.15 beside
     that, and q up to half a cell from a step of the march: less than a cell together in north and
     in east, and less than 1.5 along the ray.  The march looks at all cells within the slack, and
-    takes each as near or as far as the slack allows, whichever is steeper.
+    takes each as near or as far as the slack allows, whichever is steeper.  Cells that the slack
+    would let touch the radar are looked at one by one, from their nearest corner on.
+
+    The ground curves away below the line (`sight_line_m`).  Refraction bends sight down, too, so
+    that more is seen and less is hidden: it is left out.
     """
     north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
-    slack = 1.5 * seen.cell_m + scan.drift_m + scan.registration_m
+    slack = _SLACK_CELLS * seen.cell_m + scan.drift_m + scan.registration_m
     not_seen = np.isneginf(scan.heights_m)
     distance = _distances_m(seen, scan)
     reach = min(scan.range_m - slack, _farthest_seen_m(scan, distance))
@@ -235,8 +240,10 @@ def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
     Proof.  Let p be any point of the ground in a cell that was not shown.  If all cells that lines
     over the cell can reach at some distance behind it were shown, the line over p leads to one of
     them, and to a point q of it that was seen.  Nothing stands in the way from the radar to q, so p
-    is below that line, and q is no higher than its cell.  -> (rows, columns) of the scan's window;
-    +inf where nothing behind the cell was seen all across.
+    is below that line, and q is no higher than its cell.  Between its ends the line is no higher
+    than if altitudes were over a plane: straight over a round earth it sags below that, and
+    refraction takes away a part of the sag, so nothing is taken off for it.  -> (rows, columns) of
+    the scan's window; +inf where nothing behind the cell was seen all across.
     """
     result = np.full(scan.heights_m.shape, np.inf)
     answered = np.nonzero(~np.isnan(scan.heights_m))
@@ -244,7 +251,7 @@ def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
         return result
     north, east = after.middles_m(scan.row, scan.column, _shape(scan.heights_m))
     middles = np.stack([north[answered[0], 0], east[0, answered[1]]], axis=-1)
-    slack = 1.5 * after.cell_m + scan.drift_m + scan.registration_m
+    slack = _SLACK_CELLS * after.cell_m + scan.drift_m + scan.registration_m
     window = after.part(*_window(scan)).lattice
     for radar_nea_m, above_m, spread_m, members in _groups(
         scan.radar_nea_m[answered], after.cell_m
@@ -290,9 +297,11 @@ def sight_line_m(
     """Altitude of the highest sight line from radars to points over the terrain between.
 
     radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL; +inf over unknown ground, -inf
-    where nothing lies between.  Never too low if the terrain, the radar and the point are known
-    to slack_m: the march looks at every cell within the slack of the line.  What rises above a
-    radar is taken to be half a cell away from it at least (the safety distance sees to that).
+    where nothing lies between.  slack_m: 1.5 cells for the lattice, and how wrong the radar and the
+    terrain may be; the march looks at every cell within it of the line.
+
+    Lines are straight over a round earth: seen from the radar, ground at a distance d is d^2 / 2
+    R_e lower than its altitude says, and beyond what hides it the line is higher by as much.
 
     Radars that are close to each other, as on a flight along, count as one in the middle of
     them; how far they are from it is added to the slack.
@@ -305,7 +314,7 @@ def sight_line_m(
     result = np.empty(len(points_ne_m))
     for radar_nea_m, sink, _, members in groups:
         points = points_ne_m[members]
-        result[members] = sink + _line_from_one_m(filtered, radar_nea_m, points, slack)
+        result[members] = sink + _line_from_one_m(known, filtered, radar_nea_m, points, slack)
     return result
 
 
@@ -341,17 +350,22 @@ def _group(radars_nea_m: FloatArray, members: slice | NDArray[np.intp]) -> _Grou
 
 
 def _line_from_one_m(
+    known: KnownMap,
     highest: KnownMap,
     radar_nea_m: tuple[float, float, float],
     points_ne_m: FloatArray,
     slack_m: float,
 ) -> FloatArray:
-    """`sight_line_m` from one radar, over cells that hold the highest within the slack.
+    """`sight_line_m` from one radar; `highest` holds the highest cell within the slack.
 
     One march along rays whose ends are RAY_CELLS apart serves all points: each takes the ray
     nearest to it, half of that beside it at most.  A line to anywhere in a cell (0.71 cells
     beside its middle) and between two steps (0.5) is then less than a cell from what the march
     looks at in north and in east, which is what the slack of 1.5 cells of a scan leaves for it.
+
+    Slopes are rise over distance less distance / 2 R_e.  Of that a cell has the least, its rise
+    the most that the slack allows.  What this leaves out of the sphere is the square of heights
+    over R_e: z / (1 - z / R_e) is not below it.
     """
     cell = highest.cell_m
     rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
@@ -360,17 +374,76 @@ def _line_from_one_m(
     flat = highest.lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     rise = highest.upper_m.ravel().take(flat)
     rise -= radar_nea_m[2]
-    nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)
+    nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)  # nearer ones: one by one
     steepest = rise / (steps * cell + slack_m)[:, None]
     rise /= nearest[:, None]
     np.maximum(steepest, rise, out=steepest)
+    steepest -= (np.maximum(steps * cell - slack_m, 0.0) / (2.0 * LEAST_RADIUS_M))[:, None]
     np.maximum.accumulate(steepest, axis=0, out=steepest)
     before = np.ceil(distance / cell).astype(np.intp) - 1
     slope = steepest[np.clip(before, 1, len(steps)) - 1, rays.ray_of]
-    slope = np.where(before > 0, slope, -np.inf)
-    run = np.where(slope > 0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
+    near = _slope_over_near_cells(known, radar_nea_m, points_ne_m, slack_m)
+    slope = np.where(before > 0, np.maximum(slope, near), -np.inf)
     finite = np.isfinite(slope)
-    return np.where(finite, radar_nea_m[2] + np.where(finite, slope, 0.0) * run, slope)
+    runs = np.maximum(distance - slack_m, 0.0), distance + slack_m
+    ends = [np.where(finite, slope, 0.0) * run + run**2 / (2.0 * LEAST_RADIUS_M) for run in runs]
+    share = np.minimum(np.maximum(*ends) / LEAST_RADIUS_M, 1.0)
+    with np.errstate(divide="ignore"):  # a line that never comes down again is no bound
+        line = radar_nea_m[2] + LEAST_RADIUS_M * share / (1.0 - share)
+    return np.where(finite, line, slope)
+
+
+def _slope_over_near_cells(
+    known: KnownMap,
+    radar_nea_m: tuple[float, float, float],
+    points_ne_m: FloatArray,
+    slack_m: float,
+) -> FloatArray:
+    """Slope of the steepest line to each point over the cells beside the radar, one by one.
+
+    A cell that rises above the radar does so where it is nearest: at no distance at all if that
+    may hold the radar, and then nothing is bounded behind it.  A line to anywhere in a point's
+    cell goes over all cells whose circle is in the direction of that cell's.  (K, 2) -> (K,).
+    """
+    cell = known.cell_m
+    reach_m = slack_m + cell  # the march takes no cell beyond for nearer than half a cell
+    error_m = max(slack_m - _SLACK_CELLS * cell, 0.0)
+    around = math.ceil((reach_m + error_m) / cell) + 1
+    row, column = known.cell_of(*radar_nea_m[:2])
+    rows, columns = (np.arange(at - around, at + around + 1) for at in (row, column))
+    limits = known.upper_m.shape
+    tops = known.upper_m[
+        np.ix_(np.clip(rows, 0, limits[0] - 1), np.clip(columns, 0, limits[1] - 1))
+    ]
+    north = known.north_min_m + (rows + 0.5) * cell - radar_nea_m[0]
+    east = known.east_min_m + (columns + 0.5) * cell - radar_nea_m[1]
+    off = np.abs(north)[:, None], np.abs(east)[None, :]
+    nearest = np.maximum(np.hypot(*(np.maximum(x - 0.5 * cell, 0.0) for x in off)) - error_m, 0.0)
+    farthest = np.hypot(*(x + 0.5 * cell for x in off)) + error_m
+    rise = tops - radar_nea_m[2]
+    with np.errstate(divide="ignore"):
+        slope = np.where(rise > 0.0, rise / np.where(rise > 0.0, nearest, 1.0), rise / farthest)
+    near = np.nonzero((nearest <= reach_m) & (rise > -np.inf))
+    to_cells = np.stack([north[near[0]], east[near[1]]], axis=-1)
+    to_points = points_ne_m - np.asarray(radar_nea_m[:2])
+    (azimuth, half, _), (towards, wide, far) = (
+        _circles_seen(away, math.sqrt(0.5) * cell + error_m) for away in (to_cells, to_points)
+    )
+    result = np.full(len(points_ne_m), -np.inf)
+    for each in range(len(azimuth)):
+        turned = np.abs(np.remainder(towards - azimuth[each] + math.pi, math.tau) - math.pi)
+        at = near[0][each], near[1][each]
+        over = (turned <= half[each] + wide) & (nearest[at] <= far)
+        np.maximum(result, slope[at], out=result, where=over)
+    return result
+
+
+def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Azimuths of circles, half the angles that they take up, and their far ends.  (K, 2)."""
+    distance = np.hypot(away_m[:, 0], away_m[:, 1])
+    half = np.arcsin(np.minimum(radius_m / np.maximum(distance, 1e-9), 1.0))
+    half[distance <= radius_m] = math.pi
+    return np.arctan2(away_m[:, 1], away_m[:, 0]), half, distance + radius_m
 
 
 def _window(scan: Scan) -> tuple[slice, slice]:

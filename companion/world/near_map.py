@@ -11,8 +11,13 @@ slab, and unknown else.  What follows from a sweep is what a sensor promises (de
 
 Sensors and autopilots send wrong empty sweeps for up to 0.9 s: they do not wipe a thing out.  What
 has gone, or was dust, is forgotten by rule.
+
+The vehicle's estimate of where it is drifts, and what stands there drifts through the map with it:
+a cell is free for as long as the drift is less than what paths keep for it, since beams have last
+passed it.
 """
 
+import collections
 import enum
 import math
 from dataclasses import dataclass, replace
@@ -31,6 +36,9 @@ Kind = Literal["obstacle_distance", "distance_sensor", "obstacle_distance_3d"]
 """What the messages of a sensor are called."""
 Window = tuple[slice, slice]
 """Rows and columns of a lattice."""
+_CELLS = (
+    *("passes", "passed_since_s", "passed_s", "met_since_s", "met_s", "sharp", "looks", "inside"),
+)
 
 
 class Sight(enum.Enum):
@@ -141,6 +149,12 @@ class NearSensor:
     """Of a sensor that sends points: so wide a beam about each point has nothing nearer in it."""
     position_error_m: NotNegative = 0.1
     """How wrong the vehicle's position may be from one second to the next."""
+    drift_m_s: Positive = 0.02
+    """How fast the error of the position changes in the long run.
+
+    A GPS wanders by a metre in a minute: errors of single-frequency receivers have standard
+    deviations of 1 to 3 m and are correlated over a minute or some.
+    """
     speaks_for_m: Positive = 2.0
     """A beam speaks for what stands so far above and below it, too."""
 
@@ -152,6 +166,11 @@ class Rules:
 
     sightings: int = 3
     """A cell is free that so many sweeps in a row have passed."""
+    free_for_s: float = 7.5
+    """What no sweep has passed for so long may hold something now: the cell is unknown again.
+
+    By then a position that drifts by 0.02 m/s is 0.15 m off, which a path among near things keeps.
+    """
     wiped_after_s: float = 1.0
     """An occupied cell is free again only if all sweeps over so long have passed it."""
     looks: int = 10
@@ -180,6 +199,8 @@ class NearMap:
     """(rows, columns), how many sweeps in a row have passed the cell, until it is free."""
     passed_since_s: FloatArray
     """When the first of them was."""
+    passed_s: FloatArray
+    """When a sweep has passed it last."""
     met_since_s: FloatArray
     """When something was first met in the cell; inf: nothing was, or it has gone."""
     met_s: FloatArray
@@ -188,6 +209,10 @@ class NearMap:
     """Whether by a sector that tells where it is."""
     looks: NDArray[np.uint8]
     """How many sweeps from near by had the cell, or what is before it, in sight."""
+    inside: NDArray[np.uint8]
+    """How many sweeps in a row had an echo from here, and here no cell that is not free."""
+    swept: collections.deque[tuple[float, Window]]
+    """When and where sweeps were that may have passed a cell last.  Changed in place, too."""
 
     @staticmethod
     def empty(lattice: Lattice, rules: Rules) -> "NearMap":
@@ -197,10 +222,13 @@ class NearMap:
             rules=rules,
             passes=np.zeros(lattice.shape, dtype=np.uint8),
             passed_since_s=np.full(lattice.shape, np.inf),
+            passed_s=np.full(lattice.shape, -np.inf),
             met_since_s=np.full(lattice.shape, np.inf),
             met_s=np.full(lattice.shape, -np.inf),
             sharp=np.zeros(lattice.shape, dtype=bool),
             looks=np.zeros(lattice.shape, dtype=np.uint8),
+            inside=np.zeros(lattice.shape, dtype=np.uint8),
+            swept=collections.deque(),
         )
 
     def about(self, place_ne_m: tuple[float, float]) -> "NearMap":
@@ -225,8 +253,14 @@ class NearMap:
             )
             for sign in (1, -1)
         )
-        for name in ("passes", "passed_since_s", "met_since_s", "met_s", "sharp", "looks"):
+        for name in _CELLS:
             getattr(result, name)[new] = getattr(self, name)[old]
+        for time_s, window in self.swept:
+            rows, columns = (
+                slice(*np.clip([part.start - by, part.stop - by], 0, count).tolist())
+                for part, by, count in zip(window, shift, lattice.shape, strict=True)
+            )
+            result.swept.append((time_s, (rows, columns)))
         return result
 
     def occupied(self, window: Window = (slice(None), slice(None))) -> BoolArray:
@@ -247,9 +281,23 @@ class NearMap:
         stands = self.occupied(window) & self.sharp[window]
         return stands | (looked & ~self.free(window))
 
+    def expire(self, now_s: float) -> Window | None:
+        """Cells that no sweep has passed for too long are unknown.  -> where that may be so."""
+        before_s, changed = now_s - self.rules.free_for_s, None
+        while self.swept and self.swept[0][0] < before_s:
+            _, window = self.swept.popleft()
+            passes, looks = self.passes[window], self.looks[window]  # views
+            old = (passes > 0) & (self.passed_s[window] < before_s)
+            np.copyto(looks, 0, where=old & ~self.occupied(window))  # nor is it closed for that
+            np.copyto(passes, 0, where=old)
+            changed = both(changed, window)
+        return changed
+
     def add(self, sweep: Sweep) -> Window:
         """One more sweep.  -> the rows and columns that it may have changed."""
+        expired = self.expire(sweep.time_s)
         window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
+        self.swept.append((sweep.time_s, window))
         (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
         looks = self.looks[window]
         looks += looked & (looks < np.iinfo(np.uint8).max)
@@ -258,6 +306,7 @@ class NearMap:
         met_since_s, met_s = self.met_since_s[window], self.met_s[window]
 
         np.copyto(passed_since_s, now_s, where=passed & (passes == 0))
+        np.copyto(self.passed_s[window], now_s, where=passed)
         passes += passed & (passes < np.iinfo(np.uint8).max)
         np.copyto(passes, 0, where=met | ~(passed | self.free(window)))
         np.minimum(met_since_s, now_s, out=met_since_s, where=met)
@@ -271,7 +320,7 @@ class NearMap:
         over = wiped | gone
         np.copyto(met_since_s, np.inf, where=over)
         self.sharp[window] &= ~over
-        return window
+        return both(expired, window)
 
     def about_points(self, points_ne_m: FloatArray, reach_m: float) -> Window:
         """The rows and columns within reach of points, north and east.  (N, 2)."""
@@ -310,14 +359,15 @@ class NearMap:
         """The cells of a window in which something may have sent an echo back, and the sharp ones.
 
         The nearest echo of a sector blocks its whole arc, but what is known to be free: that stays
-        so, as long as there is another place on the arc for the thing to be.
+        so, as long as there is another place on the arc for the thing to be.  If the only ones lie
+        in the outer half of the error, sweep after sweep, it is believed to be in the middle.
         """
         result: BoolArray = np.zeros_like(self.passes[window], dtype=bool)
         sharp = result.copy()
         if not result.size:
             return result, sharp
         height, width = result.shape[0], result.shape[1]
-        rows, columns = self._arcs(sweep)  # (sectors, points)
+        rows, columns, inner = self._arcs(sweep)  # (sectors, points)
         row, column = rows - window[0].start, columns - window[1].start
         inside = (row >= 0) & (row < height) & (column >= 0)
         inside &= column < width
@@ -325,20 +375,30 @@ class NearMap:
         elsewhere = inside & ~self.free(window)[row, column]
         says = np.where(elsewhere.any(axis=1, keepdims=True), elsewhere, inside)
         result[row[says], column[says]] = True
+        middle = inside & inner & ~(elsewhere & inner).any(axis=1, keepdims=True)
+        echoes = np.zeros_like(result)
+        echoes[row[middle], column[middle]] = True
+        count = self.inside[window]
+        np.copyto(count, np.where(echoes, np.minimum(count, 254) + 1, 0), casting="unsafe")
+        result |= count >= self.rules.sightings
         echo_m = sweep.echo_m[np.isfinite(sweep.echo_m)]
         says &= (echo_m * sweep.width_rad <= self.rules.sharp_m)[:, None]
         sharp[row[says], column[says]] = True
         return result, sharp
 
-    def _arcs(self, sweep: Sweep) -> tuple[IntArray, IntArray]:
-        """Rows and columns of points close together on the arcs from which echoes have come."""
+    def _arcs(self, sweep: Sweep) -> tuple[IntArray, IntArray, BoolArray]:
+        """Rows and columns of points close together on the arcs from which echoes have come.
+
+        And which of them are in the middle half of the error.  (sectors, points) x2, (points,).
+        """
         lattice = self.lattice
         sectors = np.flatnonzero(np.isfinite(sweep.echo_m))
         echo_m, step_m = sweep.echo_m[sectors, None, None], 0.5 * lattice.cell_m
         along = math.ceil(2.0 * sweep.error_m / step_m) + 1
         across_m = sweep.width_rad * float(echo_m.max(initial=0.0))
         across = math.ceil(across_m / step_m) + 1
-        away_m = echo_m + np.linspace(-sweep.error_m, sweep.error_m, along)[:, None]
+        off_m = np.linspace(-sweep.error_m, sweep.error_m, along)
+        away_m = echo_m + off_m[:, None]
         share = (np.arange(across) + 0.5) / across
         bearing_rad = sweep.first_rad + (sectors[:, None, None] + share) * sweep.width_rad
         north = sweep.sensor_ne_m[0] - lattice.north_min_m + away_m * np.cos(bearing_rad)
@@ -347,4 +407,16 @@ class NearMap:
             np.floor(at / lattice.cell_m).astype(np.intp).reshape(len(sectors), along * across)
             for at in (north, east)
         )
-        return row, column
+        inner = np.abs(off_m) <= 0.5 * sweep.error_m + 1e-9
+        return row, column, inner.repeat(across)
+
+
+def both(a: Window | None, b: Window) -> Window:
+    """The least window that holds both."""
+    if a is None:
+        return b
+    rows, columns = (
+        slice(min(one.start, other.start), max(one.stop, other.stop))
+        for one, other in zip(a, b, strict=True)
+    )
+    return rows, columns

@@ -6,7 +6,7 @@ from typing import Self, final
 
 import numpy as np
 
-from companion.geodesy import BoolArray
+from companion.geodesy import LEAST_RADIUS_M, BoolArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
 from companion.world.rays import Rays
 from companion.world.terrain import Terrain
@@ -97,12 +97,13 @@ def _in_sight(
 ) -> BoolArray:
     """The cells that rise above all before them on some ray.  (rows, columns).
 
-    The ground here is as high as the highest of its cell at every step of a ray.  A cell is seen
+    The ground here is as high as the highest of its cell at every step of a ray, and curves away
+    as much as it may.  A cell is seen
     if it is no lower, as the radar looks, than all that the same ray crosses before; so of a cell
     that is not seen each ray across it has been over one that is, and that one hides it
-    (`hidden_bound_m` builds on it).  On the face of a mountain a ray may meet hardly anything but
-    such cells, or none but the first and the last.  Every wanted cell is crossed by a ray: they
-    are RAY_CELLS apart at most, and steps of a cell do not jump over one.
+    (`known_map._hidden_bound_m` builds on it).  On the face of a mountain a ray may meet hardly
+    anything but such cells, or none but the first and the last.  Every wanted cell is crossed by a
+    ray: they are RAY_CELLS apart at most, and steps of a cell do not jump over one.
     """
     rows, columns = np.nonzero(wanted)
     north, east = here.middles_m(0, 0, wanted.shape)
@@ -113,7 +114,8 @@ def _in_sight(
     crossed = here.lattice.wider().crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     slope = top.ravel().take(crossed)
     slope -= radar_nea_m[2]
-    slope /= steps[:, None]
+    slope /= (steps * here.cell_m)[:, None]
+    slope -= (steps * here.cell_m / (2.0 * LEAST_RADIUS_M))[:, None]
     seen = np.zeros(top.shape, dtype=bool)
     seen.ravel()[crossed[slope >= np.maximum.accumulate(slope, axis=0)]] = True
     return seen[1:-1, 1:-1]

@@ -145,7 +145,7 @@ def start_companion(
     mission: Path, port: int, out: Path, *options: str, log: Path | None = None
 ) -> subprocess.Popen[bytes]:
     """companion fly, waiting for the vehicle on this port."""
-    command = [BIN / "companion", "fly", mission, "--connect", f"udpin:127.0.0.1:{port}"]
+    command = [BIN / "companion", "fly", mission, "--start", "--connect", f"udpin:127.0.0.1:{port}"]
     return _start([*command, "--out", out, *options], log)
 
 

@@ -192,7 +192,7 @@ def _flown(folder: Path, readers: int | None, stalled: int, options: Namespace) 
     with ExitStack() as stack:
         speedup = ("--speedup", str(options.speedup))
         stack.callback(end, start_vehicle(_HILLS / "world.toml", port, *speedup))
-        fly = [BIN / "companion", "fly", _HILLS / "mission.toml", "--out", folder, *view]
+        fly = [BIN / "companion", "fly", _HILLS / "mission.toml", "--start", "--out", folder, *view]
         fly += ["--connect", f"udpin:127.0.0.1:{port}"]
         flight = stack.enter_context(subprocess.Popen(fly, stdout=subprocess.PIPE, text=True))
         assert flight.stdout is not None

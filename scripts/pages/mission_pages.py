@@ -6,6 +6,7 @@ from typing import get_args
 
 from companion.mission import state
 from companion.mission.state import MOVES, Hold, HoldMode, Phase, Reason, Trigger
+from companion.planner.request import Refusal
 
 
 def mission_states_markdown() -> str:
@@ -52,8 +53,18 @@ def mission_states_markdown() -> str:
 def troubleshooting_markdown() -> str:
     """docs/troubleshooting.md: every reason to hold or to end, with its remedy."""
     lines = [_TROUBLESHOOTING, "| message | what to do |", "|---|---|"]
-    lines += [f"| {reason.text} | {reason.remedy} |" for reason in Reason]
+    for reason in Reason:
+        lines.append(f"| {reason.text} | {reason.remedy} |")
+        if reason is Reason.NO_PLAN:
+            lines += [_refusal_row(each) for each in Refusal if each is not Refusal.TOO_MANY_LEGS]
     return "\n".join(lines) + "\n"
+
+
+def _refusal_row(refusal: Refusal) -> str:
+    """What follows `NO_PLAN`."""
+    why, _, remedy = refusal.value.partition("; ")
+    why = "it broke BOUND (SETTING), ..." if refusal is Refusal.NOTHING_SAFE else why
+    return f"| ...: {why} | {remedy[:1].upper()}{remedy[1:]}. |"
 
 
 _TROUBLESHOOTING = """# Troubleshooting
@@ -63,6 +74,8 @@ Made from `companion/mission/state.py` by `scripts/docs`; do not edit.
 `companion preflight MISSION --connect ADDRESS` names what is wrong before a flight. In flight each
 reason to hold or to end is sent as a STATUSTEXT, and stands in `journal.jsonl`;
 `companion replay RUN_DIR` shows what led to it.
+
+`ready: waits for go` is no trouble: [somebody says go](connecting.md#in-flight).
 """
 
 

@@ -46,13 +46,14 @@ def world_page() -> str:
 
 def _places(schema: dict[str, Any], tables: dict[str, Any], of: str = "") -> dict[str, str]:
     """Each class of a table, and how its header is written, in the order of the file."""
-    found = {}
+    found: dict[str, str] = {}
     for key, value in schema["properties"].items():
         many = "items" in value
         for each in _alternatives(value.get("items", value)):
             if (name := each.get("$ref", "").rpartition("/")[2]) in tables:
                 path = f"{of}{key}"
-                found[name] = f"[[{path}]]" if many else f"[{path}]"
+                header = f"[[{path}]]" if many else f"[{path}]"
+                found[name] = f"{found[name]}`, `{header}" if name in found else header
                 found |= _places(tables[name], tables, f"{path}.")
     return found
 

@@ -43,6 +43,18 @@ def test_two_that_meet_head_on_keep_apart_arrive_and_say_to_whom_they_give_way(
 
 
 @pytest.mark.closed_loop
+@pytest.mark.nightly  # how they are judged: `test_faults`
+def test_faults_are_judged_among_several_and_killed_companions_go_on(tmp_path: Path) -> None:
+    """Each by the positions that it was told itself: the others lie hundreds of metres off."""
+    row = fly_run(run_of(2, timeline="at 45 s for 3 s: companion_off"), tmp_path)
+    assert (row.error, row.arrived, row.vehicles_arrived, row.violations) == (None, True, 2, 0)
+    assert row.ending in ("arrived", "held and resumed")
+    assert row.timeline == "at 45 s for 3 s: companion_off"
+    assert row.position_off_m is not None
+    assert row.position_off_m < 3.0
+
+
+@pytest.mark.closed_loop
 @pytest.mark.nightly  # of one vehicle: `test_running`
 def test_the_same_seed_flies_two_the_same(tmp_path: Path) -> None:
     once, again = (fly_run(run_of(2), tmp_path).deterministic() for _ in range(2))

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from companion.campaign import drawn_world, families
+from companion.campaign.truth import height_m
+from companion.config import bundled, load_world
 from companion.world.terrain import Peak
 from companion.world.threats import Radar
 
@@ -99,6 +101,20 @@ def test_a_growing_world_holds_the_smaller_one_unchanged() -> None:
     near = [place for place in places(large) if max(map(abs, place)) < 24_990.0]
     assert sorted(near) == sorted(places(small))
     assert set(places(families.world("spread", 1, 10))).isdisjoint(places(small))
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_every_bundled_world_can_be_drawn_and_has_its_own_heights(name: str) -> None:
+    drawn, terrain = drawn_world.bundled(name), load_world(name).terrain
+    (south, north), (west, east) = drawn.task.limits.north_m, drawn.task.limits.east_m
+    for share in (0.2, 0.5, 0.7):
+        place = south + share * (north - south), west + share * (east - west)
+        north_m, east_m = (np.array([value]) for value in place)
+        [found], [expected] = (
+            height_m(drawn.terrain, north_m, east_m),
+            terrain.height_m(north_m, east_m),
+        )
+        assert found == pytest.approx(expected, abs=3.0)
 
 
 def test_no_map_has_more_cells_than_a_mission_may_have() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 from flights import one_target
 
-from companion.campaign import drawn_faults, families, judge
+from companion.campaign import drawn_faults, families, judge, run
 from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
-from companion.campaign.drawn_files import mission_of
+from companion.campaign.drawn_files import mission_of, write
 from companion.campaign.file import load_campaign, runs_of
-from companion.campaign.flight import Flight
+from companion.campaign.flight import Flight, FlightFiles
 from companion.campaign.run import fly_run
+from companion.config import load_mission
+from companion.mission.mission import TrafficRules
 from companion.world.threats import CircleZone
 from vehicle_sim.faults.catalogue import FAULTS
 from vehicle_sim.faults.timeline import Timeline
@@ -152,6 +155,36 @@ def test_a_position_that_was_told_wrong_excuses_and_one_within_its_error_does_no
     assert (judge.judged(flown, DRAWN, "")["excused"] is None) == bool(count)
 
 
+CRASH = {"t_s": 3.05, "into": "the ground", "speed_m_s": 9.13}
+
+
+@pytest.mark.parametrize(
+    ("mode", "told_off_m", "count"), [("GUIDED", 0.0, 1), ("GUIDED", 4.0, 0), ("LAND", 0.0, 0)]
+)
+def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
+    mode: str, told_off_m: float, count: int, tmp_path: Path
+) -> None:
+    flown = flight(tmp_path, [beside(50.0)] * 4, told_off_m=told_off_m, mode=mode)
+    before = violated(flown)
+    for row in flown.truth[30:]:
+        row |= {"landed": True, "armed": False, "crash": CRASH}
+    assert len(after := violated(flown)) - len(before) == count
+    assert ("hit the ground at 9.1 m/s, 3.0 s" in after) == bool(count)
+
+
+def test_without_faults_a_crash_is_a_violation_wherever_it_was(tmp_path: Path) -> None:
+    at = Path(families.__file__).parents[1] / "environments" / "environment-1"
+    files = FlightFiles(
+        world=at / "world.toml", mission=at / "mission.toml", faults="", folder=tmp_path
+    )
+    flown = flight(tmp_path, [TARGET] * 2)
+    rows = [run._judged(flown, files, with_faults=False)]
+    flown.truth[-1]["crash"] = CRASH
+    rows.append(run._judged(flown, files, with_faults=False))
+    assert rows[1]["violations"] == rows[0]["violations"] + 1
+    assert "flown: hit the ground at 9.1 m/s" in rows[1]["violated"]
+
+
 def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
     far = TARGET
     places = [beside(0.0)] * 3 + [far] * 5
@@ -223,6 +256,59 @@ def test_who_says_that_it_arrived_somewhere_else_is_found_out(tmp_path: Path) ->
     assert judge.judged(flown, DRAWN, "")["ending"] == "unexplained: arrived elsewhere"
     told = "at 1.0 s: ground_target 1 m north 1 m east"
     assert judge.judged(flown, DRAWN, told)["ending"] == "arrived"
+
+
+def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:
+    """Who says nothing of its end, or touches something that it could know of, violates."""
+    forest, files = (
+        load_mission("forest"),
+        FlightFiles(world=Path("forest"), mission=Path("forest"), faults="", folder=tmp_path),
+    )
+    there = forest.targets_ne_m[-1]
+    up_m = forest.task.limits.floor_amsl_m + 3.0
+    made = flight(tmp_path, [there] * 4, told_off_m=up_m - HIGH_M, kind="say")
+    plain = replace(made, mission=forest)
+    for row in plain.truth:
+        row |= {"altitude_amsl_m": up_m, "near_m": 2.0}
+    row = run._judged(plain, files, with_faults=True)
+    assert (row["violations"], row["ending"]) == (1, "unexplained: no end")
+    assert row["clearance_least_m"] == 2.0
+    end = plain.journal[-1] | {"kind": "end"}
+    touching = replace(plain, journal=[*plain.journal[:-1], end])
+    touching.truth[20]["near_m"] = 0.0
+    said = "flown: touched something at 2.1 s"
+    assert said in run._judged(touching, files, with_faults=True)["violated"]
+    for row in touching.truth:
+        row["mode"] = "LOITER"  # a pilot
+    found = run._judged(touching, files, with_faults=True)
+    assert (said in str(found["violated"]), said in found["excused"]) == (False, True)
+
+
+def test_of_several_vehicles_each_is_judged_by_what_it_was_told_itself(tmp_path: Path) -> None:
+    """Another's position in its log excuses nothing; the worst ending is the row's."""
+    write(DRAWN, tmp_path, "ardupilot")
+    files = FlightFiles(
+        world=tmp_path / "world.toml", mission=tmp_path / "mission.toml", faults="", folder=tmp_path
+    )
+    traffic = TrafficRules(separation_m=0.1, vertical_separation_m=0.1)
+    far = struct.pack("<Iiiii", 1000, 470_000_000, 80_000_000, 0, 0).ljust(28, b"\1")
+    other = bytearray(frame(33, 1, far))
+    other[5] = 7
+    flights = []
+    for number, end in enumerate(({}, {"kind": "say"})):
+        places = [*[beside(0.0)] * 3, TARGET] if number == 0 else [TARGET] * 4
+        (folder := tmp_path / str(number)).mkdir()
+        made = flight(folder, places, **end)
+        for row in made.truth:
+            row["altitude_amsl_m"] += 50.0 * number
+        log = (folder / "flight.tlog").read_bytes()
+        (folder / "flight.tlog").write_bytes(log + struct.pack(">Q", 10**15 + 1000) + other)
+        flights.append(replace(made, mission=replace(MISSION, system_id=1, traffic=traffic)))
+    row = run._judged_together(flights, [files, files], with_faults=True)
+    assert row["violations"] == 2
+    assert zone().name in row["violated"]
+    assert row["ending"] == "unexplained: no end"
+    assert row["excused"] is None
 
 
 # --- flown

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -54,6 +55,8 @@ faults = ["none", "dead"]
 name = "dead"
 faults = "at 45 s: battery 1 %"
 """
+WORLD_ALONE = 'world = "sitl-arducopter"\nmission = "mission.toml"'
+WORLD, DENSE = 'world = "sitl-arducopter"', 'family = "dense"\n'
 COMMAND = [sys.executable, "-c", "from companion.cli import main; main()", "campaign"]
 PATIENCE_S = 120.0
 
@@ -282,6 +285,26 @@ def test_a_full_disk_is_one_line_and_no_result(
         ("[factors]", 'over = "udp"\nvehicles = [2]\n[factors]', "in one process"),
         ("[factors]", '[factors]\nknowledge = ["elevation"]', "of the planner alone"),
         ("schema = 1", "schema = [", "not TOML"),
+        ("[factors]", "seed = 3\n[factors]", "places[0].seed = 3: it is of a family"),
+        ("[factors]", "first = 3\n[factors]", "places[0].first = 3: it is of a family"),
+        ("[factors]", "count = 3\n[factors]", "places[0].count = 3: it is of a family"),
+        ("[factors]", "indices = [3]\n[factors]", "places[0].indices = [3]: it is of a family"),
+        (WORLD, DENSE, "places[0].mission = 'mission.toml': a family draws its own"),
+        (WORLD_ALONE, f"{DENSE}first = 3\nindices = [1]", "places[0].first = 3: indices says"),
+        (WORLD_ALONE, f"{DENSE}count = 3\nindices = [1]", "places[0].count = 3: indices says"),
+        (WORLD_ALONE, f"{DENSE}indices = []", "places[0].indices"),
+        ("[factors]", "vehicles = []\n[factors]", "places[0].vehicles"),
+        ("[factors]", "vehicles = [2]\nlaps = 3\n[factors]", "places[0].laps = 3: several"),
+        (
+            "[factors]",
+            'vehicle = "px4-copter"\n[factors]\nvehicle = ["ardupilot-copter"]',
+            "places[0].vehicle = 'px4-copter': the factor vehicle",
+        ),
+        ("[factors]", "[factors]\nbudget = []", "factors.budget"),
+        ("[factors]", "[factors]\nprofile = []", "factors.profile"),
+        ('faults = ["none", "dead"]', "", "choices[0].name = 'dead': no factor"),
+        ("[[choices]]", '[[choices]]\nname = "none"\n[[choices]]', "stands for no choice"),
+        ("[[choices]]", '[[choices]]\nname = "dead"\n[[choices]]', "another choice has this name"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said_in_one_line(
@@ -294,6 +317,57 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "says"),
+    [
+        (
+            "[factors]",
+            "laps = 7\n[factors]",
+            "places[0].laps = 7: the planner alone has no vehicle",
+        ),
+        ("[factors]", 'vehicle = "px4-copter"\n[factors]', "places[0].vehicle = 'px4-copter'"),
+        ("seeds = 2", "limit_s = 60", "limit_s = 60.0: the planner alone has no vehicle"),
+        ("[factors]", '[factors]\nplanner = ["a-star"]\noptimiser = ["pso"]', "factors.optimiser"),
+    ],
+)
+def test_keys_that_the_planner_alone_has_no_use_for_are_refused(
+    was: str, now: str, says: str, tmp_path: Path
+) -> None:
+    path = campaign_file(tmp_path, PLANNED.replace(was, now))
+    with pytest.raises(InputError) as refused:
+        campaign_command("run", str(path), "--out", str(tmp_path / "out"))
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--only", "0", "--most", "1"], "--most = 1: --only says which runs"),
+        (["--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs = 2"),
+        (["--over", "process"], "--over = 'process': each place"),
+    ],
+)
+def test_options_of_which_one_has_no_effect_are_refused(
+    options: list[str], says: str, tmp_path: Path
+) -> None:
+    path = campaign_file(tmp_path, PLANNED.replace("[factors]", 'over = "planner"\n[factors]'))
+    with pytest.raises(InputError, match=re.escape(says)):
+        campaign_command("run", str(path), "--out", str(tmp_path / "out"), *options)
+
+
+def test_no_room_for_a_folder_ends_a_campaign_on_a_cluster_too(tmp_path: Path) -> None:
+    """And leaves no row: the run is flown when there is room."""
+    (tmp_path / "runs").write_text("where the folders of runs belong")
+    from distributed import LocalCluster
+
+    [run, *_] = runs(tmp_path, PLANNED.replace('"none"', '"all"'))
+    with (
+        LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        pytest.raises(FileExistsError),
+    ):
+        list(fly_on_cluster([run], tmp_path, cluster.scheduler_address))
 
 
 def test_a_folder_of_something_else_and_a_busy_one_are_refused(tmp_path: Path) -> None:

@@ -172,7 +172,7 @@ def companion(
     if patch:
         main = f"{patch}\nfrom companion.cli import main\nmain()"
         program = [sys.executable, "-c", main]
-    return run(*program, "fly", mission, "--connect", connect, "--out", folder, *options)
+    return run(*program, "fly", mission, "--connect", connect, "--start", "--out", folder, *options)
 
 
 def simulator(world: str | Path, folder: Path, *options: object) -> Program:

@@ -98,6 +98,19 @@ def test_a_slow_vehicle_is_judged_from_half_its_speed_on() -> None:
         assert verdict(track, "turn radius") is ok
 
 
+def test_a_crash_anywhere_in_the_truth_is_a_violation(tmp_path: Path) -> None:
+    """Also one before the judged part begins, as of a landing that missed its place."""
+    truth = tmp_path / "truth.jsonl"
+    rows: list[dict[str, Any]] = [{"schema": 1}, {"t_s": 1.0}, {"t_s": 1.1}]
+    for crash in (None, {"t_s": 1.04, "speed_m_s": 9.1, "into": "the ground"}):
+        if crash is not None:
+            rows[-1]["crash"] = crash
+        truth.write_text("\n".join(map(json.dumps, rows)))
+        check = true_track.crash_check(truth)
+        assert check.ok is (crash is None)
+    assert (check.value, check.t_s) == (9.1, 1.04)
+
+
 def test_an_elevation_file_has_its_heights_where_geodesics_find_its_points(tmp_path: Path) -> None:
     """An own file, of which every pixel's middle is known; in between, the mean of neighbours."""
     heights = np.arange(60.0).reshape(6, 10)

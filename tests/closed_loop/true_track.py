@@ -20,6 +20,7 @@ that wanders off below the band is judged too. It goes on to the end of the file
 """
 
 import argparse
+import dataclasses
 import json
 import math
 import sys
@@ -336,6 +337,15 @@ def read_truth(path: Path) -> tuple[FloatArray, FloatArray]:
     return table[:, 0], table[:, 1:]
 
 
+def crash_check(path: Path) -> Check:
+    """Whether truth.jsonl tells of a crash anywhere, before or after what is judged: never one."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    crashes = (json.loads(line).get("crash") for line in lines if '"crash"' in line)
+    crash = next(filter(None, crashes), {"speed_m_s": 0.0, "t_s": math.nan})
+    return Check(name="speed of a crash", value=crash["speed_m_s"], unit="m/s", relation="<=",
+                 bound=0.0, limit=0.0, t_s=crash["t_s"])  # fmt: skip
+
+
 def first_judged(t_s: FloatArray, track_nea_m: FloatArray, lowest_amsl_m: float) -> int:
     """Index of the sample at which the judged part of a track begins."""
     speed = np.hypot(*np.diff(track_nea_m[:, :2], axis=0).T) / np.diff(t_s)
@@ -444,7 +454,8 @@ def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> True
     """Judge a flight by its three files."""
     world = tomllib.loads(world_toml.read_text(encoding="utf-8"))
     mission = tomllib.loads(mission_toml.read_text(encoding="utf-8"))
-    return judge(world, mission, *read_truth(truth_jsonl), world_toml.parent)
+    track = judge(world, mission, *read_truth(truth_jsonl), world_toml.parent)
+    return dataclasses.replace(track, checks=(*track.checks, crash_check(truth_jsonl)))
 
 
 def as_json(track: TrueTrack) -> str:

@@ -476,7 +476,7 @@ def _flown(autopilot: str, kind: str, lockstep: bool) -> Recording:
         scan_range_m=1_000.0,
     )
     vehicle = Simulation(world)
-    session = Session(mission(autopilot, kind), seed=1, lockstep=lockstep)
+    session = Session(mission(autopilot, kind), seed=1, lockstep=lockstep, go=True)
     recording = Recording([], [])
     asked: PlanRequest | None = None
     at_s = 0.0

@@ -92,8 +92,15 @@ def station() -> Iterator[Any]:
 @pytest.fixture
 def companion(programs: Any, tmp_path: Path) -> Any:
     def start(connect: str, *options: str) -> Program:
-        arguments = "fly", "sitl-px4", "--connect", connect, "--out", tmp_path / "run", *options
-        return programs("companion", BIN / "companion", *arguments, folder=tmp_path / "home")
+        arguments = "fly", "sitl-px4", "--connect", connect, "--out", tmp_path / "run"
+        return programs(
+            "companion",
+            BIN / "companion",
+            *arguments,
+            "--start",
+            *options,
+            folder=tmp_path / "home",
+        )
 
     return start
 

@@ -14,7 +14,14 @@ from hypothesis import strategies as st
 
 from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
-from companion.mavlink.fence import Fence, FenceBuilder, conflicts, in_force, targets_of
+from companion.mavlink.fence import (
+    Fence,
+    FenceBuilder,
+    conflicts,
+    in_force,
+    misread,
+    targets_of,
+)
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 from companion.path.limits import Limits
@@ -146,6 +153,28 @@ def test_a_long_side_is_where_the_autopilot_has_it() -> None:
     straight = PolygonZone(name="", vertices_ne_m=far)
     north, east = FRAME.to_local_m(latitude, HOME_DEG[1])
     assert abs(float(straight.distance_m(np.asarray(north), np.asarray(east)))) > 50.0
+
+
+@pytest.mark.parametrize("latitude_deg", [0.0, 47.0, -33.0])
+@pytest.mark.parametrize("longitude_deg", [8.0, 179.99])
+def test_a_fence_of_a_continent_is_where_its_sides_are(
+    latitude_deg: float, longitude_deg: float
+) -> None:
+    """Its corners lie thousands of kilometres away; a slanting side goes past the vehicle."""
+    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    off_deg = ((-30.0, -29.9), (30.0, 30.1), (30.0, 70.0), (-30.0, 70.0))
+    corners = [(latitude_deg + a, (longitude_deg + b + 180.0) % 360.0 - 180.0) for a, b in off_deg]
+    items = [
+        PlanItem(frame=0, command=OUT, parameters=(4.0, 0.0, 0.0, 0.0), x=deg_e7(a), y=deg_e7(b))
+        for a, b in corners
+    ]
+    (zone,) = zones_of(items, frame, ON).zones
+    for part_deg in np.linspace(-0.3, 0.3, 61):  # along that side
+        place = frame.to_local_m(latitude_deg + part_deg, longitude_deg + 0.1 + part_deg)
+        assert abs(float(zone.distance_m(*map(np.asarray, place)))) < 1.0
+    for east_deg, inside in ((0.2, True), (0.0, False), (3.0, True), (-3.0, False)):
+        place = frame.to_local_m(latitude_deg, longitude_deg + east_deg)
+        assert (float(zone.distance_m(*map(np.asarray, place))) < 0.0) is inside
 
 
 def test_out_of_a_polygon_that_crosses_itself_means_out_of_its_hull() -> None:
@@ -332,7 +361,7 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
         item(16, 0.0, 0.0, 0.0),  # home
         item(22, 0.0, 0.0, 0.0),
         item(178, 0.0, 0.0, 0.0),
-        item(16, 100.0, 0.0, 0.0),
+        item(16, 100.0, 0.0, 15.0),
         item(82, 200.0, 0.0, 0.0),
         item(19, 300.0, 0.0, 10.0),
         PlanItem(frame=3, command=18),
@@ -346,6 +375,7 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
         "item 2 (DO_CHANGE_SPEED) is not flown: left out",
         "item 6 (NAV_LOITER_TURNS) names no place: left out",
         "items 8 to 8 come after the end: left out",
+        "left out: 1 x waiting at a waypoint, 1 x spline at a waypoint, 1 x loiter at a waypoint",
     )
     assert targets_of(items, FRAME, home_first=False).targets_ne_m[0] == pytest.approx(
         (0, 0), abs=0.02
@@ -364,3 +394,29 @@ def test_the_last_item_is_the_end(command: int, action: EndAction | None, places
 def test_an_empty_mission_has_no_targets() -> None:
     assert targets_of((), FRAME, home_first=True).targets_ne_m == ()
     assert zones_of((), FRAME, {}) == zones_of((), FRAME, ON)
+
+
+# --- what PX4 makes of it
+
+
+def begins_of_px4(items: Sequence[PlanItem]) -> list[int]:
+    """Where PX4's `Geofence::_updateFence` takes a shape to begin."""
+    begins, sequence, is_circle_area = [], 0, False
+    while sequence < len(items):
+        is_circle_area = is_circle_area or items[sequence].command in (CIRCLE_IN, CIRCLE_OUT)
+        begins.append(sequence)
+        sequence += 1 if is_circle_area else int(items[sequence].parameters[0])
+    return begins
+
+
+@given(st.lists(shapes(), max_size=6))
+def test_px4_misreads_what_is_named_and_nothing_else(drawn: list[list[PlanItem]]) -> None:
+    items, begins = [], []
+    for shape in drawn:
+        begins.append(len(items))
+        items += shape
+    said = misread(items, "PX4")
+    assert bool(said) == (begins_of_px4(items) != begins)
+    assert not said or said.endswith("Upload polygons before circles")
+    in_order = sorted(drawn, key=lambda shape: shape[0].command in (CIRCLE_IN, CIRCLE_OUT))
+    assert misread([each for shape in in_order for each in shape], "PX4") == ""

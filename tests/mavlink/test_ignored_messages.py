@@ -15,7 +15,7 @@ from companion.mavlink.autopilots.arduplane import ARDUPLANE
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING
 from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER
 from companion.mavlink.frames import IGNORED_MESSAGES, Receiver
-from companion.mavlink.link import VehicleClock
+from companion.mavlink.link import ClockReading, VehicleClock
 from companion.session import Session
 
 COMPANION = Path(__file__).parents[2] / "companion"
@@ -129,3 +129,45 @@ def test_a_clock_that_has_begun_again_is_read_at_once() -> None:
     clock = VehicleClock(0.0)
     for at_ms in (5000, 10, 70):
         assert clock.is_newer(wire.MAVLINK_MSG_ID_ATTITUDE, at_ms)
+
+
+READ = ClockReading
+"""Short, for the table below."""
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "last"),
+    [
+        ((1060.0,), READ.DOUBTED),
+        ((1060.0, 60.1), READ.LATER),  # the clock goes on where it was
+        ((1060.0, 60.1, 1060.1), READ.DOUBTED),  # one that leaps now and then is never believed
+        ((1060.0, 1060.0), READ.DOUBTED),  # copies of one frame, or messages of one moment
+        ((1060.0, 5.0), READ.DOUBTED),
+        ((1060.0, 2_000.0), READ.DOUBTED),
+        ((1060.0, 1060.1), READ.LATER),  # two agree: so it is
+        ((5.0,), READ.DOUBTED),
+        ((5.0, 60.1), READ.LATER),
+        ((5.0, 5.0), READ.DOUBTED),
+        ((5.0, 5.1), READ.REBOOTED),
+        ((61.9,), READ.LATER),
+    ],
+)
+def test_a_clock_that_leaps_is_doubted_like_one_that_falls(
+    stamps_s: tuple[float, ...], last: ClockReading
+) -> None:
+    clock = VehicleClock(0.0)
+    assert clock.read(60.0) is READ.FIRST
+    told = [(clock.believes(stamp_s), clock.read(stamp_s)) for stamp_s in stamps_s]
+    assert told[-1][1] is last
+    assert all(believed is (reading is not READ.DOUBTED) for believed, reading in told)
+
+
+def test_a_leap_that_the_silence_or_the_arrival_explains_is_believed_at_once() -> None:
+    arrived, silent = VehicleClock(0.0), VehicleClock(0.0)
+    for clock in (arrived, silent):
+        clock.read(60.0, 7.0)
+    assert arrived.read(90.0, 37.0) is READ.LATER  # a gap in a log, or a slow stream
+    assert arrived.read(97.0, 38.0) is READ.DOUBTED
+    silent.on_silence(30.0, counts=True)
+    assert silent.read(90.0) is READ.LATER
+    assert silent.read(97.0) is READ.DOUBTED

@@ -1,13 +1,15 @@
 """What lidars say, message by message (a flight between real posts: replay/test_shadow_near.py)."""
 
 import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
 
-from companion.mavlink.near_sensing import NearSensing, Poses, Sight
+from companion.mavlink.near_sensing import NearSensing, Poses, Sight, in_words
 from companion.world.near_map import NearSensor, Sweep
 
 LIDAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=40.0, latency_s=0.0)
@@ -160,6 +162,11 @@ def test_a_stamp_of_another_clock_counts_as_now() -> None:
         sensing.on_obstacle_distance(obstacle_distance([500], time_usec=stamp_us), now_s)
     assert [sweep.time_s for sweep in sensing.sweeps()] == times_s
     assert sensing.refused == {"a stamp of another clock": 3}
+    assert list(in_words(sensing.refused)) == [
+        "used all the same: a stamp of another clock, taken as of now (3 times)"
+    ]
+    both = {"an angle is not finite": 2, **sensing.refused}
+    assert next(in_words(both)) == "not believed: an angle is not finite (2 times)"
 
 
 def test_what_is_told_again_at_once_is_one_sweep_and_proves_no_more() -> None:
@@ -258,23 +265,102 @@ def test_sectors_whose_stamp_stands_still_go_on_to_be_taken() -> None:
     assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx([7.0, 5.0])
 
 
-def test_a_sector_that_was_never_told_is_empty_but_at_the_end_of_a_set() -> None:
-    """The link may have been too slow for the last ones (proximity.md 1)."""
-    poses, sensing = Poses(), None
-    for k in range(60):
-        poses.on_position(NOW_S + 0.05 * k, (0.0, 0.0, 5.0), 0.0)
-        poses.on_attitude(NOW_S + 0.05 * k, 0.0, 0.0, 0.0)
-    sensing = NearSensing(BEHIND_AUTOPILOT, poses)
-    for k in range(50):
-        now_s = NOW_S + 0.05 * (k + 1)
-        for sector in (0, 2, 5) if k < 40 else (0, 5):  # later the 2 is lost
+def sectors_over(
+    seconds: float, told: Callable[[int], Iterable[int]], component: int = 1
+) -> list[float]:
+    """What is clear in the end, metres, if set k at 20 Hz tells of a thing in these sectors."""
+    poses = Poses()
+    sensing = NearSensing(replace(BEHIND_AUTOPILOT, component_id=component), poses)
+    for k in range(round(20.0 * seconds)):
+        now_s = NOW_S + 0.05 * k
+        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
+        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        for sector in told(k):
             at_ms = round(1e3 * now_s)
             beam = wire.MAVLink_distance_sensor_message(at_ms, 20, 1600, 700, 0, 10, sector, 0)
             sensing.on_distance_sensor(beam, now_s)
+        if sweeps := sensing.sweeps():
+            clear_m = sweeps[-1].clear_m
+    return [float(each) for each in clear_m]
+
+
+def test_a_sector_before_the_last_one_that_was_never_told_is_empty() -> None:
+    """A link leaves out the high ones (proximity.md 1)."""
+    assert sectors_over(1.0, lambda _: (0, 2, 5)) == [7.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 0.0]
+    expected = [7.0, 16.0, 7.0, 16.0, 16.0, 7.0, 0.0, 0.0]
+    assert sectors_over(1.75, lambda _: (0, 2, 5)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("turned", range(8))
+def test_which_sectors_have_an_echo_does_not_matter_to_what_is_clear(turned: int) -> None:
+    """Whatever the heading of a vehicle before open ground; ds-4: only 3, 4 and 5 had one."""
+    told = sorted((turned + k) % 8 for k in range(3))
+    expected = [7.0 if sector in told else 16.0 for sector in range(8)]
+    assert sectors_over(4.0, lambda _: told) == pytest.approx(expected)
+
+
+def test_what_a_link_has_no_room_for_stays_unknown() -> None:
+    """The room differs, as what comes once a second needs some of it."""
+    cut = lambda k: (0, 2, 5) if k % 20 else (0, 2)  # noqa: E731
+    assert sectors_over(6.0, cut)[6:] == [0.0, 0.0]
+    once = lambda k: (0, 2) if k == 100 else (0, 2, 5)  # noqa: E731
+    assert sectors_over(5.0, once)[6:] == pytest.approx([16.0, 16.0])
+    assert sectors_over(6.0, once)[6:] == [0.0, 0.0]
+    assert sectors_over(9.0, once)[6:] == pytest.approx([16.0, 16.0])
+
+
+def test_one_that_is_left_out_now_and_was_told_before_is_unknown() -> None:
+    clear_m = sectors_over(4.0, lambda k: (0, 2, 5) if k < 70 else (0, 5))
+    assert clear_m == pytest.approx([7.0, 16.0, 0.0, 16.0, 16.0, 7.0, 16.0, 16.0])
+
+
+def test_of_a_driver_other_than_the_autopilot_silence_says_nothing() -> None:
+    expected = [7.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 0.0]
+    assert sectors_over(4.0, lambda _: (0, 2, 5), component=158) == expected
+
+
+def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
+    sensing = NearSensing(LIDAR, standing())
+    assert sensing.limits_m is None
+    for most_cm, now_s in ((4000, NOW_S), (1200, NOW_S + 0.1), (2500, NOW_S + 0.2)):
+        sensing.on_obstacle_distance(obstacle_distance([500], max_distance=most_cm), now_s)
+        assert sensing.limits_m == pytest.approx((0.2, 0.01 * most_cm))
+
+
+def test_sectors_of_unlike_limits_are_clear_as_far_as_each_one_sees() -> None:
+    poses, sensing = Poses(), None
+    sensing = NearSensing(BEHIND_AUTOPILOT, poses)
+    for k in range(40):
+        now_s = NOW_S + 0.05 * k
+        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
+        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        for sector, least_cm, most_cm in ((0, 20, 900), (1, 50, 800), (2, 20, 4000)):
+            sensing.on_distance_sensor(
+                wire.MAVLink_distance_sensor_message(
+                    round(1e3 * now_s), least_cm, most_cm, most_cm, 0, 10, sector, 0
+                ),
+                now_s,
+            )
         sweeps = sensing.sweeps()
-        if k == 20:
-            assert sweeps[-1].clear_m.tolist() == [7.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 0.0]
-        elif k == 35:
-            expected = [7.0, 16.0, 7.0, 16.0, 16.0, 7.0, 0.0, 0.0]
-            assert sweeps[-1].clear_m == pytest.approx(expected)
-    assert sweeps[-1].clear_m == pytest.approx([7.0, 16.0, 0.0, 16.0, 16.0, 7.0, 0.0, 0.0])
+    assert sweeps[-1].clear_m[:3] == pytest.approx([9.0, 8.0, BEHIND_AUTOPILOT.range_m])
+    assert sensing.limits_m == pytest.approx((0.5, 8.0))
+
+
+def test_one_that_has_told_how_far_it_sees_shows_no_more_by_its_silence() -> None:
+    """R may be more than what it sees: 16 m of 40."""
+    poses = Poses()
+    sensing = NearSensing(replace(BEHIND_AUTOPILOT, range_m=40.0), poses)
+    bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+    well = wire.MAVLink_sys_status_message(bit, bit, bit, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+    beam = wire.MAVLink_distance_sensor_message(10_000, 20, 1600, 700, 0, 10, 0, 0)
+    sensing.on_distance_sensor(beam, NOW_S)
+    late = wire.MAVLink_distance_sensor_message(10_050, 20, 1600, 700, 0, 10, 0, 0)
+    sensing.on_distance_sensor(late, NOW_S + 0.05)
+    for k in range(50):
+        now_s = NOW_S + 0.1 * k
+        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
+        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        if k % 10 == 0 and k:
+            sensing.on_health(well, now_s)
+    clear_m = [sweep.clear_m.max() for sweep in sensing.sweeps()]
+    assert clear_m[-1] == pytest.approx(16.0)

@@ -126,7 +126,8 @@ def test_every_rule_can_be_read_and_every_name_is_one(firmware: Firmware, kind: 
     assert all(0 < len(name) <= 16 and name.isascii() for name in names)
     known = defaults(firmware, kind)
     usual = [rule.name for rule in rules if rule.found(known) is None]
-    assert set(usual) <= {"ARMING_SKIPCHK"}  # only newer ones have it
+    unread = {f"PRX1_IGN_WID{k}" for k in range(1, 5)}  # not in the simulator's table
+    assert set(usual) <= {"ARMING_SKIPCHK", *unread}  # only newer ones have the former
 
 
 @ALL_FOUR
@@ -457,6 +458,22 @@ def test_a_lidar_on_the_autopilot_may_wake_its_own_avoidance(kind: sensor_kind) 
     for value in (0.0, 1.0, 3.0):
         expected = NOTE if value else None
         assert of(ARDUCOPTER_RULES, ARDUCOPTER, "OA_TYPE", value, by_lidar)[0] is expected
+
+
+def test_a_lidar_on_the_autopilot_has_to_look_all_round() -> None:
+    """Its silence about a sector is taken for an empty one."""
+    near = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0)
+    by_lidar = dataclasses.replace(mission(), near=near)
+    for value, expected in ((5.0, None), (15.0, None), (8.0, NOTE)):  # RPLidar, LD06, SF45B
+        assert of(ARDUCOPTER_RULES, ARDUCOPTER, "PRX1_TYPE", value, by_lidar)[0] is expected
+    for value in (0.0, 2.0, 4.0, 10.0):  # none, by MAVLink, single beams, SITL's rays
+        assert of(ARDUCOPTER_RULES, ARDUCOPTER, "PRX1_TYPE", value, by_lidar)[0] is REFUSE
+    for name in ("PRX1_IGN_WID1", "PRX1_IGN_WID4"):
+        assert of(ARDUCOPTER_RULES, ARDUCOPTER, name, 0.0, by_lidar)[0] is None
+        assert of(ARDUCOPTER_RULES, ARDUCOPTER, name, 20.0, by_lidar)[0] is REFUSE
+    elsewhere = dataclasses.replace(by_lidar, near=dataclasses.replace(near, component_id=158))
+    for each in (elsewhere, mission()):
+        assert not any(r.matters(each) for r in ARDUCOPTER_RULES if r.name.startswith("PRX1"))
 
 
 def test_a_fence_that_is_on_and_does_nothing_is_said() -> None:

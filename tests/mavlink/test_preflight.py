@@ -3,7 +3,9 @@
 The companion's whole session meets the simulator in one process; both ways are frames.
 """
 
+import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +23,7 @@ from companion.mission.mission import Mission
 from companion.mission.state import Phase
 from companion.session import Session
 from companion.world.known_map import empty_map
+from companion.world.near_map import NearSensor
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
@@ -61,7 +64,9 @@ class Pair:
         vehicle = replace(world.vehicle, parameters=parameters or {})
         world = replace(world, vehicle=vehicle)
         self.vehicle = Simulation(world, seed=1, links=2, faults=faults)
-        self.session = Session(self.mission, seed=1, lockstep=False, shadow=shadow, signing=signing)
+        self.session = Session(
+            self.mission, seed=1, lockstep=False, shadow=shadow, signing=signing, go=True
+        )
         self.sent: list[Any] = []
         self.journal: list[dict[str, Any]] = []
         self.end: Any = None
@@ -202,6 +207,74 @@ def test_it_only_asks(good: Pair) -> None:
 
 
 # --- link and ids
+
+
+def beat(system: int, component: int, kind: int = 2, autopilot: int = 12) -> bytes:
+    sender = wire.MAVLink(None, srcSystem=system, srcComponent=component)
+    frame: bytes = wire.MAVLink_heartbeat_message(kind, autopilot, 81, 0, 4, 3).pack(sender)
+    return frame
+
+
+@pytest.mark.parametrize(
+    ("wanted", "heard", "words"),
+    [
+        (None, [beat(1, 50)], "an autopilot as component 50 of system 1. Set the autopilot's"),
+        (1, [beat(1, 50), beat(2, 1)], "an autopilot as component 50 of system 1. Set the auto"),
+        (3, [beat(1, 50)], "an autopilot as component 50 of system 1. Set the autopilot's"),
+        (3, [beat(2, 1), beat(1, 50)], "vehicle.system_id = 3: only system 2 was heard. Give"),
+        (None, [beat(255, 190, 6, 8)], "component 190 of system 255 without an autopilot's"),
+        (None, [beat(1, 154, 26, 8)], "component 154 of system 1 without an autopilot's HEART"),
+        (None, [bytes(range(200))], "what comes in is no MAVLink. Check the baud rate"),
+        (None, [], "none was heard. Start it, or check --connect."),
+    ],
+)
+def test_without_a_vehicle_it_says_what_is_heard_instead_and_what_to_do(
+    wanted: int | None, heard: list[bytes], words: str
+) -> None:
+    session = Session(
+        replace(load_mission("sitl-px4"), system_id=wanted), seed=1, lockstep=False, shadow=True
+    )
+    for frame in 4 * heard:
+        session.receive(frame, 1.0)
+        session.run()
+    [check] = checks_of(session)
+    assert (check.name, check.status) == ("vehicle", CheckStatus.REFUSED)
+    assert words in f"{check.what}. {check.remedy}"
+
+
+def test_a_sensor_of_other_ids_is_told_with_those_that_are_heard(
+    looked: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A lidar's driver is component 191 by its default; another radar, another rangefinder."""
+    lidar = wire.MAVLink(None, srcSystem=1, srcComponent=191)
+    radar = wire.MAVLink(None, srcSystem=2, srcComponent=101)
+    sweep = wire.MAVLink_obstacle_distance_message(0, 0, [500] * 72, 5, 20, 1600)
+    for message, sender in (
+        (sweep, lidar),
+        (wire.MAVLink_distance_sensor_message(0, 10, 1000, 500, 0, 0, 25, 0), lidar),
+        (wire.MAVLink_terrain_data_message(0, 0, 100, 0, [0] * 16), radar),
+    ):
+        looked.hear(message.pack(sender))
+    near = NearSensor(kind="obstacle_distance", component_id=196, range_m=16.0)
+    for mission, name, words in (
+        (
+            replace(looked.mission, near=near),
+            "sensor",
+            "heard: OBSTACLE_DISTANCE of component 191 of system 1; DISTANCE_SENSOR of component "
+            "1 of system 1, component 191 of system 1. Write those that it is into scanner.kind",
+        ),
+        (
+            replace(looked.mission, scanner_component_id=77),
+            "radar",
+            "heard: TERRAIN_DATA of component 101 of system 2. Write the one that it is into",
+        ),
+    ):
+        monkeypatch.setattr(looked.session, "mission", mission)
+        monkeypatch.setattr(looked.session, "last_scan", None)
+        assert words in looked.words(name)
+    monkeypatch.setattr(looked.session, "rangefinder", SimpleNamespace(heard_s=-math.inf))
+    words = "of component 1: not heard; heard: DISTANCE_SENSOR of component 191 of system 1. Set"
+    assert words in looked.words("rangefinder")
 
 
 def test_several_vehicles_and_none_chosen() -> None:
@@ -376,6 +449,7 @@ ON_TARGET = draws((5004, 60.0, 600.0, 100.0))
 NO_TARGETS: dict[str, Any] = {"targets_from_vehicle": True, "targets_ne_m": ()}
 NO_CHANGE: Change = lambda _: None  # noqa: E731
 OTHERS = ("vehicle", "refused", ("PX4", "vehicle.kind"))
+_CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 SETUPS = {
     "as it comes": Setup({}),
     "nothing heard": Setup({}, hides("HEARTBEAT"), "vehicle", "refused", ("none was heard",)),
@@ -410,6 +484,14 @@ SETUPS = {
         {},
         draws((5004, float("inf"), 300.0, 500.0)),
         *("fence", "refused", ("a circle needs a radius",)),
+    ),
+    "polygon after a circle": Setup(
+        {},
+        draws(
+            (5004, 20.0, 300.0, -300.0),
+            *((5002, 3.0, 400.0 + 30.0 * north, -300.0 + 30.0 * east) for north, east in _CORNERS),
+        ),
+        *("fence", "note", ("exclusion 2 after exclusion 1", "Upload polygons before circles.")),
     ),
     "fence around the vehicle": Setup({}, draws((5004, 60.0, 0.0, 0.0))),
     "fence too small": Setup({}, draws((5003, 100.0, 0.0, 0.0))),

@@ -262,6 +262,22 @@ def test_a_log_has_no_signature_in_it(message: Any) -> None:
     assert strip_signature(first_protocol) == first_protocol
 
 
+def test_a_frame_that_was_kept_is_signed_as_pymavlink_would_sign_it_now() -> None:
+    keeper, other = ours(), codec(1)
+    keeper.attach(other)
+    for message in (heartbeat(), wire.MAVLink_statustext_message(4, b"hello")):
+        plain = message.pack(codec(1))
+        for _ in range(3):  # between frames that pymavlink signs
+            signed = keeper.sign(plain)
+            there = Speaker(int.from_bytes(signed[-12:-6], "little"), link=3, component=195)
+            assert signed == there.frame(message)
+            assert keeper.sign(signed) == signed
+            there.mav.signing.timestamp = keeper.timestamp
+            assert message.pack(other) == there.frame(message)
+    first_protocol = heartbeat().pack(codec(1), force_mavlink1=True)
+    assert keeper.sign(first_protocol) == first_protocol  # it has no signatures
+
+
 def test_messages_with_keys_and_passwords_are_secret() -> None:
     names = {wire.mavlink_map[number].msgname for number in SECRETS}
     assert "SETUP_SIGNING" in names

@@ -29,6 +29,8 @@ from companion.mission.events import (
     Landed,
     LandedState,
     Mode,
+    Order,
+    OrderKind,
     Plan,
     PlanReady,
     Position,
@@ -204,8 +206,9 @@ class Craft:
         plan: Callable[[PlanRequest], PlanOutcome | None] = planned,
         traits: VehicleTraits = ARDUCOPTER.traits,
         shadow: bool = False,
+        go: bool = True,
     ) -> None:
-        self.context = Context(mission=of, seed=1, shadow=shadow)
+        self.context = Context(mission=of, seed=1, shadow=shadow, go=go)
         self.traits = traits
         self.told: list[Event] = []
         self.state = fresh(of)
@@ -464,3 +467,16 @@ def arrived(of: Mission = MISSION) -> Craft:
 @once
 def landing() -> Craft:
     return arrived(LAND).fly_to(Phase.LANDING)
+
+
+def order_of(craft: Craft, kind: OrderKind) -> Order:
+    """An order by a ground station, with a place if it is one that needs it."""
+    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
+    return Order(
+        time_s=craft.now_s,
+        kind=kind,
+        target_ne_m=(6_000.0, 2_000.0) if placed else None,
+        speed_m_s=50.0 if kind is OrderKind.SPEED else None,
+        radius_m=300.0 if kind is OrderKind.KEEP_OUT else None,
+        sender="255/190",
+    )

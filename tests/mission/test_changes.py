@@ -58,6 +58,7 @@ from companion.world.threats import CircleZone
 MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
 AT_ONCE = {
     "preparing": preparing,
+    "ready": lambda: Craft(go=False).fly_to(Phase.READY),
     "arming": lambda: Craft().fly_to(Phase.ARMING),
     "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
     "flying": lambda: flying(two_legs_away()),
@@ -75,8 +76,8 @@ TAKEN = {
     OrderKind.LAND: {"flying", "no plan", "no fix", "arrived", "landing", *GOING_UP},
     OrderKind.KEEP_OUT: set(AT_ONCE),
     OrderKind.SPEED: set(AT_ONCE),
-    OrderKind.START: set(AT_ONCE) - {"landing"},
-    OrderKind.CONTINUE: set(AT_ONCE) - {"landing"},
+    OrderKind.START: set(AT_ONCE) - {"landing", "preparing"},
+    OrderKind.CONTINUE: set(AT_ONCE) - {"landing", "preparing", "ready"},
 }
 """The states in which an order is carried out, written down a second time."""
 ON_THE_WAY_UP = (OrderKind.PAUSE, OrderKind.RETURN, OrderKind.LAND)
@@ -200,7 +201,9 @@ def test_other_targets_are_flown_to_from_where_the_vehicle_stops() -> None:
     assert craft.here[:2] == pytest.approx(targets[-1], abs=1.0)
 
 
-@pytest.mark.parametrize("state", [state for state in AT_ONCE if state != "preparing"])
+@pytest.mark.parametrize(
+    "state", [state for state in AT_ONCE if state not in ("preparing", "ready")]
+)
 def test_a_mission_that_is_cleared_in_flight_changes_nothing(state: str) -> None:
     craft = AT_ONCE[state]()
     targets = craft.state.targets_ne_m

@@ -72,6 +72,11 @@ def no_position(of: Mission) -> Craft:
     return holding_without_fix(of)
 
 
+def broke(failure: Callable[[Mission], Craft]) -> str:
+    """What is said of plans: the bounds that the best candidate broke (`made_up.not_planned`)."""
+    return ": it broke floor" if failure is no_plan else ""
+
+
 FAILURES = [no_plan, radar_silent, battery_empty, does_not_follow, no_position]
 
 
@@ -104,7 +109,7 @@ def test_a_flight_that_fails_is_left_to_its_autopilots_return_where_no_way_back_
     assert craft.end().outcome is Outcome.FAILED
     reason = craft.state.flight.fallen_back
     assert reason is not None
-    assert craft.end().reason == f"its autopilot returns by itself: {reason.text}"
+    assert craft.end().reason == f"its autopilot returns by itself: {reason.text}{broke(failure)}"
 
 
 @pytest.mark.parametrize("failure", FAILURES)
@@ -142,7 +147,7 @@ def test_what_will_be_done_and_why_is_said_before_it_is_done(
     mode, how = Mode.RETURN, "its autopilot is told to return"
     if failure is no_position:
         mode, how = Mode.LAND, "landing here"
-    said = f"{reason.text}: {how}"
+    said = f"{reason.text}{broke(failure)}: {how}"
     assert said in warnings(craft)
     order = [c for c in craft.commands if c == SetMode(mode=mode) or isinstance(c, StatusText)]
     told = next(k for k, each in enumerate(order) if isinstance(each, SetMode))

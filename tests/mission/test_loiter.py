@@ -45,7 +45,7 @@ class Circling:
 
     def __init__(self, traits: VehicleTraits, *, known_m: float | None = None) -> None:
         mission = replace(MISSION, task=TASK, targets_ne_m=((1_500.0, 0.0),), kind="plane")
-        self.context = Context(mission=mission, seed=1)
+        self.context = Context(mission=mission, seed=1, go=True)
         known = empty_map(TASK.cell_m, TASK.limits.north_m, TASK.limits.east_m)
         if known_m is not None:
             known.upper_m[:], known.seen[:] = known_m, True

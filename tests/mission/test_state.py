@@ -6,7 +6,8 @@ AGAIN = {"preparing"}
 DOWN = {"landing", "handing over"}
 ARROWS = {
     "waiting": {"preparing"},
-    "preparing": {"arming", "holding", "flying", "landing", "shadow"} | DOWN | AGAIN,
+    "preparing": {"ready", "arming", "holding", "flying", "landing", "shadow"} | DOWN | AGAIN,
+    "ready": {"arming"} | AGAIN,
     "arming": {"taking off", "holding"} | AGAIN,
     "taking off": {"flying", "holding"} | DOWN | AGAIN,
     "flying": {"arrived", "holding"} | DOWN | AGAIN,

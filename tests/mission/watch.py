@@ -104,7 +104,7 @@ class Watch:
         self.estimator_failed_at_s, self.error_m = -math.inf, None
         self.position: Position | None = None
         self.moved_at_s = self.jumped_at_s = -math.inf
-        self.told_by_person = False
+        self.told_by_person = self.said_go = False
         self.spoke_at_s = self.since_s = self.progress_at_s = now_s
         self.streamed_at_s = -math.inf
         self.not_guided_at_s = now_s
@@ -180,6 +180,7 @@ class Watch:
                 self.estimator, self.error_m = good, error_m
             case Order(kind=OrderKind.START | OrderKind.CONTINUE):
                 self.told_by_person = True
+                self.said_go = event.kind is OrderKind.START
             case PlanReady(outcome=outcome) if outcome.plan_id == self.newest:
                 self._prove(outcome)
             case Position() if self.position is None or now > self.position.time_s:
@@ -335,6 +336,7 @@ class Watch:
         assert self.landed is Landed.ON_GROUND, f"{command} in the air"
         assert not self.flown, f"{command} after a flight"
         assert before.phase in (Phase.ARMING, Phase.TAKING_OFF)
+        assert self.context.go or self.said_go, "nobody has said go"
 
     def _deadlines(
         self, before: State, event: Event, after: State, commands: list[Command]
@@ -376,6 +378,8 @@ class Watch:
         """The longest that a phase may last, or go without progress; the documented deadlines."""
         limits, settings = self.limits, state.task.settings
         match state.phase:
+            case Phase.PREPARING if state.unready:
+                return math.inf  # a person waits with it
             case Phase.PREPARING:
                 return 120.0
             case Phase.ARMING:

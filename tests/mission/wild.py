@@ -119,7 +119,8 @@ class Wild:
         self.machine_step = step or machine.step
         self.traits = ALL[seed % len(ALL)].traits
         self.mission = mission_for(self.traits, rng)
-        self.context = Context(mission=self.mission, seed=1, shadow=bool(rng.random() < 0.08))
+        shadow = bool(rng.random() < 0.08)
+        self.context = Context(mission=self.mission, seed=1, shadow=shadow, go=seed % 3 > 0)
         limits = self.mission.task.limits
         known = empty_map(self.mission.task.cell_m, limits.north_m, limits.east_m)
         self.state = State.of(self.mission, known)
@@ -176,7 +177,7 @@ class Wild:
             "yaw_rad": None,
         }
         made.mission = replace(made.mission, **{**defaults, **changes})
-        made.context = Context(mission=made.mission, seed=1, shadow=shadow)
+        made.context = Context(mission=made.mission, seed=1, shadow=shadow, go=True)
         made.state = State.of(made.mission, made.state.flight.known)
         made.watch = Watch(made.mission, traits, ALL[number], made.context)
         made.lasting, made.lasting_in = (math.inf, ""), None
@@ -250,6 +251,8 @@ class Wild:
             self.happen()
         if self.busy and rng.random() < _ORDERS_1_S * self.tick_s:
             self._order()
+        if phase is Phase.READY and rng.random() < 0.1 * self.tick_s:
+            self.take(Order(time_s=self.now_s, kind=OrderKind.START, sender="255/190"))
         if self.is_wrong("silent"):
             for silent_s in (3.0, 30.0):
                 since_s = self.now_s - self.silent_since_s

@@ -85,6 +85,12 @@ def test_where_there_is_no_way_out_the_reason_is_what_is_around(
     outcome = plan(ask(task, pit, (1_025.0, 1_025.0, 450.0)))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.START_NEAR_TERRAIN
+    settings = replace(task.settings, cell_m=blank.cell_m)  # by a sensor of near things
+    outcome = plan(ask(replace(task, settings=settings), pit, (1_025.0, 1_025.0, 450.0)))
+    assert isinstance(outcome, NotPlanned)
+    assert outcome.refusal is Refusal.START_NEAR_THINGS
+    assert "terrain" not in outcome.refusal.value  # which it does not see, and may be far away
+    assert "climb" not in outcome.refusal.value
 
 
 # --- zones that lie about the vehicle in other ways

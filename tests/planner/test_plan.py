@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 
@@ -9,8 +10,12 @@ from numpy.typing import NDArray
 from planning import ask as asked
 from planning import column_distance_m, spline
 
+from companion.objective.scene import FlightScene
+from companion.optimise import refined_de
+from companion.optimise.refined_de import State
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
+from companion.planner.kernels import NUMPY
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
@@ -207,10 +212,64 @@ def test_another_seed_plan_or_attempt_is_another_search(
     assert not np.array_equal(a.subpath.control_nea_m, b.subpath.control_nea_m)
 
 
-def test_each_attempt_searches_wider(task: Task, truth: KnownMap) -> None:
-    first, third = planned(ask(task, truth)), planned(ask(task, truth, attempt=2))
-    assert first.tries == third.tries
-    assert third.evaluations == 3 * first.evaluations
+def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_found_it(
+    task: Task, truth: KnownMap
+) -> None:
+    """Counted by the kernel, of plans that search again and keep what they had, or find nothing."""
+    for degrees in range(0, 360, 60):
+        searched: dict[int, tuple[object, int]] = {}
+
+        def search(state: State, scene: FlightScene, until: int) -> None:
+            NUMPY.search(state, scene, until)
+            searched[id(state)] = state, refined_de.spent(state)  # noqa: B023 - called in this turn
+
+        start = Pose(position_nea_m=np.array(START), **heading_to(degrees))
+        request = ask(with_budget(task, 60), truth, start=start, from_rest=False)
+        outcome = plan(request, kernel=replace(NUMPY, search=search))
+        assert outcome.evaluations == sum(spent for _, spent in searched.values())
+        if isinstance(outcome, Planned):
+            assert outcome.tries == len(searched)
+
+
+def walled_in(task: Task, truth: KnownMap) -> PlanRequest:
+    """From rest in a ring of walls: nothing can be proven, whatever is tried."""
+    north, east = truth.middles_m(0, 0, truth.upper_m.shape)
+    away_m = np.hypot(north - START[0], east - START[1])
+    walls_m = np.where((away_m > 120.0) & (away_m < 900.0), 690.0, 100.0)
+    near = with_budget(task, 60, cell_m=truth.cell_m)
+    return ask(near, replace(truth, upper_m=walls_m), from_rest=True)
+
+
+def test_what_attempts_together_search_is_what_one_with_enough_time_searches(
+    task: Task, truth: KnownMap
+) -> None:
+    """Each goes on where the last one ran out of time; then all is searched again, wider."""
+    whole = plan(walled_in(task, truth))
+    assert isinstance(whole, NotPlanned)
+    assert (whole.refusal, whole.untried) == (Refusal.NOTHING_SAFE, 0)
+    tried, evaluations, untried = 0, 0, whole.tries
+    for attempt in range(20):
+        request = replace(walled_in(task, truth), tried=tried, attempt=attempt)
+        part = plan(request, each(3))
+        assert isinstance(part, NotPlanned)
+        assert 0 < part.tries <= 4
+        tried, evaluations = tried + part.tries, evaluations + part.evaluations
+        untried = max(untried - part.tries, 0)
+        assert part.untried == untried
+        assert part.refusal is (Refusal.OUT_OF_TIME if untried else Refusal.NOTHING_SAFE)
+        if not untried:
+            break
+    assert tried >= whole.tries > 4
+    again = plan(replace(walled_in(task, truth), tried=whole.tries))
+    assert isinstance(again, NotPlanned)
+    assert again.evaluations == 2 * whole.evaluations
+    assert evaluations <= again.evaluations
+
+
+def each(calls: int) -> Callable[[], bool]:
+    """Time is up after so many questions whether it is."""
+    asked = count(1)
+    return lambda: next(asked) > calls
 
 
 @pytest.mark.parametrize("time_s", [0.1, 0.4, 1.0, 3.0, 10.0])

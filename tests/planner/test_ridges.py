@@ -49,7 +49,7 @@ def nearest_ground_m(points_nea_m: FloatArray, spread_north_m: float, reach_m: f
 def test_no_leg_comes_near_a_ridge_whose_faces_are_seen_at_a_grazing_angle(
     spread_north_m: float, seed: int
 ) -> None:
-    """Faces of 81 and 79 degrees; the two rows leave a gap of 3 km, too narrow to fly through."""
+    """Faces of 81 and 79 degrees; the two rows leave a gap of 3 km, free only high up."""
     mission = load_mission("environment-2")
     limits = replace(mission.task.limits, north_m=(0.0, SIDE_M), east_m=(0.0, SIDE_M))
     settings = replace(mission.task.settings, evaluations=400)
@@ -73,7 +73,7 @@ def test_no_leg_comes_near_a_ridge_whose_faces_are_seen_at_a_grazing_angle(
         seed=seed,
         most_legs=20,
     )
-    assert len(flight.legs) == 20  # there and back before the ridge
+    assert len(flight.legs) == 20 or flight.failure is None  # there and back before it, or over it
     for leg, first in itertools.product(flight.legs, range(0, 40_000, 2_000)):
         lengths = np.arange(float(first), min(first + 2_000.0, leg.subpath.length_m), 40.0)
         if len(lengths):

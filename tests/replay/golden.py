@@ -3,6 +3,7 @@
 tests/replay/goldens/NAME/
     why.md            what it protects
     mission.toml      as flown
+    world.toml        of a flight that has a world of its own
     inputs.msgpack    all that the session was told
     decisions.jsonl   what it decided: journal entries, commands to the vehicle, and one setpoint
                       in a second

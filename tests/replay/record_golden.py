@@ -16,7 +16,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
 from recordings import recording
 
-from companion.campaign import drawn_files, families
 from companion.campaign.flight import FlightFiles
 from companion.campaign.in_process import Flying
 from companion.config import load_mission
@@ -63,12 +62,25 @@ def _record(folder: Path, how: dict[str, Any]) -> None:
         if "log" in how:
             _watch(folder, how)
             return
+        for file, text in texts(folder, how).items():
+            (Path(scratch) / file).write_text(text, encoding="utf-8")
         if "happens" in how:
             _try_out(how, Path(scratch), run)
         else:
             _fly(how, Path(scratch), run)
         shutil.copy(run / "mission.toml", folder / "mission.toml")
         _cut(run, folder / inputs.FILE, float(how["until_s"]))
+
+
+def texts(folder: Path, how: dict[str, Any]) -> dict[str, str]:
+    """What is flown: world and mission of the golden itself, or those that its recipe names."""
+    found = {}
+    for kind in ("world", "mission"):
+        path = _ROOT / how[kind] if kind in how else folder / f"{kind}.toml"
+        found[path.name] = path.read_text(encoding="utf-8")
+        for old, new in how.get("replaced", {}).items():
+            found[path.name] = found[path.name].replace(old, new)
+    return found
 
 
 def _watch(folder: Path, how: dict[str, Any]) -> None:
@@ -85,9 +97,8 @@ def _watch(folder: Path, how: dict[str, Any]) -> None:
 
 
 def _try_out(how: dict[str, Any], scratch: Path, run: Path) -> None:
-    """A short drawn flight in this process, with faults so long after it began to fly."""
-    drawn = families.world(f"short-{how['kind']}", 1, how["world"])
-    world, mission = drawn_files.write(drawn, scratch, how["autopilot"])
+    """A short flight in this process, with faults so long after it began to fly."""
+    world, mission = scratch / "world.toml", scratch / "mission.toml"
     files = FlightFiles(world=world, mission=mission, faults="", folder=run)
     flying = Flying(files, seed=how["seed"], limit_s=900.0, recorded=True)
     while flying.loop.session.state.phase is not Phase.FLYING:
@@ -106,17 +117,11 @@ def _try_out(how: dict[str, Any], scratch: Path, run: Path) -> None:
 
 def _fly(how: dict[str, Any], scratch: Path, run: Path) -> None:
     """vehicle-sim and the companion, over UDP; killed once and started again if it says so."""
-    world, mission = (_ROOT / how[kind] for kind in ("world", "mission"))
-    for kind, path in (("world", world), ("mission", mission)):
-        text = path.read_text(encoding="utf-8")
-        for old, new in how.get("replaced", {}).items():
-            text = text.replace(old, new)
-        (scratch / f"{kind}.toml").write_text(text, encoding="utf-8")
     (scratch / "faults.txt").write_text("\n".join(how["faults"]) + "\n", encoding="utf-8")
     killed_s = how.get("killed_after_wall_s")
     clock = ["--lockstep"] if killed_s is None else ["--speedup", "10"]
     link, faults = f"127.0.0.1:{_free_port()}", scratch / "faults.txt"
-    own = ["--lockstep"] if killed_s is None else []
+    own = ["--lockstep"] if killed_s is None else ["--start"]
     vehicle = _started(
         "vehicle-sim",
         scratch / "world.toml",

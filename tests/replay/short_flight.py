@@ -47,7 +47,7 @@ def fly_short(
     with RunFolder(path, mission_toml=text, epoch_us=EPOCH_US) as folder:
         folder.header({})
         return loop.fly(
-            Session(load_mission(str(path / "mission.toml")), seed=1, lockstep=lockstep),
+            Session(load_mission(str(path / "mission.toml")), seed=1, lockstep=lockstep, go=True),
             link,
             folder,
             lockstep=lockstep,

@@ -1,9 +1,12 @@
 """Golden flights decide what they decided when a person last looked: see golden.py."""
 
 import copy
+import json
+import tomllib
 
 import pytest
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
+from record_golden import texts
 
 
 def test_there_are_golden_flights_and_each_says_why() -> None:
@@ -18,6 +21,16 @@ def test_a_golden_flight_decides_what_it_decided(name: str) -> None:
     folder = GOLDENS / name
     report = differences(expected(folder), list(decisions_of(folder)))
     assert not report, f"{report}\nIf that is meant: scripts/update-goldens {name}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recipe_gives_the_mission_that_was_flown(name: str) -> None:
+    how = json.loads((GOLDENS / name / "flight.json").read_text(encoding="utf-8"))
+    if "log" not in how:
+        recorded = tomllib.loads((GOLDENS / name / "mission.toml").read_text(encoding="utf-8"))
+        again = texts(GOLDENS / name, how)
+        assert tomllib.loads(again["mission.toml"]) == recorded
+        assert "vehicle" in tomllib.loads(again["world.toml"])
 
 
 @pytest.mark.sample(2)

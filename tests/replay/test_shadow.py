@@ -19,6 +19,7 @@ from msgspec import structs
 from recordings import recording
 from rich.console import Console
 
+from companion.errors import InputError
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
 from companion.mavlink.frames import Receiver, sender_of
@@ -524,6 +525,19 @@ def test_who_is_not_the_vehicle_is_not_listened_to(tmp_path: Path) -> None:
     assert len(reports[0]["holds"]) == 1
     for key in ("holds", "health", "said", "heard", "in_air_s"):
         assert reports[0][key] == reports[1][key], key
+
+
+@pytest.mark.parametrize("system_id", [None, 1])
+def test_an_autopilot_of_another_component_is_told_and_what_to_do(
+    tmp_path: Path, system_id: int | None
+) -> None:
+    """As PX4 with MAV_COMP_ID 50."""
+    sender = wire.MAVLink(None, srcSystem=1, srcComponent=50)
+    beat = wire.MAVLink_heartbeat_message(wire.MAV_TYPE_QUADROTOR, 12, 81, 0, 4, 3)
+    records = [Record(10**15 + 10**6 * k, bytes(beat.pack(sender))) for k in range(30)]
+    path = written(tmp_path / "fifty.tlog", records)
+    with pytest.raises(InputError, match=r"component 50 of system 1.*MAV_COMP_ID"):
+        watch(path, None, kernel=None, system_id=system_id)
 
 
 def test_the_page_shows_the_report_as_it_is_printed() -> None:

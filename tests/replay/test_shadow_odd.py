@@ -3,6 +3,7 @@
 Times are seconds after the first record.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
+from companion.mavlink.frames import number_of
 from companion.mission.mission import Mission
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
@@ -47,6 +49,44 @@ def shifted(records: Iterator[Record], from_s: float, by_s: float) -> Iterator[R
         first_us = record.time_us if first_us is None else first_us
         late = record.time_us - first_us >= from_s * 1e6
         yield Record(record.time_us + round(by_s * 1e6) * late, record.frame)
+
+
+def test_how_long_positions_came_too_seldom_is_told_with_the_bar_and_not_with_the_slowest(
+    tmp_path: Path,
+) -> None:
+    """At 4 Hz for most of it, and at 1 Hz for some seconds: not 1 Hz for all of it."""
+    records, kept, last_s = list(recorded(HEALTHY, until_s=60.0)), [], -1.0
+    for record in records:
+        at_s = (record.time_us - records[0].time_us) * 1e-6
+        if number_of(record.frame) == POSITION:
+            if at_s - last_s < (0.95 if 20.0 < at_s < 40.0 else 0.2):
+                continue
+            last_s = at_s
+        kept.append(record)
+    report = alone(written(tmp_path / "slow.tlog", kept))
+    [told] = [each for each in report.could_not if "in time" in each.what]
+    found = re.search(
+        r"less than ([\d.]+) Hz for (\d+) s in all .*slowest at ([\d.]+) Hz", str(told)
+    )
+    assert found is not None, told
+    bar_hz, span_s, slowest_hz = map(float, found.groups())
+    assert slowest_hz < 1.5 < 4.0 < bar_hz < 6.0
+    assert 40.0 < span_s <= 60.0
+
+
+@pytest.mark.parametrize("kind", ["SUBMARINE", "GROUND_ROVER", "SURFACE_BOAT"])
+@pytest.mark.parametrize("located", [True, False])
+def test_what_a_log_is_of_is_told_before_what_it_lacks(
+    tmp_path: Path, kind: str, located: bool
+) -> None:
+    def other(message: Message) -> None:
+        message.type = getattr(wire, f"MAV_TYPE_{kind}")
+
+    beat = wire.MAVLINK_MSG_ID_HEARTBEAT
+    records = changed(recorded(ARDUPILOT, until_s=10.0), beat, other)
+    records = records if located else without(records, POSITION)
+    with pytest.raises(InputError, match=r"which the companion does not fly. It flies: "):
+        alone(written(tmp_path / "other.tlog", records))
 
 
 # --- cut, gaps, clocks

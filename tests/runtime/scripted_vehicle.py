@@ -296,7 +296,7 @@ class Pair:
 
 
 def pair(*, lockstep: bool = True, seed: int = 1, **keywords: Any) -> Pair:
-    session = Session(MISSION, seed=seed, lockstep=lockstep)
+    session = Session(MISSION, seed=seed, lockstep=lockstep, go=True)
     return Pair(session, Vehicle(lockstep=lockstep, **keywords))
 
 

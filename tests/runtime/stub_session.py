@@ -90,6 +90,9 @@ class StubSession:
             self.out.record.append((self.now_s, frame))
         return True
 
+    def signed(self, frames: list[bytes]) -> list[bytes]:
+        return frames
+
     def run(self) -> Output:
         return self.take_output()
 

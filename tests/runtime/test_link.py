@@ -1,6 +1,7 @@
 """Real sockets on the loopback."""
 
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -174,7 +175,8 @@ def test_a_port_in_use_is_an_input_error_with_its_remedy(other: socket.socket) -
         "mission.tlog",
         "UDPIN:127.0.0.1:14540",
         "127.0.0.1:14540",
-        "udpin:[::1]:14540",
+        "udpin:::1:14540",
+        "udpin:[::1]",
         "udpin:a..b:14540",
         f"udpin:{'a' * 64}.example:14540",
         "udpin:127.0.0.1:" + "9" * 5000,
@@ -187,6 +189,31 @@ def test_a_bad_connection_string_is_an_input_error_of_one_line_with_a_remedy(tex
     assert message.startswith(f"--connect = {text!r}: "[:200])
     assert "\n" not in message
     assert "Write udpin:127.0.0.1:14540 (" in message
+
+
+def has_ipv6() -> bool:
+    try:
+        with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as end:
+            end.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
+@pytest.mark.parametrize(("waits", "calls"), [("udpin", "udpout"), ("tcpin", "tcp")])
+def test_ipv6_is_a_network_like_any_other(waits: str, calls: str) -> None:
+    port = free_port()
+    with open_link(f"{waits}:[::1]:{port}") as here, open_link(f"{calls}:[::1]:{port}") as there:
+        for sends, hears in ((there, here), (here, there)):
+            heard, until_s = None, time.monotonic() + PATIENCE_S
+            while heard is None and time.monotonic() < until_s:
+                sends.send([b"hello"])
+                sends.receive(0.01)
+                heard = hears.receive(0.01)
+            assert heard is not None
+            assert heard.startswith(b"hello")
+            hears.answer_to(hears.sender)
 
 
 def test_an_address_of_another_machine_cannot_be_listened_on() -> None:

@@ -4,6 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def fly(
     link: ScriptedLink, folder: RunFolder, lockstep: bool = True, **keywords: Any
 ) -> FlightSummary:
     return loop.fly(
-        Session(MISSION, seed=1, lockstep=lockstep),
+        Session(MISSION, seed=1, lockstep=lockstep, go=True),
         link,
         folder,
         lockstep=lockstep,
@@ -86,6 +87,13 @@ def test_a_flight_in_lockstep_ends_at_its_target(folder: RunFolder) -> None:
     assert flown.to_go_m == pytest.approx(0.0, abs=5.0)
     last = link.vehicle.heard[-1]
     assert (last.get_type(), last.system_status) == ("HEARTBEAT", 7)
+
+
+def test_plans_that_time_has_cut_are_counted(folder: RunFolder) -> None:
+    def cut(request: PlanRequest, stop: object) -> PlanOutcome:
+        return replace(straight_plan(request, stop), stopped_after=2)
+
+    assert fly(ScriptedLink(Vehicle()), folder, planner=cut).out_of_time == 1
 
 
 def test_the_folder_holds_all_that_was_said_and_decided(folder: RunFolder) -> None:

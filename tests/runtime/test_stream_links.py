@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 from programs import free_port
+from pymavlink.dialects.v20 import all as wire
+from stub_session import HEARTBEAT, HOLD, packed
 
 from companion.errors import InputError
 from companion.runtime import link as links
@@ -31,6 +33,22 @@ def heard(link: Link, count: int) -> bytes:
     while len(data) < count:
         assert time.monotonic() < until_s, f"only {len(data)} bytes"
         data += link.receive(0.05) or b""
+    return data
+
+
+def arriving(link: Link, far: int, enough: Callable[[bytes], bool], *goes_on: bytes) -> bytes:
+    """What comes out at the far end, which does not block, until it is enough.
+
+    Meanwhile these frames go on being sent.
+    """
+    data, until_s = b"", time.monotonic() + PATIENCE_S
+    os.set_blocking(far, False)
+    while not enough(data):
+        assert time.monotonic() < until_s, f"only {len(data)} bytes"
+        link.send([*goes_on])
+        assert link.receive(0.01) is None
+        with contextlib.suppress(BlockingIOError):
+            data += os.read(far, 1 << 20)
     return data
 
 
@@ -183,12 +201,85 @@ def test_a_tcp_peer_that_does_not_read_loses_whole_frames_and_makes_nobody_wait(
                 while True:
                     got += peer.recv(1 << 20)
             link.send([b"!" * 100])
-            peer.settimeout(PATIENCE_S)
-            while not got.endswith(b"!" * 100):
-                got += peer.recv(1 << 20)
+            got += arriving(link, peer.fileno(), lambda data: data.endswith(b"!" * 100))
     assert len(got) < 10_000_000
     assert len(got) % 100 == 0
     assert all(len(set(got[at : at + 100])) == 1 for at in range(0, len(got), 100))
+
+
+def setpoint(at_s: float) -> bytes:
+    return packed(
+        wire.MAVLink_set_position_target_global_int_message(
+            round(at_s * 1000), 1, 1, 5, 2496, 1, 1, 500.0, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0
+        )
+    )
+
+
+def stalled(link: Link) -> None:
+    """Ten minutes of a flight in which nobody reads; then it is told to hold."""
+    for number in range(6_000):
+        link.send([setpoint(0.1 * number), HEARTBEAT])
+        if number % 100 == 0:
+            asked = b"%d" % (number // 100)
+            link.send([packed(wire.MAVLink_param_request_read_message(1, 1, asked, -1))])
+    link.send([HOLD])
+
+
+NEWEST = setpoint(600.0)
+
+
+def assert_nothing_stale(data: bytes, computers: int) -> None:
+    """No more setpoints than the computers on the way had taken, bytes; at last the newest.
+
+    Of other messages none is lost, and an order comes where it was given.
+    """
+    messages = wire.MAVLink(None).parse_buffer(data) or []
+    kinds = [message.get_type() for message in messages]
+    until_hold = kinds[: kinds.index("COMMAND_LONG")]
+    assert {m.time_boot_ms for m in messages[len(until_hold) + 1 :]} == {600_000}
+    assert until_hold.count("SET_POSITION_TARGET_GLOBAL_INT") <= 2 + computers / len(NEWEST)
+    assert until_hold.count("HEARTBEAT") <= 2 + computers / len(NEWEST)
+    asked = [m.param_id for m in messages if m.get_type() == "PARAM_REQUEST_READ"]
+    assert asked == [str(number) for number in range(60)]
+
+
+@pytest.mark.parametrize("kind", ["tcp", "tcpin"])
+def test_after_a_stall_the_newest_setpoint_comes_and_not_those_that_waited(
+    server: Server, kind: str
+) -> None:
+    takes = 2048  # the least; as much again is what it says that it takes
+    with contextlib.ExitStack() as opened:
+        if kind == "tcp":
+            server.listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, takes)
+            link = opened.enter_context(open_link(f"tcp:127.0.0.1:{server.port}"))
+            peer = opened.enter_context(server.accept(link))
+        else:
+            port = free_port(socket.SOCK_STREAM)
+            link = opened.enter_context(open_link(f"tcpin:127.0.0.1:{port}"))
+            peer = opened.enter_context(socket.socket())
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, takes)
+            peer.connect(("127.0.0.1", port))
+            assert link.receive(PATIENCE_S) is None
+        stalled(link)
+        got = arriving(link, peer.fileno(), lambda data: NEWEST in data, NEWEST)
+    assert_nothing_stale(got, 2 * takes + 1024)
+
+
+def test_a_setpoint_that_has_waited_too_long_is_not_sent(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [1_000.0]
+    monkeypatch.setattr(links.time, "monotonic", lambda: now_s[0])
+    server.listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link, server.accept(link) as peer:
+        for number in range(100):
+            link.send([setpoint(0.1 * number)])
+        newest = setpoint(10.0)
+        link.send([newest])
+        now_s[0] += 0.6
+        link.send([HOLD])
+        monkeypatch.undo()
+        assert newest not in arriving(link, peer.fileno(), lambda data: HOLD in data)
 
 
 def test_tcpin_serves_whoever_connects_and_a_newer_connection_replaces_an_older() -> None:
@@ -409,6 +500,16 @@ def test_a_port_that_takes_nothing_makes_nobody_wait_and_cuts_no_frame(terminal:
     assert len(got) % 50 == 0
     assert 0 < len(got) < 20 * 50 * len(frames)
     assert all(len(set(got[at : at + 50])) == 1 for at in range(0, len(got), 50))
+
+
+def test_after_a_stall_of_a_serial_port_the_newest_setpoint_comes_and_not_those_that_waited(
+    terminal: Terminal,
+) -> None:
+    """A pseudo-terminal holds 4 kB at its end, and some more of small pieces on the way."""
+    with open_link(str(terminal.name)) as link:
+        stalled(link)
+        data = arriving(link, terminal.far, lambda data: NEWEST in data, NEWEST)
+    assert_nothing_stale(data, 5 * 4096)
 
 
 def test_a_device_is_opened_by_one_program_only(terminal: Terminal) -> None:

@@ -1,13 +1,17 @@
 """What the gate lets through and tells apart; `test_workers` has the watchdog at work."""
 
+import ctypes
+import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
 from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, packed
 
+from companion.runtime.link import is_setpoint
 from companion.runtime.watchdog import (
     IDLE_STALL_S,
     STALL_S,
@@ -15,9 +19,8 @@ from companion.runtime.watchdog import (
     Gate,
     Watchdog,
     Worker,
-    waits_for_processor,
+    unserved_s,
 )
-from companion.runtime.watchdog import is_setpoint as is_setpoint
 
 LOCAL = wire.MAVLink_set_position_target_local_ned_message(
     0, 1, 1, 1, 2496, 1.0, 2.0, -3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -214,21 +217,85 @@ def test_a_part_that_gets_no_processor_is_excused_for_seconds_and_not_for_ever()
     assert rig.watchdog.failure is not None
 
 
-def test_a_part_that_sleeps_or_computes_does_not_wait_for_a_processor() -> None:
+def test_what_it_could_not_run_is_excused_what_it_ran_or_slept_is_not_and_both_are_told() -> None:
+    delays: list[tuple[str, float]] = []
+    rig = Rig(
+        waits=lambda _part: 0.025, on_delay=lambda part, waited_s: delays.append((part, waited_s))
+    )
+    part = Worker("decider")
+    part.beat(STALL_S)
+    rig.watchdog._parts.append(part)
+    for _ in range(7):  # of 0.3 s half
+        rig.watchdog._look(0.05)
+    assert rig.watchdog.failure is None
+    part.beat(STALL_S)
+    for _ in range(10):
+        rig.watchdog._look(0.05)
+    assert delays == []  # it is nothing to speak of
+    assert rig.watchdog.failure is not None
+    assert "stood still for 0.2 s, after 0.2 s in which" in rig.watchdog.failure.error
+    rig, part = Rig(waits=lambda _part: 0.04, on_delay=rig.watchdog._on_delay), Worker("reader")
+    part.beat(STALL_S)
+    rig.watchdog._parts.append(part)
+    for _ in range(15):
+        rig.watchdog._look(0.05)
+    part.beat(STALL_S)
+    rig.watchdog._look(0.05)
+    assert rig.watchdog.failure is None
+    assert delays == [("reader", pytest.approx(14 * 0.04))]
+
+
+HOLD_THE_LOCK = ctypes.PyDLL(None).usleep
+"""Sleeps so many microseconds, and no Python thread runs meanwhile."""
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="nobody counts")
+def test_a_part_that_waits_for_the_interpreter_could_not_run_and_one_that_sleeps_could() -> None:
     rig, leaving, ran = Rig(), threading.Event(), threading.Event()
-    sleeper, worker = Worker("sleeper"), Worker("worker")
+    sleeper, worker, ident = Worker("sleeper"), Worker("worker"), list[int]()
 
     def work() -> None:
+        ident.append(threading.get_ident())
         while not leaving.is_set():
             ran.set()
 
     rig.watchdog.watch(sleeper, lambda: leaving.wait() and None)
     rig.watchdog.watch(worker, work)
-    for part in (sleeper, worker):
-        waits_for_processor(part)
-    until_s = time.monotonic() + PATIENCE_S
-    while waits_for_processor(worker) or waits_for_processor(sleeper):  # it will have run at last
-        ran.clear()
-        assert ran.wait(until_s - time.monotonic())
-    leaving.set()
-    assert not waits_for_processor(Worker("one that never ran"))
+    assert ran.wait(PATIENCE_S)
+    clock = time.pthread_getcpuclockid(ident[0])
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(0.0005)  # as in flight
+    try:
+        assert unserved_s(worker) == unserved_s(sleeper) == 0.0  # the first time
+        began_s, ran_s = time.monotonic(), time.clock_gettime(clock)
+        HOLD_THE_LOCK(200_000)
+        waited_s, slept_s = unserved_s(worker), unserved_s(sleeper)
+        passed_s, ran_s = time.monotonic() - began_s, time.clock_gettime(clock) - ran_s
+        worker.beat(STALL_S)
+        for _ in range(15):
+            rig.watchdog._look(0.025)
+            HOLD_THE_LOCK(25_000)
+        assert rig.watchdog.failure is None
+        worker.idle()
+        sleeper.beat(STALL_S)
+        for _ in range(15):
+            rig.watchdog._look(0.025)
+        assert rig.watchdog.failure is not None
+        assert rig.watchdog.failure.part == "sleeper"
+    finally:
+        sys.setswitchinterval(before)
+        leaving.set()
+    assert 0.2 - ran_s - 0.05 < waited_s < passed_s - ran_s + 0.05
+    assert slept_s < 0.05
+    assert unserved_s(Worker("one that never ran")) == 0.0
+
+
+def test_a_setpoint_is_not_sent_long_after_the_position_that_it_answers() -> None:
+    rig = Rig()
+    since_s = rig.now_s
+    rig.goes_on(0.4)
+    assert rig.gate.send([SETPOINT, HEARTBEAT], since_s=since_s) == [SETPOINT, HEARTBEAT]
+    rig.goes_on(0.2)
+    assert rig.gate.send([SETPOINT, HEARTBEAT, HOLD], since_s=since_s) == [HEARTBEAT, HOLD]
+    assert rig.gate.send([SETPOINT]) == [SETPOINT]  # in lockstep, where the vehicle waits
+    assert rig.frames() == [SETPOINT, HEARTBEAT, HEARTBEAT, HOLD, SETPOINT]

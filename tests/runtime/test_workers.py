@@ -1,5 +1,6 @@
 """Parts of the companion are killed and blocked for real, in real time (design 7, last row)."""
 
+import ctypes
 import io
 import json
 import os
@@ -247,6 +248,23 @@ def test_a_session_that_never_comes_back(folder: RunFolder) -> None:
         sent = len(rig.link.sent)
         released.set()  # what it says now leaves no more
     assert len(rig.link.sent) == sent
+
+
+def test_a_setpoint_that_took_too_long_is_not_sent(folder: RunFolder) -> None:
+    """The decider holds the interpreter for 0.7 s: nobody can stop it meanwhile, or tell."""
+
+    def hangs(session: StubSession, number: int) -> None:
+        if number == 20:
+            took_s.append(session.arrived_s[-1])
+            ctypes.PyDLL(None).usleep(700_000)
+
+    took_s: list[float] = []
+    rig = Rig(folder, StubSession(hangs))
+    with rig.flying():
+        rig.link.wait_until(lambda: len(rig.session.received) > 40)
+    assert rig.link.times_of(HOLD) == []
+    sent_s = next(at_s for at_s in rig.link.times_of(SETPOINT) if at_s > took_s[0])
+    assert any(took_s[0] < at_s <= sent_s for at_s in rig.session.arrived_s)  # it answers that one
 
 
 def test_a_session_that_cannot_even_say_hold_has_said_it_before(folder: RunFolder) -> None:

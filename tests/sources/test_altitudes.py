@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import companion
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
+from companion.sources.elevation import write_elevation
 
 HOME = (47.3977, 8.5456, 488.0)
 ERROR_M = 10.0  # of the copter that is assumed: tracking and navigation
@@ -155,3 +157,100 @@ def test_a_fence_below_a_targets_altitude_leaves_room_to_plan(tmp_path: Path) ->
 def test_a_target_in_a_mountain_is_refused_before_take_off(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not known, or too high for the ceiling"):
         over_the_valley(tmp_path, (0.0, -3500.0, 520.0))
+
+
+# --- altitudes above terrain
+
+
+def above_terrain(
+    folder: Path, terrain: str, *items: dict[str, object], blind: bool = True
+) -> Path:
+    """Waypoints that follow a first one at 100 m above launch."""
+    first = {"command": 16, "frame": 3, "params": [0, 0, 0, None, HOME[0] + 0.002, HOME[1], 100]}
+    mission = {"plannedHomePosition": HOME, "vehicleType": 2, "items": [first, *items]}
+    content = {"fileType": "Plan", "mission": mission}
+    (folder / "over.plan").write_text(json.dumps(content), encoding="utf-8")
+    path = folder / "mission.toml"
+    sensor = "[vehicle]\nscanner = false\n" if blind else ""
+    path.write_text(f'plan = "over.plan"\n{sensor}{terrain}', encoding="utf-8")
+    return path
+
+
+def of_terrain(height_m: float, north_deg: float = 0.004, **more: object) -> dict[str, object]:
+    """As frame 10, or as QGroundControl's AltitudeMode with the height in a key of its own."""
+    place = [0, 0, 0, None, HOME[0] + north_deg, HOME[1]]
+    if "AltitudeMode" in more:
+        frame = {3: 0, 4: 10}[int(str(more["AltitudeMode"]))]
+        sent = None if frame == 0 else height_m
+        return {
+            "command": 16,
+            "frame": frame,
+            "params": [*place, sent],
+            "Altitude": height_m,
+        } | more
+    return {"command": 16, "frame": 10, "params": [*place, height_m]} | more
+
+
+@pytest.mark.parametrize("said", [{}, {"AltitudeMode": 3}, {"AltitudeMode": 4}, {"frame": 11}])
+def test_an_altitude_above_terrain_counts_from_the_ground_that_is_stated(
+    tmp_path: Path, said: dict[str, object]
+) -> None:
+    terrain = "[terrain]\nhighest_amsl_m = 505.0\n"
+    mission = load_mission(str(above_terrain(tmp_path, terrain, of_terrain(120.0, **said))))
+    assert mission.altitudes_amsl_m == (588.0, 625.0)
+    assert any("above terrain" in note and "items[1]" in note for note in mission.notes)
+
+
+def test_an_altitude_above_terrain_counts_from_the_ground_of_an_elevation_file(
+    tmp_path: Path,
+) -> None:
+    """The ground rises by 1 m for each 0.0002 degrees of latitude, so by 20 m to the waypoint."""
+    rows = 400
+    south_deg, step = HOME[0] - 0.04, 0.0002
+    heights_m = HOME[2] + np.arange(rows)[::-1, None] - 0.04 / step + np.zeros((rows, rows))
+    corner = HOME[0] - 0.04 + (rows - 1) * step, HOME[1] - 0.04
+    write_elevation(tmp_path / "slope.tif", heights_m, corner, (step, step))
+    assert south_deg < HOME[0]
+    terrain = '[terrain]\nfile = "slope.tif"\nvertical_datum = "EGM96"\n'
+    mission = load_mission(str(above_terrain(tmp_path, terrain, of_terrain(120.0))))
+    ground_m = HOME[2] + 0.004 / step
+    assert ground_m + 120.0 <= mission.altitudes_amsl_m[1] <= ground_m + 122.0
+    beyond = above_terrain(tmp_path, terrain, of_terrain(120.0, north_deg=0.06))
+    with pytest.raises(InputError, match=r"items\[1\].*the ground is there is not known"):
+        load_mission(str(beyond))
+
+
+def test_an_altitude_above_ground_that_is_not_known_is_refused_or_said(tmp_path: Path) -> None:
+    """Without a radar it would be flown; with one every altitude of the band is as good."""
+    items = of_terrain(120.0), of_terrain(90.0, AltitudeMode=3), of_terrain(80.0, AltitudeMode=4)
+    with pytest.raises(InputError, match=r"over\.plan: mission\.items\[1\].* = 120"):
+        load_mission(str(above_terrain(tmp_path, "", *items)))
+    mission = load_mission(str(above_terrain(tmp_path, "", *items, blind=False)))
+    said = next(note for note in mission.notes if "above terrain" in note)
+    assert "3 altitudes" in said
+    assert "items[3]" in said
+
+
+def test_the_lines_of_a_survey_are_flown_at_the_altitude_of_its_camera(tmp_path: Path) -> None:
+    points = [[HOME[0] + 0.004, HOME[1]], [HOME[0] + 0.005, HOME[1]]]
+    for camera, altitude_m in (
+        ({"DistanceToSurface": 130.0, "DistanceToSurfaceRelative": True}, 618.0),
+        ({"DistanceToSurface": 630.0, "DistanceToSurfaceRelative": False}, 630.0),
+        ({"DistanceToSurface": 120.0, "DistanceMode": 4}, 620.0),
+    ):
+        style = {"VisualTransectPoints": points, "CameraCalc": camera}
+        survey: dict[str, object] = {
+            "type": "ComplexItem",
+            "complexItemType": "survey",
+            "TransectStyleComplexItem": style,
+        }
+        terrain = "[terrain]\nhighest_amsl_m = 500.0\n"
+        mission = load_mission(str(above_terrain(tmp_path, terrain, survey)))
+        assert mission.altitudes_amsl_m == (588.0, altitude_m, altitude_m)
+
+
+def test_a_waypoint_without_an_altitude_is_said_to_have_that_of_the_one_before(
+    tmp_path: Path,
+) -> None:
+    mission = blind(tmp_path, 40.0, None)
+    assert any("without an altitude" in note and "items[1]" in note for note in mission.notes)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spoiled import refusal, replace_somewhere
 
+from companion.config import load_mission, mission_text
 from companion.errors import InputError
 from companion.sources.geojson import Threats, read_geojson
 
@@ -93,6 +94,90 @@ def test_a_feature_without_properties_is_a_keep_out_named_by_its_number(path: Pa
     assert read(path, collection(bare)).keep_outs[0]["name"] == "feature 0"
 
 
+PIN, LINE = feature("Point", [8.0, 47.0]), feature("LineString", RING)
+NULL = feature("Point", []) | {"geometry": None}
+NO_ZONES = [
+    *[PIN] * 3,
+    feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]]),
+    feature("Point", [8.0, 47.0], radius_m=None, kind="keep_in"),
+    LINE,
+    feature("MultiLineString", [RING, HOLE]),
+    NULL,
+    {"type": "Feature"},
+    feature("Polygon", []),
+    feature("Polygon", [[]]),
+    feature("MultiPolygon", []),
+    feature("Point", []),
+    feature("LineString", []),
+    {"type": "Feature", "geometry": {"type": "GeometryCollection", "geometries": []}},
+]
+ALL = ("points", "lines", "empty")
+
+
+def test_what_a_map_has_beside_zones_is_counted_by_kind_with_the_way_to_leave_it_out(
+    path: Path,
+) -> None:
+    told = refused(path, collection(feature("Polygon", [RING]), *NO_ZONES))
+    assert "6 points without radius_m, 2 lines, 8 without a geometry" in told
+    assert (
+        'threats = { file = "threats.geojson", leave_out = ["points", "lines", "empty"] }' in told
+    )
+    partly = read_geojson(path, "threats", ALL)
+    assert len(partly.keep_outs) == 1
+    [said] = partly.notes
+    assert "6 points without radius_m, 2 lines, 8 without a geometry" in said
+    with pytest.raises(InputError, match=r"features = '2 lines': "):
+        read_geojson(path, "threats", ("points", "empty"))
+
+
+def test_zones_are_never_left_out_with_it(path: Path) -> None:
+    """Nor is what is meant for a zone or a radar, and is broken."""
+    mixed = {"type": "GeometryCollection", "geometries": [
+        LINE["geometry"],
+        {"type": "Polygon", "coordinates": [RING]},
+        {"type": "GeometryCollection", "geometries": [
+            {"type": "MultiPolygon", "coordinates": [[HOLE], [], [RING]]}]},
+    ]}  # fmt: skip
+    circles = feature("MultiPoint", [[8.0, 47.0], [8.1, 47.0]], radius_m=50.0)
+    path.write_text(
+        json.dumps(collection(*NO_ZONES, feature("x", 0) | {"geometry": mixed}, circles))
+    )
+    found = read_geojson(path, "threats", ALL)
+    assert [len(zone.get("vertices_deg", [])) for zone in found.keep_outs] == [3, 3, 3, 0, 0]
+    path.write_text(json.dumps(mixed))
+    assert len(read_geojson(path, "threats", ALL).keep_outs) == 3
+    for broken in (
+        feature("Polygon", [RING[:2]]),
+        feature("Point", [8.0, 47.0], radius_m="9"),
+        feature("Point", [8.0, 47.0], kind="radar"),
+        feature("Point", [8.0], radius_m=9.0),
+        feature("Polygon", 7),
+    ):
+        path.write_text(json.dumps(collection(broken)))
+        with pytest.raises(InputError, match=r"features\[0\]"):
+            read_geojson(path, "threats", ALL)
+
+
+def test_a_mission_says_what_it_leaves_out_of_its_map(path: Path) -> None:
+    plan = path.with_name("box.waypoints")
+    plan.write_text("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 0 1\n1 0 3 16 0 0 0 0 47 8.002 40 1\n")
+    far = [[8.02, 47.0], [8.03, 47.0], [8.03, 47.01], [8.02, 47.0]]
+    path.write_text(json.dumps(collection(feature("Polygon", [far]), PIN, LINE, NULL)))
+    mission = path.with_name("mission.toml")
+    head = 'plan = "box.waypoints"\n'
+    mission.write_text(f'{head}threats = "{path.name}"\n')
+    told = refusal(lambda path, _: load_mission(str(path)), mission, None)
+    remedy = told.partition("leave them out: ")[2].removesuffix(".")
+    mission.write_text(f"{head}{remedy}\n")  # as it is told
+    notes = load_mission(str(mission)).notes
+    assert any("1 point without radius_m, 1 line, 1 without a geometry" in n for n in notes)
+    assert "leave_out" not in mission_text(str(mission))
+    path.write_text(json.dumps(collection()))
+    assert any("holds no zone" in note for note in load_mission(str(mission)).notes)
+    mission.write_text(f'{head}threats = {{ file = "{path.name}", leave_out = ["pins"] }}\n')
+    assert "leave_out[0]" in refusal(lambda path, _: load_mission(str(path)), mission, None)
+
+
 @pytest.mark.parametrize(
     ("bad", "words"),
     [
@@ -101,13 +186,11 @@ def test_a_feature_without_properties_is_a_keep_out_named_by_its_number(path: Pa
         (feature("Polygon", [[["8", 47.0], *RING]], name="x"), ["a valid number"]),
         (feature("Polygon", [[[8.0], *RING]], name="x"), ["at least 2 items"]),
         (feature("Polygon", [RING[:2]], name="x"), ["three or more corners"]),
-        (feature("Polygon", [], name="x"), ["at least 1 item"]),
         (feature("Polygon", 7, name="x"), ["must be a valid list"]),
         (feature("Polygon", [RING], name="x", kind="radar"), ["a radar is a point"]),
         (feature("Polygon", [RING], name="x", kind="fence"), ["'keep_out', 'keep_in' or 'radar'"]),
         (feature("MultiPolygon", [[RING], [HOLE]], name="x", kind="keep_in"), ["Keep one"]),
-        (feature("LineString", RING, name="x"), ["one of 'Point', 'Polygon', 'MultiPolygon'"]),
-        (feature("Point", [8.0, 47.0], name="x"), ["radius_m", "missing"]),
+        (feature("Circle", [8.0, 47.0], name="x"), ["one of 'Point', 'Polygon', 'MultiPolygon'"]),
         (feature("Point", [8.0, 47.0], name="x", radius_m="9"), ["radius_m", "a valid number"]),
         (feature("Point", [8.0, 47.0], name="x", radius_m=10**400), ["radius_m", "a valid number"]),
         (feature("Point", [8.0, 47.0], name="x", kind="radar", range_m=9), ["altitude_amsl_m"]),
@@ -125,10 +208,10 @@ def test_what_cannot_be_taken_is_told_by_its_feature(
     ("bad", "words"),
     [
         ({}, "no GeoJSON FeatureCollection"),
-        ({"type": "Polygon", "coordinates": [RING]}, "no GeoJSON FeatureCollection"),
+        ({"type": "Topology", "coordinates": [RING]}, "no GeoJSON FeatureCollection"),
         ({"type": "FeatureCollection", "features": {}}, "no GeoJSON FeatureCollection"),
         (collection(7), "features[0]"),
-        (collection({"type": "Feature", "geometry": None}), "features[0] (feature 0): geometry"),
+        (collection({"type": "Feature", "geometry": 7}), "features[0] (feature 0): geometry"),
         (
             collection(crs={"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::2056"}}),
             "not longitude and latitude of WGS84",

@@ -14,6 +14,7 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
+import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
@@ -23,10 +24,11 @@ from spoiled import replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text
 from companion.errors import InputError
-from companion.geodesy import LocalFrame
+from companion.geodesy import FloatArray, LocalFrame
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.sources.files import toml_text
-from companion.sources.mission_schema import MissionTable
+from companion.sources.mission_schema import MissionTable, ZoneTable
+from companion.sources.places import zones_of
 from companion.world.threats import CircleZone, PolygonZone
 
 COPTER = """
@@ -336,6 +338,108 @@ def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> N
     mission = load(folder, text)
     assert [found.name for found in mission.task.zones] == ["near", "near circle"]
     assert mission.notes == ("4 of 6 keep-outs lie away from the map",)
+
+
+def far_corners(random: np.random.Generator) -> FloatArray:
+    """A polygon of 20 to 75 degrees about (0, 0), with a side close by; (latitude, longitude)."""
+    if random.random() < 0.5:  # a rectangle, in which, beside which or across whose side it is
+        south, north, west, east = random.uniform(20.0, 75.0, 4) * (-1.0, 1.0, -1.0, 1.0)
+        sides = np.array([south, north, west, east])
+        for side in random.integers(0, 4, 2):
+            if random.random() < 0.8:
+                sides[side] = random.uniform(-0.1, 0.1)
+        south, north, west, east = sides
+        corners = np.array([[south, west], [south, east], [north, east], [north, west]])
+    else:  # a star, concave, on whose rim it is
+        angles = np.sort(random.uniform(0.0, 2.0 * math.pi, 7))
+        rays = np.stack([np.sin(angles), np.cos(angles)], axis=-1)
+        corners = random.uniform(20.0, 37.0, (7, 1)) * rays
+        k, part = random.integers(0, 7), random.uniform(0.3, 0.7)
+        corners -= corners[k - 1] + part * (corners[k] - corners[k - 1])
+        corners += random.uniform(-0.05, 0.05, 2)
+    return corners
+
+
+@pytest.mark.parametrize("latitude_deg", [0.01, 47.0, -13.0])
+@pytest.mark.parametrize("longitude_deg", [8.0, -179.98])
+@pytest.mark.parametrize("kind", ["keep_outs", "keep_ins"])
+def test_a_polygon_of_far_corners_counts_where_it_lies(
+    folder: Path, latitude_deg: float, longitude_deg: float, kind: str
+) -> None:
+    """Of a map of 10 km; its sides are straight in degrees, which shapely knows as well."""
+    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    task, random = load(folder, COPTER).task, np.random.default_rng(7)
+    points = random.uniform(-4000.0, 6000.0, (60, 2)).T
+    latitude, longitude = frame.to_geodetic_deg(*points)
+    eastwards = (longitude - longitude_deg + 180.0) % 360.0 - 180.0
+    places = shapely.points(latitude - latitude_deg, eastwards)
+    sides = []
+    for _ in range(40):
+        corners = far_corners(random)
+        corners[:, 0] = np.clip(corners[:, 0], -89.0 - latitude_deg, 89.0 - latitude_deg)
+        drawn = shapely.Polygon(corners)
+        if not drawn.is_simple or np.hypot(*corners.T).min() < 10.0:  # 1,000 km, and some more
+            continue
+        told = corners + np.array((latitude_deg, longitude_deg))
+        told[:, 1] = (told[:, 1] + 180.0) % 360.0 - 180.0
+        table = ZoneTable(name="far", vertices_deg=told.tolist())
+        model = MissionTable.model_construct(**{"keep_outs": [], "keep_ins": [], kind: [table]})
+        inside = shapely.contains(drawn, places)
+        if kind == "keep_ins" and not inside.any():
+            with contextlib.suppress(InputError):
+                zones_of(model, task, frame, "here")
+            continue
+        found, _ = zones_of(model, task, frame, "here")
+        gaps_m = np.min([zone.distance_m(*points) for zone in found], axis=0, initial=math.inf)
+        sure = shapely.distance(drawn.exterior, places) > 1e-5  # 1 m
+        assert ((gaps_m < 0.0) == (inside == (kind == "keep_outs")))[sure].all(), told
+        sides.append(inside.mean())
+    assert len(sides) > 15
+    assert {0.0, 1.0} <= set(sides) or kind == "keep_ins"
+    assert any(0.0 < part < 1.0 for part in sides)
+
+
+@pytest.mark.parametrize(
+    ("corners", "words"),
+    [
+        ([[36.0, -180.0], [36.0, 180.0], [58.0, 180.0], [58.0, -180.0]], "either way around"),
+        ([[36.0, -100.0], [36.0, 100.0], [58.0, 100.0], [58.0, -100.0]], "either way around"),
+        ([[35.0, 0.0], [36.0, 120.0], [35.0, -120.0]], "either way around"),  # about the pole
+        ([[60.0, -20.0], [60.0, 40.0], [47.0, 40.0], [47.0, 8.01]], "some of it lies"),
+    ],
+)
+def test_a_polygon_that_may_be_meant_otherwise_is_refused(
+    folder: Path, corners: list[list[float]], words: str
+) -> None:
+    assert words in refused(folder, zone(f"vertices_deg = {corners}"))
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [[-85.0, -180.0], [-90.0, -180.0], [-90.0, 180.0], [-85.0, 180.0], [-65.0, 60.0]],
+        [[60.0, 175.0], [60.0, -170.0], [50.0, -170.0], [50.0, 175.0]],
+        [[48.0, 9.0], [58.0, 9.0], [58.0, 40.0]],  # some of it is near, but none at the map
+    ],
+)
+def test_what_lies_elsewhere_on_earth_is_left_out(folder: Path, corners: list[list[float]]) -> None:
+    """Antarctica as GeoJSON has it, over the date line, and next door."""
+    mission = load(folder, zone(f"vertices_deg = {corners}"))
+    assert mission.task.zones == ()
+    assert mission.notes == ("1 of 1 keep-outs lie away from the map",)
+
+
+@pytest.mark.parametrize(("radius_m", "reaches"), [(150e3, False), (999e3, True)])
+def test_a_circle_with_a_far_centre_is_left_out_or_refused(
+    folder: Path, radius_m: float, reaches: bool
+) -> None:
+    """Farther away than the local frame is good for; it may reach the map all the same."""
+    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, 30.0, 1_001e3 if reaches else 1_100e3)
+    text = zone(f"latitude_deg = {latitude}\nlongitude_deg = {longitude}\nradius_m = {radius_m}")
+    if reaches:
+        assert "Draw its edge near the mission as a polygon" in refused(folder, text)
+    else:
+        assert load(folder, text).task.zones == ()
 
 
 # --- threats of a file

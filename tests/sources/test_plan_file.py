@@ -320,6 +320,101 @@ def test_any_value_anywhere_is_taken_or_an_input_error(path: Path, data: st.Data
         load_mission(str(path))
 
 
+# --- what is left out, and what was never written
+
+
+def test_what_is_not_done_at_a_waypoint_is_counted(path: Path) -> None:
+    found = read(
+        path,
+        plan(
+            item(22, 0, 0, 0, None, 47.4, 8.55, 30),
+            item(16, 15, 0, 0, None, 47.41, 8.55, 50),
+            item(16, 5, 0, 0, 90, 47.42, 8.55, 50),
+            item(16, 0, 0, -20, None, 47.43, 8.55, 50, autoContinue=False),
+            item(22, 0, 0, 0, None, 47.4, 8.55, 30),
+            item(19, 60, 0, 30, None, 47.44, 8.55, 50),
+            item(201, 0, 0, 0, 0, 47.4, 8.55, 0),
+        ),
+    )
+    [said] = found.notes
+    for words in (
+        "2 x waiting at a waypoint",
+        "1 x heading at a waypoint",
+        "1 x passing beside a waypoint",
+        "1 x stop at a waypoint",
+        "1 x nav takeoff",
+        "1 x loiter at a waypoint",
+        "1 x do set roi",
+    ):
+        assert words in said
+    assert read(path, plan(waypoint())).notes == []
+
+
+def test_altitudes_above_a_home_that_the_mission_moves_are_refused(path: Path) -> None:
+    moves = item(179, 1, 0, 0, 0, 0, 0, 0)
+    told = refused(path, plan(waypoint(), moves, waypoint(0.02)))
+    assert told.startswith("x.plan: mission.items[2]")
+    assert "do set home" in told
+    amsl = waypoint(0.02, altitude=450.0, frame=0)
+    assert "1 x do set home" in read(path, plan(waypoint(), moves, amsl)).notes[0]
+
+
+@pytest.mark.parametrize("spelled", ["null", "NaN", '"NaN"', '"nan"', '"null"'])
+def test_a_parameter_that_is_no_number_is_not_given(path: Path, spelled: str) -> None:
+    text = json.dumps(plan(item(16, 0, 0, 0, 1234.5, 47.41, 8.55, 50))).replace("1234.5", spelled)
+    path.write_text(text, encoding="utf-8")
+    found = read_plan(path, "plan")
+    assert (len(found.targets), found.notes) == (1, [])
+    path.write_text(text.replace("8.55, 50]", "8.55, Infinity]"), encoding="utf-8")
+    with pytest.raises(InputError, match="Infinity is no number"):
+        read_plan(path, "plan")
+
+
+@pytest.mark.parametrize("home", [[0, 0, 0], [0.0, 0.0, 250.0], [None, None, None]])
+def test_a_launch_at_latitude_and_longitude_zero_is_none(path: Path, home: Any) -> None:
+    told = refused(path, plan(waypoint(), plannedHomePosition=home))
+    assert "plannedHomePosition" in told
+    assert "launch has no latitude and longitude" in told
+
+
+@pytest.mark.parametrize(
+    ("place", "far_km"), [((50.4, 11.5), 400), ((-47.4, -171.45), 20_004), ((53.0, 17.0), 865)]
+)
+def test_a_waypoint_too_far_from_launch_is_named_with_its_distance(
+    path: Path, place: tuple[float, float], far_km: float
+) -> None:
+    """And not a key of a mission.toml, which a plan has not."""
+    path.write_text(json.dumps(plan(waypoint(), item(16, 0, 0, 0, None, *place, 50))))
+    told = refusal(lambda path, _: load_mission(str(path)), path, None)
+    assert told.startswith(f"x.plan: items[1] = [{place[0]}, ")
+    _, _, true_m = GEOD.inv(8.55, 47.4, place[1], place[0])
+    said_km = float(told.partition("it lies ")[2].partition(" km from launch")[0].replace(",", ""))
+    assert said_km == pytest.approx(true_m / 1000.0, rel=0.01)
+    assert said_km == pytest.approx(far_km, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "mission",
+    [
+        {"hoverSpeed": 90, "vehicleType": 2},
+        {"cruiseSpeed": 120, "vehicleType": 1},
+        {"plannedHomePosition": [86.0, 8.55, 400]},
+        {"plannedHomePosition": [47.4, 8.55, 60_000]},
+    ],
+)
+def test_an_error_about_a_key_that_the_plan_has_not_says_that_it_was_assumed(
+    path: Path, mission: dict[str, Any]
+) -> None:
+    home = mission.get("plannedHomePosition", [47.4, 8.55])
+    path.write_text(json.dumps(plan(item(16, 0, 0, 0, None, home[0] + 0.01, 8.55, 50), **mission)))
+    told = refusal(lambda path, _: load_mission(str(path)), path, None)
+    assert "assumed for the plan" in told
+    own = path.with_name("own.toml")
+    own.write_text('plan = "x.plan"\n[altitude]\nfloor_amsl_m = 900.0\nceiling_amsl_m = 1.0\n')
+    told = refusal(lambda own, _: load_mission(str(own)), own, None)
+    assert "altitude.ceiling_amsl_m" not in told or "assumed" not in told
+
+
 # --- versions, and what a program may leave out
 
 

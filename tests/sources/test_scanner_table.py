@@ -55,7 +55,7 @@ def test_each_kind_says_what_is_listened_to_and_of_whom(
 def test_all_that_is_said_of_it_is_taken_and_the_vehicle_stays_what_it_is(tmp_path: Path) -> None:
     more = "component = 50\nyaw_deg = 90.0\nforward_m = 0.1\nright_m = -0.2\nblind_m = 0.4\n"
     more += "latency_s = 0.01\nlatency_error_s = 0.02\nrange_error_m = 0.3\n"
-    more += "position_error_m = 0.06\nbearing_error_deg = 2.0"
+    more += "position_error_m = 0.06\ndrift_m_s = 0.01\nbearing_error_deg = 2.0"
     mission = load(tmp_path, OBSTACLE + more)
     near = mission.near
     assert near is not None
@@ -63,6 +63,7 @@ def test_all_that_is_said_of_it_is_taken_and_the_vehicle_stays_what_it_is(tmp_pa
     assert (near.component_id, near.forward_m, near.right_m, near.blind_m) == (50, 0.1, -0.2, 0.4)
     assert near.yaw_rad == pytest.approx(0.5 * math.pi)
     assert near.bearing_error_rad == pytest.approx(math.radians(2.0))
+    assert near.drift_m_s == 0.01
     assert (near.latency_s, near.latency_error_s) == (0.01, 0.02)
     assert (near.range_error_m, near.position_error_m, near.speaks_for_m) == (0.3, 0.06, 4.0)
     assert near.range_m == mission.task.settings.scan_range_m

@@ -70,16 +70,18 @@ def test_a_point_of_a_kml_with_a_radius_is_a_circle(path: Path, kind: str, place
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("<html/>", "it is <html>, not <kml>"),
+        ("<html/>", "it is a web page"),
+        ("<a/>", "it is <a>, not <kml>"),
         ("<kml", "not XML"),
         ("hello", "what is in it is not known"),
         ("", "what is in it is not known"),
         (MAST % "city", "'keep_out', 'keep_in' or 'radar'"),
         ((MAST % "keep_out").replace("250", "wide"), "properties.radius_m = 'wide'"),
-        ((MAST % "keep_out").replace("8.0,47.0,400", ""), "at least 2 items"),
+        ((MAST % "keep_out").replace("8.0,47.0,400", ""), "'1 without a geometry'"),
+        ("<kml><Placemark><name>x</name></Placemark></kml>", "'1 without a geometry'"),
         ((MAST % "keep_out").replace("8.0,47.0,400", "8.0,x"), "must be a valid number"),
         (KML.replace("9.3,47 9.3,47.1", ""), "a ring has three or more corners"),
-        (LINE % "keep_out", "one of 'Point', 'Polygon', 'MultiPolygon'"),
+        (LINE % "keep_out", "'1 line': a zone is a polygon"),
     ],
 )
 def test_what_is_no_zone_is_refused_in_one_line(path: Path, text: str, expected: str) -> None:

@@ -129,7 +129,11 @@ def test_a_launch_that_is_not_known_is_asked_for(path: Path) -> None:
         ("QGC WPL PB 110\n", "only QGC WPL 110 is known"),
         ("QGC WPL 110\n0 1 0\n", "survey.txt: line 2 = '3 numbers': a line has index"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 x 8 9 1\n", "finite numbers"),
-        ("QGC WPL 110\n0 1 0 16 0 0 0 0 nan 8 9 1\n", "finite numbers"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 inf 8 9 1\n", "finite numbers"),
+        ("QGC WPL 110\n0 1 0 16 0 inf 0 0 47 8 9 1\n", "finite numbers"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 nan 8 9 1\n", "launch has no latitude and longitude"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 nan 1\n", "the altitude of launch is missing"),
+        ("QGC WPL 110\n0 nan 0 nan 0 0 0 0 47 8 9 1\n", "a line has index"),
         ("QGC WPL 110\n0 1 0 16.5 0 0 0 0 47 8 9 1\n", "a line has index"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 147 8 9 1\n", "survey.txt: item 0"),
         (
@@ -156,6 +160,45 @@ def test_a_spoiled_list_is_read_or_an_input_error(path: Path, data: st.DataObjec
         for read in (read_waypoint_list, read_waypoint_fence):
             with contextlib.suppress(InputError):
                 read(path, "MISSION")
+
+
+@pytest.mark.parametrize("spelled", ["nan", "NaN", "-nan", "NAN", "null", "-1.#IND00", "1.#QNAN"])
+@pytest.mark.parametrize("column", [4, 5, 6, 7])
+def test_a_parameter_that_is_no_number_is_not_given(path: Path, spelled: str, column: int) -> None:
+    text = saved(path, HOME, (3, TAKE_OFF, (0, 0, 0, 0), 0, 0, 30.0), waypoint(0.01)).read_text()
+    lines = text.splitlines()
+    for number in (1, 2, 3):
+        words = lines[number].split("\t")
+        words[column] = spelled
+        lines[number] = "\t".join(words)
+    found, expected = of_text(path, "\n".join(lines)), of_text(path, text)
+    assert found == expected
+    assert load_mission(str(path)).targets_ne_m
+
+
+@pytest.mark.parametrize("command", [16, 22, 179, 0, 82, 20, 21, 177, 93])
+def test_line_0_is_launch_whatever_its_command(path: Path, command: int) -> None:
+    """As ArduPilot, and the reader of a vehicle's own mission, take it."""
+    home = (0, command, *HOME[2:])
+    found = read_waypoint_list(saved(path, home, waypoint(0.01)), "MISSION")
+    assert found == read_waypoint_list(saved(path, HOME, waypoint(0.01)), "MISSION")
+    assert found.home_deg == (47.4, 8.55)
+    assert not read_waypoint_fence(saved(path, home), "threats").targets
+
+
+def test_a_launch_whose_altitude_is_not_said_to_be_amsl_is_pointed_out(path: Path) -> None:
+    home = (3, 22, (0.0, 0.0, 0.0, 0.0), 47.4, 8.55, 40.0)
+    [said] = read_waypoint_list(saved(path, home, waypoint(0.01)), "MISSION").notes
+    assert "launch" in said
+    assert "above mean sea level" in said
+
+
+def test_a_line_that_does_not_go_on_by_itself_is_counted(path: Path) -> None:
+    text = saved(path, HOME, waypoint(0.01), waypoint(0.02)).read_text().rstrip()
+    assert text.endswith("1")
+    assert of_text(path, f"{text[:-1]}0").notes == [
+        "left out: 1 x stop at a waypoint (autocontinue 0)"
+    ]
 
 
 # --- fences

@@ -37,17 +37,17 @@ def test_the_factor_of_real_time_counts_what_passed_while_the_vehicle_was_heard(
     it = flown(0.0, 0.0)
     clock = it.session.clock = VehicleClock(start_s)
     assert it.times_real_time == 0.0
-    for time_s in (312.0, 312.0, 330.0, 412.0):
+    for time_s in (312.0, 312.0, 313.0, 314.0):
         clock.read(time_s)
-    it.elapsed_s = 4.0
+    it.elapsed_s = 0.08
     assert it.times_real_time == 25.0
 
 
 def test_a_reboot_takes_nothing_from_what_has_passed() -> None:
     clock = VehicleClock(0.0)
-    for time_s in (300.0, 310.0, 1.0, 1.5, 6.5):
+    for time_s in (300.0, 302.0, 1.0, 1.5, 3.0):
         clock.read(time_s)
-    assert clock.passed_s == 15.0
+    assert clock.passed_s == 3.5
 
 
 LEFT_OVER = (Reason.NO_VEHICLE, Reason.NOT_READY, Reason.LINK_LOST, Reason.PLANNER_DIED)

@@ -111,3 +111,47 @@ def test_the_action_is_a_parameter(action: int, mode: str) -> None:
     it.run(0.5)
     assert it.autopilot.mode_name == mode
     assert it.autopilot.status().fence_breached
+
+
+FLOOR = {"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 15.0}
+
+
+@pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (4, "BRAKE")])
+def test_below_the_floor_is_a_breach(action: int, mode: str) -> None:
+    it = fenced(FENCE_ACTION=float(action), **FLOOR)  # through it, up to 30 m: no breach
+    assert len(it.when("Min Alt fence enabled (auto enable)")) == 1
+    assert it.when("Min Alt fence breached") == []
+    while it.height_m > 15.0:
+        assert not it.autopilot.status().fence_breached
+        it.setpoint((0.0, 0.0, 0.0), (0.0, 0.0, 1.5), kind="velocity")
+        it.step()
+    it.run(0.2)
+    status = it.autopilot.status()
+    assert (status.fence_breached, status.fence_breach_type) == (True, 1)
+    assert len(it.when("Min Alt fence breached")) == 1
+    assert it.autopilot.mode_name == mode
+
+
+def test_the_floor_comes_with_the_height_and_goes_with_the_landing() -> None:
+    it = fenced(**FLOOR)
+    # a target below it is dropped, one above is not
+    for down_m, taken in ((-10.0, False), (-20.0, True)):
+        it.setpoint((0.0, 0.0, down_m), kind="position")
+        echo = it.autopilot.target_echo()
+        assert echo is not None
+        assert echo.position_ned_m is not None
+        assert (echo.position_ned_m[2] == pytest.approx(down_m)) is taken
+    it.command(176, 1, 9)  # LAND
+    it.run_until(lambda: it.autopilot.landed, 60.0)
+    assert it.when("Min Alt fence breached") == []
+    it.airborne(12.0)  # not yet 2 m above it
+    assert not it.autopilot.status().fence_breached
+    assert len(it.when("Min Alt fence enabled (auto enable)")) == 1
+
+
+def test_autoenable_3_is_a_fence_while_armed() -> None:
+    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=3.0, **FLOOR)
+    assert it.autopilot.fence.enabled
+    it.command(176, 1, 9)
+    it.run_until(lambda: not it.autopilot.armed, 60.0)
+    assert not it.autopilot.fence.enabled

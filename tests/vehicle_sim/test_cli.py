@@ -62,6 +62,12 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["--autopilot", "px4", "--param", "SYS_FAILURE_EN=1e12"], ["SYS_FAILURE_EN", "32 bits"]),
         (["--param", "GUID_TIMEOUTS=1"], ["GUID_TIMEOUTS = 1.0", "Did you mean GUID_TIMEOUT?"]),
         (["--autopilot", "px4", "--param", "GUID_TIMEOUT=1"], ["GUID_TIMEOUT = 1.0"]),
+        (["--param", "SYSID_THISMAV=5"], ["SYSID_THISMAV = 5.0", "MAV_SYSID"]),
+        (["--param", "MAV_SYSID=0"], ["MAV_SYSID = 0.0", "1 to 255"]),
+        (["--param", "MAV_SYSID=4.5"], ["MAV_SYSID = 4.5", "whole number"]),
+        (["--autopilot", "px4", "--param", "MAV_COMP_ID=255"], ["MAV_COMP_ID = 255.0", "1 to 254"]),
+        (["--param", "MAV_SYSID=200", "--count", "99"], ["--count = 99", "from 200 to 255"]),
+        (["--param", "FENCE_ENABLE=300"], ["FENCE_ENABLE = 300.0", "8 bits"]),
         (["--count", "0"], ["--count = 0"]),
         (["--count", "251"], ["--count = 251"]),
         (["--port-step", "-1"], ["--port-step = -1"]),
@@ -125,6 +131,23 @@ def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
     assert (len(rows), rows[-1]["t_s"]) == (51, 5.0)
     code, _, err = result(start(world_file, "--out", folder))  # nothing recorded is written over
     assert (code, "truth.jsonl of another flight" in err) == (2, True)
+
+
+@pytest.mark.parametrize(("autopilot", "name"), [("ardupilot", "MAV_SYSID"), ("px4", "MAV_SYS_ID")])
+def test_parameters_count_or_are_said_not_to(
+    run: Callable[..., Any], autopilot: str, name: str
+) -> None:
+    given = (f"{name}=5", "RC1_MIN=1000" if autopilot == "ardupilot" else "COM_ARM_WO_GPS=0")
+    code, out, err = run(
+        *("--autopilot", autopilot, "--count", 3, "--duration", 0.1, "--speedup", 100),
+        *(word for each in given for word in ("--param", each)),
+    )
+    assert (code, err) == (0, "")
+    first, second, *_ = out.splitlines()
+    assert "as system 5 to 7" in first
+    assert second.startswith(given[1].partition("=")[0])
+    assert "no effect" in second
+    assert out.count("no effect") == 1
 
 
 def test_a_full_disk_does_not_end_a_flight(

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2, HOVER_THROTTLE, RESPONSE_S, Copter, Limits
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.dynamics.copter import HOVER_THROTTLE, RESPONSE_S, Copter, Limits
 
 LIMITS = Limits(
     speed_m_s=30.0,

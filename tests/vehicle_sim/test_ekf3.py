@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from flown import Flown as OnGround
 from tracking_copter import (
     GROUND_M,
     STEP_S,
@@ -183,3 +184,11 @@ def test_a_receiver_that_is_late_makes_everything_late() -> None:
     assert not it.autopilot.ekf.aiding
     it.run(1.0)
     assert it.autopilot.ekf.aiding
+
+
+@pytest.mark.parametrize("kind", ["copter", "plane"])
+def test_an_outage_of_ten_seconds_leaves_it_armable_again(kind: str) -> None:
+    it = OnGround(kind, "ardupilot")  # between 7 s, "timed out", and 15 s, "stopped aiding"
+    it.simulation.add_fault("for 10 s: gps_off")
+    it.until(lambda: not it.simulation.armable, 10.0)
+    it.until(lambda: it.simulation.armable, 5.0)

@@ -10,6 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 from test_near_scene import GROUND_M, world
 
+from vehicle_sim.errors import InputError
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.proximity import BY_MAVLINK, RPLIDAR, Proximity
 
@@ -551,3 +552,26 @@ def test_worlds_without_things_have_no_such_key() -> None:
     for _ in range(30):
         simulation.step()
     assert not any("near_m" in line for line in simulation.take_truth())
+
+
+# --- two lidars
+
+
+def test_a_driver_and_the_autopilots_own_lidar_say_the_same_of_a_post() -> None:
+    near = {"second_lidar": {"range_m": 12.0, "output": "autopilot"}}
+    bench = Bench(trees=[POST], lidar={"range_m": 40.0}, **near).run(0.2)
+    bench.ask(132, 10.0)
+    bench.run(2.0)
+    by_driver, sectors = bench.maps()[-1], bench.of("DISTANCE_SENSOR", 1)
+    assert by_driver.max_distance == 4000
+    assert {(m.orientation, m.max_distance) for m in sectors} == {(0, 1200)}
+    assert min(by_driver.distances) == pytest.approx(900, abs=2)
+    assert min(m.current_distance for m in sectors) == pytest.approx(900, abs=2)
+
+
+@pytest.mark.parametrize("output", ["driver", "points"])
+def test_a_second_lidar_is_an_autopilots(output: str) -> None:
+    with pytest.raises(InputError, match=r"second_lidar\.output.*Write"):
+        world(lidar={"range_m": 16.0}, second_lidar={"range_m": 16.0, "output": output})
+    with pytest.raises(InputError, match=r"second_lidar\.output.*beside"):
+        world(second_lidar={"range_m": 16.0, "output": "autopilot"})

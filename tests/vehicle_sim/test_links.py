@@ -47,6 +47,32 @@ def test_what_is_not_an_endpoint_is_said_to_be_none(text: str) -> None:
         parse_endpoint(text)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("tcp:127.0.0.1:5760", "this one is written tcpin:127.0.0.1:5760"),
+        ("tcpout://127.0.0.1:5760", "this one is written tcpin:127.0.0.1:5760"),
+        ("udps:0.0.0.0:14550", "this one is written udpin:0.0.0.0:14550"),
+        ("udp://:14540", "this one is written udpin:0.0.0.0:14540"),
+        ("udp://127.0.0.1:14540", "this one is written udpout:127.0.0.1:14540"),
+        ("UDPOUT:127.0.0.1:14540", "this one is written udpout:127.0.0.1:14540"),
+        ("udpout:::1:14540", r"in brackets: udpout:\[::1\]:14540"),
+        ("serial:///dev/ttyACM0:57600", "no serial port"),
+        ("/dev/ttyACM0,57600", "no serial port"),
+    ],
+)
+def test_what_others_write_is_told_as_it_is_written_here(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        parse_endpoint(text)
+
+
+@pytest.mark.parametrize("kind", ["udpout", "udpin", "tcpin"])
+@pytest.mark.parametrize("host", ["127.0.0.1", "[::1]", "vehicle.local"])
+def test_with_two_slashes_it_is_the_same_endpoint(kind: str, host: str) -> None:
+    endpoint = parse_endpoint(f"{kind}://{host}:14540")
+    assert str(endpoint) == f"{kind}:{host}:14540"
+
+
 def test_a_port_in_use_is_named(opened: Open) -> None:
     taken = opened("udpin:127.0.0.1:0").endpoint
     with pytest.raises(InputError, match=f"udpin:127.0.0.1:{taken.port}"):

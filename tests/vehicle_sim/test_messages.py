@@ -116,4 +116,16 @@ def test_answers_carry_whom_they_are_for() -> None:
 
 
 def test_a_text_that_is_too_long_or_foreign_still_goes_out() -> None:
-    assert sent(messages.text(Text(severity=4, text="å" + "x" * 80))).text == "?" + "x" * 49
+    (short,) = messages.texts(Text(severity=4, text="å" + "x" * 49), 7)
+    assert (sent(short).text, sent(short).id) == ("?" + "x" * 49, 0)
+
+
+@pytest.mark.parametrize("length", [51, 57, 100, 101, 149, 150])
+def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) -> None:
+    said = "".join(chr(ord("a") + k % 26) for k in range(length))
+    chunks = [sent(each) for each in messages.texts(Text(severity=2, text=said), 7)]
+    assert "".join(chunk.text for chunk in chunks) == said
+    assert [chunk.chunk_seq for chunk in chunks] == list(range(len(chunks)))
+    assert {chunk.id for chunk in chunks} == {7}
+    assert [len(chunk.text) for chunk in chunks[:-1]] == [50] * (len(chunks) - 1)
+    assert len(chunks[-1].text) < 50  # a zero byte ends it

@@ -139,6 +139,39 @@ def test_beams_meet_a_hill_where_small_steps_do() -> None:
         assert length == pytest.approx(steps[below.argmax()] if below.any() else math.inf, abs=0.1)
 
 
+@pytest.mark.parametrize(("above_m", "met"), [(0.015, False), (0.025, True)])
+def test_a_level_beam_passes_over_what_the_earths_curvature_hides(
+    above_m: float, *, met: bool
+) -> None:
+    """500 m away the ground has sunk by 2 cm."""
+    wall = {
+        "points_ne_m": [[500.0, -5.0], [500.0, 5.0]],
+        "thickness_m": 0.2,
+        "height_m": 5.0 + above_m,
+    }
+    made = world(walls=[wall]).scene()
+    level = np.array([[1.0, 0.0, 0.0]])
+    found = made.ray_lengths_m(np.array([0.0, 0.0, GROUND_M + 5.0]), level, 600.0)
+    assert np.isfinite(found[0]) == met
+
+
+def test_a_beam_meets_level_ground_and_roofs_where_the_earth_has_sunk_to() -> None:
+    roof = {
+        "corners_ne_m": [[-900.0, -900.0], [-900.0, 900.0], [900.0, 900.0], [900.0, -900.0]],
+        "height_m": 5.0,
+    }
+    for things, level_m in (({}, 0.0), ({"buildings": [roof]}, 5.0)):
+        made = world(**things).scene()
+        for slope in (-0.02, -0.0031, -0.00305):
+            way = np.array([[1.0, 0.0, slope]]) / math.hypot(1.0, slope)
+            eye = np.array([0.0, 0.0, GROUND_M + level_m + 1.8])
+            away = np.linspace(0.0, 700.0, 700_001)
+            radius = np.hypot(away, 6_371_009.0 + 1.8 + slope * away)  # from the earth's middle
+            low = away[radius <= 6_371_009.0]
+            expected = low[0] * math.hypot(1.0, slope) if len(low) and low[0] <= 600.0 else math.inf
+            assert made.ray_lengths_m(eye, way, 600.0)[0] == pytest.approx(expected, abs=0.01)
+
+
 def test_a_wire_is_touched_and_not_seen() -> None:
     made = world(wires=[{"ends_ne_m": [[10.0, -5.0], [10.0, 5.0]], "height_m": 8.0}]).scene()
     at = np.array([0.0, 0.0, GROUND_M + 8.0])

@@ -22,6 +22,7 @@ Height = Callable[[FloatArray, FloatArray], FloatArray]
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 VALLEY = Path(__file__).parents[2] / "companion" / "environments" / "valley" / "world.toml"
 ROWS, COLUMNS = 28, 32
+EARTH_M = 6_371_009.0
 STEPS = 400
 """Of a ray."""
 
@@ -37,14 +38,22 @@ class Look:
 
 
 def marched(height: Height, eye: tuple[float, float, float], points_ne_m: FloatArray) -> FloatArray:
-    """How far the ground rises above the line from the eye to each point.  (K, 2) -> (K,)."""
+    """How far the ground rises above the line from the eye to each point.  (K, 2) -> (K,).
+
+    The line is straight in the space about a sphere of radius R: between two points at distances
+    r1 and r2 from its middle, 1 / r goes with the sines of the angles to them.
+    """
     most = np.empty(len(points_ne_m))
     share = ((np.arange(STEPS) + 0.5) / STEPS)[:, None]
     for start in range(0, len(points_ne_m), 256):
         north, east = points_ne_m[start : start + 256].T
         top = height(north, east)
         ground = height(eye[0] + share * (north - eye[0]), eye[1] + share * (east - eye[1]))
-        most[start : start + 256] = (ground - (eye[2] + share * (top - eye[2]))).max(axis=0)
+        angle = np.hypot(north - eye[0], east - eye[1]) / EARTH_M
+        over = np.sin((1.0 - share) * angle) / (EARTH_M + eye[2])
+        over += np.sin(share * angle) / (EARTH_M + top)
+        line = np.sin(angle) / over - EARTH_M
+        most[start : start + 256] = (ground - line).max(axis=0)
     return most
 
 

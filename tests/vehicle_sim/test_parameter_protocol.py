@@ -1,10 +1,13 @@
 """Parameters over the wire, with pymavlink's mavparm as a client; the hash by its definition."""
 
 import math
+import re
 import struct
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Literal, cast
 
+import parameter_names
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,9 +15,17 @@ from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
-from vehicle_sim.parameters import Kind, Parameter, Parameters
+from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
+from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
+from vehicle_sim.autopilots.px4.autopilot import parameter_rows
+from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
+from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
+from vehicle_sim.errors import InputError
+from vehicle_sim.parameters import Kind, Parameter, Parameters, lines_of, without_effect
+from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
+from vehicle_sim.world import VehicleKind, flat_world
 
 Firmware = Literal["ardupilot", "px4"]
 HERE = Sender(system=255, component=230, link=1)
@@ -246,6 +257,29 @@ def test_what_is_not_a_number_is_never_kept(value: float) -> None:
         assert vehicle.parameters["GUID_TIMEOUT"] == 3.0
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 300.0, -1e30, 7.4])
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.name)
+def test_a_table_takes_only_what_its_types_hold(row: Parameter, value: float) -> None:
+    """From inside, as by faults and tests; what is given at the start is refused instead."""
+    parameters = Parameters(TABLE, {})
+    parameters[row.name] = value
+    kept = parameters[row.name]
+    if not math.isfinite(value):
+        assert kept == row.default
+        with pytest.raises(InputError, match="must be a number from"):
+            Parameters(TABLE, {row.name: value})
+        return
+    bits = {Kind.INT8: 8, Kind.INT16: 16, Kind.INT32: 32}.get(row.kind)
+    if bits is None:
+        assert kept == value
+        return
+    least, most = -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
+    assert kept == min(max(round(value), least), most)
+    if not least <= value <= most:
+        with pytest.raises(InputError, match=f"it has {bits} bits"):
+            Parameters(TABLE, {row.name: value})
+
+
 @given(name=st.binary(max_size=16), value=st.floats(width=32), kind=st.integers(0, 255))
 def test_no_name_value_or_type_does_harm(name: bytes, value: float, kind: int) -> None:
     for firmware in ("ardupilot", "px4"):
@@ -285,3 +319,145 @@ def test_mavparm_sets_on_either_firmware() -> None:
         assert vehicle.parameters["COM_OBL_RC_ACT"] == 5
         assert known.mavset(connection, "GUID_TIMEOUT", 0.25, parm_type=9)
         assert vehicle.parameters["GUID_TIMEOUT"] == 0.25
+
+
+# --- what a parameter does ------------------------------------------------------------------------
+
+
+def ids(simulation: Simulation) -> set[tuple[int, int]]:
+    """Who has said something."""
+    said = mavlink.MAVLink(None).parse_buffer(b"".join(f for _, f in simulation.take_frames()))
+    return {(m.get_srcSystem(), m.get_srcComponent()) for m in said or [] if m.get_srcSystem()}
+
+
+@pytest.mark.parametrize(
+    ("firmware", "given", "before", "after"),
+    [
+        ("ardupilot", {"MAV_SYSID": 5.0}, (5, 1), {"MAV_SYSID": 9.0}),
+        ("px4", {"MAV_SYS_ID": 5.0, "MAV_COMP_ID": 7.0}, (5, 7), {"MAV_SYS_ID": 9.0}),
+        ("px4", {}, (1, 1), {"MAV_SYS_ID": 9.0, "MAV_COMP_ID": 50.0}),
+    ],
+)
+def test_the_parameters_of_ids_are_what_it_boots_as(
+    firmware: Firmware, given: dict[str, float], before: tuple[int, int], after: dict[str, float]
+) -> None:
+    """Set at the start, or by PARAM_SET and then a reboot, and not before that."""
+    world = flat_world(
+        "copter",
+        firmware,
+        latitude_deg=47.0,
+        longitude_deg=8.0,
+        altitude_amsl_m=400.0,
+        heading_deg=0.0,
+    )
+    vehicle = replace(world.vehicle, parameters=given)
+    simulation = Simulation(replace(world, vehicle=vehicle))
+
+    def run(seconds: float) -> set[tuple[int, int]]:
+        for _ in range(round(seconds * 100.0)):
+            simulation.step()
+        return ids(simulation)
+
+    def acknowledged(system: int, component: int, number: int) -> bool:
+        command = mavlink.MAVLink_command_long_message(system, component, number, 0, 1, *[0] * 6)
+        simulation.receive(0, command.pack(mavlink.MAVLink(None, 255, 190)))
+        said = mavlink.MAVLink(None).parse_buffer(b"".join(f for _, f in simulation.take_frames()))
+        return any(m.get_type() == "COMMAND_ACK" for m in said or [])
+
+    assert run(3.0) == {before}
+    assert simulation.system_id == before[0]
+    assert acknowledged(*before, 400)
+    for name, value in after.items():
+        simulation.set_parameter(name, value)
+    assert run(2.0) == {before}
+    simulation.add_fault("reboot")
+    run(1.2)
+    booted_as = (9, int(after.get("MAV_COMP_ID", before[1])))
+    assert run(3.0) == {booted_as}
+    assert simulation.system_id == 9
+    assert acknowledged(*booted_as, 400)
+    assert not acknowledged(*before, 400)
+
+
+@pytest.mark.parametrize(("kind", "unasked_hz"), [("copter", 0), ("plane", 1)])
+def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
+    kind: VehicleKind, unasked_hz: int
+) -> None:
+    """SRn_ before 4.7.  A reboot loses what REQUEST_DATA_STREAM set, but of a plane."""
+    world = flat_world(
+        kind,
+        "ardupilot",
+        latitude_deg=47.0,
+        longitude_deg=8.0,
+        altitude_amsl_m=400.0,
+        heading_deg=0.0,
+    )
+    vehicle = replace(world.vehicle, parameters={"MAV1_POSITION": 10.0})
+    simulation, mav = Simulation(replace(world, vehicle=vehicle)), mavlink.MAVLink(None, 255, 190)
+
+    def rate_hz(kind: str) -> float:
+        parser = mavlink.MAVLink(None)
+        said: list[str] = []
+        for k in range(400):
+            simulation.step()
+            frames = [frame for _, frame in simulation.take_frames()]
+            if k >= 200:
+                said += [m.get_type() for m in parser.parse_buffer(b"".join(frames)) or []]
+        return said.count(kind) / 2.0
+
+    assert rate_hz("GLOBAL_POSITION_INT") == 10.0
+    assert rate_hz("ATTITUDE") == unasked_hz
+    simulation.set_parameter("MAV1_EXTRA1", 4.0)  # from the next boot on
+    assert rate_hz("ATTITUDE") == unasked_hz
+    ask = mavlink.MAVLink_request_data_stream_message(1, 1, 11, 5, 1)  # EXTRA2
+    simulation.receive(0, ask.pack(mav))
+    assert rate_hz("VFR_HUD") == 5.0
+    assert simulation.parameters["MAV1_EXTRA2"] == 5.0
+    simulation.add_fault("reboot")
+    for _ in range(120):
+        simulation.step()
+    assert rate_hz("GLOBAL_POSITION_INT") == 10.0
+    assert rate_hz("ATTITUDE") == 4.0
+    assert rate_hz("VFR_HUD") == (5.0 if kind == "plane" else 0.0)
+
+
+def test_what_is_said_to_have_no_effect_is_what_the_code_does_not_name() -> None:
+    assert without_effect() == parameter_names.without_effect()
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "words"),
+    [
+        (ArduCopter.TABLE, "SYSID_THISMAV", "It is called MAV_SYSID here."),
+        (ArduCopter.TABLE, "SYSID_MYGCS", "It is called MAV_GCS_SYSID here."),
+        (ArduCopter.TABLE, "SR0_POSITION", "It is called MAV1_POSITION here."),
+        (ArduCopter.TABLE, "SR1_EXTRA1", "It is called MAV2_EXTRA1 here."),
+        (ArduCopter.TABLE, "SR2_EXTRA1", "MAV2_EXTRA1 here, for the second link; the others have"),
+        (ArduCopter.TABLE, "WP_SPD_DN", "It is called WPNAV_SPEED_DN here, in cm/s."),
+        (ArduCopter.TABLE, "MAV_SYS_ID", "It is called MAV_SYSID here."),
+        (ArduPlane.TABLE, "TRIM_ARSPD_CM", "It is called AIRSPEED_CRUISE here, in m/s."),
+        (ArduPlane.TABLE, "FS_GCS_ENABLE", "It is called FS_GCS_ENABL here."),
+        (parameter_rows(*Px4Multicopter.TABLES), "SYSID_THISMAV", "It is called MAV_SYS_ID here."),
+        (
+            parameter_rows(*Px4Multicopter.TABLES),
+            "COM_OBL_ACT",
+            "It is called COM_OBL_RC_ACT here.",
+        ),
+        (ArduCopter.TABLE, "GUID_TIMEOUTS", "Did you mean GUID_TIMEOUT?"),
+        (ArduCopter.TABLE, "QQQQQQQQ", "Leave it out."),
+    ],
+)
+def test_names_of_other_releases_are_told_by_the_one_of_here(
+    table: tuple[Parameter, ...], name: str, words: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        Parameters(table, {name: 1.0})
+    assert words in str(refused.value)
+
+
+def test_every_name_of_another_release_is_known_by_its_new_one_somewhere() -> None:
+    rows = {row.name for row in (*ArduCopter.TABLE, *ArduPlane.TABLE)}
+    rows |= {row.name for t in (Px4Multicopter, Px4FixedWing) for row in parameter_rows(*t.TABLES)}
+    for was, now, *_ in lines_of("renamed.table", 2):
+        pattern = now.replace("\\1", r"\w+")
+        assert any(re.fullmatch(pattern, name) for name in rows), f"{was}: there is no {now}"

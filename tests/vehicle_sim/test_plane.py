@@ -2,8 +2,7 @@ import math
 
 import pytest
 
-from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2, Vehicle
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.geodesy import LocalFrame
 

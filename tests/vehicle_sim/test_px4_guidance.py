@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vehicle_sim.autopilots.px4 import course as guidance
 from vehicle_sim.autopilots.px4.course import Gains, Path
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 
 GAINS = guidance.gains_of(10.0, 0.7, 0.5)
 SPEED_M_S = 13.9

@@ -127,6 +127,31 @@ def test_a_wall_of_mountains_hides_what_lies_behind_it() -> None:
     assert high[26, 16] == 300
 
 
+@pytest.mark.parametrize("eye_m", [3.0, 10.0, 25.0])
+def test_the_horizon_is_where_the_earth_curves_away(eye_m: float) -> None:
+    """At R acos(R / (R + h)), and of a mast by as much farther as its own horizon is away."""
+    mast_m, earth_m = 12.0, 6_371_000.0
+    far_m = earth_m * math.acos(earth_m / (earth_m + eye_m))
+    beyond_m = far_m + earth_m * math.acos(earth_m / (earth_m + mast_m))
+    plain = TerrainRadar(
+        PeakTerrain.of([], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4
+    )
+    eye = viewpoint((0.0, 0.0), eye_m)
+    for north, east in ((1.0, 0.0), (-0.6, 0.8)):
+        at = {
+            share: FRAME.to_geographic(share * far_m * north, share * far_m * east)
+            for share in (0.97, 1.03)
+        }
+        assert plain.sees(*at[0.97], eye)
+        assert not plain.sees(*at[1.03], eye)
+    for share, seen in ((0.97, True), (1.05, False)):
+        mast = (share * beyond_m, 0.0, mast_m, 400.0, 400.0)
+        radar = TerrainRadar(
+            PeakTerrain.of([mast], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4
+        )
+        assert radar.sees(*FRAME.to_geographic(mast[0], 0.0), eye) == seen
+
+
 def test_a_peak_far_out_is_where_the_message_definition_puts_it() -> None:
     request = ScanRequest(latitude_deg=47.5, longitude_deg=9.0, spacing_m=100, mask=ALL_BLOCKS)
     i, j = 22, 9  # 2250 m true north and 950 m true east of the corner

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +12,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.errors import InputError
 from vehicle_sim.links import Endpoint, open_link
+from vehicle_sim.server import Server, Settings, Station, Stop
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import parse_world
 
 Serve = Callable[..., Any]
 
@@ -86,6 +90,31 @@ def test_lockstep_lasts_as_long_as_was_asked(serve: Serve, companion: Any) -> No
         assert run.simulation.now_us == 1_000_000
 
 
+def test_who_asks_at_the_first_heartbeat_gets_it_in_lockstep_too(
+    serve: Serve, companion: Any
+) -> None:
+    ask = mavlink.MAVLink_command_long_message(1, 1, 511, 0, 30, 1e5, 0, 0, 0, 0, 0)
+    with serve(companion.port, lockstep=True, duration_s=1.0) as run:
+        companion.datagram()
+        companion.send(companion.heartbeat(), companion.frame(ask))
+        got = [m.get_type() for _ in range(10) for m in companion.tick()]
+        assert run.ended()
+        assert got.count("ATTITUDE") == 10
+
+
+def test_positions_that_are_asked_for_once_an_hour_do_not_make_it_last(
+    serve: Serve, companion: Any
+) -> None:
+    hourly = mavlink.MAVLink_command_long_message(1, 1, 511, 0, 33, 2e9, 0, 0, 0, 0, 0)
+    with serve(companion.port, lockstep=True, duration_s=3.0) as run:
+        companion.datagram()
+        companion.send(companion.heartbeat())
+        companion.tick()
+        companion.tick(companion.frame(hourly))
+        assert run.ended()
+        assert run.simulation.now_us == 3_000_000
+
+
 @pytest.mark.parametrize("speedup", [1.0, 20.0])
 def test_real_time_keeps_the_pace_whatever_the_companion_does(
     serve: Serve, companion: Any, speedup: float
@@ -139,3 +168,31 @@ def test_a_scan_of_56_blocks_comes_whole_in_few_datagrams(serve: Serve, companio
 def test_a_host_that_cannot_be_found_is_named() -> None:
     with pytest.raises(InputError, match=r"--connect = 'udpout:no\.such\.host\.invalid:9'"):
         open_link(Endpoint(kind="udpout", host="no.such.host.invalid", port=9))
+
+
+def test_what_one_client_of_a_shared_link_began_to_say_the_next_does_not_finish(
+    world_table: dict[str, Any],
+) -> None:
+    vehicle = world_table["vehicle"]
+    tables = [world_table | {"vehicle": vehicle | {"system_id": system}} for system in (1, 2)]
+    link = open_link(Endpoint(kind="tcpin", host="127.0.0.1", port=0))
+    stations = [Station(simulation=Simulation(parse_world(t)), links=[link]) for t in tables]
+    stop = Stop()
+    server = Server(stations, Settings(), stop, say=lambda _: None)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    try:
+        for half in (b"\xfd\xff\0\0\0\1\1", b""):
+            with socket.create_connection(("127.0.0.1", link.endpoint.port), 10.0) as client:
+                mav, parser = mavlink.MAVLink(None, 9, 9), mavlink.MAVLink(None)
+                asked = mavlink.MAVLink_command_long_message(2, 1, 42, 0, *[0] * 7)
+                client.sendall(asked.pack(mav))
+                got: list[str] = []
+                while "COMMAND_ACK" not in got:
+                    assert got.count("HEARTBEAT") < 6
+                    got += [m.get_type() for m in parser.parse_buffer(client.recv(9999)) or []]
+                client.sendall(half)
+    finally:
+        stop()
+        thread.join(10.0)
+        link.close()

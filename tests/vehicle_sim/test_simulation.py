@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flown import Flown
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.rng import generator
@@ -175,3 +176,79 @@ def test_the_purposes_of_chance_do_not_share_numbers() -> None:
     assert draws(1, "gps") == draws(1, "gps")
     assert draws(1, "gps") != draws(1, "wind")
     assert draws(1, "gps") != draws(2, "gps")
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_reboot_is_the_autopilots_alone(autopilot: str) -> None:
+    """Radar and lidar have their own power, and who has no autopilot is not armed."""
+    lidar: Table = {}
+    if autopilot == "px4":  # ArduPilot boots for 42 s
+        lidar = {"lidar": {"range_m": 20.0, "rate_hz": 5.0, "component_id": 196}}
+    flown = Flown(
+        "copter",
+        autopilot,
+        scanner={"range_m": 500.0, "component_id": 100},
+        **lidar,
+    )
+    simulation, parser = flown.simulation, mavlink.MAVLink(None)
+    flown.into_the_air(4.0)
+    assert simulation.armed
+    simulation.take_frames()
+    simulation.take_truth()
+    simulation.add_fault("reboot")
+    ask = mavlink.MAVLink_terrain_request_message(470000000, 80000000, 100, 1)
+    heard: list[Any] = []
+    for k in range(120):
+        if k == 20:
+            simulation.receive(0, ask.pack(flown.mav))
+        simulation.step()
+        frames = [frame for _, frame in simulation.take_frames()]
+        if 10 <= k < 100:  # the autopilot is down for 1.1 s
+            heard += parser.parse_buffer(b"".join(frames)) or []
+            assert not simulation.armed
+            assert not simulation.armable
+    assert {m.get_srcComponent() for m in heard} == ({100, 196} if lidar else {100})
+    said = kinds(heard)
+    assert 3 <= said.count("OBSTACLE_DISTANCE") <= 5 or not lidar
+    assert {"TERRAIN_DATA", "TERRAIN_REPORT", "HEARTBEAT"} <= set(said)
+    rows = [json.loads(line) for line in simulation.take_truth()]
+    assert not any(row["armed"] for row in rows[1:])
+    assert [row["landed"] for row in rows[1:]] == sorted(row["landed"] for row in rows[1:])
+    assert rows[-1]["landed"]
+    assert "crash" in rows[-1]  # 4 m deep: 8.9 m/s
+
+
+@pytest.mark.parametrize(("autopilot", "first_s"), [("ardupilot", 0.9), ("px4", 1.6)])
+@pytest.mark.parametrize("kind", ["copter", "plane"])
+def test_who_waits_for_a_heartbeat_and_then_asks_gets_what_it_asked_for(
+    world_table: Table, kind: str, autopilot: str, first_s: float
+) -> None:
+    """At once, as most scripts do: after the start, after a reboot (ardupilot.md 1, px4.md 3)."""
+    vehicle = {"kind": kind, "autopilot": autopilot, "north_m": 0.0, "east_m": 0.0}
+    it = Other(world_table | {"vehicle": vehicle | {"heading_deg": 0.0}})
+    simulation, began_s = it.simulation, 0.0
+    for faults in ("reboot", ""):
+        beats: list[tuple[float, int]] = []
+        while not any(component == 1 for _, component in beats):
+            simulation.step()
+            beats += [
+                (simulation.now_us * 1e-6, m.get_srcComponent())
+                for m in it.messages()
+                if m.get_type() == "HEARTBEAT"
+            ]
+        assert beats[-1][0] == pytest.approx(began_s + first_s, abs=0.011)
+        if not began_s:  # of the radar's too none is within the 60 ms that forget
+            assert beats[0][0] == pytest.approx(min(first_s, 1.0), abs=0.011)
+        it.command(511, 30, 50_000)
+        got: list[Any] = []
+        for _ in range(100):
+            simulation.step()
+            got += it.messages()
+        assert kinds(got).count("ATTITUDE") >= 19
+        if faults:
+            simulation.add_fault(faults)
+            simulation.step()
+            began_s = simulation.now_us * 1e-6 + 1.1
+            for _ in range(110):
+                simulation.step()
+            it.messages()

@@ -203,6 +203,22 @@ def test_holds_plans_and_times_are_those_of_the_files(run_dir: Path, page: str) 
         if entry["kind"] == "plan ready":
             assert f" {entry['length_m']:,.0f} {entry['evaluations']:,} " in words
     assert f"{sum(e['kind'] == 'say' for e in said)}" == f"{words.count('companion: ')}"
+    assert "cut as time was up" not in words
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_plans_that_time_has_cut_are_told_with_the_remedy(copy: Path) -> None:
+    said = entries(copy)
+    refused = {"kind": "plan refused", "plan_id": 9, "reason": "OUT_OF_TIME", "broken": []}
+    refused |= {"t_s": said[-1]["t_s"], "evaluations": 341, "out_of_time": True}
+    found = [e | {"out_of_time": True} if e["kind"] == "plan ready" else e for e in said]
+    header, *_ = (copy / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    lines = [header, *map(json.dumps, [*found, refused])]
+    (copy / "journal.jsonl").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    words = words_of(report_of(copy))
+    many = 1 + sum(e["kind"] == "plan ready" for e in said)
+    assert f"; of {many} the search was cut as time was up: raise planner.planning_time_s" in words
+    assert "plan 9 refused: OUT_OF_TIME; time was up after 341 candidates" in words
 
 
 def test_the_cheapest_route_in_hindsight_is_no_shorter_than_the_straight_line(

@@ -3,6 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 from rich.table import Table
 
@@ -13,7 +15,10 @@ from companion.path.subpath import Subpath
 from companion.planner.request import Planned
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
+from companion.views.page import at_least
 from companion.views.text import clearance_text, flight_table, mission_summary, plans_table
+from companion.views.words import metres_at_least
+from companion.world.known_map import empty_map
 
 PROVEN = Certificate(
     clearance_m=612.4,
@@ -73,6 +78,35 @@ def test_targets_are_told_by_their_distances_from_the_origin_to_a_metre_in_10_km
     assert "100 km north, 100 km east" in mission_summary(load_mission("environment-1"))
 
 
+@pytest.mark.parametrize(
+    ("holes", "share"), [(0, "100%"), (1, "99.9%"), (6, "99.9%"), (120, "98.8%"), (9_999, "0%")]
+)
+def test_a_map_with_a_hole_is_not_known_whole(holes: int, share: str) -> None:
+    mission = load_mission("sitl-arducopter")
+    known = empty_map(50.0, (0.0, 5_000.0), (0.0, 5_000.0))
+    upper_m = np.full(known.upper_m.shape, 100.0)
+    assert upper_m.size == 10_000
+    upper_m.flat[:holes] = np.inf
+    words = mission_summary(replace(mission, known=replace(known, upper_m=upper_m)))
+    assert f"Terrain of {share} of the map" in words
+    hectares = math.ceil(holes * 50.0**2 / 1e4)
+    assert (f"(all but {hectares:,} ha)" in words) == (holes > 0)
+    assert ("all but" in words) == (holes > 0)
+
+
+@given(st.floats(0.0, 30_000.0))
+def test_no_clearance_looks_larger_than_it_is(clear_m: float) -> None:
+    for said in (
+        clearance_text(replace(PROVEN, clearance_m=clear_m)),
+        metres_at_least(clear_m),
+        f"{at_least(clear_m, 1)} m",
+    ):
+        number, unit = said.replace(",", "").split()
+        told_m = float(number) * {"m": 1.0, "km": 1000.0}[unit]
+        assert told_m <= clear_m + 1e-5
+        assert told_m == pytest.approx(clear_m, rel=0.02, abs=1.0)
+
+
 def test_a_clearance_is_told_only_of_what_is_proven() -> None:
     assert clearance_text(PROVEN) == "612 m"
     assert clearance_text(UNPROVEN) == "not proven"
@@ -100,6 +134,14 @@ def test_times_of_a_flight_that_was_resumed_are_said_to_be_those_since_then() ->
     flight.resumed = True
     rows = [line for line in shown(flight_table(flight)).splitlines() if "since it was" in line]
     assert len(rows) == 2
+
+
+def test_plans_that_time_has_cut_are_told_with_the_remedy() -> None:
+    flight = flown()
+    assert "cut by time" not in shown(flight_table(flight))
+    flight.out_of_time = 93
+    [row] = [line for line in shown(flight_table(flight)).splitlines() if "cut by time" in line]
+    assert "93: raise planner.planning_time_s, or use a faster computer" in row
 
 
 def test_a_flight_without_a_plan_has_a_table_without_costs() -> None:

@@ -1,8 +1,8 @@
 """Random ground of all sorts, and what scanners see of it, written apart from the product's code.
 
 Ground is bilinear between nodes, so the highest of a cell is exactly the highest of its nodes.
-Lines of sight are marched outward in all directions, several to a cell; a point is in sight if it
-rises above all that is nearer to the radar in its direction.
+Lines of sight are marched outward in all directions, several to a cell and more beside the radar; a
+point is in sight if it rises above all that is nearer to the radar in its direction, on a sphere.
 """
 
 import math
@@ -23,6 +23,8 @@ RANGE_M = 4_800.0
 _STEP_M = CELL_M / NODES
 _BETWEEN_RAYS = 0.12  # of a cell, at the farthest
 _BETWEEN_STEPS = 0.23  # of a cell
+_BESIDE_M = np.geomspace(0.5, _BETWEEN_STEPS * CELL_M, 30, endpoint=False)
+EARTH_M = 6_371_009.0
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,26 @@ def radar_over(tops_m: FloatArray, rng: np.random.Generator) -> tuple[float, flo
     return n, e, float(near.max() + rng.choice([5.0, 60.0, 300.0, 1_500.0]))
 
 
+def radar_at_a_wall(place: Ground, rng: np.random.Generator) -> tuple[float, float, float]:
+    """A place hardly above the ground, that ground within a cell rises above if any does."""
+    places = rng.uniform(0.1, 0.9, (300, 2)) * (ROWS * CELL_M, COLUMNS * CELL_M)
+    aside = rng.uniform(-CELL_M, CELL_M, places.shape)
+    ground, beside = place.height_m(*places.T), place.height_m(*(places + aside).T)
+    best = int(rng.choice(np.argsort(beside - ground)[-30:]))
+    rise = max(float(beside[best] - ground[best]), 4.0)
+    above = float(rng.choice([2.0, rng.uniform(0.0, 0.9) * rise + 1.0]))
+    return float(places[best, 0]), float(places[best, 1]), float(ground[best]) + above
+
+
+def elevation_tangent(
+    height_m: FloatArray, away_m: FloatArray, eye_m: float, earth_m: float = EARTH_M
+) -> FloatArray:
+    """How high a point looks from an eye above a sphere, by its place in space."""
+    angle, radius = away_m / earth_m, earth_m + height_m
+    up = height_m - eye_m - 2.0 * radius * np.sin(0.5 * angle) ** 2
+    return np.asarray(up / (radius * np.sin(angle)))
+
+
 # --- scanners
 
 
@@ -176,10 +198,11 @@ def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
     count = math.ceil(2.0 * math.pi * far / (_BETWEEN_RAYS * CELL_M))
     azimuth = np.arange(count) * (2.0 * math.pi / count)
     away = np.arange(1.0, far / CELL_M / _BETWEEN_STEPS) * _BETWEEN_STEPS * CELL_M
+    away = np.append(_BESIDE_M, away)
     north = radar_nea_m[0] + np.multiply.outer(away, np.cos(azimuth))
     east = radar_nea_m[1] + np.multiply.outer(away, np.sin(azimuth))
     height = place.height_m(north, east)
-    slope = (height - radar_nea_m[2]) / away[:, None]
+    slope = elevation_tangent(height, away[:, None], radar_nea_m[2])
     inside = (north >= 0.0) & (north < ROWS * CELL_M) & (east >= 0.0) & (east < COLUMNS * CELL_M)
     slope[~inside] = -np.inf
     free = (slope >= np.maximum.accumulate(slope, axis=0)) & inside

@@ -148,6 +148,71 @@ def test_what_is_free_holds_no_point_of_any_thing(part: int) -> None:
     assert free > 20_000  # it says something
 
 
+@pytest.mark.parametrize("sectors", [8, 72])
+@pytest.mark.parametrize("drift_m_s", [0.02, 0.05])
+def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells(
+    sectors: int, drift_m_s: float
+) -> None:
+    """The vehicle stands still, and thinks that it wanders away from the post."""
+    near, thing = NearMap.empty(LATTICE, RULES), post(6.0, 0.0, 0.25)
+    distance = nearest_m(thing, np.zeros(2), 0.0, math.tau / sectors, sectors)
+    for k in range(150):
+        time_s = 0.4 * k
+        told_ne_m = np.array([-drift_m_s * time_s, 0.0])
+        near.add(
+            sweep_of(distance, time_s=time_s, sensor_ne_m=tuple(told_ne_m.tolist()), error_m=0.35)
+        )
+        if k % 25 == 24:
+            assert wrongly_free(near, thing + told_ne_m) == 0, time_s
+
+
+def test_what_is_looked_at_stays_free_and_what_is_not_is_unknown_in_time() -> None:
+    near, clear = NearMap.empty(LATTICE, RULES), np.full((1, 2), 100.0)
+    looked(near, clear, 5)
+    at_first = near.free()
+    ahead = np.full(72, np.inf)
+    half = np.where(np.arange(72) % 71 < 17, REACH_M, 0.0)  # looks to the north-east only
+    later_s = 0.5
+    while later_s < RULES.free_for_s + 2.0:
+        near.add(sweep_of(ahead, clear_m=half, time_s=later_s))
+        later_s += 0.5
+    row, column = cell_of(5.0, 5.0)
+    assert near.free()[row, column]
+    behind = cell_of(-5.0, -5.0)
+    assert at_first[behind]
+    assert not near.free()[behind]
+    assert not near.closed()[behind]
+    looked(near, clear, RULES.sightings, start_s=later_s)
+    np.testing.assert_array_equal(near.free(), at_first)
+
+
+def test_nothing_is_free_for_longer_without_any_sweep() -> None:
+    near = NearMap.empty(LATTICE, RULES)
+    looked(near, np.full((1, 2), 100.0), 5)
+    assert near.expire(RULES.free_for_s) is None
+    assert near.free().any()
+    window = near.expire(RULES.free_for_s + 1.0)
+    assert window is not None
+    assert not near.free().any()
+    assert near.expire(1_000.0) is None
+
+
+def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
+    """A wall was free up to, and something new stands before it, nearer than the error."""
+    near, barrier = NearMap.empty(LATTICE, RULES), wall((6.5, -30.0), (6.5, 30.0))
+    at = np.zeros(2)
+    for k in range(5):
+        seen = nearest_m(barrier, at, 0.0, math.tau / 72, 72)
+        near.add(sweep_of(seen, time_s=k * PERIOD_S, error_m=0.05))
+    new = post(5.85, 0.0, 0.05)
+    assert wrongly_free(near, new) > 0
+    seen = nearest_m(np.concatenate([barrier, new]), at, 0.0, math.tau / 72, 72)
+    for k in range(RULES.sightings):
+        near.add(sweep_of(seen, time_s=1.0 + k * PERIOD_S, error_m=0.5))
+    nearest = new[np.hypot(*new.T) < 5.82]
+    assert wrongly_free(near, nearest) == 0
+
+
 def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
     near = NearMap.empty(LATTICE, RULES)
     looked(near, np.full((1, 2), 100.0), RULES.sightings)

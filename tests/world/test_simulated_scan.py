@@ -107,6 +107,17 @@ def test_a_slope_that_rises_ever_more_steeply_hides_nothing(offset: float, bend:
     assert np.isfinite(due_north[:34]).all()
 
 
+@pytest.mark.parametrize("eye_m", [1.0, 5.0])
+def test_the_plain_is_seen_up_to_the_horizon(eye_m: float) -> None:
+    """At R acos(R / (R + h)), give or take a cell; the earth is as curved as it is anywhere."""
+    truth = empty_map(CELL_M, (0.0, 200.0), (0.0, 12_000.0))
+    truth.upper_m[:] = 0.0
+    scan = simulated_scan(truth, (100.0, 50.0, eye_m), 11_000.0)
+    seen = np.flatnonzero(np.isfinite(scan.heights_m[1]))
+    horizon = [earth_m * math.acos(earth_m / (earth_m + eye_m)) for earth_m in (6.33e6, 6.371e6)]
+    assert horizon[0] - 2 * CELL_M <= (seen.max() + 1) * CELL_M <= horizon[1] + 2 * CELL_M
+
+
 def test_a_scan_beside_the_edge_of_the_map_stays_on_it() -> None:
     scan = simulated_scan(flat(), (3_990.0, 10.0, 400.0), 1_000.0)
     assert (scan.row, scan.column) == (29, 0)

@@ -15,14 +15,19 @@ from rough_ground import (
     ROWS,
     Ground,
     blank,
+    elevation_tangent,
     ground,
+    radar_at_a_wall,
     radar_over,
     scan_of,
     sight_of,
     with_losses,
 )
 
-from companion.world.known_map import KnownMap, Scan
+from companion.config import load_mission
+from companion.path.certificate import certify, pack_surroundings
+from companion.path.subpath import Subpath
+from companion.world.known_map import KnownMap, Scan, empty_map
 from companion.world.simulated_scan import simulated_scan
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
 from vehicle_sim.grid import GridTerrain
@@ -62,8 +67,8 @@ def test_what_the_offline_scan_does_not_see_is_below_its_bound(first: int) -> No
         scan = simulated_scan(truth, radar, RANGE_M)
         known = check(scan, truth.upper_m, f"terrain {number}")
         check(with_losses(scan, rng, 0.1), truth.upper_m, f"terrain {number}, with losses")
-        for _ in range(2):
-            after = simulated_scan(truth, radar_over(tops, rng), RANGE_M)
+        for again in (radar_over(tops, rng), radar_over(tops, rng), radar_at_a_wall(place, rng)):
+            after = simulated_scan(truth, again, RANGE_M)
             alone = blank().with_scan(after)
             both = check(after, truth.upper_m, f"terrain {number}, several scans", known)
             assert (both.upper_m <= np.minimum(known.upper_m, alone.upper_m)).all()
@@ -73,10 +78,10 @@ def test_what_the_offline_scan_does_not_see_is_below_its_bound(first: int) -> No
 def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
     first: int,
 ) -> None:
-    for number in range(first, first + BLOCK, 4):
+    for k, number in enumerate(range(first, first + BLOCK, 4)):
         place, rng = ground(number)
         tops = place.tops_m()
-        radar = radar_over(tops, rng)
+        radar = radar_over(tops, rng) if (k + first // BLOCK) % 2 else radar_at_a_wall(place, rng)
         sight = sight_of(place, radar)
         share = float(rng.choice([0.02, 0.1, 0.3]))
         complete = scan_of(tops, sight.somewhere, radar)
@@ -101,8 +106,112 @@ def test_what_the_simulators_radar_does_not_see_is_below_its_bound(first: int) -
     scan = simulators_scan(place, radar)
     known = check(scan, tops, f"terrain {first}")
     check(with_losses(scan, rng, 0.1), tops, f"terrain {first}, with losses")
-    again = simulators_scan(place, radar_over(tops, rng))
+    again = simulators_scan(place, radar_at_a_wall(place, rng))
     check(again, tops, f"terrain {first}, two scans", known)
+
+
+@pytest.mark.parametrize(
+    ("earth_m", "refraction"), [(6_371e3, 1.0), (6_336e3, 1.0), (6_371e3, 7 / 6)]
+)
+def test_what_a_ridge_hides_on_a_round_earth_is_below_its_bound(
+    earth_m: float, refraction: float
+) -> None:
+    """A ridge all round, with a gap, and ground beyond it that rises right up to the line of sight.
+
+    Refraction makes the earth look flatter, and hides less.
+    """
+    rng = np.random.default_rng(39)
+    earth_m *= refraction
+    for _ in range(8):
+        range_m = float(rng.choice([5_000.0, 20_000.0, 60_000.0]))
+        cell_m = range_m / 80.0
+        known = empty_map(cell_m, (0.0, 2.25 * range_m), (0.0, 2.25 * range_m))
+        north, east = known.middles_m(0, 0, known.upper_m.shape)
+        radar = 1.125 * range_m + 1.0, 1.125 * range_m + 1.0, float(rng.uniform(500.0, 3_500.0))
+        away = np.hypot(north - radar[0], east - radar[1])
+        first = float(rng.uniform(0.05, 0.5)) * range_m
+        top = radar[2] + float(rng.uniform(-1.0, 1.0))
+        ridge = (away >= first) & (away < first + 2.0 * cell_m)
+        beyond = (away >= first + 4.0 * cell_m) & (away <= range_m)
+        look = elevation_tangent(np.full(1, top), away[ridge], radar[2], earth_m).min()
+        angle = away / earth_m
+        line = (earth_m + radar[2]) / (np.cos(angle) - look * np.sin(angle)) - earth_m
+        ground = np.where(beyond, line - 1e-3, -400.0)
+        ground[ridge] = top
+        gap = np.abs(np.arctan2(east - radar[1], north - radar[0])) < 0.3
+        ground[gap & beyond] = -400.0
+        seen = (away <= range_m) & (ridge | (away < first) | gap)
+        after = known.with_scan(answered(np.where(seen, ground, -np.inf), radar, range_m))
+        hidden = beyond & ~gap & np.isfinite(after.upper_m)
+        assert hidden.sum() > 1_000
+        assert (after.upper_m[hidden] >= ground[hidden]).all()
+
+
+def test_no_subpath_is_certified_over_ground_that_only_a_plane_would_hide() -> None:
+    """A plateau that rises 24 m higher than it could behind this ridge if the earth were flat."""
+    task, top_m, plateau_m = load_mission("environment-1").task, 3_050.0, 3_074.0
+    known = empty_map(250.0, (0.0, 45_000.0), (0.0, 45_000.0))
+    north, east = known.middles_m(0, 0, known.upper_m.shape)
+    radar = 22_501.0, 22_501.0, top_m
+    away = np.hypot(north - radar[0], east - radar[1])
+    ridge, plateau = (away >= 1_000) & (away < 1_500), (away >= 18_500) & (away <= 19_250)
+    ground = np.where(ridge, top_m, np.where(plateau, plateau_m, 500.0))
+    look = elevation_tangent(ground, away, radar[2])
+    assert look[plateau].max() < elevation_tangent(ground[ridge], away[ridge], radar[2]).min()
+    gap = np.abs(np.arctan2(east - radar[1], north - radar[0])) < 0.3
+    seen = (ridge | (away < 1_000) | (gap & ~plateau)) & (away <= 20_000)
+    after = known.with_scan(answered(np.where(seen, ground, -np.inf), radar, 20_000.0))
+    area = {"north_m": (0.0, 45_000.0), "east_m": (0.0, 45_000.0)}
+    limits = replace(task.limits, **area, floor_amsl_m=3_000.0, ceiling_amsl_m=5_000.0)
+    required_m, middle = task.required_clearance_m, (radar[0] - 18_875.0, radar[1])
+    for above_m, proven in ((required_m - 23.0, False), (required_m + 30.0, True)):
+        curve = [[middle[0], middle[1] + o, plateau_m + above_m] for o in (-900, -300, 300, 900)]
+        around = pack_surroundings(
+            after, limits, (), (), task.margins, centre_ne_m=middle, reach_m=4_000.0
+        )
+        found = certify(Subpath(control_nea_m=np.array(curve)), around, from_rest=False)
+        assert (found.proven, found.clearance_m <= above_m) == (proven, True)
+
+
+def test_what_a_wall_beside_the_radar_hides_is_below_its_bound() -> None:
+    """A thin wall, hardly higher than the radar; behind it ground right up to the line of sight."""
+    rng, bounded = np.random.default_rng(7), 0
+    for _ in range(60):
+        cell_m = float(rng.choice([19.0, 250.0]))
+        known = empty_map(cell_m, (0.0, 80 * cell_m), (0.0, 80 * cell_m))
+        radar = (*(rng.uniform(39.0, 41.0, 2) * cell_m).tolist(), 500.0)
+        bearing, gap_m = (
+            float(rng.uniform(0.0, 2.0 * np.pi)),
+            float(rng.uniform(0.02, 1.3)) * cell_m,
+        )
+        across = np.array([np.cos(bearing), np.sin(bearing)])
+        along, rise_m = np.array([-across[1], across[0]]), float(rng.uniform(0.05, 0.6)) * gap_m
+        half_m = 3.0 * cell_m
+        wall = np.linspace(-half_m, half_m, 2_000)[:, None] * along + gap_m * across
+        cells = ((wall + radar[:2]) / cell_m).astype(np.intp)
+        corners = np.indices((81, 81)) * cell_m - np.array(radar[:2])[:, None, None]
+        depth_m, aside_m = np.tensordot(across, corners, 1), np.tensordot(along, corners, 1)
+        in_shadow = (depth_m > 4.0 * cell_m) & (np.abs(aside_m) * gap_m < half_m * depth_m)
+        quads = [(slice(i, i + 80), slice(j, j + 80)) for i in (0, 1) for j in (0, 1)]
+        hidden = np.all([in_shadow[quad] for quad in quads], axis=0)
+        deepest_m = np.max([depth_m[quad] for quad in quads], axis=0)
+        ground = np.where(hidden, radar[2] + rise_m * deepest_m / gap_m - 1e-3, 0.0)
+        ground[tuple(cells.T)] = radar[2] + rise_m
+        after = known.with_scan(answered(np.where(hidden, -np.inf, ground), radar, 38.0 * cell_m))
+        bounded += int((np.isfinite(after.upper_m) & hidden).sum())
+        assert (after.upper_m >= ground).all()
+    assert bounded > 10_000
+
+
+def answered(heights_m: FloatArray, radar_nea_m: Point, range_m: float) -> Scan:
+    """Of a complete radar."""
+    return Scan(
+        row=0,
+        column=0,
+        heights_m=heights_m,
+        radar_nea_m=np.broadcast_to(np.array(radar_nea_m), (*heights_m.shape, 3)),
+        range_m=range_m,
+    )
 
 
 def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:

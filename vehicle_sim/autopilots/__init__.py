@@ -387,6 +387,8 @@ class FirmwareProfile:
     custom_version: bytes = bytes(8)
     rates_hz: Mapping[int, float]
     """Default rates of a new link, by message number."""
+    first_heartbeat_us: int = 1_000_000
+    """Since boot; then at its rate."""
     streamable: frozenset[int]
     """What SET_MESSAGE_INTERVAL accepts."""
     requestable: frozenset[int]
@@ -452,7 +454,7 @@ class Autopilot(Protocol):
         """A mission, fence or rally list was replaced by a client."""
 
     def crash(self) -> Sequence[Reply]:
-        """It has hit something: the motors stop, wherever it is."""
+        """The simulation has judged a contact a crash: the motors stop, wherever it is."""
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""

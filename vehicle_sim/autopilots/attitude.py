@@ -3,7 +3,7 @@
 import math
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 
 IGNORE_RATES: Final = (1, 2, 4)
 """type_mask: the rate of roll, pitch, yaw is not given."""

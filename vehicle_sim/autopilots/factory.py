@@ -14,6 +14,7 @@ from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.errors import InputError
+from vehicle_sim.parameters import Readable
 from vehicle_sim.sensors import gps
 from vehicle_sim.sensors.gps import Receiver
 from vehicle_sim.world import Vehicle
@@ -40,25 +41,63 @@ class AutopilotVariant:
     does not have."""
     system_id: str
     """The parameter that holds it."""
+    component_id: str | None
+    """The same; None: it is always 1."""
+    highest_id: int
+    """Of both; the least is 1.  Of PX4 as Mavlink::set_system_id has it."""
     receiver: Receiver
     battery: Model
 
 
 PERSONALITIES: Final = {
     ("ardupilot", "copter"): AutopilotVariant(
-        ArduCopter, "MAV_SYSID", gps.ARDUCOPTER, "ardupilot copter"
+        ArduCopter, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
     ),
     ("ardupilot", "plane"): AutopilotVariant(
-        ArduPlane, "MAV_SYSID", gps.ARDUPLANE, "ardupilot plane"
+        ArduPlane, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
     ),
-    ("px4", "copter"): AutopilotVariant(Px4Multicopter, "MAV_SYS_ID", gps.PX4, "px4"),
-    ("px4", "plane"): AutopilotVariant(Px4FixedWing, "MAV_SYS_ID", gps.PX4, "px4"),
+    ("px4", "copter"): AutopilotVariant(
+        Px4Multicopter, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
+    ),
+    ("px4", "plane"): AutopilotVariant(
+        Px4FixedWing, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
+    ),
 }
 
 
 def personality_of(vehicle: Vehicle) -> AutopilotVariant:
     """The one that a world asks for."""
     return PERSONALITIES[vehicle.autopilot, vehicle.kind]
+
+
+def ids_of(personality: AutopilotVariant, parameters: Readable) -> tuple[int, int]:
+    """System and component that an autopilot boots as; what is out of range counts as 1."""
+    names = (personality.system_id, personality.component_id)
+    ids = [1 if name is None else int(parameters[name]) for name in names]
+    system, component = (each if 1 <= each <= personality.highest_id else 1 for each in ids)
+    return system, component
+
+
+def with_own_ids(vehicle: Vehicle) -> Vehicle:
+    """The same vehicle, whose system_id is what its parameter says, if that is given.
+
+    InputError for a system or component id that there cannot be, or that another part has.
+    """
+    personality, parameters = personality_of(vehicle), vehicle.parameters
+    most = personality.highest_id
+    for name in (personality.system_id, personality.component_id):
+        value = parameters.get(name or "", 1.0)
+        if not (1 <= value <= most and value == int(value)):
+            rule = f"must be a whole number from 1 to {most}"
+            raise InputError(f"parameter {name}", value, rule, "Try 2.")
+    given = parameters.get(personality.system_id)
+    if given is None and vehicle.system_id > most:
+        rule = f"must be from 1 to {most} with {vehicle.autopilot}"
+        raise InputError("vehicle.system_id", vehicle.system_id, rule, "Give a smaller one.")
+    if given is None:
+        return vehicle
+    rest = {name: value for name, value in parameters.items() if name != personality.system_id}
+    return dataclasses.replace(vehicle, system_id=int(given), parameters=rest)
 
 
 def make_vehicle(

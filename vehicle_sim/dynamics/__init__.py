@@ -3,7 +3,9 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
-from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.geodesy import around, metres_per_degree
+
+GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -35,6 +37,8 @@ class Vehicle(ABC):
     """Where the air goes to; set from outside before each step, as are the other two."""
     wind_east_m_s: float = field(init=False, default=0.0)
     wind_up_m_s: float = field(init=False, default=0.0)
+    broken: bool = field(init=False, default=False)
+    """It has hit something in the air: it falls, and nothing carries it."""
 
     @abstractmethod
     def stand(self, altitude_amsl_m: float) -> None:
@@ -51,6 +55,17 @@ class Vehicle(ABC):
         self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
         self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self.throttle = 0.0
+        self.broken = False
+
+    def hit(self) -> None:
+        """Something stops it in the air."""
+        self.broken = True
+        self.velocity_north_m_s = self.velocity_east_m_s = 0.0
+
+    def _drop(self, dt_s: float) -> None:
+        """One step of free fall."""
+        up_m_s = self.velocity_up_m_s - GRAVITY_M_S2 * dt_s
+        self._move(self.velocity_north_m_s, self.velocity_east_m_s, up_m_s, dt_s)
 
     def _move(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
         """Take on this velocity; the position advances by the mean of the old and the new."""
@@ -58,10 +73,7 @@ class Vehicle(ABC):
         half_s = 0.5 * dt_s
         self.latitude_deg += (self.velocity_north_m_s + north_m_s) * half_s / metres_north
         east_deg = (self.velocity_east_m_s + east_m_s) * half_s / metres_east
-        longitude_deg = self.longitude_deg + east_deg
-        if not -180.0 <= longitude_deg < 180.0:
-            longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
-        self.longitude_deg = longitude_deg
+        self.longitude_deg = around(self.longitude_deg + east_deg)
         self.altitude_amsl_m += (self.velocity_up_m_s + up_m_s) * half_s
         self.velocity_north_m_s = north_m_s
         self.velocity_east_m_s = east_m_s

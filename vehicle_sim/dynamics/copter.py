@@ -9,9 +9,8 @@ import math
 from dataclasses import dataclass, field
 from typing import final
 
-from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.dynamics import GRAVITY_M_S2, Vehicle
 
-GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.39
 """MOT_THST_HOVER, as ArduCopter learns it in the recorded flights."""
 RESPONSE_S = 0.04
@@ -114,5 +113,4 @@ class Copter(Vehicle):
 
     def fall(self, dt_s: float) -> None:
         """One step without motors."""
-        up_m_s = self.velocity_up_m_s - GRAVITY_M_S2 * dt_s
-        self._move(self.velocity_north_m_s, self.velocity_east_m_s, up_m_s, dt_s)
+        self._drop(dt_s)

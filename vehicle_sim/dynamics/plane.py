@@ -8,8 +8,7 @@ import math
 from dataclasses import dataclass, field
 from typing import final
 
-from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2, Vehicle
 
 ROLL_RESPONSE_S = 0.1
 """Time constant from commanded to actual bank; fits the ground track of the recorded ArduPlane
@@ -69,7 +68,10 @@ class Plane(Vehicle):
         return along if along > 0.0 else 0.0
 
     def fall(self, dt_s: float) -> None:
-        """One step without motor and control: it glides straight ahead."""
+        """One step without motor and control: it glides straight ahead, if it can."""
+        if self.broken:
+            self._drop(dt_s)
+            return
         self.advance(0.0, -self.limits.sink_max_m_s, self.limits.airspeed_min_m_s, dt_s)
         self.throttle = 0.0
 

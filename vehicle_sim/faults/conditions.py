@@ -12,15 +12,13 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 from vehicle_sim.dynamics.battery import BatteryConditions
 from vehicle_sim.dynamics.wind import WindConditions
-from vehicle_sim.parameters import Kind, Parameter, Parameters, lines_of, row_of
+from vehicle_sim.parameters import Kind, Parameter, Parameters, Readable, lines_of, row_of
 from vehicle_sim.sensors.gps import GpsConditions
 from vehicle_sim.sensors.lidar import LidarConditions
 from vehicle_sim.sensors.terrain_radar import RadarConditions
 
 _MIN_SATELLITES = 4
 """With fewer PX4's simulated receiver has no fix (px4.md 8)."""
-
-Readable = Mapping[str, float] | Parameters
 
 
 class _Row(NamedTuple):

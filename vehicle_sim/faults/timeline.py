@@ -18,8 +18,8 @@ from typing import Self, final
 
 from vehicle_sim.errors import InputError, did_you_mean
 from vehicle_sim.faults.catalogue import BY_NAME, FAULTS, Context, Fault
-from vehicle_sim.faults.conditions import Readable, value_of
-from vehicle_sim.parameters import Firmware
+from vehicle_sim.faults.conditions import value_of
+from vehicle_sim.parameters import Firmware, Readable
 
 NEVER_US = 2**63 - 1
 _LINE = re.compile(r"at\s+(?P<at>.+?)(?:\s+for\s+(?P<length>.+?))?\s*:\s*(?P<what>\S.*)", re.I)

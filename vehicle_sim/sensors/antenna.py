@@ -1,11 +1,10 @@
 """Position and velocity samples at the GPS antenna, and a jammer."""
 
-import math
 from typing import NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 
 _FORGOTTEN_US = 1_000_000
 _MIN_SATELLITES = 4
@@ -30,9 +29,7 @@ class Sample(NamedTuple):
 
 def between(old: Sample, new: Sample, share: float) -> Sample:
     """From old (0) to new (1)."""
-    turn_deg = new.longitude_deg - old.longitude_deg
-    if abs(turn_deg) > 180.0:  # over the date line
-        turn_deg -= math.copysign(360.0, turn_deg)
+    turn_deg = degrees_east(old.longitude_deg, new.longitude_deg)
     return Sample(
         old.time_us,
         old.locked,

@@ -12,7 +12,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, metres_per_degree
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, metres_per_degree
 from vehicle_sim.sensors.antenna import Jamming, Sample, between
 
 
@@ -278,7 +278,7 @@ class Gps:
             time_us=self._locked_us,
             fix_type=fix_type if locked else receiver.fix_type_lost,
             latitude_deg=min(max(sample.latitude_deg + north_deg, -90.0), 90.0),
-            longitude_deg=_around(sample.longitude_deg + east_deg),
+            longitude_deg=around(sample.longitude_deg + east_deg),
             altitude_amsl_m=sample.altitude_amsl_m + conditions.glitch_up_m + up_m,
             velocity_north_m_s=sample.north_m_s + conditions.drift_north_m_s,
             velocity_east_m_s=sample.east_m_s + conditions.drift_east_m_s,
@@ -305,10 +305,3 @@ class Gps:
             north_m += conditions.circle_m * math.sin(angle_rad)
             east_m += conditions.circle_m * math.cos(angle_rad)
         return north_m, east_m, up_m
-
-
-def _around(longitude_deg: float) -> float:
-    """The same meridian, from -180 to 180 degrees."""
-    if -180.0 <= longitude_deg <= 180.0:
-        return longitude_deg
-    return (longitude_deg + 180.0) % 360.0 - 180.0

@@ -30,7 +30,7 @@ _Rate = Annotated[_Real, Field(ge=0.5, le=50)]
 @final
 @table(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))
 class LidarTable:
-    """The lidar on board, as a world file describes it."""
+    """The lidar on board; the second one is an RPLidar on ArduPilot, beside a driver's."""
 
     range_m: Annotated[_Real, Field(gt=0, le=600)]
     min_m: Annotated[_Real, Field(gt=0)] = 0.2

@@ -11,8 +11,10 @@ has a free line.  Of the others, each part
 is taken to be as high as its highest all over, and lines go out across it so close to each other
 that every line to a point of it lies within a grid cell of one of them; only what is higher on all
 of that strip blocks it.  So a cell is never called hidden that is not.  What passes within two grid
-cells of a ridge may count as seen though it is not, which only reports one true height more.  The
-curvature of the earth is left out: height in the local frame over horizontal distance.
+cells of a ridge may count as seen though it is not, which only reports one true height more.
+Lines are straight over a sphere: of a line between altitudes that differ by z, over a distance d,
+a share s of the way is s (1 - s) (d^2 + 2 z^2) / 2 R_e lower than over a plane.  The air bends
+nothing.
 """
 
 import math
@@ -22,7 +24,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.geodesy import EARTH_RADIUS_M, LocalFrame
 from vehicle_sim.terrain import FloatArray, Terrain
 
 BLOCK_CELLS = 4
@@ -371,8 +373,9 @@ class _Lines:
         line_m = self._heights_m(share[middle, None], every)
         blocked = np.logical_or.reduce(lowest_amsl_m[rows, columns] > line_m)
         ends_m = [self._heights_m(share[end, None], every) for end in (first, last)]
+        dip_m = 0.25 * (share[last] - share[first])[:, None] ** 2 * self._sags_m(every)
         near_amsl_m = grid.highest_near_amsl_m[rows // _CHUNK, columns // _CHUNK]
-        chunk, line = np.nonzero((near_amsl_m > np.minimum(*ends_m)) & ~blocked)
+        chunk, line = np.nonzero((near_amsl_m > np.minimum(*ends_m) - dip_m) & ~blocked)
         sample = np.minimum(first[chunk] + np.arange(_CHUNK)[:, None], len(share) - 1)
         rows, columns = self._cells(grid, share[sample], line)
         is_under = lowest_amsl_m[rows, columns] > self._heights_m(share[sample], line)
@@ -396,7 +399,14 @@ class _Lines:
 
     def _heights_m(self, share: FloatArray, line: NDArray[np.intp]) -> FloatArray:
         """Height of these lines at these shares of the way.  (S, L), (L,) -> (S, L)."""
-        return self.eye[2] + share * (self.top_amsl_m[line] - self.eye[2])
+        rise_m = self.top_amsl_m[line] - self.eye[2]
+        return self.eye[2] + share * (rise_m - (1.0 - share) * self._sags_m(line))
+
+    def _sags_m(self, line: NDArray[np.intp]) -> FloatArray:
+        """Four times what the middles of these lines are lower than over a plane.  (L,) -> (L,)."""
+        rise_m = self.top_amsl_m[line] - self.eye[2]
+        square_m2 = (self.offset_ne_m[line] ** 2).sum(axis=1) + 2.0 * rise_m**2
+        return square_m2 / (2.0 * EARTH_RADIUS_M)
 
 
 def _of_nine(best: np.ufunc, cells: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 _sender = lru_cache(maxsize=64)(Sender)
 """The same few speak all the time."""
 _DEFLECTION = 1000.0
+_TEXT_BYTES = 50
 _NO_DEFLECTION = 0x7FFF
 
 
@@ -134,9 +135,22 @@ def ack(value: Ack) -> Prepared:
     )
 
 
-def text(value: Text) -> Prepared:
-    """STATUSTEXT; what does not fit is cut off."""
-    return make("STATUSTEXT", severity=value.severity, text=value.text.encode("ascii", "replace"))
+def texts(value: Text, number: int) -> list[Prepared]:
+    """STATUSTEXT; what does not fit into one goes on in chunks of this number, to a zero byte."""
+    said, severity = value.text.encode("ascii", "replace"), value.severity
+    if len(said) <= _TEXT_BYTES:
+        return [make("STATUSTEXT", severity=severity, text=said)]
+    starts = range(0, len(said) + 1, _TEXT_BYTES)
+    return [
+        make(
+            "STATUSTEXT",
+            severity=severity,
+            text=said[start : start + _TEXT_BYTES],
+            id=number,
+            chunk_seq=k,
+        )
+        for k, start in enumerate(starts)
+    ]
 
 
 def event(value: Event, sequence: int, boot_ms: int) -> Prepared:

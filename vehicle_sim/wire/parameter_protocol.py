@@ -22,7 +22,6 @@ _UNASKED = 65535
 _HASH = "_HASH_CHECK"
 _UINT32 = 5
 """MAV_PARAM_TYPE of the hash."""
-_WHOLE_RANGE = {Kind.INT8: 2**7, Kind.INT16: 2**15, Kind.INT32: 2**31}
 
 
 @final
@@ -153,8 +152,8 @@ class ParameterProtocol:
             return []
         elif kind is not Kind.REAL32:
             # cut off after adding 0.01 (AP_Param::set_float), and within the type's range
-            most = _WHOLE_RANGE[kind]
-            value = math.trunc(min(max(value + math.copysign(0.01, value), -most), most - 1))
+            least, most = kind.range
+            value = math.trunc(min(max(value + math.copysign(0.01, value), least), most))
         self._parameters[name] = value
         return [SendMessage(message=self.value(name)), *self._autopilot.on_parameter(name)]
 

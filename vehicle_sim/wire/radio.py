@@ -38,6 +38,7 @@ class Radio:
         self,
         *,
         system: int,
+        component: int = AUTOPILOT_COMPONENT,
         radar_component: int | None,
         lidar_component: int | None = None,
         profile: FirmwareProfile,
@@ -48,23 +49,10 @@ class Radio:
     ) -> None:
         self.links = range(links)
         self.signing = None if profile.firmware == "px4" else Signing(links=links)
-        self.router = Router(
-            system=system,
-            radar=radar_component,
-            lidar=lidar_component,
-            firmware=profile.firmware,
-        )
-        self._system = system
+        self._firmware = profile.firmware
+        self._beside = (radar_component, lidar_component)
+        self._address(system, component)
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
-        self._packers: dict[tuple[int, ...], Packer] = {
-            (link, component): Packer(system, component)
-            for link in self.links
-            for component in (AUTOPILOT_COMPONENT, radar_component, lidar_component)
-            if component is not None
-        }
-        if self.signing is not None:
-            for key, packer in self._packers.items():
-                packer.signer = self.signing.signer(key[0])
         self._in = [Impairments(rng, link=link, to_vehicle=True) for link in self.links]
         self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
         self._after = [StreamParser(datagrams=True) for _ in self.links]
@@ -75,6 +63,28 @@ class Radio:
         self._past: list[tuple[int, bytes]] = []
         self._question: tuple[int, bytes] | None = None
         self._forwards_all = forwards_all
+
+    def _address(self, system: int, component: int) -> None:
+        """As whom the vehicle speaks, and what is for it."""
+        radar, lidar = self._beside
+        self._system, self._component = system, component
+        self.router = Router(
+            system=system, component=component, radar=radar, lidar=lidar, firmware=self._firmware
+        )
+        self._packers: dict[tuple[int, ...], Packer] = {
+            (link, each): Packer(system, each)
+            for link in self.links
+            for each in (component, radar, lidar)
+            if each is not None
+        }
+        if self.signing is not None:
+            for key, packer in self._packers.items():
+                packer.signer = self.signing.signer(key[0])
+
+    def boot_as(self, system: int, component: int) -> None:
+        """The autopilot has booted with these ids, and its radar and lidar with it."""
+        if (system, component) != (self._system, self._component):
+            self._address(system, component)
 
     def restart(self) -> None:
         """The autopilot boots: routes are forgotten; the signing key is not."""
@@ -134,9 +144,10 @@ class Radio:
 
     # --- out ----------------------------------------------------------------------------------
 
-    def send(self, message: Any, link: int, component: int = AUTOPILOT_COMPONENT) -> None:
-        """Queue a message of one of the vehicle's components."""
-        self._outbox.append((link, self._packers[link, component].frame(message)))
+    def send(self, message: Any, link: int, component: int | None = None) -> None:
+        """Queue a message of one of the vehicle's components; None: of the autopilot."""
+        by = self._component if component is None else component
+        self._outbox.append((link, self._packers[link, by].frame(message)))
 
     def send_back(self, received: Received) -> None:
         """Send a client its own frame."""
@@ -149,14 +160,14 @@ class Radio:
             packer = self._packers.setdefault(key, Packer(system, component))
             self._outbox.append((link, packer.frame(message)))
 
-    def broadcast(self, message: Any, component: int = AUTOPILOT_COMPONENT) -> None:
+    def broadcast(self, message: Any, component: int | None = None) -> None:
         """The same, on every link."""
         for link in self.links:
             self.send(message, link, component)
 
     def send_last(self, message: Any, link: int) -> None:
         """Queue a question of lockstep: after all else, and past what is wrong with the link."""
-        self._question = (link, self._packers[link, AUTOPILOT_COMPONENT].frame(message))
+        self._question = (link, self._packers[link, self._component].frame(message))
         self._past.append(self._question)
 
     def send_last_again(self) -> None:

@@ -32,6 +32,7 @@ FORGOTTEN_US = 60_000
 request, acknowledged all the same, has set (ardupilot.md 0, fact 10: 40 ms after the first byte,
 which comes 20 ms after the start)."""
 NEVER_US = 1 << 62
+_HEARTBEAT = 0
 _LONGEST_US, _SHORTEST_US = 60_000_000, 1_000
 """Of an interval on ArduPilot (GCS_Common.cpp: kept in 16 bits of milliseconds)."""
 
@@ -47,11 +48,19 @@ class Streams:
         self._is_px4 = profile.firmware == "px4"
         self._intervals_us: dict[tuple[int, int], int] = {}
         """By link and message number; what is not in it is not sent."""
+        self._usual_us: dict[tuple[int, int], int] = {}
+        """By link and message number, where parameters ask for another default."""
         self._due: list[tuple[int, int, int]] = []
         """A heap of time, message number and link.  Changed entries are rebuilt."""
         self._booted_us: int | None = None
 
     # --- time ---------------------------------------------------------------------------------
+
+    def set_default(self, link: int, group: int, rate_hz: float) -> None:
+        """The default rate of a group of REQUEST_DATA_STREAM on a link that is not open yet."""
+        interval_us = round(1e6 / rate_hz) if rate_hz > 0.0 else 0
+        for number in self._style.data_streams.get(group, ()):
+            self._usual_us[link, number] = interval_us
 
     def open(self, link: int, now_us: int) -> None:
         """A fresh link: it gets what it has not asked for, at the default rates.
@@ -60,8 +69,20 @@ class Streams:
         """
         self._booted_us = now_us if self._booted_us is None else self._booted_us
         self._intervals_us = {key: us for key, us in self._intervals_us.items() if key[0] != link}
-        fresh = {number: self._default_us(number) for number in self._style.rates_hz}
+        usual = {number for on, number in self._usual_us if on == link}
+        fresh = {n: self._default_us(link, n) for n in usual.union(self._style.rates_hz)}
         self._set(link, fresh, now_us)
+        first_us = self._booted_us + self._style.first_heartbeat_us
+        self._due = [
+            (first_us if (number, on) == (_HEARTBEAT, link) else due_us, number, on)
+            for due_us, number, on in self._due
+        ]
+        heapq.heapify(self._due)
+        self.soonest_us = self._due[0][0] if self._due else NEVER_US
+
+    def begin(self) -> None:
+        """Something has been sent: what is asked for from now on is kept."""
+        self._booted_us = None
 
     def due(self, now_us: int) -> list[tuple[int, int]]:
         """Link and message number of what is due, oldest first; each at most once."""
@@ -108,10 +129,11 @@ class Streams:
         if known not in self._style.streamable:
             text = Text(severity=6, text=f"No ap_message for mavlink id ({known})")
             return [refused] if self._is_px4 else [text, refused]
-        wanted_us = self._wanted_us(known, interval_us)
+        wanted_us = self._wanted_us(command.sender.link, known, interval_us)
         if wanted_us is None:
             return [_ack(command, Result.FAILED)]
-        if self._is_px4 or now_us - (self._booted_us or 0) >= FORGOTTEN_US:
+        began_us = self._booted_us
+        if self._is_px4 or began_us is None or now_us - began_us >= FORGOTTEN_US:
             self._set(command.sender.link, {known: wanted_us}, now_us)
         return [_ack(command, Result.ACCEPTED)]
 
@@ -121,17 +143,17 @@ class Streams:
             return rest[0] != 0
         return any(not math.isnan(value) and abs(value) >= 0.5 for value in (*rest[:2], rest[4]))
 
-    def _wanted_us(self, number: int, interval_us: float) -> int | None:
+    def _wanted_us(self, link: int, number: int, interval_us: float) -> int | None:
         """The interval that is meant; 0 is none at all, None is an error."""
         if not math.isfinite(interval_us):
             return None
         if self._is_px4:
             if abs(interval_us) < 1e-5:
-                return self._default_us(number)
+                return self._default_us(link, number)
             return max(1, round(interval_us)) if interval_us > 0 else 0
         whole_us = int(interval_us)
         if whole_us == 0:
-            return self._default_us(number)
+            return self._default_us(link, number)
         if whole_us == -1:
             return 0
         return min(max(whole_us // 1000 * 1000, _SHORTEST_US), _LONGEST_US)
@@ -156,9 +178,9 @@ class Streams:
 
     # --- the table ----------------------------------------------------------------------------
 
-    def _default_us(self, number: int) -> int:
+    def _default_us(self, link: int, number: int) -> int:
         rate_hz = self._style.rates_hz.get(number, 0.0)
-        return round(1e6 / rate_hz) if rate_hz else 0
+        return self._usual_us.get((link, number), round(1e6 / rate_hz) if rate_hz else 0)
 
     def _set(self, link: int, wanted_us: Mapping[int, int], now_us: int) -> None:
         """Intervals by message number, 0 for none: each is first due one interval from now.

@@ -10,8 +10,8 @@ from typing import Final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Report
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded, degrees_e7
 from vehicle_sim.wire.telemetry import (
@@ -126,7 +126,7 @@ def _home_ned_m(report: Report) -> tuple[float, float, float]:
     if home is None or origin is None:
         return _NAN, _NAN, _NAN
     north_deg = home.latitude_deg - origin.latitude_deg
-    east_deg = home.longitude_deg - origin.longitude_deg
+    east_deg = degrees_east(origin.longitude_deg, home.longitude_deg)
     return (
         north_deg * ARDUPILOT_M_PER_DEG,
         east_deg * ARDUPILOT_M_PER_DEG * math.cos(math.radians(origin.latitude_deg)),
@@ -175,7 +175,7 @@ def _wind(report: Report) -> tuple[float, float]:
 def _terrain_wanted(report: Report) -> tuple[int, int]:
     """The grid about home, which it remembers."""
     home = report.autopilot.home or report.vehicle
-    return degrees_e7(home.latitude_deg - 0.0115), degrees_e7(home.longitude_deg - 0.0104)
+    return degrees_e7(home.latitude_deg - 0.0115), degrees_e7(around(home.longitude_deg - 0.0104))
 
 
 # --- sensors and the board ------------------------------------------------------------------------

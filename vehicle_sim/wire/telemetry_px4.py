@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Landed, Report
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, standard_mode
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded
 from vehicle_sim.wire.telemetry import (

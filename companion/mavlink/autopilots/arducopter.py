@@ -12,7 +12,7 @@ from companion.geodesy import LocalFrame
 from companion.mavlink import parameter_checks as check
 from companion.mavlink.autopilots import ardupilot, messages
 from companion.mavlink.autopilots.common import Autopilot, LaunchPose
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.parameter_checks import CENTI, ESSENTIAL, WANTED, Alias, Rule
 from companion.mission.events import Mode, TakeOff
 from companion.mission.mission import Mission
@@ -88,7 +88,9 @@ def _guided_options(value: float, case: check.CheckContext) -> check.ParameterIs
 def _by_its_own_lidar(mission: Mission) -> bool:
     """Whether the sensor of near things is one of the autopilot."""
     near = mission.near
-    return near is not None and near.kind == "distance_sensor"
+    if near is None or near.component_id != AUTOPILOT_COMPONENT:
+        return False
+    return near.kind == "distance_sensor"
 
 
 _AT_TAKE_OFF: Final = (
@@ -107,6 +109,26 @@ _ITS_OWN_WAY: Final = check.when(
     lambda value, _: value,
     "with the lidar and GUID_OPTIONS 64 it flies ways of its own",
     "Set it to 0, then reboot",
+)
+_SF45B: Final = 8
+_TURNING_LIDARS: Final = (5, _SF45B, 15)
+"""RPLidar, SF45B, LD06: of the silence of others nothing is known."""
+_LOOKS_ROUND: Final = check.when(
+    lambda value, case: _by_its_own_lidar(case.mission) and value not in _TURNING_LIDARS,
+    "what it does not tell of is taken for clear, and not each of its sectors is looked at",
+    'Use a lidar that turns; of a driver on MAVLink read scanner.kind = "obstacle_distance"',
+    severity=check.Severity.REFUSE,
+)
+_NOT_BEHIND: Final = check.when(
+    lambda value, case: _by_its_own_lidar(case.mission) and value == _SF45B,
+    "it swings by 170 degrees to either side, and does not look straight behind",
+    "Leave vehicle.yaw_deg out, so that the nose points along the path",
+)
+_IGNORES: Final = check.when(
+    lambda value, case: _by_its_own_lidar(case.mission) and value > 0.0,
+    "what it does not tell of is taken for clear, and so many degrees are ignored",
+    "Set it to 0, and raise scanner.blind_m over parts of the vehicle",
+    severity=check.Severity.REFUSE,
 )
 _RULES: Final = (
     Rule("GUID_TIMEOUT", "how long it flies on without setpoints", (_guid_timeout,), ESSENTIAL),
@@ -171,6 +193,11 @@ _RULES: Final = (
     ),
     Rule("AVOID_ENABLE", "its own avoidance of obstacles", (_AVOIDANCE, _ITS_OWN_LIDAR)),
     Rule("OA_TYPE", "its own ways round things", (_ITS_OWN_WAY,), matters=_by_its_own_lidar),
+    Rule("PRX1_TYPE", "what its lidar is", (_LOOKS_ROUND, _NOT_BEHIND), matters=_by_its_own_lidar),
+    *(
+        Rule(f"PRX1_IGN_WID{k}", "what its lidar ignores", (_IGNORES,), matters=_by_its_own_lidar)
+        for k in range(1, 5)
+    ),
     *ardupilot.RULES,
 )
 """ArduCopter.  Of velocity and position the velocity is not limited by WPNAV_SPEED."""

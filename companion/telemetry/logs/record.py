@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Protocol, final
 
 from companion.errors import InputError
-from companion.mavlink.dialect import wire
+from companion.mavlink.dialect import KINDS, wire
+from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
 from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter, LogAnomaly
 from companion.telemetry.logs.needed import Kind, Missing, missing_of
 from companion.telemetry.logs.timeline import Timeline
@@ -54,6 +55,8 @@ class Log:
     """MAV_AUTOPILOT; None: nothing tells."""
     begin: Callable[[AnomalyCounter, set[int]], LogReader]
     """Begin a pass: notes anomalies, and the numbers of the autopilot's messages."""
+    elsewhere: frozenset[tuple[int, int]] = frozenset()
+    """System and component of what sends an autopilot's heartbeat and is not component 1."""
     read_bytes: int = 0
     """How far `records` has come."""
     _findings: AnomalyCounter = field(default_factory=AnomalyCounter)
@@ -66,7 +69,7 @@ class Log:
 
     def missing(self) -> tuple[Missing, ...]:
         """What the companion listens to and never came; once `records` has come to the end."""
-        names = {wire.mavlink_map[each].msgname for each in self._heard if each in wire.mavlink_map}
+        names = {KINDS[each].msgname for each in self._heard if each in wire.mavlink_map}
         return missing_of(self.kind, self.autopilot, names)
 
     def records(self) -> Iterator[Record]:
@@ -87,12 +90,20 @@ class Log:
                 findings.note(Anomaly.UNREADABLE, byte, reading.timeline.now_us)
 
 
-def chosen(path: Path, systems: tuple[int, ...], asked: int | None) -> int | None:
-    """The selected vehicle; InputError if it is ambiguous."""
+def chosen(
+    path: Path,
+    systems: tuple[int, ...],
+    asked: int | None,
+    elsewhere: frozenset[tuple[int, int]] = frozenset(),
+) -> int | None:
+    """The selected vehicle; InputError if it is ambiguous.  elsewhere: as of `Log`."""
     those = ", ".join(str(each) for each in systems)
     if asked is not None:
         if asked not in systems:
             rule = f"there is no such vehicle in {path.name}"
+            if those_elsewhere := sorted(each for each in elsewhere if each[0] == asked):
+                rule += f": its autopilot is {ids_in_words(those_elsewhere)}, not component 1"
+                raise InputError("--system", asked, rule, TO_COMPONENT_1)
             there = f"There is system {those}" if len(systems) == 1 else f"There are {those}"
             none = "There is no autopilot's heartbeat in it: leave --system out"
             raise InputError("--system", asked, rule, f"{there if systems else none}.")

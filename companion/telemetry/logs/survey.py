@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, final
 
-from companion.mavlink.dialect import wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
 from companion.mavlink.frames import LONGEST, intact_end, payload_of, sender_of
 from companion.telemetry.logs.search import STAMP_BYTES, find_intact
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, earliest
@@ -16,9 +16,9 @@ from companion.telemetry.logs.window import Window
 _SAMPLE: Final = 200
 """Frames that tell what the stamps are."""
 _HEARTBEAT = re.compile(
-    rb"\xfd[\x06-\x09][\x00\x01]..[^\x00]\x01\x00\x00\x00|\xfe\x09.[^\x00]\x01\x00", re.DOTALL
+    rb"\xfd[\x06-\x09][\x00\x01]..[^\x00].\x00\x00\x00|\xfe\x09.[^\x00].\x00", re.DOTALL
 )
-"""Of component 1, as autopilots are, in either protocol."""
+"""Of any component, in either protocol."""
 _SYSTEM_TIME = re.compile(
     rb"\xfd[\x07-\x0c][\x00\x01]..[^\x00]\x01\x02\x00\x00|\xfe\x0c.[^\x00]\x01\x02", re.DOTALL
 )
@@ -58,7 +58,9 @@ class Survey:
     """Result of the first pass."""
 
     autopilots: dict[int, int]
-    """System id -> MAV_AUTOPILOT, of all that send an autopilot's heartbeat."""
+    """System id -> MAV_AUTOPILOT, of all that send an autopilot's heartbeat, as component 1."""
+    elsewhere: frozenset[tuple[int, int]]
+    """System and component of what sends one as another component."""
     stamps: Stamps
     start_us: int
     """The earliest time of the log, microseconds since 1970, or since boot."""
@@ -75,8 +77,13 @@ def survey(path: Path) -> Survey | None:
     if stamps in (Stamps.NONE, Stamps.SENSELESS):
         boot_us = _boot_us(path)
         start_us = boot_us or 0
+    autopilots, elsewhere = _autopilots_of(path)
     return Survey(
-        autopilots=_autopilots_of(path), stamps=stamps, start_us=start_us, boot_us=boot_us
+        autopilots=autopilots,
+        elsewhere=elsewhere,
+        stamps=stamps,
+        start_us=start_us,
+        boot_us=boot_us,
     )
 
 
@@ -110,14 +117,18 @@ def _is_date(time_us: int) -> bool:
     return YEAR_2000_US <= time_us < YEAR_2100_US
 
 
-def _autopilots_of(path: Path) -> dict[int, int]:
-    """System id -> MAV_AUTOPILOT of who sends an autopilot's heartbeat, anywhere in the file."""
-    found: dict[int, int] = {}
+def _autopilots_of(path: Path) -> tuple[dict[int, int], frozenset[tuple[int, int]]]:
+    """As `Survey.autopilots` and `elsewhere`, anywhere in the file."""
+    found, elsewhere = dict[int, int](), set[tuple[int, int]]()
     for frame in _frames(path, _HEARTBEAT):
         payload = payload_of(frame, 9)
         if payload[4] not in _NO_AUTOPILOTS and payload[5] != wire.MAV_AUTOPILOT_INVALID:
-            found.setdefault(sender_of(frame)[0], payload[5])
-    return found
+            system, component = sender_of(frame)
+            if component == AUTOPILOT_COMPONENT:
+                found.setdefault(system, payload[5])
+            else:
+                elsewhere.add((system, component))
+    return found, frozenset(elsewhere)
 
 
 def _boot_us(path: Path) -> int | None:

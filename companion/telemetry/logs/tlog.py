@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple, final
 
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS
 from companion.mavlink.frames import LONGEST, V1, V2, boot_ms_of, frame_extent, intact_end
 from companion.mavlink.signing import SECRETS, is_signed
 from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
@@ -43,7 +43,7 @@ def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
     if looked is None:
         return None
     systems = tuple(sorted(looked.autopilots))
-    vehicle = chosen(path, systems, system_id)
+    vehicle = chosen(path, systems, system_id, looked.elsewhere)
     return Log(
         kind="tlog",
         path=path,
@@ -52,6 +52,7 @@ def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
         system_id=vehicle,
         autopilot=looked.autopilots.get(vehicle or 0),
         begin=partial(_TlogReader, looked, vehicle),
+        elsewhere=looked.elsewhere,
     )
 
 
@@ -193,7 +194,7 @@ class _TlogReader:
         if whole:
             last, following = end == len(data), end + self._stamp_bytes
             place = (window.base + begin, window.base + end)
-            if number not in wire.mavlink_map:
+            if number not in KINDS:
                 if last or _may_begin(data, following):
                     return _Found(*place, known=False)
             elif last or intact_end(data, following):

@@ -113,6 +113,7 @@ class ArduCopter(ArduPilot):
     PREARM_US: ClassVar[int] = 23_300_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = False
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    CRASH_TEXT: ClassVar[str] = "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0"
 
     def boot(self) -> Sequence[Due]:
         """With the pressure of the ground."""
@@ -220,9 +221,10 @@ class ArduCopter(ArduPilot):
         return self._go_home_or_land(land=action in (1, 4))
 
     def on_fence_breach(self, action: int) -> None:
-        """1: return, or land; 2: land."""
-        if action != 0:
-            self._go_home_or_land(land=action == 2)
+        """1: return, or land; 2: land; 4: brake, or land; 3 and 5 try SMARTRTL first, as RTL."""
+        brakes = action == 4 and not self.landed
+        if action != 0 and not (brakes and self.set_mode(Mode.BRAKE)):
+            self._go_home_or_land(land=action in (2, 4))
 
     def _go_home_or_land(self, *, land: bool) -> None:
         if self.landed:
@@ -230,6 +232,16 @@ class ArduCopter(ArduPilot):
         elif land or not self.set_mode(Mode.RTL):
             self.set_mode(Mode.LAND)
             self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
+
+    @property
+    def lands(self) -> bool:
+        """In LAND, at the end of RTL, and where AUTO lands."""
+        return self.flight.landing
+
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something."""
+        self.flight.crash()
+        return super().crash()
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: LOITER."""

@@ -80,6 +80,7 @@ class ArduPlane(ArduPilot):
     PREARM_US: ClassVar[int] = 22_800_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = True
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
+    CRASH_TEXT: ClassVar[str] = "Crash detected"
 
     def boot(self) -> Sequence[Due]:
         """The same everywhere."""
@@ -167,6 +168,16 @@ class ArduPlane(ArduPilot):
             return "cannot be chosen"
         self._flight.enter(Mode(mode))
         return None
+
+    @property
+    def lands(self) -> bool:
+        """Where AUTO does."""
+        return self.mode == Mode.AUTO and self._flight.mission.lands
+
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something."""
+        self._flight.crashed = True
+        return super().crash()
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: a pilot flies by FBWA."""

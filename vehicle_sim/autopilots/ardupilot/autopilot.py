@@ -75,6 +75,7 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
         capabilities=capabilities,
         software_version=67567616,
         custom_version=CUSTOM_VERSION,
+        first_heartbeat_us=900_000,  # ardupilot.md 1
         rates_hz=rates_hz,
         streamable=STREAMABLE,
         requestable=REQUESTABLE,
@@ -86,6 +87,8 @@ Due = tuple[int, Reply | tuple[str, float]]
 """When since boot, and what: something to say, or a parameter that changes and is said."""
 
 _RPLIDAR_A2 = 5
+_ONLY_WHEN_ARMED = 3.0
+"""FENCE_AUTOENABLE, whose other values 4.7 does not have."""
 SLOW_US = 100_000
 FIRST_STATISTICS_US, STATISTICS_US = 30_440_000, 31_010_000
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
@@ -120,6 +123,7 @@ class ArduPilot(abc.ABC):
     """Until there is a home, heights are above where it started."""
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
+    CRASH_TEXT: ClassVar[str]
 
     def __init__(
         self,
@@ -344,16 +348,27 @@ class ArduPilot(abc.ABC):
 
     def _check_fence(self) -> None:
         if not self.fence.enabled or self.home is None:
+            self.fence.has_floor = False
             return
-        if not self.armed or self.landed or not self.ekf.position_ok:
+        if not self.armed or self.landed:
+            self.fence.forget()
+            return
+        if not self.ekf.position_ok:
             self.fence.breached = 0
             return
+        if self.fence.raises_floor(self.estimate.place, self.home, lands=self.lands):
+            self.send_text(5, "Min Alt fence enabled (auto enable)")
         new = self.fence.check(self.estimate.place, self.home, self.now_us)
         if new and self.now_us >= self._fence_left_alone_us:
             names = [name for bit, name in NAMES.items() if new & bit]
             joined = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
             self.send_text(5, f"{joined} fence{'s' if len(names) > 1 else ''} breached")
             self.on_fence_breach(int(self.parameters["FENCE_ACTION"]))
+
+    @property
+    @abc.abstractmethod
+    def lands(self) -> bool:
+        """Whether it comes down to land: the fence has no floor then."""
 
     @abc.abstractmethod
     def on_fence_breach(self, action: int) -> None:
@@ -542,6 +557,8 @@ class ArduPilot(abc.ABC):
             self.send_text(2, f"Arm: {refusal}")
             return Result.FAILED
         self.armed = self._was_armed = True
+        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+            self.fence.enabled = True
         if self.ekf.position_ok:
             self.home = self.estimate.place
         self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
@@ -569,12 +586,15 @@ class ArduPilot(abc.ABC):
     def disarm(self) -> None:
         """Stop the motors, wherever it is."""
         self.armed = False
+        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+            self.fence.enabled = False
         self.ekf.to_first_lane()
 
     def crash(self) -> Sequence[Reply]:
         """It has hit something."""
-        self.send_text(0, "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0")
-        self.disarm()
+        if self.armed:
+            self.send_text(0, self.CRASH_TEXT)
+            self.disarm()
         return self._taken()
 
     # --- the rest of the protocol -----------------------------------------------------------------

@@ -10,7 +10,8 @@ from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, Tuning, sqrt_controller
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, bearing_rad, distance_m, offset
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import DO_JUMP, Jumps, PlanItem, PlanKind
 

@@ -17,7 +17,7 @@ from typing import final
 from vehicle_sim.autopilots import Estimate
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 
 POSITION_P, VELOCITY_P, VELOCITY_I, VELOCITY_D = 1.0, 2.0, 1.0, 0.25
 """PSC_POSXY_P, PSC_VELXY_P, _I, _D."""
@@ -138,7 +138,7 @@ class PositionControl:
         limited_n, limited_e = self._limited_north, self._limited_east
         if limited_n or limited_e:
             error_n = (self.latitude_deg - estimate.latitude_deg) * metres_north
-            error_e = (self.longitude_deg - estimate.longitude_deg) * metres_east
+            error_e = degrees_east(estimate.longitude_deg, self.longitude_deg) * metres_east
             if (
                 move_n * limited_n + move_e * limited_e > 0.0
                 and error_n * limited_n + error_e * limited_e > 0.0
@@ -151,7 +151,7 @@ class PositionControl:
             ):
                 a_n = a_e = 0.0
         self.latitude_deg += move_n / metres_north
-        self.longitude_deg += move_e / metres_east
+        self.longitude_deg = around(self.longitude_deg + move_e / metres_east)
         self.velocity_north += a_n * dt_s
         self.velocity_east += a_e * dt_s
 
@@ -205,7 +205,7 @@ class PositionControl:
         """Shape towards a place that moves like this; the way there no faster than this speed."""
         tuning = self.tuning
         north_m = (latitude_deg - self.latitude_deg) * self._metres_north
-        east_m = (longitude_deg - self.longitude_deg) * self._metres_east
+        east_m = degrees_east(self.longitude_deg, longitude_deg) * self._metres_east
         distance_m = math.sqrt(north_m * north_m + east_m * east_m)
         v_n, v_e = velocity
         if distance_m > 1e-6:
@@ -222,7 +222,7 @@ class PositionControl:
     ) -> None:
         """Steer for a place that does not move: the climb and the way there in proportion."""
         north_m = (latitude_deg - self.latitude_deg) * self._metres_north
-        east_m = (longitude_deg - self.longitude_deg) * self._metres_east
+        east_m = degrees_east(self.longitude_deg, longitude_deg) * self._metres_east
         level_m = math.sqrt(north_m * north_m + east_m * east_m)
         up_m = altitude_amsl_m - self.altitude_amsl_m
         speed_m_s, most_up = self.speed_m_s, self.speed_up_m_s
@@ -270,7 +270,7 @@ class PositionControl:
         """Acceleration north, east and up that lean and thrust give, one step on."""
         e, most = self.estimate, self.tuning.lean_m_s2
         error_n = (self.latitude_deg - e.latitude_deg) * self._metres_north
-        error_e = (self.longitude_deg - e.longitude_deg) * self._metres_east
+        error_e = degrees_east(e.longitude_deg, self.longitude_deg) * self._metres_east
         size = math.sqrt(error_n * error_n + error_e * error_e)
         if size > 1e-9:
             accel = self.tuning.acceleration_m_s2

@@ -53,7 +53,6 @@ DISARMED_AFTER_US = 505_000
 FAILSAFE_PAUSE_US = 4_000_000
 """LAND_WITH_DELAY_MS."""
 BRAKE_M_S2 = 7.5
-CRASH_M_S = 3.0
 FALL_1_S = 4.0
 
 
@@ -214,19 +213,18 @@ class Flight:
         """Come to rest on the terrain, or in it."""
         copter, host = self.copter, self.host
         sinking = -copter.velocity_up_m_s
-        speed = math.hypot(copter.velocity_north_m_s, copter.velocity_east_m_s, sinking)
         copter.stand(ground_amsl_m)
         self.on_ground = True
         self.abandon_takeoff()
         self.control.rest()
         host.send_text(6, f"SIM Hit ground at {sinking:f} m/s")
-        if speed > CRASH_M_S:
-            host.landed = True
-            if host.armed:
-                host.send_text(0, "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0")
-                host.disarm()
-        else:
-            self._touched_us = host.now_us
+        self._touched_us = host.now_us
+
+    def crash(self) -> None:
+        """Who lies on the ground need not wait to believe it."""
+        if self.on_ground:
+            self._touched_us = None
+            self.host.landed = True
 
     # --- modes ----------------------------------------------------------------------------------
 

@@ -17,8 +17,8 @@ from vehicle_sim.autopilots import (
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, flat_earth_place, offset
 from vehicle_sim.autopilots.attitude import Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
-from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 
 # --- How ArduCopter reads SET_POSITION_TARGET: masks, frames, and what it calls "stop" ------------
 # Measured on ArduCopter 4.7 (ardupilot.md 3): any single ignored axis drops its whole group, bits
@@ -223,7 +223,7 @@ class Tracker:
         estimate, tuning = self._control.estimate, self._control.tuning
         metres_north, metres_east = metres_per_degree(estimate.latitude_deg)
         north_m = (guided.latitude_deg - estimate.latitude_deg) * metres_north
-        east_m = (guided.longitude_deg - estimate.longitude_deg) * metres_east
+        east_m = degrees_east(estimate.longitude_deg, guided.longitude_deg) * metres_east
         up_m = guided.altitude_amsl_m - estimate.altitude_amsl_m
         north, east = north_m * KP_1_S2, east_m * KP_1_S2
         square, most = north * north + east * east, KV_1_S * tuning.speed_m_s
@@ -381,7 +381,8 @@ class Guided:
             metres_north, metres_east = metres_per_degree(self.latitude_deg)
             half = 0.5 * dt_s * dt_s
             self.latitude_deg += (north * dt_s + a_n * half) / metres_north
-            self.longitude_deg += (east * dt_s + a_e * half) / metres_east
+            moved_deg = (east * dt_s + a_e * half) / metres_east
+            self.longitude_deg = around(self.longitude_deg + moved_deg)
             self.altitude_amsl_m += up * dt_s + a_u * half
         if submode is not Submode.ACCELERATION:
             self.velocity = (north + a_n * dt_s, east + a_e * dt_s, up + a_u * dt_s)

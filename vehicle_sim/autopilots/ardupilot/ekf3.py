@@ -16,7 +16,7 @@ import numpy as np
 from vehicle_sim.autopilots import Estimate, Place, Reply, Text
 from vehicle_sim.autopilots.ardupilot.flat_earth import offset
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 from vehicle_sim.sensors.gps import Fix
 
 UNINITIALISED, NOTHING_YET = 0x400, 0x000
@@ -93,7 +93,6 @@ class Ekf3:
         self._accepted_us = 0
         self._lanes: list[tuple[int, int]] = []
         self._aided_before = False
-        self._timed_out = False
         self._error_deg = 0j
         """North + east j, as all horizontal vectors here."""
         self._bias_m = 0j
@@ -106,7 +105,7 @@ class Ekf3:
     @property
     def position_ok(self) -> bool:
         """Whether there is a horizontal position that may be flown by."""
-        return self.aiding and not self._timed_out
+        return self.estimate.position_ok
 
     # --- each step --------------------------------------------------------------------------------
 
@@ -136,7 +135,7 @@ class Ekf3:
         e.velocity_up_m_s = vehicle.velocity_up_m_s
         if self.aiding:
             e.latitude_deg = vehicle.latitude_deg + self._error_deg.real
-            e.longitude_deg = vehicle.longitude_deg + self._error_deg.imag
+            e.longitude_deg = around(vehicle.longitude_deg + self._error_deg.imag)
             e.velocity_north_m_s = vehicle.velocity_north_m_s
             e.velocity_east_m_s = vehicle.velocity_east_m_s
         elif self.origin is None and self._fix_since_us is None:
@@ -188,7 +187,7 @@ class Ekf3:
         metres_north, metres_east = metres_per_degree(vehicle.latitude_deg)
         error_deg = self._error_deg
         north_deg = fix.latitude_deg - vehicle.latitude_deg - error_deg.real
-        east_deg = math.remainder(fix.longitude_deg - vehicle.longitude_deg - error_deg.imag, 360.0)
+        east_deg = degrees_east(vehicle.longitude_deg + error_deg.imag, fix.longitude_deg)
         # half of what the velocity changed by since, since the fix is of a moment ago
         north_m_s = vehicle.velocity_north_m_s - 0.5 * LATENCY_S * vehicle.acceleration_north_m_s2
         east_m_s = vehicle.velocity_east_m_s - 0.5 * LATENCY_S * vehicle.acceleration_east_m_s2
@@ -200,8 +199,8 @@ class Ekf3:
             self._rejected_since_us = None
             self._accepted_us = now_us
             self._lanes.clear()
-        if self._timed_out:
-            self._timed_out = False
+        if not self.estimate.position_ok:
+            self.estimate.position_ok = True
             self.estimate.flags = WITH_GPS
         self._shift(shift_m)
 
@@ -275,8 +274,7 @@ class Ekf3:
             self.estimate.horizontal_variance = 0.0
             for lane in (0, 1):
                 self._say(4, f"EKF3 IMU{lane} stopped aiding")
-        elif since_us >= STEADY_US and not self._timed_out:
-            self._timed_out = True
+        elif since_us >= STEADY_US and self.estimate.position_ok:
             self.estimate.flags = DEAD_RECKONING
             self.estimate.position_ok = False
 
@@ -301,7 +299,6 @@ class Ekf3:
     def _begin_aiding(self, vehicle: Vehicle, fix: Fix) -> None:
         self.aiding = self.began_aiding = True
         self._aided_before = True
-        self._timed_out = False
         self._error_deg = 0j
         self._shift(self._innovation_m(vehicle, fix))
         self.follow(vehicle)

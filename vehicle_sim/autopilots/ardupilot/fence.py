@@ -1,7 +1,7 @@
 """ArduPilot's fence: height, circle about home, polygons and circles, inclusion and exclusion.
 
-Source: ardupilot.md 4.  Margins only affect the avoidance library: a breach means being outside,
-regardless of FENCE_MARGIN.
+Source: ardupilot.md 4.  Margins only affect the avoidance library, and when the floor is switched
+on: a breach means being outside, regardless of FENCE_MARGIN.
 """
 
 import math
@@ -9,7 +9,7 @@ from typing import final
 
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, longitude_scale
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans, Point, Zone, forbidden, zones_of
 
@@ -27,6 +27,13 @@ def _depth_m(circle: Zone, place: Place) -> float:
     return circle.radius_m - distance_m(centre, place)
 
 
+def _in_one_piece(zone: Zone) -> Zone:
+    """Its longitudes counted on from the first corner's, not torn apart at the date line."""
+    first_deg = zone.corners[0][1]
+    corners = tuple((lat, first_deg + degrees_east(first_deg, lon)) for lat, lon in zone.corners)
+    return zone._replace(corners=corners)
+
+
 def edge_m(zone: Zone, place: Place) -> float:
     """Distance to the nearest edge of a zone whose corners are in degrees."""
     if zone.radius_m > 0.0:
@@ -35,7 +42,7 @@ def edge_m(zone: Zone, place: Place) -> float:
     points = [
         (
             (lat - place.latitude_deg) * ARDUPILOT_M_PER_DEG,
-            (lon - place.longitude_deg) * ARDUPILOT_M_PER_DEG * scale,
+            degrees_east(place.longitude_deg, lon) * ARDUPILOT_M_PER_DEG * scale,
         )
         for lat, lon in zone.corners
     ]
@@ -60,20 +67,23 @@ class Fence:
         self._plans = plans
         self._looks_us = 0
         self.zones: tuple[Zone, ...] = ()
-        """Corners in degrees: latitude, longitude."""
+        """Corners in degrees: latitude, longitude, over the date line beyond 180."""
         self.enabled = bool(parameters["FENCE_ENABLE"])
         self.breached = 0
         """Bits of FENCE_TYPE."""
         self.breaches = 0
         self.breach_type = 0
         """FENCE_BREACH: 1 too low, 2 too high, 3 over the edge."""
+        self.has_floor = False
+        """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
+        land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
         self.breach_us = 0
         self.load()
 
     def load(self, now_us: int = 0) -> None:
         """Read the list again; checks pause for a moment."""
         self._looks_us = now_us + _LOADING_US
-        self.zones = zones_of(self._plans[PlanKind.FENCE])
+        self.zones = tuple(_in_one_piece(zone) for zone in zones_of(self._plans[PlanKind.FENCE]))
 
     @property
     def present(self) -> bool:
@@ -89,6 +99,8 @@ class Fence:
         above_m = place.altitude_amsl_m - home.altitude_amsl_m
         if kinds & ALTITUDE_MAX and above_m >= parameters["FENCE_ALT_MAX"]:
             found |= ALTITUDE_MAX
+        if kinds & ALTITUDE_MIN and self.has_floor and above_m <= parameters["FENCE_ALT_MIN"]:
+            found |= ALTITUDE_MIN
         if kinds & CIRCLE and distance_m(home, place) >= parameters["FENCE_RADIUS"]:
             found |= CIRCLE
         if kinds & POLYGON and self._outside_zones(place):
@@ -97,10 +109,13 @@ class Fence:
 
     def _outside_zones(self, place: Place) -> bool:
         """With FENCE_OPTIONS bit 1 one inclusion is enough to be in."""
-        point = (place.latitude_deg, place.longitude_deg)
 
         def inside(zone: Zone) -> bool:
-            return _depth_m(zone, place) > 0.0 if zone.radius_m > 0.0 else zone.surrounds(point)
+            if zone.radius_m > 0.0:
+                return _depth_m(zone, place) > 0.0
+            first_deg = zone.corners[0][1]
+            longitude_deg = first_deg + degrees_east(first_deg, place.longitude_deg)
+            return zone.surrounds((place.latitude_deg, longitude_deg))
 
         union = bool(int(self._parameters["FENCE_OPTIONS"]) & 2)
         return forbidden(self.zones, inside, union=union)
@@ -113,6 +128,19 @@ class Fence:
         if int(self._parameters["FENCE_TYPE"]) & CIRCLE:
             rooms.append(self._parameters["FENCE_RADIUS"] - distance_m(home, place))
         return min(rooms)
+
+    def forget(self) -> None:
+        """It is not in the air."""
+        self.breached, self.has_floor = 0, False
+
+    def raises_floor(self, place: Place, home: Place, *, lands: bool) -> bool:
+        """Whether FENCE_ALT_MIN counts from now on; of one that lands it does not."""
+        parameters, had = self._parameters, self.has_floor
+        above_m = place.altitude_amsl_m - home.altitude_amsl_m
+        safe_m = parameters["FENCE_ALT_MIN"] + parameters["FENCE_MARGIN"]
+        configured = bool(int(parameters["FENCE_TYPE"]) & ALTITUDE_MIN)
+        self.has_floor = configured and not lands and (had or above_m >= safe_m)
+        return self.has_floor and not had
 
     def check(self, place: Place, home: Place | None, now_us: int) -> int:
         """Look where the vehicle is; returns the kinds that are breached since just now."""

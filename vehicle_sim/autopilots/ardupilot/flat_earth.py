@@ -3,7 +3,7 @@
 import math
 
 from vehicle_sim.autopilots import Place
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east
 
 Vector = tuple[float, float, float]
 
@@ -16,7 +16,7 @@ def longitude_scale(latitude_deg: float) -> float:
 def flat_earth_ned_m(origin: Place, place: Place) -> Vector:
     """Position in the estimator's local frame, as ArduPilot computes it."""
     middle_deg = 0.5 * (origin.latitude_deg + place.latitude_deg)
-    east_m = (place.longitude_deg - origin.longitude_deg) * ARDUPILOT_M_PER_DEG
+    east_m = degrees_east(origin.longitude_deg, place.longitude_deg) * ARDUPILOT_M_PER_DEG
     return (
         (place.latitude_deg - origin.latitude_deg) * ARDUPILOT_M_PER_DEG,
         east_m * longitude_scale(middle_deg),
@@ -30,7 +30,7 @@ def flat_earth_place(origin: Place, ned_m: Vector) -> Place:
     scale = longitude_scale(origin.latitude_deg + 0.5 * north_deg)
     return Place(
         origin.latitude_deg + north_deg,
-        origin.longitude_deg + ned_m[1] / (ARDUPILOT_M_PER_DEG * scale),
+        around(origin.longitude_deg + ned_m[1] / (ARDUPILOT_M_PER_DEG * scale)),
         origin.altitude_amsl_m - ned_m[2],
     )
 

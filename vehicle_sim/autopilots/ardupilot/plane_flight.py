@@ -144,7 +144,6 @@ GLIDE_M_S = 2.5
 READY_US = 1_727_000
 """Since boot, until it leaves INITIALISING."""
 BRAKING_M_S2 = -3.0
-CRASH_M_S = 4.0
 
 
 @final
@@ -399,7 +398,9 @@ class Flight:
         most = self._bank_most_rad
         bank = -most if bank < -most else most if bank > most else bank
         mode = host.mode
-        if not host.armed or mode in GLIDES:
+        if plane.broken:
+            plane.fall(dt_s)
+        elif not host.armed or mode in GLIDES:
             self.heights.begin(height_m)
             speed = true_airspeed_m_s(self._demand_m_s, height_m)
             plane.advance(0.0 if mode in GLIDES else bank, -GLIDE_M_S, speed, dt_s)
@@ -512,16 +513,10 @@ class Flight:
 
     def _touch_down(self, ground_amsl_m: float) -> None:
         """Wheels or nose on the ground."""
-        host, plane = self._host, self._plane
-        sink = -plane.velocity_up_m_s
-        plane.touch_down(ground_amsl_m)
-        host.landed = True
+        self._plane.touch_down(ground_amsl_m)
+        self._host.landed = True
         self.takeoff.abandon()
-        self._still_us = host.now_us
-        if not self._flaring and sink > CRASH_M_S:
-            self.crashed = True
-            plane.stand(ground_amsl_m)
-            self._host.send_text(0, "Crash detected")
+        self._still_us = self._host.now_us
 
     @property
     def indicated_m_s(self) -> float:

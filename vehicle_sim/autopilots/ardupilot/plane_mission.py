@@ -11,7 +11,7 @@ from vehicle_sim.autopilots import FRAMES_AMSL, Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import bearing_rad, offset
 from vehicle_sim.autopilots.ardupilot.plane_navigation import Navigation
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import DO_JUMP, Jumps, PlanItem, PlanKind

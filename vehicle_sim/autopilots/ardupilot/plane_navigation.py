@@ -10,9 +10,9 @@ from typing import final
 
 from vehicle_sim.autopilots import Estimate, Place, Waypoint
 from vehicle_sim.autopilots.ardupilot.flat_earth import longitude_scale
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Parameters
 
 # --- ArduPlane's modes: numbers, names, and which of them do what by themselves -------------------
@@ -385,7 +385,7 @@ class Navigation:
         """Where the vehicle is, from there."""
         e = self._estimate
         scale = longitude_scale(0.5 * (origin.latitude_deg + e.latitude_deg))
-        east_deg = math.remainder(e.longitude_deg - origin.longitude_deg, 360.0)
+        east_deg = degrees_east(origin.longitude_deg, e.longitude_deg)
         return (
             (e.latitude_deg - origin.latitude_deg) * ARDUPILOT_M_PER_DEG,
             east_deg * ARDUPILOT_M_PER_DEG * scale,

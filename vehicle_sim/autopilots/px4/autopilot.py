@@ -90,6 +90,7 @@ def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile
         capabilities=CAPABILITIES,
         software_version=SOFTWARE_VERSION,
         custom_version=CUSTOM_VERSION,
+        first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
         streamable=(every | {49, 410}) - _NOT_STREAMABLE - {148, 300},
         requestable=every | frozenset(_ON_EVENT),
@@ -148,6 +149,8 @@ class Px4(abc.ABC):
     ) -> None:
         self.vehicle = vehicle
         self.parameters = Parameters(parameter_rows(*self.TABLES), parameters)
+        self._system = int(self.parameters["MAV_SYS_ID"])
+        """As it has booted; a change counts from the next boot on."""
         self.plans = plans
         self.ekf = Ekf2(vehicle, rng)
         self.estimate = self.ekf.estimate
@@ -359,7 +362,7 @@ class Px4(abc.ABC):
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A heartbeat of another component."""
-        ours = sender.system == int(self.parameters["MAV_SYS_ID"])
+        ours = sender.system == self._system
         self.pilot.hear(vehicle_type, self.now_us, ours=ours)
         return ()
 

@@ -17,7 +17,7 @@ from typing import NamedTuple, final
 
 from vehicle_sim.autopilots import Estimate
 from vehicle_sim.autopilots.px4.setpoints import Vector
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 

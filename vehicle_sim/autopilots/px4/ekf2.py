@@ -12,7 +12,7 @@ import numpy as np
 
 from vehicle_sim.autopilots import Estimate
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 from vehicle_sim.sensors.gps import Fix
 
 FLAGS_NORMAL: Final = 0x37F
@@ -138,7 +138,7 @@ class Ekf2:
             error_m, up_m = error_m + self._held_m, up_m + self._held_up_m
         estimate, rate_m_s = self.estimate, self._rate_m_s
         estimate.latitude_deg = vehicle.latitude_deg + error_m.real / self._metres_north
-        estimate.longitude_deg = vehicle.longitude_deg + error_m.imag / self._metres_east
+        estimate.longitude_deg = around(vehicle.longitude_deg + error_m.imag / self._metres_east)
         estimate.altitude_amsl_m = vehicle.altitude_amsl_m + up_m
         estimate.velocity_north_m_s = vehicle.velocity_north_m_s + rate_m_s.real
         estimate.velocity_east_m_s = vehicle.velocity_east_m_s + rate_m_s.imag
@@ -161,7 +161,7 @@ class Ekf2:
         # Where the receiver says to be, less where the filter says: to be corrected.
         error_m = complex(
             (fix.latitude_deg - vehicle.latitude_deg) * self._metres_north,
-            (fix.longitude_deg - vehicle.longitude_deg) * self._metres_east,
+            degrees_east(vehicle.longitude_deg, fix.longitude_deg) * self._metres_east,
         )
         error_m += complex(fix.velocity_north_m_s, fix.velocity_east_m_s) * lag_s
         up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * lag_s - vehicle.altitude_amsl_m

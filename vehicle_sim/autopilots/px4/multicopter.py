@@ -18,7 +18,8 @@ from vehicle_sim.autopilots.px4.position_control import (
     beyond,
 )
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.dynamics.copter import Copter
 
 _QUADROTOR: Final = 2
 _NAN: Final = math.nan

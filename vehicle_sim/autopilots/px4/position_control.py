@@ -8,7 +8,7 @@ import math
 from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilots.px4.setpoints import Vector
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.parameters import Parameters
 
 _ATTITUDE_S: Final = 0.15

@@ -1,0 +1,186 @@
+"""Somebody says go: a vehicle that is ready waits, and what is not ready does not go."""
+
+from collections.abc import Callable
+
+import pytest
+from made_up import HOME_AMSL_M, Craft, mission, near_target, order_of
+from wild import Wild
+
+from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mission import changes
+from companion.mission.changes import OrderResult
+from companion.mission.decisions import Context
+from companion.mission.events import (
+    Arm,
+    FenceChanged,
+    Item,
+    LinkLost,
+    Mode,
+    OrderKind,
+    Prepared,
+    Rebooted,
+    RequestStreams,
+    SetMode,
+    StatusText,
+    TakeOff,
+    TargetsChanged,
+)
+from companion.mission.state import Phase, Reason
+from companion.mission.vehicle_traits import VehicleTraits
+from companion.world.threats import CircleZone
+
+UP = (SetMode, Arm, TakeOff)
+EACH = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
+
+
+def ready(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
+    return Craft(near_target(), traits=traits, go=False).fly_to(Phase.READY)
+
+
+def texts(craft: Craft) -> list[str]:
+    return [said.text for said in craft.sent(StatusText)]
+
+
+def says_go(craft: Craft) -> OrderResult:
+    order = order_of(craft, OrderKind.START)
+    result = changes.order_result(craft.state, order)
+    if result is OrderResult.ACCEPTED:
+        craft.obey(craft.take(order))
+    return result
+
+
+@EACH
+def test_a_vehicle_that_is_ready_waits_for_as_long_as_it_takes(traits: VehicleTraits) -> None:
+    craft = ready(traits).run_for(600.0)
+    assert craft.phase is Phase.READY
+    assert not [command for command in craft.commands if isinstance(command, UP)]
+    assert sum("waits for go" in text for text in texts(craft)) == 1
+
+
+@EACH
+def test_a_go_takes_off(traits: VehicleTraits) -> None:
+    craft = ready(traits)
+    assert says_go(craft) is OrderResult.ACCEPTED
+    assert craft.phase is Phase.ARMING
+    assert craft.fly_to(Phase.TAKING_OFF).sent(Arm)
+
+
+def test_a_go_that_was_said_beforehand_is_not_waited_for() -> None:
+    craft = Craft(near_target(), go=True).fly_to(Phase.ARMING)
+    assert "waits for go" not in " ".join(texts(craft))
+    order = order_of(Craft(go=True).fly_to(Phase.PREPARING), OrderKind.START)
+    assert changes.order_result(Craft().state, order, go=True) is OrderResult.ACCEPTED
+
+
+def test_what_waits_is_told_by_a_go_alone() -> None:
+    craft = ready()
+    for kind in OrderKind:
+        if kind not in (OrderKind.START, OrderKind.SPEED, OrderKind.KEEP_OUT):
+            order = order_of(craft, kind)
+            assert changes.order_result(craft.state, order) is not OrderResult.ACCEPTED, kind
+    assert craft.run_for(5.0).phase is Phase.READY
+
+
+def loses_fix(craft: Craft) -> None:
+    craft.fix = False
+
+
+def falls_silent(craft: Craft) -> None:
+    craft.take(LinkLost(time_s=craft.now_s, silent_s=3.0))
+
+
+def drains(craft: Craft) -> None:
+    craft.context = Context(mission=MISSION_WITH_BATTERY, seed=1)
+    craft.battery = 0.1
+
+
+def is_carried_away(craft: Craft) -> None:
+    craft.here = (1e6, 0.0, HOME_AMSL_M)
+
+
+def is_fenced_in(craft: Craft) -> None:
+    zone = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
+    craft.take(FenceChanged(time_s=craft.now_s, zones=(zone,)))
+
+
+def fails_a_check(craft: Craft) -> None:
+    craft.take(Prepared(time_s=craft.now_s, item=Item.CHECKS, refusal="signing: none", remedy="x"))
+
+
+def has_a_parameter_changed(craft: Craft) -> None:
+    craft.take(Prepared(time_s=craft.now_s, item=Item.PARAMETERS, refusal="GUID_OPTIONS = 16"))
+
+
+def loses_its_targets(craft: Craft) -> None:
+    craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=()))
+
+
+MISSION_WITH_BATTERY = mission(endurance_s=600.0, targets_ne_m=near_target().targets_ne_m)
+LOSSES: dict[Callable[[Craft], None], str] = {
+    loses_fix: Reason.NO_FIX.text,
+    falls_silent: Reason.LINK_LOST.text,
+    drains: Reason.BATTERY_SHORT.text,
+    is_carried_away: Reason.POSITION_JUMPED.text,
+    is_fenced_in: Reason.OUTSIDE.text,
+    fails_a_check: "signing: none",
+    has_a_parameter_changed: "GUID_OPTIONS = 16",
+    loses_its_targets: Reason.NO_TARGETS.text,
+}
+
+
+@pytest.mark.parametrize("lose", LOSSES, ids=lambda lose: lose.__name__)
+def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(
+    lose: Callable[[Craft], None],
+) -> None:
+    craft = ready()
+    lose(craft)
+    craft.run_until(lambda craft: craft.phase is Phase.PREPARING, 5.0)
+    assert any(text == f"not ready any more: {LOSSES[lose]}" for text in texts(craft))
+    assert says_go(craft) is OrderResult.NOT_NOW
+    why = changes.why_not(craft.state, order_of(craft, OrderKind.START))
+    assert LOSSES[lose] in why
+    craft.run_for(300.0)
+    assert craft.phase is Phase.PREPARING, "it has ended, and nobody can mend it"
+    assert not [command for command in craft.commands if isinstance(command, UP)]
+    assert len(craft.sent(RequestStreams)) == 1
+
+
+def test_what_is_mended_is_ready_again_and_waits_again() -> None:
+    craft = ready()
+    craft.fix = False
+    craft.run_for(200.0)
+    craft.fix = True
+    craft.run_for(2.0)
+    assert craft.phase is Phase.PREPARING  # the checks are not over yet
+    craft.take(Prepared(time_s=craft.now_s, item=Item.CHECKS))
+    craft.run_for(2.0)
+    assert craft.phase is Phase.READY
+    assert sum("waits for go" in text for text in texts(craft)) == 2
+    assert says_go(craft) is OrderResult.ACCEPTED
+
+
+def test_a_go_is_not_kept_over_a_reboot() -> None:
+    craft = ready()
+    craft.obeys_modes = False
+    assert says_go(craft) is OrderResult.ACCEPTED
+    craft.obey(craft.take(Rebooted(time_s=craft.now_s)))
+    craft.fly_to(Phase.READY).run_for(30.0)
+    assert craft.phase is Phase.READY
+
+
+@pytest.mark.parametrize("is_ready", [True, False])
+def test_a_vehicle_that_somebody_else_arms_meanwhile_is_left_alone(is_ready: bool) -> None:
+    craft = ready()
+    craft.fix = is_ready
+    craft.run_for(3.0)
+    craft.armed, craft.mode = True, Mode.GUIDED
+    assert craft.fly_to(Phase.DONE).end().reason == Reason.ARMED_ALREADY.text
+    assert not [command for command in craft.commands if isinstance(command, UP)]
+
+
+@EACH
+def test_a_vehicle_that_flies_already_is_taken_over_without_a_go(traits: VehicleTraits) -> None:
+    it = Wild.calmly(traits).aloft(Mode.HOLD)
+    it.context = Context(mission=it.mission, seed=1, go=False)
+    it.watch.context = it.context
+    it.fly_to(Phase.FLYING)

@@ -1,0 +1,139 @@
+"""Files that people take for missions: what they are is told by what is in them."""
+
+import gzip
+import json
+import os
+import zipfile
+from pathlib import Path
+
+import pytest
+from answers import answered
+
+from companion.config import load_mission, load_world, mission_text
+from companion.errors import InputError
+
+MISSIONS = Path(__file__).parent / "missions"
+RECORDINGS = Path(__file__).parents[1] / "recordings"
+RING = "60.0 20.0\n60.001 20.0\n60.001 20.001\n60.0 20.001\n60.001 20.0\n"
+KML = '<?xml version="1.0"?>\n<!-- a note -->\n<kml xmlns="http://www.opengis.net/kml/2.2"/>'
+OLD = {"MAV_AUTOPILOT": 12, "complexItems": [], "items": [], "version": "1.0"}
+FENCE = {"fileType": "GeoFence", "groundStation": "QGroundControl", "version": 1}
+
+
+@pytest.mark.parametrize("name", ["flight.plan.txt", "flight.json", "flight", "Flight.PLAN"])
+def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
+    content = (MISSIONS / "fenced.plan").read_bytes()
+    (tmp_path / name).write_bytes(content)
+    expected = load_mission(str(MISSIONS / "fenced.plan")).targets_ne_m
+    assert load_mission(str(tmp_path / name)).targets_ne_m == expected
+    toml = tmp_path / "mission.toml"
+    toml.write_text(f'plan = "{name}"\n')
+    assert load_mission(str(toml)).targets_ne_m == expected
+
+
+@pytest.mark.parametrize(
+    ("content", "what", "remedy"),
+    [
+        (RING, "a fence list", "threats = "),
+        ("\ufeff# a comment\n" + RING.replace("\n", "\r\n"), "a fence list", "threats = "),
+        ("RALLY 60.0 20.0 50 30 0 0\n", "a list of rally points", "[[rally_points]]"),
+        ("#saved by Mission Planner\nRALLY\t60.0\t20.0\t50\n", "a list of rally points", ""),
+        (b"\0\0\x27\x0a" + bytes(20), "a shapefile", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
+        (b"SQLite format 3\0", "GeoPackage", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
+        (KML, "KML", "threats = "),
+        (KML, "KML", "ogr2ogr -f GeoJSON"),
+        ('<gpx version="1.1"/>', "GPX", ".plan"),
+        ("<!DOCTYPE html><html>", "a web page", "Download"),
+        (json.dumps(OLD, indent=1), "an old mission of QGroundControl", "save it as a .plan"),
+        (json.dumps(FENCE), "GeoFence", "save it as a .plan"),
+        ('{"type": "FeatureCollection", "features": []}', "GeoJSON", "threats = "),
+        ("# Onboard parameters\n1\t1\tWPNAV_SPEED\t500\t9\n", "parameters", "ground station"),
+        ("RTL_ALT,3000\nFENCE_ENABLE,1\n", "parameters", "ground station"),
+        ("latitude,longitude,height\n60.0,20.0,50\n", "comma-separated", "save it as a .plan"),
+        ('{"schema": 1}\n', "it is JSON, not TOML", "mission.toml"),
+        ("version https://git-lfs.github.com/spec/v1\n", "Git LFS", "git lfs pull"),
+        ('schema = 1\nname = "x"\n'.encode("utf-16"), "UTF-16", "UTF-8"),
+        (gzip.compress(b"QGC WPL 110\n"), "gzip", "gunzip"),
+        (b"\x89PNG\r\n\x1a\n", "picture", ""),
+        (b"II*\0\x08\0\0\0", "TIFF", "[terrain] file = "),
+        (b"FMT, 128, 89, FMT, BBnNZ\n", "a log of ArduPilot", "replay LOG --shadow"),
+        (b"ULog\x01\x12\x35\x01", "a log of PX4", "replay LOG --shadow"),
+        (b"\xa3\x95\x80\x80", "a log of ArduPilot", "replay LOG --shadow"),
+        (b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09", "a log of MAVLink", "--shadow"),
+        ('name = "Z\u00fcrich"'.encode("latin-1"), "no text in UTF-8", ""),
+    ],
+)
+def test_what_is_no_mission_is_told_what_it_is_and_where_it_belongs(
+    tmp_path: Path, content: str | bytes, what: str, remedy: str
+) -> None:
+    raw = content if isinstance(content, bytes) else content.encode()
+    (tmp_path / "x.txt").write_bytes(raw)
+    naming = tmp_path / "mission.toml"
+    naming.write_text('plan = "x.txt"\n')
+    for load, name in ((load_mission, "x.txt"), (load_world, "x.txt"), (load_mission, naming.name)):
+        with pytest.raises(InputError) as caught:
+            load(str(tmp_path / name))
+        told = str(caught.value)
+        assert "TOML:" not in told
+        assert what in told, told
+        assert remedy in told, told
+
+
+def test_a_kmz_and_a_recorded_log_are_no_missions(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "zones.kmz", "w") as archive:
+        archive.writestr("doc.kml", KML)
+    logs = [path for path in RECORDINGS.rglob("*") if path.suffix in (".tlog", ".bin", ".ulg")]
+    for path in [tmp_path / "zones.kmz", *logs[:3]]:
+        with pytest.raises(InputError) as caught:
+            load_mission(str(path))
+        assert ("zip" if path.suffix == ".kmz" else "it is a log") in str(caught.value)
+
+
+def test_zones_named_as_threats_are_read_and_other_files_are_told_what_they_are(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "fenced.plan").write_bytes((MISSIONS / "fenced.plan").read_bytes())
+    toml = tmp_path / "mission.toml"
+    toml.write_text('plan = "fenced.plan"\nthreats = "x"\n')
+    for content, what in (
+        (json.dumps(OLD), "an old mission"),
+        ((MISSIONS / "plane.plan").read_text(), "a plan of QGroundControl"),
+        ("RALLY 60.0 20.0 50 30 0 0\n", "a list of rally points"),
+        ("RTL_ALT,3000\nFENCE_ENABLE,1\n", "parameters"),
+        ('{"type": "Topology"}', "it is no GeoJSON FeatureCollection"),
+    ):
+        (tmp_path / "x").write_text(content)
+        with pytest.raises(InputError, match=what):
+            load_mission(str(toml))
+
+
+def test_names_that_are_no_utf_8_are_files_like_others(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"fl\xfcge")
+    folder.mkdir()
+    plan = (MISSIONS / "fenced.plan").read_bytes()
+    waypoints = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 0 1\n1 0 3 16 0 0 0 0 47 8.002 40 1\n"
+    for name, content in ((b"pl\xe4n.plan", plan), (b"pl\xe4n", plan), (b"l\xefst", waypoints)):
+        path = folder / os.fsdecode(name)
+        path.write_bytes(content)
+        assert load_mission(str(path)).targets_ne_m
+        mission_text(str(path)).encode()
+    path.write_bytes(RING.encode())
+    with pytest.raises(InputError) as caught:
+        load_mission(str(path))
+    assert r"fl\xfcge/l\xefst" in str(caught.value)
+    assert str(caught.value).isascii()
+
+
+@pytest.mark.parametrize("command", [["report"], ["export", "--format", "kml"]])
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".ulg", ".log", ""])
+def test_a_file_in_place_of_a_run_folder_is_told_where_it_belongs(
+    tmp_path: Path, command: list[str], suffix: str
+) -> None:
+    log = tmp_path / f"any{suffix}"
+    log.write_bytes(b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09")
+    code, _, said = answered(command[0], log, *command[1:])
+    assert code == 2
+    assert "no such folder" not in said
+    assert "it is a file" in said
+    assert "companion replay LOG --shadow" in said
+    assert "companion view LOG" in said

@@ -1,0 +1,174 @@
+"""Somebody says go, over the wire and in the terminal; it is recorded, and told again the same."""
+
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as wire
+from scripted_vehicle import MISSION, Pair, Vehicle, messages, straight_plan
+from test_loop import ScriptedLink
+
+from companion.mavlink.link import Output
+from companion.mission.state import Phase
+from companion.replay.session_inputs import feed, session_of, start_of
+from companion.runtime import loop
+from companion.runtime.terminal import HOW_TO, Terminal
+from companion.session import Session
+from companion.telemetry.flight_status import flight_status
+from companion.telemetry.flight_summary import FlightSummary
+from companion.telemetry.run_folder import RunFolder
+
+
+def waiting(phase: Phase = Phase.READY) -> Pair:
+    it = Pair(Session(MISSION, seed=1, lockstep=False), Vehicle(lockstep=False))
+    return it.run_until(lambda it: it.session.state.phase is phase)
+
+
+def mission_start(it: Pair) -> int:
+    """What a ground station is answered."""
+    station, count = wire.MAVLink(None, srcSystem=255, srcComponent=190), len(it.frames)
+    start = wire.MAVLink_command_long_message(1, 195, wire.MAV_CMD_MISSION_START, 0, *[0.0] * 7)
+    it.feed(start.pack(station))
+    [ack] = [m for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_ACK"]
+    return int(ack.result)
+
+
+def said(it: Pair) -> list[str]:
+    return [entry["text"] for entry in it.journal if entry["kind"] == "say"]
+
+
+def test_mission_start_is_the_go_and_comes_too_early_before_it_is_ready() -> None:
+    it = waiting(Phase.PREPARING)
+    assert mission_start(it) == wire.MAV_RESULT_TEMPORARILY_REJECTED
+    assert said(it)[-1].startswith("start refused: it is not ready: ")
+    it.run_until(lambda it: it.session.state.phase is Phase.READY)
+    for _ in range(600):
+        it.tick()
+    assert not it.vehicle.armed
+    texts = [message.text for message in it.sent("STATUSTEXT")]
+    assert sum("waits for go" in text for text in texts) == 1
+    assert mission_start(it) == wire.MAV_RESULT_ACCEPTED
+    it.run_until(lambda it: it.vehicle.armed, 30.0)
+
+
+@pytest.mark.parametrize("by_wire", [True, False])
+def test_a_go_is_refused_with_the_check_that_fails_at_that_moment(by_wire: bool) -> None:
+    it = waiting()
+    it.vehicle.parameters["GUID_OPTIONS"] = 16.0  # it drifts off its positions
+    it.vehicle.to_answer.append(it.vehicle.parameter("GUID_OPTIONS"))
+    it.tick()
+    if by_wire:
+        assert mission_start(it) == wire.MAV_RESULT_TEMPORARILY_REJECTED
+        why = said(it)[-1]
+    else:
+        why = it.session.say_go()
+    assert "GUID_OPTIONS = 16" in why
+    it.vehicle.parameters["GUID_OPTIONS"] = 0.0
+    it.vehicle.to_answer.append(it.vehicle.parameter("GUID_OPTIONS"))
+    it.run_until(lambda it: it.session.state.phase is Phase.READY, 60.0)
+    assert it.session.say_go() == ""
+    it.take(it.session.run())
+    it.run_until(lambda it: it.vehicle.armed, 30.0)
+
+
+def test_a_terrain_radar_that_is_switched_off_meanwhile_is_told_before_the_flight() -> None:
+    it = waiting()
+    it.vehicle.scanned = lambda _request: []  # type: ignore[method-assign]
+    it.run_until(lambda it: it.session.state.phase is Phase.PREPARING, 120.0)
+    assert any(text.startswith("not ready any more: radar: ") for text in said(it))
+    del it.vehicle.scanned  # type: ignore[method-assign]
+    it.run_until(lambda it: it.session.state.phase is Phase.READY, 180.0)
+
+
+def test_a_go_is_an_input_and_the_flight_is_told_again_as_it_was() -> None:
+    it = waiting()
+    assert it.session.say_go() == ""
+    it.take(it.session.run())
+    it.run_until(lambda it: it.vehicle.armed, 30.0)
+    told = [entry for entry in it.journal if entry.get("sender") == "terminal"]
+    assert [entry["kind"] for entry in told] == ["command", "order"]
+    session, journal = session_of(start_of(it.inputs[0]), lambda _: MISSION), []
+    for each in it.inputs[1:]:
+        output = feed(session, each)
+        journal += output.journal if isinstance(output, Output) else []
+    assert journal == it.journal
+
+
+def test_a_flight_from_before_anybody_was_asked_is_told_again_as_it_was() -> None:
+    it = Pair(Session(MISSION, seed=1, lockstep=False, go=True), Vehicle(lockstep=False))
+    it.run_until(lambda it: it.vehicle.armed, 60.0)
+    it.inputs[0][1].pop("go")
+    assert session_of(start_of(it.inputs[0]), lambda _: MISSION).context.go
+
+
+class Says:
+    """Somebody who says go again and again, and hears why not."""
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+
+    def says_go(self) -> bool:
+        return True
+
+    def hears(self, answer: str) -> None:
+        self.heard.append(answer)
+
+
+@pytest.mark.parametrize("here", [True, False])
+def test_the_loop_asks_who_is_there(tmp_path: Path, here: bool) -> None:
+    link, person = ScriptedLink(Vehicle(lockstep=False)), Says() if here else None
+    shown: list[Any] = []
+
+    def show(flown: FlightSummary) -> None:
+        shown.append(flight_status(flown))
+
+    with RunFolder(tmp_path / "run", mission_toml="", epoch_us=0) as folder:
+        loop.fly(
+            Session(MISSION, seed=1, lockstep=False),
+            link,
+            folder,
+            lockstep=True,  # of the loop alone: it hears a tick of the vehicle a turn
+            on_progress=show,
+            stop_asked=lambda: link.vehicle.armed or link.vehicle.time_ms > 60_000,
+            planner=straight_plan,
+            person=person,
+        )
+    assert link.vehicle.armed is here
+    if person is not None:
+        at = person.heard.index("go: it takes off")
+        assert all("not ready" in why or "no vehicle" in why for why in person.heard[:at])
+        assert at > 0
+        assert "already" in person.heard[at + 1]
+    else:
+        assert any("no terminal is here" in (status.waits_for or "") for status in shown)
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="terminals of this system are others")
+def test_a_yes_is_typed_and_anything_else_is_told_how() -> None:
+    ours, theirs = os.openpty()
+    told, news = [], threading.Event()
+
+    def say(text: str) -> None:
+        told.append(text)
+        news.set()
+
+    with os.fdopen(theirs, encoding="utf-8") as stream, Terminal(stream, say) as person:
+        assert not person.says_go()
+        for typed, is_yes in (
+            (b"no\n", False),
+            (b"go\n", False),
+            (b" Yes \n", True),
+            (b"y\n", True),
+        ):
+            news.clear()
+            os.write(ours, typed + b"?\n")  # the second line is answered when the first was heard
+            assert news.wait(10.0)
+            while len(told) < (1 if is_yes else 2):
+                assert news.wait(10.0)
+            assert set(told) == {HOW_TO}
+            told.clear()
+            assert person.says_go() is is_yes
+            assert not person.says_go()
+        os.close(ours)

@@ -1,0 +1,131 @@
+"""Who has landed and who has crashed: one law for all vehicles and autopilots."""
+
+import math
+
+import pytest
+from flown import ALL, GROUND_M, Flown
+
+from vehicle_sim.dynamics.contact import is_crash
+from vehicle_sim.plans import PlanItem, PlanKind
+
+HILL_NORTH_M, HILL_M, SPREAD_M = 900.0, 700.0, 150.0
+"""Above the plain as a wall of 45 degrees and more from 749 m to the north on."""
+SLOWLY = {
+    ("plane", "ardupilot"): {"AIRSPEED_CRUISE": 12.0, "AIRSPEED_MIN": 10.0, "SIM_WIND_SPD": 3.0},
+    ("plane", "px4"): {"FW_AIRSPD_TRIM": 11.0, "SIM_WIND_SPD": 2.0},
+}
+"""9 m/s over the ground in a wind from the north."""
+PEAK = {
+    "north_m": HILL_NORTH_M,
+    "east_m": 0.0,
+    "height_amsl_m": GROUND_M + HILL_M,
+    "spread_north_m": SPREAD_M,
+    "spread_east_m": 1e5,
+}
+
+
+def hill_m(north_m: float) -> float:
+    """Height of the ground, by the law of the world file."""
+    return max(
+        GROUND_M, (GROUND_M + HILL_M) * math.exp(-(((north_m - HILL_NORTH_M) / SPREAD_M) ** 2))
+    )
+
+
+@pytest.mark.parametrize(
+    ("velocity", "slope", "rolls", "lands", "crashes"),
+    [
+        ((0.0, 0.0, -2.9), (0.0, 0.0), False, True, False),
+        ((0.0, 0.0, -3.1), (0.0, 0.0), False, True, True),
+        ((2.0, -2.0, -1.5), (0.0, 0.0), False, True, True),  # sideways counts
+        ((9.0, 0.0, 3.0), (1.0, 0.0), False, True, True),
+        ((20.0, 0.0, -1.0), (0.0, 0.0), True, True, False),  # a runway
+        ((20.0, 0.0, -3.1), (0.0, 0.0), True, True, True),
+        ((20.0, 0.0, -1.0), (0.05, 0.0), True, True, False),
+        ((20.0, 0.0, 0.0), (0.2, 0.0), True, True, True),
+        ((20.0, 0.0, 4.0), (0.2, 0.0), True, True, True),  # along a hillside is no runway
+        ((0.0, 9.0, 0.0), (0.0, 0.12), True, True, True),
+        ((9.0, 0.0, 0.0), (0.12, 0.0), True, False, False),  # it rolls up a ramp
+        ((9.0, 0.0, 0.0), (1.0, 0.0), True, False, True),  # and into a wall
+        ((9.0, 0.0, -9.0), (-1.0, 0.0), True, False, False),  # along the slope that it is on
+    ],
+)
+def test_a_contact_is_judged_by_the_speed_in_all_axes(
+    velocity: tuple[float, float, float],
+    slope: tuple[float, float],
+    rolls: bool,
+    lands: bool,
+    crashes: bool,
+) -> None:
+    assert is_crash(velocity, slope, rolls=rolls, lands=lands) is crashes
+
+
+@pytest.mark.parametrize(("kind", "autopilot"), ALL)
+def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: str) -> None:
+    slowly = SLOWLY.get((kind, autopilot), {}) | {"SIM_WIND_DIR": 0.0}
+    north_m = 690.0 if kind == "copter" else 0.0
+    flown = Flown(kind, autopilot, parameters=slowly, peaks=[PEAK], north_m=north_m)
+    simulation = flown.simulation
+    flown.into_the_air(15.0)
+    assert simulation.crash is None
+    aim = (9.0, 0.0) if kind == "copter" else ()
+    flown.until(lambda: simulation.crash is not None, 150.0, *aim)
+    crash = simulation.crash
+    assert crash is not None
+    assert crash.into == "the ground"
+    assert 7.5 < crash.speed_m_s < 12.0
+    assert crash.altitude_amsl_m == pytest.approx(hill_m(crash.north_m), abs=1.0)
+    assert hill_m(crash.north_m + 1.0) - hill_m(crash.north_m) > 0.5
+    flown.until(lambda: simulation.now_us * 1e-6 > crash.t_s + 3.0, 3.1)
+    assert not simulation.armed
+    last = flown.truth()[-1]
+    assert (last["landed"], last["armed"]) == (True, False)
+    assert last["crash"]["speed_m_s"] == pytest.approx(crash.speed_m_s, abs=1e-3)
+    assert last["north_m"] == pytest.approx(crash.north_m, abs=0.1)  # it stays where it fell
+    assert any("hits the ground at" in notice for notice in simulation.take_notices())
+    assert "it hit the ground at" in simulation.outcome()
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_copter_that_comes_down_to_land_has_not_crashed(autopilot: str) -> None:
+    flown = Flown("copter", autopilot)
+    flown.into_the_air(6.0)
+    flown.command(21, 0, 0, 0, math.nan, math.nan, math.nan, 0)
+    flown.until(lambda: not flown.simulation.armed, 40.0)
+    assert flown.simulation.crash is None
+    assert "crash" not in flown.truth()[-1]
+
+
+def test_a_plane_that_rolls_out_on_its_runway_has_not_crashed() -> None:
+    flown = Flown("plane", "ardupilot")
+    simulation = flown.simulation
+
+    def item(command: int, north_m: float = 0.0, up_m: float = 0.0) -> PlanItem:
+        north_deg = 47.0 + north_m / 111_200.0
+        return PlanItem(frame=3, command=command, x=round(north_deg * 1e7), y=80_000_000, z_m=up_m)
+
+    items = (item(16), item(22, up_m=20.0), item(16, 250.0, 20.0), item(21, 500.0))
+    simulation.plans[PlanKind.MISSION] = items
+    flown.command(176, 1, 10)
+    flown.command(400, 1)
+    flown.until(lambda: flown.above_m > 10.0, 40.0)
+    flown.until(lambda: simulation.landed, 90.0)
+    assert simulation.vehicle.velocity_north_m_s > 5.0
+    flown.until(lambda: not simulation.armed, 40.0)
+    assert simulation.crash is None
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_plane_that_hits_a_house_falls_and_does_not_fly_through(autopilot: str) -> None:
+    house = {"corners_ne_m": [[500, -99], [500, 99], [600, 99], [600, -99]], "height_m": 150.0}
+    flown = Flown("plane", autopilot, buildings=[house])
+    simulation = flown.simulation
+    flown.into_the_air(15.0)
+    flown.until(lambda: simulation.crash is not None, 100.0)
+    crash = simulation.crash
+    assert crash is not None
+    assert crash.into == "a tree, wall, building or wire"
+    assert crash.north_m == pytest.approx(500.0, abs=0.3)
+    flown.until(lambda: simulation.landed, 10.0)
+    assert simulation.crash is crash  # the first counts
+    assert flown.truth()[-1]["north_m"] == pytest.approx(500.0, abs=0.3)
+    assert not simulation.armed
