@@ -92,10 +92,9 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy
     why, _, remedy = refusal.value.partition("; ")
-    if refusal is Refusal.NOTHING_SAFE:  # why would be said twice
-        broken = bounds_text(state.flight.broken)
-        return f": it broke {broken}" if broken else "", f"{remedy[:1].upper()}{remedy[1:]}."
-    detail = f": {why}"
+    broken = f"it broke {bounds_text(state.flight.broken)}" if state.flight.broken else ""
+    why = "" if refusal is Refusal.NOTHING_SAFE else why  # else it is said twice
+    detail = "".join(f": {each}" for each in (why, broken) if each)
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
 
 

@@ -241,6 +241,8 @@ class _Plan:
         self._evaluations = self._tries = 0
         self._is_cut = False
         """Whether time was up in the middle of the newest search."""
+        self._is_short = False
+        """Whether time was up before all searches were made."""
         self._made = self._untried = 0
         self._broken: tuple[str, ...] = ()
 
@@ -255,7 +257,7 @@ class _Plan:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
         best = self._searched()
         if best is None:
-            return self._refused(Refusal.OUT_OF_TIME if self._untried else Refusal.NOTHING_SAFE)
+            return self._refused(Refusal.OUT_OF_TIME if self._is_short else Refusal.NOTHING_SAFE)
         if self._is_better_to_stop(best):
             return self._refused(Refusal.BETTER_TO_STOP)
         return replace(best, evaluations=self._evaluations, tries=self._tries)
@@ -333,6 +335,7 @@ class _Plan:
                 if self._is_cut and self._made:
                     break  # it is made again; the only one is not, or no attempt got past it
             self._made += 1
+        self._is_short = self._made < len(ways)
         self._untried = max(len(ways) - before - self._made, 0)
         return best
 

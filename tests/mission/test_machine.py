@@ -224,8 +224,8 @@ def test_it_does_not_give_up_before_each_kind_of_search_had_its_turn() -> None:
     assert [plan.request.tried for plan in craft.sent(Plan)] == list(range(KINDS))
     said = [text.text for text in craft.sent(StatusText)]
     hold = f"hold: {Reason.NO_PLAN.text}: "
-    assert hold + Refusal.OUT_OF_TIME.value.partition("; ")[0] in said
     broke = "it broke turn radius (vehicle.turn_radius_m)"
+    assert f"{hold}{Refusal.OUT_OF_TIME.value.partition('; ')[0]}: {broke}" in said
     assert hold + broke in said
     assert craft.end().reason == f"landed: {Reason.NO_PLAN.text}: {broke}"
 
