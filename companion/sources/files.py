@@ -2,12 +2,14 @@
 
 import errno
 import json
+import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
+from urllib.parse import unquote_to_bytes
 
 from companion.errors import InputError
 from companion.printable import with_printable_texts
@@ -35,6 +37,22 @@ def read_text(path: Path, field: str, remedy: str) -> str:
         raise InputError(field, str(path), rule, remedy) from error
     except OSError as error:
         raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
+
+
+def told_path(path: Path) -> str:
+    """A path as a text that TOML can hold: as a URI, if it is no UTF-8."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return path.as_uri()
+    return str(path)
+
+
+def path_of(text: str) -> Path:
+    """The path that such a text stands for."""
+    if text.startswith("file:///"):
+        return Path(os.fsdecode(unquote_to_bytes(text.removeprefix("file://"))))
+    return Path(text)
 
 
 def answer(question: Callable[[], bool]) -> bool:
