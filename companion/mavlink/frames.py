@@ -22,6 +22,7 @@ from fastcrc.crc16 import mcrf4xx
 
 from companion.mavlink.dialect import KINDS, Message, wire
 from companion.mavlink.signing import SECRETS, Signing, strip_signature
+from companion.printable import printable
 
 V1: Final = 0xFE
 V2: Final = 0xFD
@@ -168,7 +169,7 @@ def decoded(frame: bytes, kind: Any) -> Message:
     """
     in_order = _in_order(kind)
     if in_order is None:
-        return _pymavlink_decoder().decode(bytearray(frame))
+        return _with_printable_texts(_pymavlink_decoder().decode(bytearray(frame)))
     size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
     payload = frame[head : head + frame[1]].ljust(size, b"\0")
     message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
@@ -181,6 +182,14 @@ def decoded(frame: bytes, kind: Any) -> Message:
         header.seq, header.srcSystem, header.srcComponent = frame[4:7]
     else:
         header.mlen, header.seq, header.srcSystem, header.srcComponent = frame[1:5]
+    return message
+
+
+def _with_printable_texts(message: Message) -> Message:
+    """The message with its texts fit to be shown: all that comes in by MAVLink comes in here."""
+    for name in message.get_fieldnames():
+        if isinstance(text := getattr(message, name), str):
+            setattr(message, name, printable(text))
     return message
 
 

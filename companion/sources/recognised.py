@@ -86,7 +86,8 @@ def refuse_other(path: Path, field: str, *, but_zones: bool = False) -> None:
 def recognised(path: Path) -> Recognised | None:
     """What a file is that is no mission, world or campaign; None: that is not known."""
     content = _content(path)
-    found = _of_bytes(content) or _of_text(content)
+    is_empty = answer(lambda: path.is_file() and path.stat().st_size == 0)
+    found = ("empty", _MISSION) if is_empty else _of_bytes(content) or _of_text(content)
     if found is None:
         return None
     what, remedy = found
