@@ -70,6 +70,7 @@ class StubSession:
     from_ground: list[tuple[bytes, int]] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
+    mission: Any = field(default_factory=lambda: load_mission("valley"))
     state: Any = field(
         default_factory=lambda: SimpleNamespace(
             vehicle=SimpleNamespace(position_nea_m=None), flight=SimpleNamespace(target=0)
