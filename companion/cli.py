@@ -40,6 +40,7 @@ from companion.mission.mission import Mission
 from companion.path.certificate import bounds_text
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
+from companion.printable import printable
 from companion.replay.command import ProfileName, replay_command
 from companion.replay.export_command import export
 from companion.runtime.compiler import Planner, load_kernel
@@ -56,7 +57,7 @@ from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
 from companion.views.live import MachineLines, Progress
-from companion.views.output import PatientOutput
+from companion.views.output import PatientOutput, plain_console
 from companion.views.pictures import draw_flown, draw_offline
 from companion.views.text import checks_table, flight_table, mission_summary, plans_table
 from companion.world.known_map import empty_map
@@ -216,7 +217,7 @@ def fly_command(
         if as_json:
             machine = MachineLines(stack.enter_context(PatientOutput(sys.stdout)))
             stack.enter_context(machine)
-        console = Console(file=cast("TextIO", output))
+        console = plain_console(file=cast("TextIO", output))
         shows = _Shows(console=console, output=output, machine=machine)
         if resume and out is None:
             rule = "there is no flight to go on with"
@@ -285,7 +286,7 @@ def preflight_command(
     What `fly` refuses is refused here. Exit code: 0 it may fly, 1 it may not, 2 wrong input,
     130 stopped by Ctrl-C.
     """
-    console = Console(soft_wrap=True)
+    console = plain_console(soft_wrap=True)
     chosen = _for_system(load_mission(mission, profile), system)
     _say_notes(chosen, console)
     if turn and chosen.near is None:
@@ -336,7 +337,7 @@ def plan_command(
 
     Writes a picture: the path in three dimensions, from above, and as a vertical profile.
     """
-    console, picture = Console(), picture_file("--figure", figure)
+    console, picture = plain_console(), picture_file("--figure", figure)
     chosen, place = load_mission(mission, profile), load_world(world)
     if place.origin_deg != (chosen.frame.latitude_deg, chosen.frame.longitude_deg):
         rule = f"the mission's origin differs from that of the world, {place.origin_deg}"
@@ -384,16 +385,16 @@ def report_command(
     """
     from companion.replay.reporting import write_report  # slow to import
 
-    with Console(stderr=True).status("reading the flight"):
+    with plain_console(stderr=True).status("reading the flight"):
         said = write_report(run_dir, out)
     for line in said:
-        Console().out(line, highlight=False)
+        plain_console().out(line, highlight=False)
 
 
 @app.command("check")
 def check_command(mission: MissionArgument, profile: ProfileOption = None) -> None:
     """Check a mission file and say in words what the mission will do."""
-    console = Console(soft_wrap=True)
+    console = plain_console(soft_wrap=True)
     chosen = load_mission(mission, profile)
     console.print(mission_summary(chosen), highlight=False, markup=False)
     _say_notes(chosen, console)
@@ -401,7 +402,7 @@ def check_command(mission: MissionArgument, profile: ProfileOption = None) -> No
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        Console().print(version("companion"), highlight=False)
+        plain_console().print(version("companion"), highlight=False)
         raise typer.Exit
 
 
@@ -449,7 +450,8 @@ def main() -> None:
         if not isinstance(error, _USAGE_ERROR):
             traceback.print_exc()
             sys.exit(_CRASHED)
-        text = " ".join(str(getattr(error, "format_message", error.__str__)()).split())
+        said = str(getattr(error, "format_message", error.__str__)())
+        text = printable(" ".join(said.split()))
         if text:  # without: the help has been shown
             sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
         sys.exit(InputError.exit_code)

@@ -21,6 +21,9 @@ class CompanionError(Exception):
 
     exit_code = 1
 
+    def __init__(self, message: str) -> None:
+        super().__init__("".join(c if c.isprintable() else " " for c in message))
+
 
 @final
 class InputError(CompanionError):
@@ -34,7 +37,7 @@ class InputError(CompanionError):
             shown = f"{shown[:_MAX_SHOWN]}..."
         message = f"{field} = {_BYTE_IN_REPR.sub(_as_byte, shown)}: {rule}. {remedy}"
         message = _BYTE.sub(lambda found: f"\\x{ord(found[0]) - 0xDC00:02x}", message)
-        super().__init__("".join(c if c.isprintable() else " " for c in message))
+        super().__init__(message)
         self.field, self.value, self.rule, self.remedy = field, value, rule, remedy
 
 

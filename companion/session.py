@@ -372,7 +372,7 @@ class Session:
                 time_s = heard.message.time_boot_ms * 1e-3
                 if (
                     time_s >= self._plan.due_s
-                    and self.clock.believes(time_s, self._arrival_s(heard))
+                    and self.clock.believes(time_s, None if self._lockstep else heard.at_s)
                     and self._must_wait_for_plan(time_s)
                 ):
                     return False
@@ -601,17 +601,14 @@ class Session:
             self._handle(events.Tick(time_s=self.clock.going_on_s))
         return True
 
-    def _arrival_s(self, heard: Incoming) -> float | None:
-        """When a message came; None in lockstep, where nothing depends on wall time."""
-        return None if self._lockstep else heard.at_s
-
     def _on_time(self, time_s: float, heard: Incoming, *, ticks: bool = True) -> bool:
         """Take a new vehicle time; ticks: False if an event of the same time follows.
 
-        False if it is doubted: then nothing else that the message tells counts either.
+        In lockstep the wall time at which it arrived says nothing.  False if it is doubted: then
+        nothing else that the message tells counts either.
         """
         before_s = self.clock.now_s
-        reading = self.clock.read(time_s, self._arrival_s(heard))
+        reading = self.clock.read(time_s, None if self._lockstep else heard.at_s)
         if reading is ClockReading.FIRST:  # waits go on by the new clock
             self.state = self.state.rebase_time(time_s - before_s)
             self._due_s = -math.inf
@@ -649,6 +646,8 @@ class Session:
             return
         if self.vehicle is not None and self.state.phase is not Phase.WAITING:
             self._send_all(self.vehicle.on_time(now_s, at_s))
+            while self.vehicle.warnings:
+                self._send_text(self.vehicle.warnings.pop(0), warning=True)
             while self.vehicle.notes:
                 self._send_text(self.vehicle.notes.pop(0), warning=False)
         if self._component is not None:

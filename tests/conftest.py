@@ -5,9 +5,11 @@ marked `nightly` states a law that others state with fewer draws: it runs with `
 all but each nth of the cases of a test that is marked `sample(n)`.
 """
 
+import copyreg
 import gc
 import os
 import shutil
+import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -17,6 +19,7 @@ import pytest
 from hypothesis import settings
 from nudge import SEEDS, nudged_positions
 
+copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # pymavlink's codecs
 gc.disable()  # until all is collected: what tests are made of stays
 settings.register_profile("dev", max_examples=50, derandomize=True, database=None, deadline=None)
 settings.register_profile("ci", max_examples=200, derandomize=True, database=None, deadline=None)

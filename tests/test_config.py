@@ -170,8 +170,8 @@ def test_what_is_not_toml_is_told_where(file: Path, text: str) -> None:
     assert str(file) in message
 
 
-def test_an_empty_file_lacks_a_key(file: Path) -> None:
-    assert "it is missing" in refused(file, "")
+def test_an_empty_file_is_told_to_be_one(file: Path) -> None:
+    assert "it is empty" in refused(file, "")
 
 
 def test_a_world_is_no_mission_and_a_mission_no_world(file: Path) -> None:

@@ -126,7 +126,9 @@ def test_no_plan_at_all() -> None:
     it = pair()
     it.planner = refuses
     it.run_until(ended)
-    assert texts(it.frames)[-1] == "ended, failed: landed: no safe subpath was found"
+    assert (
+        texts(it.frames)[-1] == "ended, failed: landed: no safe subpath was found: it broke floor"
+    )
     must_be_said(it)
 
 

@@ -18,6 +18,7 @@ from companion.campaign.store import Store
 from companion.errors import InputError
 from companion.runtime.worker_pool import processors
 from companion.sources.files import writing
+from companion.views.output import plain_console
 
 if TYPE_CHECKING:
     from companion.campaign.file import Run
@@ -113,7 +114,7 @@ def run_command(
     file.check_over(table, how, campaign)
     runs = _chosen(file.runs_of(table, folder, how, kept), most, only)
     run.check_runs(runs, campaign)
-    console, began_s = Console(soft_wrap=True), time.perf_counter()
+    console, began_s = plain_console(soft_wrap=True), time.perf_counter()
     path = (out or Path("campaigns") / table.name).absolute()
     digest = hashlib.sha256("\n".join(map(repr, runs)).encode()).hexdigest()
     source = [campaign if campaign in bundled_campaigns() else str(Path(campaign).absolute())]
@@ -238,8 +239,8 @@ def report_command(
     """
     from companion.campaign import report as campaign  # slow to import
 
-    console = Console(soft_wrap=True)
-    with Console(stderr=True).status("reading the campaign"):
+    console = plain_console(soft_wrap=True)
+    with plain_console(stderr=True).status("reading the campaign"):
         report = campaign.report_of(campaign.read_campaign(folder), by or ())
         files = {"--html": {html or folder / "report.html": campaign.report_html(report)}}
         if csv is not None:

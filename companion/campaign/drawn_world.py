@@ -92,7 +92,7 @@ def bundled(name: str) -> DrawnWorld:
     )
 
 
-def judgeable(terrain: Terrain, limits: Limits) -> PeakTerrain | ArrayTerrain:
+def judgeable(terrain: Terrain, limits: Limits) -> Any:
     """The judge has its own mathematics: of peaks the highest, of heights the bilinear surface.
 
     Heights of a file, in degrees, are taken anew in metres, twice as close.

@@ -27,6 +27,7 @@ from companion.planner.settings import PlannerSettings
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
 from companion.sources.mission_schema import Name
+from companion.sources.recognised import refuse_other
 from companion.sources.schema import Table, keys_of, validated
 
 Over = Literal["process", "udp", "planner"]
@@ -183,6 +184,7 @@ def load_campaign(name_or_path: str) -> tuple[CampaignTable, str, Path]:
     elif not answer(path.exists):
         rule = "no such file, and no bundled campaign"
         raise InputError("CAMPAIGN", name_or_path, rule, f"Give a file, or one of: {names}.")
+    refuse_other(path, "CAMPAIGN")
     text = read_text(path, "CAMPAIGN", f"Give a campaign file, or one of: {names}.")
     table = toml_table(text, name_or_path)
     campaign = validated(CampaignTable, table, name_or_path)

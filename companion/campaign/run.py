@@ -306,7 +306,7 @@ def _judged_way(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict
         "plans": kinds.count("plan ready") + kinds.count("plan refused"),
         "subpaths": kinds.count("leg"),
         "holds": sum(
-            entry.get("phase") == "holding" and entry["code"] != "TAKING_OVER"
+            entry.get("phase") == "holding" and entry["code"] not in ("TAKING_OVER", "TAKEN_OFF")
             for entry in flown.journal
         ),
         "straight_m": _straight_m(drawn.start_nea_m, drawn.targets_ne_m),

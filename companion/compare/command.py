@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
@@ -16,6 +15,7 @@ from companion.compare.missions import Case, Run, fly_all
 from companion.errors import InputError
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
+from companion.views.output import plain_console
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -115,7 +115,11 @@ _add_figure(
 def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:
     """Fly them all, with a bar that shows how far it is."""
     shown = partial(
-        track, description="flying", total=len(cases), console=Console(stderr=True), transient=True
+        track,
+        description="flying",
+        total=len(cases),
+        console=plain_console(stderr=True),
+        transient=True,
     )
     return fly_all(cases, jobs or processors(), shown)
 
@@ -138,7 +142,7 @@ def _tell(
     """Print the tables and what they cannot say, and write the picture and the numbers."""
     from companion.views.figure import save  # slow to import
 
-    console, (picture, json_file) = Console(), files
+    console, (picture, json_file) = plain_console(), files
     for table in tables:
         console.print(table)
     for remark in remarks:

@@ -19,6 +19,7 @@ from rich.console import Console
 from companion import extras
 from companion.errors import InputError
 from companion.runtime.signals import stop_signals
+from companion.views.output import plain_console
 
 VIEW_PORT = 8080
 PortOption = Annotated[
@@ -72,7 +73,7 @@ def view_command(
 
     asked = Asked(paths=tuple(map(str, flights)), host=view_host, port=view_port, system_id=system)
     with stop_signals() as stop_asked:
-        serve(asked, partial(_say_address, Console()), lambda: bool(stop_asked))
+        serve(asked, partial(_say_address, plain_console()), lambda: bool(stop_asked))
 
 
 def _say_address(console: Console, address: str) -> None:

@@ -68,7 +68,7 @@ def status_html(moment: Moment, stretch: float) -> str:
     rows = {
         "time": clock_text(moment.time_s),
         "altitude": f"{altitude_m:,.0f} m AMSL",
-        "over known ground": metres(altitude_m - moment.under_m),
+        "over known ground": metres_at_least(altitude_m - moment.under_m),
         "clearance": metres_at_least(moment.clearance_m),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }

@@ -6,6 +6,7 @@ messages and events out.
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace as replace_value
 from typing import Any, Final, final
 
 from msgspec.structs import replace
@@ -13,7 +14,7 @@ from msgspec.structs import replace
 from companion.mavlink import fence, parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of
 from companion.mavlink.autopilots.messages import NO_HEADING, position
-from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
+from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
 from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.parameter_checks import ParameterIssue, Severity, check_parameters, names_of
 from companion.mavlink.parameter_client import ParameterClient
@@ -26,6 +27,7 @@ from companion.mission.events import (
     Event,
     FenceBreach,
     FenceChanged,
+    FenceReading,
     GpsFix,
     Home,
     Item,
@@ -92,6 +94,8 @@ class AutopilotClient:
         """How far its mean sea level lies above the ellipsoid, as its GPS has it."""
         self.notes: list[str] = []
         """What a person should hear of, since last looked at."""
+        self.warnings: list[str] = []
+        """The same, of what is grave."""
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.wind: tuple[float, float, float] | None = None
@@ -111,6 +115,7 @@ class AutopilotClient:
         self._fence_made_of: object = None
         self._fence_told: FenceChanged | None = None
         self._fence_said: tuple[str, ...] = ()
+        self._reading_told = 0
         self.fence: fence.Fence | None = None
         """Its own fence, once it was read."""
         self.here_ne_m: tuple[float, float] | None = None
@@ -155,7 +160,7 @@ class AutopilotClient:
         self.streams.forget()
         self.parameters.restart()
         self.plans.refresh()
-        self._plans_told = False
+        self._plans_told, self._reading_told = False, 0
         self.origin_nea_m = self._home_nea_m = None
         self._sets.clear()
         self._refusal_told = ""
@@ -232,6 +237,11 @@ class AutopilotClient:
         self.said = now_s, message.text
         breached = self._firmware.breached.search(message.text)
         return None if breached is None else FenceBreach(time_s=now_s)
+
+    def _on_its_event(self, message: Message, now_s: float) -> Event | None:
+        """EVENT: PX4 says no text to a companion, but this."""
+        of_fence = message.id_of_event & 0xFFFFFF in self._firmware.breach_events
+        return FenceBreach(time_s=now_s) if of_fence else None
 
     def _on_fence_status(self, message: Message, now_s: float) -> Event | None:
         before, self._breaches = self._breaches, message.breach_count
@@ -312,7 +322,7 @@ class AutopilotClient:
         """When `on_time` has something to do, at the latest; -inf: at any time."""
         if not self._began:
             return math.inf
-        if self.notes or not self.parameters.is_done:
+        if self.notes or self.warnings or not self.parameters.is_done:
             return -math.inf
         speed_s = self._speed_told_s + _TELL_SPEED_S if self._speed else math.inf
         return min(speed_s, self.streams.due_s, self.plans.due_s)
@@ -353,8 +363,21 @@ class AutopilotClient:
         if not (self._began and self.is_news):
             return []
         events = self._checked_parameters(now_s) + self._read_plans(now_s)
+        events += self._reading(now_s)
         self.is_news = self._drawing is not None  # some of a fence with each message
         return events
+
+    def _reading(self, now_s: float) -> list[Event]:
+        """Whether a fence that has changed is being read, and drawn, by now."""
+        if not (self._mission.fence_from_vehicle and self._plans_told):
+            return []
+        items = self.plans.changing.get(FENCE, 0)
+        if not items and self._drawing is not None:
+            items = self._reading_told
+        if items == self._reading_told:
+            return []
+        self._reading_told = items
+        return [FenceReading(time_s=now_s, items=items)]
 
     def _checked_parameters(self, now_s: float) -> list[Event]:
         client = self.parameters
@@ -449,8 +472,14 @@ class AutopilotClient:
         """
         assert self._drawn is not None
         mission = self._mission
+        firmware, items = self._firmware, self.plans.plans[FENCE].items
+        name = self.autopilot.traits.name
+        misread = fence.misread(items, name) if firmware.polygons_first else ""
         whole = fence.in_force(
-            self._drawn, settings, home_nea_m=self._home_nea_m, here_ne_m=self.here_ne_m
+            replace_value(self._drawn, misread=misread),
+            settings,
+            home_nea_m=self._home_nea_m,
+            here_ne_m=self.here_ne_m,
         )
         self.fence = whole
         event = whole.changed(now_s)
@@ -458,8 +487,11 @@ class AutopilotClient:
         if is_new and not whole.needs_home:
             self._fence_told = replace(event, time_s=0.0)
             told.append(event)
+        said = (*whole.notes, whole.misread)
         self.notes += [each for each in whole.notes if each not in self._fence_said]
-        self._fence_said = whole.notes
+        if misread and misread not in self._fence_said:
+            self.warnings.append(misread)
+        self._fence_said = said
         against = fence.conflicts(whole, mission.task, mission.targets_ne_m)
         return against[0] if against else ""
 
@@ -474,4 +506,5 @@ _HANDLERS: Final[Mapping[int, _Handler]] = {
     wire.MAVLINK_MSG_ID_COMMAND_ACK: AutopilotClient._on_command_ack,
     wire.MAVLINK_MSG_ID_STATUSTEXT: AutopilotClient._on_statustext,
     wire.MAVLINK_MSG_ID_FENCE_STATUS: AutopilotClient._on_fence_status,
+    EventMessage.id: AutopilotClient._on_its_event,
 }

@@ -81,6 +81,8 @@ class Fence:
     """Why this fence cannot be respected."""
     needs_home: bool = False
     """Whether a part is missing until home is known."""
+    misread: str = ""
+    """Which shapes the autopilot itself misreads, and the remedy; empty: none."""
 
     def changed(self, time_s: float) -> FenceChanged:
         """The event that tells the mission."""
@@ -89,6 +91,7 @@ class Fence:
             zones=self.zones,
             floor_amsl_m=self.floor_amsl_m,
             ceiling_amsl_m=self.ceiling_amsl_m,
+            misread=bool(self.misread),
         )
 
 
@@ -157,6 +160,29 @@ class FenceBuilder:
         refusal = self._wrongs[0] if self._wrongs else ""
         said = (*self._said, *self._wrongs[1:])
         return Fence(zones=tuple(self._zones), notes=said, refusal=refusal)
+
+
+def misread(items: Sequence[PlanItem], who: str) -> str:
+    """Which polygons an autopilot of that name misreads, with the remedy; empty: none.
+
+    After the first circle PX4's `geofence.cpp` takes each corner of a polygon for the beginning of
+    another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
+    """
+    circle, after = "", list[str]()
+    for number, (first, *_) in enumerate(_shapes(items), start=1):
+        side = "inclusion" if first.command in (POLYGON_IN, CIRCLE_IN) else "exclusion"
+        if first.command in (CIRCLE_IN, CIRCLE_OUT):
+            circle = circle or f"{side} {number}"
+        elif first.command in (POLYGON_IN, POLYGON_OUT) and circle:
+            after.append(f"{side} {number}")
+    if not after:
+        return ""
+    named = ", ".join(after[:3]) + (f" and {len(after) - 3} more" if len(after) > 3 else "")
+    polygons = "polygons come" if len(after) > 1 else "polygon comes"
+    return (
+        f"{who} misreads its fence, and may stop where no zone is: {polygons} after a circle "
+        f"({named} after {circle}). Upload polygons before circles"
+    )
 
 
 def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:

@@ -20,8 +20,9 @@ from typing import Any, Final, NamedTuple, final
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import KINDS, Message, wire
 from companion.mavlink.signing import SECRETS, Signing, strip_signature
+from companion.printable import printable
 
 V1: Final = 0xFE
 V2: Final = 0xFD
@@ -73,7 +74,7 @@ def intact_end(data: bytes, at: int) -> int:
     end, number = frame_extent(data, at)
     if number is None or end > size:
         return 0
-    kind = wire.mavlink_map.get(number)
+    kind = KINDS.get(number)
     if kind is None or (data[at] == V2 and data[at + 2] > _SIGNED):
         return 0
     if data[at] == V1 and data[at + 1] > kind.unpacker.size:
@@ -132,7 +133,7 @@ _IGNORED_NAMES: Final = """
     SIMSTATE SIM_STATE VFR_HUD VIBRATION
 """
 IGNORED_MESSAGES: Final = frozenset(
-    number for number, kind in wire.mavlink_map.items() if kind.msgname in _IGNORED_NAMES.split()
+    number for number, kind in KINDS.items() if kind.msgname in _IGNORED_NAMES.split()
 )
 """Message numbers that autopilots stream and the companion does not use: recorded, never decoded.
 
@@ -168,7 +169,7 @@ def decoded(frame: bytes, kind: Any) -> Message:
     """
     in_order = _in_order(kind)
     if in_order is None:
-        return _pymavlink_decoder().decode(bytearray(frame))
+        return _with_printable_texts(_pymavlink_decoder().decode(bytearray(frame)))
     size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
     payload = frame[head : head + frame[1]].ljust(size, b"\0")
     message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
@@ -181,6 +182,14 @@ def decoded(frame: bytes, kind: Any) -> Message:
         header.seq, header.srcSystem, header.srcComponent = frame[4:7]
     else:
         header.mlen, header.seq, header.srcSystem, header.srcComponent = frame[1:5]
+    return message
+
+
+def _with_printable_texts(message: Message) -> Message:
+    """The message with its texts fit to be shown: all that comes in by MAVLink comes in here."""
+    for name in message.get_fieldnames():
+        if isinstance(text := getattr(message, name), str):
+            setattr(message, name, printable(text))
     return message
 
 
@@ -243,6 +252,11 @@ def _is_plausible(data: bytes, at: int, end: int, kind: Any) -> bool:
     return end >= len(data) or data[end] in (V1, V2)
 
 
+_RUNS = re.compile(rb"([\t\n\r\x20-\x7e]+)|[^\t\n\r\x20-\x7e]+")
+"""Text, or what is none."""
+_LEAST_TEXT = 8  # bytes: noise is all text of that length once in 2,400 times
+
+
 class Skipped(enum.Enum):
     """What was skipped."""
 
@@ -275,11 +289,25 @@ class Receiver:
         """
         self.passed: Counter[Skipped] = Counter()
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
+        self.harmless = 0
+        """How much of it is no fault of the link: text, as an autopilot says it on its console
+        while it boots; and up to one frame at the beginning, which was cut by coming late."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
         self._ignored, self._link = ignored, link
         self._rest = b""
+        self._has_begun = False
+        self._text = 0
+        """For how many bytes there was nothing but text."""
+
+    @property
+    def noise(self) -> str:
+        """What came damaged, in words; empty: nothing."""
+        if self.passed[Skipped.GARBAGE] + self.passed[Skipped.CHECKSUM] <= self.harmless:
+            return ""
+        kinds = (Skipped.GARBAGE, Skipped.CHECKSUM)
+        return ", ".join(f"{self.passed[each]} {each.value}" for each in kinds if self.passed[each])
 
     def feed(self, data: bytes) -> list[Message]:
         """The messages that are complete now, in order; their get_msgbuf() is without signature."""
@@ -294,10 +322,10 @@ class Receiver:
         while (found := find_marker(data, at)) is not None:
             start = found.start()
             if start > at:
-                self.passed[Skipped.GARBAGE] += start - at
+                self._pass_over(data[at:start])
             at = start
             end, number = frame_extent(data, at)
-            kind = wire.mavlink_map.get(number)
+            kind = None if number is None else KINDS.get(number)
             doubtful = number is not None and (kind is None or data[at] == V1)
             if doubtful and not _is_plausible(data, at, end, kind):
                 end = 0
@@ -305,15 +333,30 @@ class Receiver:
                 break
             if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
                 at = self._read_plain(data, at_s, heard, end)
+                self._text = 0
             else:
-                self.passed[Skipped.GARBAGE] += 1
+                self._pass_over(data[at : at + 1])
                 at += 1
         else:
             if size > at:
-                self.passed[Skipped.GARBAGE] += size - at
+                self._pass_over(data[at:size])
             at = size
         self._rest = data[at:]
+        if heard and not self._has_begun:
+            self._has_begun = True
+            passed = self.passed[Skipped.GARBAGE]
+            if passed - self.harmless <= LONGEST:
+                self.harmless = passed + self.passed[Skipped.CHECKSUM]
         return heard
+
+    def _pass_over(self, data: bytes) -> None:
+        """Count what belongs to no frame, and whether it is text."""
+        self.passed[Skipped.GARBAGE] += len(data)
+        least = _LEAST_TEXT if self._has_begun else 1
+        for run in _RUNS.finditer(data):
+            before, self._text = self._text, self._text + len(run[0]) if run[1] else 0
+            if run[1] and self._text >= least:
+                self.harmless += len(run[0]) if before >= least else self._text
 
     def _read_plain(
         self, data: bytes, at_s: float | None, heard: list[Incoming], at: int = 0
@@ -326,7 +369,7 @@ class Receiver:
         while at <= last:
             marker, length, flags, system, component, low, high = _PLAIN.unpack_from(data, at)
             number, end = low | high << 16, at + _HEADER_2 + length
-            kind = wire.mavlink_map.get(number)
+            kind = KINDS.get(number)
             if marker != V2 or flags or kind is None or end + _CHECKSUM > len(data):
                 break
             covered = data[at + 1 : end] + _EXTRA[kind.crc_extra]

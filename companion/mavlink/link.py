@@ -293,7 +293,8 @@ class VehicleClock:
 
     def read(self, time_s: float, at_s: float | None = None) -> ClockReading:
         """Take a time stamp of the vehicle; at_s: of its arrival, by any monotonic clock."""
-        if not self.believes(time_s, at_s):
+        goes_on = self.is_known and 0.0 <= time_s - self.now_s <= _REBOOT_S
+        if not goes_on and not self.believes(time_s, at_s):
             self._doubted_s = time_s
             return ClockReading.DOUBTED
         self._doubted_s = None

@@ -135,6 +135,8 @@ class PlanClient:
         """By MAV_MISSION_TYPE."""
         self.trouble: dict[int, str] = {}
         """Kinds whose last transfer did not succeed, and why, in words."""
+        self.changing: dict[int, int] = {}
+        """Kinds that have changed and are being read, and how many items they have now."""
         self.read_at_s: dict[int, float] = {}
         """When each was known last to be as it stands here."""
         self._watches = {kind: _Watch() for kind in KINDS}
@@ -158,6 +160,7 @@ class PlanClient:
     def refresh(self) -> None:
         """Download everything again now, after a reboot or on request."""
         self._transfer = None
+        self.changing.clear()
         for watch in self._watches.values():
             watch.due_s = watch.read_s = -math.inf
             watch.opaque_id = 0
@@ -225,6 +228,9 @@ class PlanClient:
         if same and transfer.only_look:
             return self._looked(transfer, now_s)
         transfer.count, transfer.opaque_id = message.count, opaque_id
+        another = watch.opaque_id not in (0, opaque_id) or message.count != len(plan.items)
+        if known and message.count and another:
+            self.changing[transfer.kind] = message.count
         if message.count == 0:
             return self._complete(transfer, now_s)
         transfer.reads, transfer.tries = True, 0
@@ -245,6 +251,11 @@ class PlanClient:
             )
         )
         transfer.keys.append(transfer.items[-1].key)
+        plan = self.plans[transfer.kind]
+        if plan.version and transfer.kind not in self.changing:
+            before = plan.items[message.seq : message.seq + 1]
+            if not before or before[0].key != transfer.keys[-1]:
+                self.changing[transfer.kind] = transfer.count
         if len(transfer.items) == transfer.count:
             return self._complete(transfer, now_s)
         transfer.tries = 0
@@ -268,6 +279,7 @@ class PlanClient:
 
     def _looked(self, transfer: _Transfer, now_s: float) -> list[Message]:
         """No change; end the transfer, as no items will be requested."""
+        self.changing.pop(transfer.kind, None)
         self._done(transfer, now_s)
         over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
         return [over, *self.on_time(now_s)]
@@ -290,6 +302,7 @@ class PlanClient:
             watch.due_s = now_s + LOOK_S if early else now_s
         else:
             watch.candidate, watch.rebooted = None, False
+            self.changing.pop(transfer.kind, None)
         return [self._ack(transfer.kind, wire.MAV_MISSION_ACCEPTED), *self.on_time(now_s)]
 
     def _done(self, transfer: _Transfer, now_s: float, pause_s: float = LOOK_S) -> None:

@@ -16,12 +16,13 @@ from msgspec.structs import replace
 from companion.mavlink import fence, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
-from companion.mavlink.frames import Receiver, Skipped
+from companion.mavlink.frames import Receiver
 from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
 from companion.mavlink.mounting import MountingCheck, Seen, Turning
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.near_sensing import in_words
 from companion.mavlink.parameter_checks import Severity
+from companion.mavlink.plan_client import FENCE
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mission import ground, stopped
@@ -302,9 +303,8 @@ def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]
             else f", more than {_LONG_DELAY_S * 1e3:.0f} ms"
         )
         yield _check("link delay", ok, what, "Use a faster link.")
-    passed = session.receiver.passed.total() - session.receiver.passed[Skipped.UNKNOWN]
-    if passed:
-        yield _remark("noise", f"{passed} times something that is no message was passed over")
+    if noise := session.receiver.noise:
+        yield _remark("noise", f"passed over: {noise}")
 
 
 def _unique_ids(vehicle: AutopilotClient, state: State) -> Check:
@@ -343,6 +343,9 @@ def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check
         waiting = ", ".join(vehicle.plans.waiting)
         yield _check("fence", False, f"not read: {waiting}", "Check the link.")
         return
+    if mission.fence_from_vehicle and (items := vehicle.plans.changing.get(FENCE)):
+        what = f"the fence has changed: reading {items:,} items"
+        yield _check("fence", False, what, "Wait until it is read.")
     if not mission.fence_from_vehicle:
         yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
     elif vehicle.fence is not None:
@@ -362,6 +365,9 @@ def _against_fence(drawn: fence.Fence, session: PreflightInputs) -> Iterator[Che
         yield _check("fence", False, what, f"{remedy}.")
     for line in drawn.notes:
         yield _remark("fence", line)
+    if drawn.misread:
+        what, _, remedy = drawn.misread.rpartition(". ")
+        yield _remark("fence", what, f"{remedy}.")
     if not against:
         yield _check("fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to")
 

@@ -11,6 +11,7 @@ from companion.mission.decisions import (
     give_up,
     is_gone,
     preceded,
+    waits_for_fence,
 )
 from companion.mission.events import Event, Plan, PlanReady, Position, StatusText
 from companion.mission.home import begins_at_home, beyond_path_m, home_ne_m, is_above_home
@@ -164,6 +165,10 @@ def returning(state: State, event: Event, context: Context) -> Step:
 
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
+    if state.flight.stop is None and waits_for_fence(state, context):
+        state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
+        if trigger is not None:
+            return state, commands, trigger
     others = state.traffic
     if others is not None and (step := flying.make_way(state, others, event, context)) is not None:
         return step

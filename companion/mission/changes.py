@@ -15,6 +15,7 @@ from companion.mission.events import (
     Event,
     FenceBreach,
     FenceChanged,
+    FenceReading,
     GroundSeen,
     Landed,
     NearSeen,
@@ -65,6 +66,7 @@ from companion.world.zone_index import index_of
 _GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
+_FEW_ITEMS = 10  # of a fence: they are read before a person has read the text
 
 
 class OrderResult(enum.Enum):
@@ -170,6 +172,18 @@ def _with_fence(state: State, event: FenceChanged, _context: Context) -> Step:
     known = state.fence is not None
     state = state.with_rules(state.given, event)
     return _with_zones(state, StatusText(text=f"fence: {len(event.zones)} zones", warning=known))
+
+
+def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step:
+    """The fence has changed: said at once; who waits for it is `decisions.waits_for_fence`."""
+    if not event.items:
+        return replace(state, fence_unread_s=None), [], None
+    if state.fence_unread_s is None:
+        state = replace(state, fence_unread_s=event.time_s)
+    if event.items <= _FEW_ITEMS:
+        return state, [], None
+    text = f"the fence has changed: reading {event.items:,} items"
+    return state, [StatusText(text=text, warning=True)], None
 
 
 def _keep_outs(state: State, order: Order) -> tuple[CircleZone, ...]:
@@ -488,6 +502,7 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
+        fence_unread_s=None,
         unready=Reason.REBOOTED.text if waited else "",
     )
     return state, [StatusText(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN
@@ -498,6 +513,7 @@ HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]]
     GroundSeen: _on_ground_seen,
     ScanDone: loiter.on_loiter_scan,
     FenceChanged: _with_fence,
+    FenceReading: _fence_reading,
     FenceBreach: _fence_breach,
     SettingsChanged: _with_settings,
     TargetsChanged: _with_vehicles_targets,

@@ -16,9 +16,20 @@ from companion.mission.events import (
     Position,
     SetMode,
 )
-from companion.mission.health import astray_m
+from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, Phase, Reason, State, TakeOver, Trigger, Vehicle
+from companion.mission.state import (
+    IN_AIR,
+    Hold,
+    Phase,
+    Reason,
+    State,
+    StreamLost,
+    TakenOver,
+    TakeOver,
+    Trigger,
+    Vehicle,
+)
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
@@ -35,8 +46,11 @@ AT_M = 5.0
 LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
 _HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
 _GROUNDED_S = 1.5
+_COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
+_FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
 _FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
 _SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
+_ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
 _THERE_S = 5.0
 _SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
 
@@ -72,7 +86,8 @@ def preceded(says: list[Command], step: Step) -> Step:
 def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     """Detail and remedy of a reason; for plans the planner's own."""
     if reason is Reason.POSITION_ELSEWHERE:
-        return f": {astray_m(state.vehicle):.0f} m away", reason.remedy
+        off_m, allowed_m = astray_m(state.vehicle), may_differ_m(state.vehicle, state.task.limits)
+        return f": {_metres(off_m)} off, {_metres(allowed_m)} allowed", reason.remedy
     refusal = state.flight.refusal
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy
@@ -81,6 +96,11 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     why = "" if refusal is Refusal.NOTHING_SAFE else why  # else it is said twice
     detail = "".join(f": {each}" for each in (why, broken) if each)
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
+
+
+def _metres(length_m: float) -> str:
+    """With a decimal where that tells."""
+    return f"{length_m:.1f} m" if length_m < 9.95 else f"{length_m:.0f} m"
 
 
 def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
@@ -123,11 +143,20 @@ def takeover_reason(state: State) -> Reason:
     acts = (
         vehicle.traits.needs_setpoints_before_offboard
         and vehicle.failsafe
-        and _is_out_of_its_fence(state)
+        and (_is_out_of_its_fence(state) or _is_held_by_what_it_misreads(state))
     )
     if said or acts:
         return Reason.FENCE_BREACHED
     return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
+
+
+def _is_held_by_what_it_misreads(state: State) -> bool:
+    """Whether PX4 goes on holding although setpoints come, with a fence that it misreads.
+
+    Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
+    """
+    fence, lost = state.fence, isinstance(state.hold, StreamLost)
+    return fence is not None and fence.misread and lost and in_phase_s(state) > _COMES_BACK_S
 
 
 def _is_out_of_its_fence(state: State) -> bool:
@@ -139,6 +168,15 @@ def _is_out_of_its_fence(state: State) -> bool:
     if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
         return True
     return index_of(fence.zones).nearest(here[0], here[1])[1] < error_m
+
+
+def waits_for_fence(state: State, context: Context) -> bool:
+    """Whether nothing is flown on until the changed fence is known; not by a low battery."""
+    since_s, flight = state.fence_unread_s, state.flight
+    if since_s is None or context.mission.goes_on_while_reading:
+        return False
+    low = Reason.BATTERY_LOW in (state.reason, state.orders.active, flight.fallen_back)
+    return not low and state.now_s - since_s > _FENCE_READ_S
 
 
 def is_silent(state: State) -> bool:
@@ -245,9 +283,26 @@ def landing_order(state: State) -> Reason | None:
     return Reason.LAND_ASKED if ordered else None
 
 
+def begin_hold(state: State, reason: Reason) -> Hold:
+    """The hold that begins for a reason."""
+    if reason is Reason.FAILSAFE:
+        return TakenOver(why=seen_cause(state))
+    return reason.hold()
+
+
+def seen_cause(state: State) -> Reason | None:
+    """What was seen to be wrong of late, on which an autopilot's failsafe may have acted."""
+    vehicle = state.vehicle
+    if vehicle.distrust is not None or state.now_s - vehicle.bad_at_s < _ACTS_S:
+        return vehicle.distrust or vehicle.last_distrust
+    if state.now_s - vehicle.estimator_failed_at_s < _ACTS_S:
+        return Reason.ESTIMATOR
+    return None if vehicle.battery_short_at_s is None else Reason.BATTERY_LOW
+
+
 def with_hold_reason(state: State, reason: Reason) -> State:
     """The state with another reason for the hold."""
-    hold = state.hold if isinstance(state.hold, reason.hold) else reason.hold()
+    hold = state.hold if isinstance(state.hold, reason.hold) else begin_hold(state, reason)
     state = replace(state, reason=reason, hold=hold, since_s=state.now_s)
     return replace(state, asked_at_s=-1e9, asks=0, obeyed=False)
 

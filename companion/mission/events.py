@@ -177,6 +177,16 @@ class FenceChanged(Event, frozen=True, kw_only=True):
     zones: tuple[Zone, ...]
     floor_amsl_m: float | None = None
     ceiling_amsl_m: float | None = None
+    misread: bool = False
+    """Whether the autopilot itself misreads it, so that it may act where no zone is."""
+
+
+@final
+class FenceReading(Event, frozen=True, kw_only=True):
+    """The vehicle's fence has changed and is being read, or it is not any more."""
+
+    items: int
+    """How many it has; 0: what counts is known again."""
 
 
 @final

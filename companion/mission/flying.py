@@ -15,6 +15,7 @@ from companion.mission.decisions import (
     give_up,
     is_gone,
     reason_text,
+    waits_for_fence,
 )
 from companion.mission.events import (
     Command,
@@ -86,6 +87,10 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and battery_runs_low(state):
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
+        if trigger is not None:
+            return state, commands, trigger
+    if state.flight.stop is None and waits_for_fence(state, context):
+        state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
         if trigger is not None:
             return state, commands, trigger
     others = state.traffic

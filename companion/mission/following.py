@@ -242,7 +242,7 @@ def stop(state: State, reason: Reason) -> Step:
         ahead_m = lead_m(state, flight.reference)
         pose = sent_pose(flight.reference, flight.leg, flight.next_leg, ahead_m, state.task)
         point = pose.point_nea_m
-        if reason is Reason.NEW_THREAT:
+        if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
             query = LoiterQuery(
                 here_nea_m=state.vehicle.position_nea_m or point,
                 velocity_nea_m_s=state.vehicle.velocity_nea_m_s,

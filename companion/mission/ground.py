@@ -314,7 +314,7 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
     if isinstance(event, Position) and _has_climbed(state, event, guided=guided):
         if guided:
             return state, [], Trigger.AIRBORNE
-        return replace(state, reason=Reason.TAKING_OVER), [], Trigger.HANDED_OVER
+        return replace(state, reason=Reason.TAKEN_OFF), [], Trigger.HANDED_OVER
     if in_phase_s(state) > _longest_climb_s(state):
         return give_up(state, Reason.NO_TAKE_OFF)
     return state, [], None

@@ -139,7 +139,7 @@ def astray_m(vehicle: Vehicle) -> float:
     return math.hypot(*vehicle.astray_ne_m)
 
 
-def _may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
+def may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
     """Allowed distance from the predicted position.
 
     Both may have the mission's navigation error; velocities are reported to 0.1 m/s, and the error
@@ -155,7 +155,13 @@ def with_position_trust(vehicle: Vehicle, reason: Reason | None, now_s: float) -
     if reason is None:
         return replace(vehicle, distrust=None)
     doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
-    return replace(vehicle, distrust=reason, doubted_at_s=doubted_at_s, bad_at_s=now_s)
+    return replace(
+        vehicle,
+        distrust=reason,
+        last_distrust=reason,
+        doubted_at_s=doubted_at_s,
+        bad_at_s=now_s,
+    )
 
 
 def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
@@ -181,7 +187,7 @@ def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
         return Reason.INACCURATE
     if vehicle.astray_ne_m == (0.0, 0.0) or now_s - vehicle.doubted_at_s >= BELIEVED_AFTER_S:
         return None
-    elsewhere = astray_m(vehicle) > _may_differ_m(vehicle, limits)
+    elsewhere = astray_m(vehicle) > may_differ_m(vehicle, limits)
     return Reason.POSITION_ELSEWHERE if elsewhere else None
 
 

@@ -16,6 +16,7 @@ from companion.mission import traffic as others
 from companion.mission.decisions import (
     Context,
     Step,
+    begin_hold,
     parting,
     reason_text,
 )
@@ -268,7 +269,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
 def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     """Hold for the reason that there is."""
     reason = state.reason or Reason.NO_PLAN
-    state = replace(state, hold=reason.hold())
+    state = replace(state, hold=begin_hold(state, reason))
     match state.hold:
         case Paused() | ReturnOrdered() | LandOrdered():
             state = replace(state, orders=replace(state.orders, active=reason))
@@ -279,7 +280,8 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
             state = replace(state, flight=flight)
         case Replan() | TakeOver() | None:
             pass
-    text = f"hold: {reason.text}{reason_text(state, reason)[0]}"
+    says_so = "" if reason is Reason.TAKEN_OFF else "hold: "
+    text = f"{says_so}{reason.text}{reason_text(state, reason)[0]}"
     says: list[Command] = [StatusText(text=text, warning=reason.warns, about="phase")]
     if isinstance(state.hold, HoldMode):
         state = replace(state, asked_at_s=state.now_s)

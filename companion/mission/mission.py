@@ -98,6 +98,8 @@ class Mission:
     """System and component ids (0: any) whose commands the companion obeys."""
     targets_from_vehicle: bool = False
     fence_from_vehicle: bool = True
+    goes_on_while_reading: bool = False
+    """Whether it flies on while a changed fence is being read, instead of holding."""
     sets_parameters: bool = True
     """Whether parameters of the autopilot that are not safe are set, or only refused."""
     sends_obstacles: bool = False

@@ -167,6 +167,8 @@ class TakenOver(Struct, frozen=True):
     """When the operator last ordered to continue."""
     failsafe_over: bool = False
     """Whether the end of the failsafe was reported."""
+    why: "Reason | None" = None
+    """What was seen to be wrong when it was taken."""
 
 
 @final
@@ -210,12 +212,13 @@ class Reason(enum.Enum):
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
     TAKING_OVER = ("taking over", "Wait: it stops first.", TakeOver, False)
+    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", TakeOver, False)
     BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", HoldMode, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
     POSITION_ELSEWHERE = (
-        "the position is not where the vehicle can be",
+        "the position is not where its speeds lead",
         "Check the GPS: it is believed once it agrees, or after 60 s without another jump.",
     )
     NO_FIX = ("the GPS fix is lost", "Wait for the fix to come back.")
@@ -282,6 +285,11 @@ class Reason(enum.Enum):
         Replan,
     )
     NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
+    FENCE_UNREAD = (
+        "the vehicle's fence has changed and is being read",
+        "Wait until it is read; from_vehicle.goes_on_while_reading lets it fly on.",
+        Replan,
+    )
     NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
     CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
     PAUSED = ("paused by a person", "Send the command to continue.", Paused, False)
@@ -375,6 +383,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """When the position was last invalid, for any reason."""
     distrust: Reason | None = None
     """Why it is invalid now (`health.distrust`); None: it is valid."""
+    last_distrust: Reason | None = None
+    """Why it was invalid at `bad_at_s`; None: it never was."""
     doubted_at_s: float = -1e9
     """When it was last invalid for another reason than its place."""
     sight: Sight = Sight.NEVER_HEARD
@@ -652,6 +662,8 @@ class State(Struct, frozen=True, kw_only=True):
     given: Task
     """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
+    fence_unread_s: float | None = None
+    """Since when a fence that has changed is being read; None: it is known."""
     keep_outs: tuple[CircleZone, ...] = ()
     """Ordered in flight."""
     flown_under: Task | None = None
@@ -698,6 +710,7 @@ class State(Struct, frozen=True, kw_only=True):
             since_s=self.since_s + shift_s,
             asked_at_s=self.asked_at_s + shift_s,
             duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
+            fence_unread_s=None if self.fence_unread_s is None else self.fence_unread_s + shift_s,
             traffic=self.traffic and Traffic(rules=self.traffic.rules),
             vehicle=replace(
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None

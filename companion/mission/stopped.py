@@ -27,6 +27,7 @@ from companion.mission.decisions import (
     preceded,
     reason_text,
     takeover_reason,
+    waits_for_fence,
     with_hold_reason,
 )
 from companion.mission.events import (
@@ -99,9 +100,9 @@ def holding(state: State, event: Event, context: Context) -> Step:
     if state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND:
         return _stay_down(state)
     if not state.vehicle.armed:
-        return give_up(state, Reason.DISARMED)
+        return _over(state, Reason.DISARMED)
     if is_grounded(state):
-        return give_up(state, Reason.GROUNDED)
+        return _over(state, Reason.GROUNDED)
     match hold:
         case Replan() | Paused() | ReturnOrdered() | LandOrdered():
             return _hold_on_setpoints(state, event, context, hold)
@@ -115,6 +116,20 @@ def holding(state: State, event: Event, context: Context) -> Step:
             return _while_taken_over(state, event, context, TakenOver())
         case Silent():
             return _heard_again(state, event, context)
+
+
+def _over(state: State, how: Reason) -> Step:
+    """End on the ground, with what was seen to lead to it."""
+    reason, hold = state.reason, state.hold
+    if reason is None or not (isinstance(hold, TakenOver) or reason.hold is HoldMode):
+        return give_up(state, how)
+    why = None
+    if reason is Reason.FAILSAFE and isinstance(hold, TakenOver):
+        late = state.vehicle.bad_at_s > state.since_s
+        why = hold.why or (state.vehicle.last_distrust if late else None)
+    remedy = why.remedy if why else how.remedy
+    detail = f": {reason.text}" + (f": {why.text}" if why else "")
+    return give_up(state, how, detail, reason.remedy if reason.hold is HoldMode else remedy)
 
 
 def _stay_down(state: State) -> Step:
@@ -253,6 +268,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, LandOrdered):
         return (state, commands, None) if moving else _land_here(state, commands)
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
+        return state, commands, None
+    if waits_for_fence(state, context):
         return state, commands, None
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
     on_way_back = state.flight.returning or (low_battery and state.flight.homeward)

@@ -33,6 +33,7 @@ from companion.runtime.loop import prompt_threads
 from companion.sources.files import file_of_run, writing
 from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
+from companion.views.output import plain_console
 
 _LOADING = "loading the planner (the first time it is compiled: some ten seconds)"
 _SHOWN_EVERY_S = 0.1
@@ -112,7 +113,7 @@ def _compare(
     *,
     by_step: bool,
 ) -> None:
-    console = Console(soft_wrap=True, highlight=False, markup=False)
+    console = plain_console(soft_wrap=True, highlight=False)
     _run(replay, span_s[1], speed, console if by_step else None)
     found = replay.found
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
@@ -201,7 +202,7 @@ def changed(
     numba: bool,
 ) -> None:
     """What if: each subpath under other settings."""
-    console = Console(width=None if sys.stdout.isatty() else _TABLE_COLUMNS)
+    console = plain_console(width=None if sys.stdout.isatty() else _TABLE_COLUMNS)
     if not folder.is_dir():
         rule = "a log does not hold the states to plan from"
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
@@ -225,7 +226,7 @@ def shadow(
     json_file: Path | None,
 ) -> None:
     """Run in shadow mode on a log, or on that of a run folder."""
-    console, flight = Console(soft_wrap=True), _log(flight)
+    console, flight = plain_console(soft_wrap=True), _log(flight)
     chosen = None if mission is None else load_mission(mission)
     kernel = None if chosen is None else kernel_for(numba=True)
     with _bar("watching", flight.stat().st_size) as show:
@@ -283,7 +284,7 @@ def kernel_for(*, numba: bool) -> Kernel:
     """The kernel that computes plans."""
     if not numba:
         return NUMPY
-    with Console(stderr=True).status(_LOADING):
+    with plain_console(stderr=True).status(_LOADING):
         return load_kernel()
 
 
@@ -298,9 +299,11 @@ def _write(values: Any, json_file: Path | None) -> None:
 @contextmanager
 def _bar(words: str, total: int) -> Iterator[Callable[[int, str], None]]:
     """A progress bar on the terminal; what is yielded tells it how far it is."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
     shown_s = 0.0
-    bars = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+    bars = Progress(
+        *columns, TimeRemainingColumn(), console=plain_console(stderr=True), transient=True
+    )
     with bars:
         bar = bars.add_task(words, total=total or None)
 

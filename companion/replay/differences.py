@@ -12,6 +12,7 @@ from companion.mavlink.dialect import Message
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Stamped
 from companion.mission.entries import Entry
+from companion.printable import with_printable_texts
 from companion.sources.files import file_of_run
 from companion.telemetry.inputs import is_hole
 from companion.telemetry.run_folder import (
@@ -168,7 +169,7 @@ class Recording:
         if recorded == line:
             self.entries += 1
             return None
-        was, now = _entry_of(recorded), json.loads(line)
+        was, now = _entry_of(recorded), with_printable_texts(json.loads(line))
         time_s, kind = float(entry["t_s"]), str(entry["kind"])
         if was is None:
             return _difference(time_s, "journal", "line", recorded[:_SHOWN_BYTES], kind)
@@ -239,7 +240,7 @@ def _time_us_of(line: bytes) -> int | None:
 def _entry_of(line: bytes) -> dict[str, Any] | None:
     """Decode a journal entry; None if it is invalid."""
     try:
-        entry = json.loads(line)
+        entry = with_printable_texts(json.loads(line))
     except (ValueError, RecursionError):
         return None
     return entry if isinstance(entry, dict) else None

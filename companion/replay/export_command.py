@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 
 from companion.errors import InputError
 from companion.sources.files import answer, writable
 from companion.telemetry.run_folder import RECORDED
+from companion.views.output import plain_console
 
 Format = Literal["kml", "geojson", "csv", "plan"]
 PathName = Literal["flown", "planned"]
@@ -47,7 +47,7 @@ def export(
     said = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
     said += f"{len(flight.moments)} holds and events: {file}"
     for line in [*(f"note: {note}" for note in notes), said]:
-        Console().out(line, highlight=False)
+        plain_console().out(line, highlight=False)
 
 
 def out_file(file: Path, run_dir: Path) -> Path:

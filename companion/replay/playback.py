@@ -12,7 +12,6 @@ from typing import Final, final
 
 from msgspec import Struct
 from msgspec.structs import replace
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from companion.errors import InputError
@@ -23,6 +22,7 @@ from companion.runtime.connection import Address, parsed
 from companion.runtime.link import Link, open_link
 from companion.runtime.watchdog import Clock
 from companion.telemetry.logs import Record, open_log
+from companion.views.output import plain_console
 
 _SLOWEST, _FASTEST = 0.1, 1000.0
 _MAX_GAP_US: Final = 10_000_000
@@ -185,7 +185,7 @@ def play_file(
         playing = replace(playing, only_vehicle=log.system_id)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     place = parsed(connect)
-    errors = Console(stderr=True)
+    errors = plain_console(stderr=True)
     bars = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
     with open_link(connect) as link, bars:
         bar = bars.add_task("waiting for a ground station", total=log.size_bytes)
@@ -203,7 +203,7 @@ def play_file(
         rule = "no frame of the log lies there"
         raise InputError("--from", playing.from_s, rule, "Give a time within the log.")
     notes = [f"{file.name}: {finding}" for finding in log.findings] + played.words
-    console = Console(soft_wrap=True)
+    console = plain_console(soft_wrap=True)
     for note in notes:
         console.out(f"note: {note}", highlight=False)
     took = f"{played.frames} frames in {played.wall_s:.1f} s"

@@ -24,6 +24,7 @@ from companion.planner.kernels import Kernel
 from companion.planner.outcomes import values_of
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.printable import printable
 from companion.replay.differences import NOTHING, Difference, Recording, values_differ
 from companion.replay.report import PlanDiffers, Replayed
 from companion.replay.session_inputs import (
@@ -275,5 +276,5 @@ def in_words(event: tuple[float, Input]) -> str:
             what = "the companion was started"
         case _:
             call, *arguments = recorded_input
-            what = " ".join([call.replace("_", " "), *map(str, arguments)])
+            what = printable(" ".join([call.replace("_", " "), *map(str, arguments)]))
     return f"t {now_s:.3f} s  {what}"

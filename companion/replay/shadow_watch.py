@@ -11,7 +11,7 @@ from statistics import median
 from typing import Final, final
 
 from companion.mavlink.autopilots import FIRMWARES, Autopilot
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
 from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
@@ -245,7 +245,7 @@ class Watch:
         self._stand_in_s = at_s
         for number, frame in self._stand_ins.items():
             if not self.heard_of[number]:
-                name = wire.mavlink_map[number].msgname
+                name = KINDS[number].msgname
                 self.stood_in.setdefault(name, at_s)
                 self._feed(frame, wall_s, at_s)
 

@@ -253,6 +253,8 @@ class ControlLoop:
         self._note_track()
 
     def _note_track(self) -> None:
+        if not self.session.mission.task.limits.hovers:
+            self.flown.note_passing()
         here, now_s = self.session.state.vehicle.position_nea_m, self.session.now_s
         waits = 0.0 <= now_s - self._track_at_s < self._track_every_s  # or its clock begins again
         if here is not None and not waits:

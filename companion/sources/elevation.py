@@ -19,7 +19,7 @@ import pyproj
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
-from companion.sources.files import answer
+from companion.sources.files import answer, told_path
 from companion.world.known_map import KnownMap
 from companion.world.simulated_scan import Truth
 from companion.world.terrain import GridTerrain
@@ -177,7 +177,8 @@ def _opened(path: Path, vertical_datum: str, field: str) -> Iterator[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of files without coordinates: refused below
             driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
-            source = rasterio.open(path, driver=driver)
+            memory = _in_memory(path, rasterio)  # there for as long as it is read
+            source = rasterio.open(path if memory is None else memory.name, driver=driver)
         with source:
             _check_coordinates(source, vertical_datum)
             yield source
@@ -186,6 +187,14 @@ def _opened(path: Path, vertical_datum: str, field: str) -> Iterator[Any]:
     except rasterio.errors.RasterioError as error:
         rule = f"it cannot be read ({' '.join(str(error).split())})"
         raise InputError(field, str(path), rule, "Name a GeoTIFF or an SRTM .hgt file.") from None
+
+
+def _in_memory(path: Path, rasterio: Any) -> Any:
+    """A copy of the file, if its path is no UTF-8, which GDAL does not take; else None."""
+    if told_path(path) == str(path):
+        return None
+    name = path.name.encode(errors="replace").decode()
+    return rasterio.MemoryFile(path.read_bytes(), filename=name)
 
 
 def _read(source: Any, rows: Span, columns: Span) -> tuple[npt.NDArray[Any], npt.NDArray[np.bool_]]:

@@ -2,14 +2,17 @@
 
 import errno
 import json
+import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
+from urllib.parse import unquote_to_bytes
 
 from companion.errors import InputError
+from companion.printable import with_printable_texts
 
 RawTable = dict[str, Any]
 """A table as its file has it: nothing in it has been checked."""
@@ -34,6 +37,22 @@ def read_text(path: Path, field: str, remedy: str) -> str:
         raise InputError(field, str(path), rule, remedy) from error
     except OSError as error:
         raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
+
+
+def told_path(path: Path) -> str:
+    """A path as a text that TOML can hold: as a URI, if it is no UTF-8."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return path.as_uri()
+    return str(path)
+
+
+def path_of(text: str) -> Path:
+    """The path that such a text stands for."""
+    if text.startswith("file:///"):
+        return Path(os.fsdecode(unquote_to_bytes(text.removeprefix("file://"))))
+    return Path(text)
 
 
 def answer(question: Callable[[], bool]) -> bool:
@@ -97,7 +116,7 @@ def picture_file(option: str, path: Path) -> Path:
 def toml_table(text: str, where: str) -> RawTable:
     """The table of a TOML text.  Raises InputError about the file."""
     try:
-        return tomllib.loads(text)
+        return {**with_printable_texts(tomllib.loads(text))}
     except tomllib.TOMLDecodeError as error:
         rule = f"not TOML: {_one_line(error)}"
         raise InputError("file", where, rule, "Mend that place; see docs/files.md.") from error
@@ -113,7 +132,8 @@ def json_table(path: Path, field: str, remedy: str, *, nan_is_null: bool = False
     """
     text = read_text(path, field, remedy)
     try:
-        found = json.loads(text, parse_constant=_null_or_no_number if nan_is_null else _no_number)
+        constant = _null_or_no_number if nan_is_null else _no_number
+        found = with_printable_texts(json.loads(text, parse_constant=constant))
     except (RecursionError, ValueError) as error:
         raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
     if not isinstance(found, dict):

@@ -22,7 +22,7 @@ from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.elevation import height_at_m, read_known_map
-from companion.sources.files import RawTable, plain
+from companion.sources.files import RawTable, path_of, plain, told_path
 from companion.sources.mission_schema import (
     KnownTerrainTable,
     MissionTable,
@@ -85,7 +85,9 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
                 table[key] = [*table.get(key, []), *found]
     if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
         names.append("terrain")
-        table = table | {"terrain": terrain | {"file": str(_absolute(folder / terrain["file"]))}}
+        table = table | {
+            "terrain": terrain | {"file": told_path(_absolute(folder / path_of(terrain["file"])))}
+        }
     assumed = _keys(table) - _keys(given) if "plan" in names else frozenset[str]()
     return MissionFile(table=table, notes=tuple(notes), is_whole=not names, assumed=assumed)
 
@@ -146,7 +148,7 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
         assert terrain.file is not None
         assert terrain.vertical_datum is not None
         return height_at_m(
-            folder / terrain.file,
+            folder / path_of(terrain.file),
             (latitude_deg, longitude_deg),
             vertical_datum=terrain.vertical_datum,
             nodata=terrain.nodata,
@@ -414,7 +416,7 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
     assert table.file is not None
     assert table.vertical_datum is not None
     told = read_known_map(
-        Path(table.file),
+        path_of(table.file),
         frame,
         blank,
         vertical_datum=table.vertical_datum,

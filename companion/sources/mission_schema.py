@@ -171,7 +171,12 @@ class TrafficTable(keys_of(TrafficRules, *(each.name for each in fields(TrafficR
 
 
 class FromVehicleTable(
-    keys_of(Mission, targets_from_vehicle="targets", fence_from_vehicle="fence")  # type: ignore[misc]
+    keys_of(  # type: ignore[misc]
+        Mission,
+        "goes_on_while_reading",
+        targets_from_vehicle="targets",
+        fence_from_vehicle="fence",
+    )
 ):
     """What is taken from the vehicle's own mission and fence."""
 

@@ -56,7 +56,8 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     ground_m = max(ground_m, plan.home_amsl_m)
     is_blind = vehicle_as_given.get("scanner") is False
     planner = _planner(given, vehicle["kind"])
-    if plan.unknown_altitudes:
+    own_targets = not _table(given, "from_vehicle").get("targets")
+    if plan.unknown_altitudes and own_targets:
         notes.append(_about_unknown_altitudes(plan, is_blind=is_blind))
     if is_blind and "safety_distance_m" not in _table(given, "planner"):
         planner["safety_distance_m"] = _least_distance_m(plan, vehicle_as_given, ground_m)
@@ -71,7 +72,7 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
         "keep_ins": plan.keep_ins,
         "rally_points": plan.rally_points,
     }
-    if "targets" not in given and not _table(given, "from_vehicle").get("targets"):
+    if "targets" not in given and own_targets:
         assumed["targets"] = _at_their_altitudes(plan) if is_blind else plan.targets
     assumed["altitude"] = _altitude(plan, vehicle_as_given, planner, ground_m)
     if "altitude" not in given:
@@ -263,8 +264,8 @@ def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
         rule = "it is above terrain, and how high the ground is there is not known"
         raise InputError(f"{where}: altitude", height_m, rule, remedy)
     names = [label.removeprefix(f"{plan.name}: ") for label, _ in plan.unknown_altitudes]
-    what = "altitudes above terrain, where the ground is not known"
-    return f"left out: {len(names)} {what} ({listing(names)}). {remedy}"
+    what = "altitude above terrain, where the ground is not known"
+    return f"left out: {len(names)} x {what} ({listing(names)}). {remedy}"
 
 
 def _merged(assumed: RawTable, given: RawTable) -> RawTable:

@@ -26,6 +26,7 @@ _PLACES = (16, 82, 17, 18, 19, 31)
 """Commands that go to a place."""
 _TAKE_OFFS = (22, 24)
 _LAND, _RETURN, _LOITER_FOR_EVER, _DELAY, _ROI, _JUMP = 21, 20, 17, 93, 80, 177
+_SET_HOME = 179
 _LAST_NAV = 95
 _FIXED_WING, _COPTERS = 1, (2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE
 
@@ -240,7 +241,7 @@ class Items:
 
     def __init__(self, plan: Plan, ground: Ground | None = None) -> None:
         self._plan, self._ground = plan, ground
-        self._ended_by = ""
+        self._ended_by, self._home_moves = "", False
         self._left_out: dict[str, int] = {}
         self._above_ground: list[str] = []
         self._without_altitude: list[str] = []
@@ -299,6 +300,9 @@ class Items:
             if latitude or longitude:
                 self._add_target(latitude, longitude, where)
             self._end("land", command)
+        elif command == _SET_HOME:
+            self._home_moves = True
+            self._leave_out(_enum_name("MAV_CMD", command))
         elif command == _JUMP or (command <= _LAST_NAV and command not in (_DELAY, _ROI)):
             rule = f"{_enum_name('MAV_CMD', command)} cannot be flown by the companion"
             remedy = "Replace it by waypoints."
@@ -351,6 +355,10 @@ class Items:
         if item.frame in _ABOVE_TERRAIN or item.altitude_mode in _TERRAIN_MODES:
             altitude = self._above_terrain(item, given, where)
         elif item.frame in (*_ABOVE_HOME, *_AMSL):
+            if self._home_moves and item.frame in _ABOVE_HOME:
+                rule = "do set home comes before it, so what its altitude is above is not known"
+                remedy = "Remove that, or give altitudes above mean sea level."
+                raise InputError(f"{where}.frame", item.frame, rule, remedy)
             above_m = self._plan.home_amsl_m if item.frame in _ABOVE_HOME else 0.0
             altitude = None if given is None else above_m + given
             if altitude is None and item.command not in _TAKE_OFFS:

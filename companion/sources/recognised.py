@@ -15,7 +15,8 @@ _ZONES: Final = 'These are zones: name the file in a mission.toml, threats = "{n
 _LOG: Final = "Logs are for companion replay LOG --shadow and companion view LOG."
 _SAVE: Final = "Open it in QGroundControl and save it as a .plan."
 _PLAN: Final = 'Give it as the mission, or name it in a mission.toml: plan = "{name}".'
-_KML: Final = ", or make GeoJSON of it: ogr2ogr -f GeoJSON zones.geojson {name}"
+_GEOJSON_OF: Final = " GeoJSON of it: ogr2ogr -f GeoJSON zones.geojson {name}"
+_KML: Final = f", or make{_GEOJSON_OF}"
 _TERRAIN: Final = 'Name it in a mission.toml: [terrain] file = "{name}", with vertical_datum.'
 _MISSION: Final = "Give a mission.toml, a .plan or a waypoint list."
 _PICTURE: Final = ("a picture or a document", "Give the file that it shows.")
@@ -37,6 +38,11 @@ _BINARY: Final = {
     b"%PDF": _PICTURE,
     b"\xff\xfe": ("text in UTF-16", "Save it as UTF-8."),
     b"\xfe\xff": ("text in UTF-16", "Save it as UTF-8."),
+    b"SQLite format 3\0": (
+        "a database, as a GeoPackage is",
+        "If it has zones, make" + _GEOJSON_OF + ".",
+    ),
+    b"\0\0\x27\x0a": ("a shapefile", "If it has zones, make" + _GEOJSON_OF + "."),
     b"version https://git-lfs": ("a pointer of Git LFS, not the file", "Fetch it: git lfs pull."),
 }
 """First bytes: what it is, and what to do."""
@@ -80,7 +86,8 @@ def refuse_other(path: Path, field: str, *, but_zones: bool = False) -> None:
 def recognised(path: Path) -> Recognised | None:
     """What a file is that is no mission, world or campaign; None: that is not known."""
     content = _content(path)
-    found = _of_bytes(content) or _of_text(content)
+    is_empty = answer(lambda: path.is_file() and path.stat().st_size == 0)
+    found = ("empty", _MISSION) if is_empty else _of_bytes(content) or _of_text(content)
     if found is None:
         return None
     what, remedy = found
@@ -127,7 +134,7 @@ def _of_text(content: bytes) -> tuple[str, str] | None:
     lines = [line for line in lines if not line.startswith("#")][:3]
     if not lines:
         return None
-    if all(line.upper().startswith("RALLY ") for line in lines):
+    if all(line.upper().split()[0] == "RALLY" for line in lines):
         remedy = (
             "The companion returns along its path: rally points are only drawn, as "
             "[[rally_points]] of a mission.toml."

@@ -130,6 +130,7 @@ class WorldTable(Table):
     walls: list[dict[str, Any]] = []
     wires: list[dict[str, Any]] = []
     lidar: dict[str, Any] = {}
+    second_lidar: dict[str, Any] = {}
 
 
 class FileWorldTable(WorldTable):

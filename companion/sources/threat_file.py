@@ -40,6 +40,13 @@ def read_threats(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
 
     Raises InputError about it, or naming the place in it.
     """
+    threats = _read(path, where, leave_out)
+    if not (threats.keep_outs or threats.keep_ins or threats.radars):
+        threats.notes.append(f"{path.name}: it holds no zone and no radar")
+    return threats
+
+
+def _read(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
     if is_waypoint_list(path):
         plan = read_waypoint_fence(path, where)
         notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
@@ -72,12 +79,12 @@ def _features(text: str, path: Path, where: str) -> Iterator[RawTable]:
             key = str(datum.get("name"))
             value = _text(datum, "value") if _tag(datum) == "Data" else (datum.text or "")
             properties[key] = _number(value) if key in _NUMBERS else value.strip()
-        found = [
+        found: list[RawTable | None] = [
             {"type": _shape(geometry), "coordinates": _coordinates(geometry)}
             for geometry in placemark.iter()
             if _tag(geometry) in _GEOMETRIES and not _is_of_polygon(placemark, geometry)
         ]
-        for shape in found or [None]:
+        for shape in found or (None,):
             yield {"type": "Feature", "properties": properties, "geometry": shape}
 
 

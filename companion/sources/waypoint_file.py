@@ -82,7 +82,7 @@ def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> 
     home = rows.pop(0)
     latitude, longitude, altitude = launch_of(home.given[4:], f"{home.label} (launch)", remedy)
     plan = _plan(path.name, (latitude, longitude), altitude)
-    if home.frame not in _AMSL and altitude != 0.0:
+    if home.frame not in _AMSL:
         said = f"of frame {home.frame}, is taken to be above mean sea level"
         plan.notes.append(f"launch: its altitude, {altitude:g} m {said}")
     return _filled(plan, rows, ground)

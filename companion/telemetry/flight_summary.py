@@ -35,11 +35,14 @@ class FlightSummary:
     """Whether the vehicle was ever heard."""
     elapsed_s: float = 0.0
     """Since the vehicle was first heard."""
+    passed_m: float = math.inf
+    """The nearest that a plane was to its last target, horizontally: it circles it afterwards."""
     end: End | None = None
     asks_here: bool = False
     """Whether somebody can say go in the terminal."""
     died: bool = False
     """Whether a part of the companion did."""
+    _target: int = 0
 
     @property
     def to_go_m(self) -> float | None:
@@ -48,6 +51,14 @@ class FlightSummary:
         here = state.vehicle.position_nea_m
         targets = state.targets_ne_m[state.flight.target :]
         return math.dist(here[:2], targets[0]) if here is not None and targets else None
+
+    def note_passing(self) -> None:
+        """Take account of the newest position."""
+        flight, to_go_m = self.session.state.flight, self.to_go_m
+        if flight.target != self._target:
+            self._target, self.passed_m = flight.target, math.inf
+        if to_go_m is not None:
+            self.passed_m = min(self.passed_m, to_go_m)
 
     @property
     def may_go_on(self) -> bool:

@@ -24,7 +24,10 @@ from msgspec import ValidationError
 from companion.errors import InputError
 from companion.mission.journal import KINDS, SCHEMA, VERSION, Entry, Header, entry_of
 from companion.mission.state import Reason
+from companion.printable import with_printable_texts
 
+_NOT_PLAIN = re.compile(rb"\\|[^\x20-\x7e\n]").search
+"""What may have to be cleaned: escapes, and more than ASCII."""
 _HEADER = b'{"schema":'
 _MAX_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
 _AS_WRITTEN = "Give the journal as the companion has written it."
@@ -200,7 +203,8 @@ def _refused(raw: Any, error: Exception, where: str) -> InputError:
 
 def _decoded(text: bytes, where: str) -> Any:
     try:
-        return msgspec.json.decode(text)
+        values = msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         shown = text[:80].decode(errors="replace").rstrip("\n")
         raise InputError(where, shown, f"it is not JSON ({error})", _AS_WRITTEN) from None
+    return values if _NOT_PLAIN(text) is None else with_printable_texts(values)

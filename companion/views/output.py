@@ -4,10 +4,17 @@ import io
 import os
 import queue
 import threading
-from typing import Self, TextIO, final
+from typing import Any, Self, TextIO, final
+
+from rich.console import Console
 
 _MOST = 1000  # texts that wait for a reader: a log that nobody reads is given up
 _LEAVES_S = 1.0  # what a reader gets at the end to take the rest
+
+
+def plain_console(**options: Any) -> Console:
+    """A console that prints what it is given: brackets and colons in names are no markup."""
+    return Console(markup=False, emoji=False, **options)
 
 
 @final

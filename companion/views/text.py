@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mavlink.preflight import Check, CheckStatus
+from companion.mission.events import Outcome
 from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
@@ -145,7 +146,10 @@ def flight_table(flown: FlightSummary) -> Table:
     table.add_column()
     table.add_column(justify="right")
     rows = [("outcome", "none" if flown.end is None else flown.end.outcome.value)]
-    if flown.to_go_m is not None:
+    arrived = flown.end is not None and flown.end.outcome is Outcome.ARRIVED
+    if arrived and not session.mission.task.limits.hovers and flown.passed_m < math.inf:
+        rows.append(("passed the target at", f"{flown.passed_m:,.1f} m"))
+    elif flown.to_go_m is not None:
         rows.append(("distance to target", f"{flown.to_go_m:,.1f} m"))
     since = " since it was resumed" if flown.resumed else ""
     rows.append((f"vehicle time{since}", f"{session.clock.passed_s:,.1f} s"))

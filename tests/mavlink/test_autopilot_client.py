@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -10,13 +11,22 @@ from held import Held, circle, from_wire, polygon, waypoints
 from companion.config import load_mission
 from companion.mavlink import fence
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, Autopilot, autopilot_of
-from companion.mavlink.dialect import codec, wire
+from companion.mavlink.autopilots import (
+    ALL,
+    ARDUCOPTER,
+    PX4_MULTICOPTER,
+    Autopilot,
+    autopilot_of,
+    px4,
+)
+from companion.mavlink.dialect import EventMessage, codec, wire
+from companion.mavlink.frames import Receiver
 from companion.mission import checkpoint
 from companion.mission.decisions import Context
 from companion.mission.events import (
     FenceBreach,
     FenceChanged,
+    FenceReading,
     Item,
     Prepared,
     SetSpeed,
@@ -103,6 +113,44 @@ def test_what_is_said_of_a_fence_is_said_once(firmware: Any) -> None:
     held.run(20.0, client)
     assert len(client.said) == len(set(client.said))
     assert any(isinstance(event, FenceChanged) and event.zones for event in client.events)
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@pytest.mark.parametrize("command", [5001, 5002])
+def test_a_polygon_after_a_circle_is_named_to_who_flies_a_px4_also_when_it_is_drawn_later(
+    firmware: Any, command: int
+) -> None:
+    held, client = begun(firmware)
+    assert client.side is not None
+    held.upload(FENCE, [*polygon(5, command=command), circle(60.0)], client)
+    held.run(20.0, client)
+    assert client.side.warnings == []
+    held.upload(FENCE, [circle(60.0), *polygon(5, command=command)], client)
+    held.run(20.0, client)
+    assert len(client.side.warnings) == (firmware == "px4")
+    told = [event for event in client.events if isinstance(event, FenceChanged)]
+    assert [event.misread for event in told[-2:]] == [False, firmware == "px4"]
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+def test_a_fence_that_has_changed_is_told_before_it_is_read(firmware: Any) -> None:
+    held, client = begun(firmware)
+    for items in (40, 60, 60):  # the last: other places, as many
+        count = len(client.events)
+        fence_items = polygon(items, size_m=100.0 + count)
+        held.upload(FENCE, fence_items, client)
+        held.run(90.0, client, until=partial(is_read, client, count))
+        told = [e for e in client.events[count:] if isinstance(e, FenceReading | FenceChanged)]
+        assert [type(e) for e in told] == [FenceReading, FenceChanged, FenceReading]
+        assert [e.items for e in told if isinstance(e, FenceReading)] == [items, 0]
+    count = len(client.events)
+    held.run(90.0, client)  # it is read again, and is the same
+    assert not [event for event in client.events[count:] if isinstance(event, FenceReading)]
+
+
+def is_read(client: Side, since: int) -> bool:
+    told = [event for event in client.events[since:] if isinstance(event, FenceReading)]
+    return len(told) == 2
 
 
 def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
@@ -354,3 +402,23 @@ def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> No
     client = Side(held, mission)
     held.run(60.0, client, until=lambda: bool(prepared_plans(client)))
     assert client.said == ["its mission ends with return; what counts is end.action: land"]
+
+
+@pytest.mark.parametrize(
+    ("name", "breach"),
+    [
+        ("check_gf_violation", True),
+        ("check_gf_violation_custom_gf", True),
+        ("check_modes_offboard_signal", False),
+    ],
+)
+def test_px4_says_to_a_companion_that_its_fence_is_crossed(name: str, breach: bool) -> None:
+    """By EVENT, which it sends to everybody; the third is of a recording: 3087815 (px4.md 6)."""
+    number = px4.event_id(name) | 1 << 24
+    sent = EventMessage(0, 0, number, 5, 1, 0x33, [0] * 40)
+    frame = sent.pack(codec(1))
+    [heard] = Receiver().feed(frame)
+    event = told_of(heard, PX4_MULTICOPTER)
+    assert isinstance(event, FenceBreach) == breach
+    assert told_of(heard, ARDUCOPTER) is None
+    assert px4.event_id("check_modes_offboard_signal") == 3087815

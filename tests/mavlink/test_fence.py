@@ -14,7 +14,14 @@ from hypothesis import strategies as st
 
 from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
-from companion.mavlink.fence import Fence, FenceBuilder, conflicts, in_force, targets_of
+from companion.mavlink.fence import (
+    Fence,
+    FenceBuilder,
+    conflicts,
+    in_force,
+    misread,
+    targets_of,
+)
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 from companion.path.limits import Limits
@@ -387,3 +394,29 @@ def test_the_last_item_is_the_end(command: int, action: EndAction | None, places
 def test_an_empty_mission_has_no_targets() -> None:
     assert targets_of((), FRAME, home_first=True).targets_ne_m == ()
     assert zones_of((), FRAME, {}) == zones_of((), FRAME, ON)
+
+
+# --- what PX4 makes of it
+
+
+def begins_of_px4(items: Sequence[PlanItem]) -> list[int]:
+    """Where PX4's `Geofence::_updateFence` takes a shape to begin."""
+    begins, sequence, is_circle_area = [], 0, False
+    while sequence < len(items):
+        is_circle_area = is_circle_area or items[sequence].command in (CIRCLE_IN, CIRCLE_OUT)
+        begins.append(sequence)
+        sequence += 1 if is_circle_area else int(items[sequence].parameters[0])
+    return begins
+
+
+@given(st.lists(shapes(), max_size=6))
+def test_px4_misreads_what_is_named_and_nothing_else(drawn: list[list[PlanItem]]) -> None:
+    items, begins = [], []
+    for shape in drawn:
+        begins.append(len(items))
+        items += shape
+    said = misread(items, "PX4")
+    assert bool(said) == (begins_of_px4(items) != begins)
+    assert not said or said.endswith("Upload polygons before circles")
+    in_order = sorted(drawn, key=lambda shape: shape[0].command in (CIRCLE_IN, CIRCLE_OUT))
+    assert misread([each for shape in in_order for each in shape], "PX4") == ""

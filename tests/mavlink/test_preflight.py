@@ -449,6 +449,7 @@ ON_TARGET = draws((5004, 60.0, 600.0, 100.0))
 NO_TARGETS: dict[str, Any] = {"targets_from_vehicle": True, "targets_ne_m": ()}
 NO_CHANGE: Change = lambda _: None  # noqa: E731
 OTHERS = ("vehicle", "refused", ("PX4", "vehicle.kind"))
+_CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 SETUPS = {
     "as it comes": Setup({}),
     "nothing heard": Setup({}, hides("HEARTBEAT"), "vehicle", "refused", ("none was heard",)),
@@ -483,6 +484,14 @@ SETUPS = {
         {},
         draws((5004, float("inf"), 300.0, 500.0)),
         *("fence", "refused", ("a circle needs a radius",)),
+    ),
+    "polygon after a circle": Setup(
+        {},
+        draws(
+            (5004, 20.0, 300.0, -300.0),
+            *((5002, 3.0, 400.0 + 30.0 * north, -300.0 + 30.0 * east) for north, east in _CORNERS),
+        ),
+        *("fence", "note", ("exclusion 2 after exclusion 1", "Upload polygons before circles.")),
     ),
     "fence around the vehicle": Setup({}, draws((5004, 60.0, 0.0, 0.0))),
     "fence too small": Setup({}, draws((5003, 100.0, 0.0, 0.0))),

@@ -222,7 +222,7 @@ class Craft:
         self.by_hand: Vector = (0.0, 0.0, 0.0)
         """Velocity at which somebody else flies it."""
         self.climb_to_m: float | None = None
-        self.obeys_modes, self.follows, self.fix = True, True, True
+        self.obeys_modes, self.follows, self.fix, self.estimator = True, True, True, True
         self.answered, self.asked = 1, 1
         self.arms, self.takes_off, self.accepts = True, True, False
         self.battery: float | None = None
@@ -328,7 +328,7 @@ class Craft:
                 VehicleStatus(time_s=now, mode=self.mode, armed=self.armed, failsafe=self.failsafe),
                 LandedState(time_s=now, landed=self.landed),
                 GpsFix(time_s=now, good=self.fix),
-                Estimator(time_s=now, good=True),
+                Estimator(time_s=now, good=self.estimator),
             ]
             if self.home_nea_m is not None:
                 said.append(Home(time_s=now, position_nea_m=self.home_nea_m))

@@ -14,10 +14,12 @@ from made_up import (
     Craft,
     arrived,
     flying,
+    fresh,
     holding_mode_taken,
     holding_without_fix,
     holding_without_plan,
     landing,
+    mission,
     near_target,
     not_planned,
     planned,
@@ -31,7 +33,7 @@ from renewed import replace
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER, Autopilot
 from companion.mission import changes
-from companion.mission.decisions import parting
+from companion.mission.decisions import parting, reason_text
 from companion.mission.events import (
     Arm,
     Command,
@@ -66,11 +68,17 @@ from companion.mission.events import (
     VehicleFound,
     VehicleStatus,
 )
+from companion.mission.health import distrust
 from companion.mission.machine import IN_PHASE
 from companion.mission.state import Phase, Reason
 from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
 
 OVER = (Phase.DONE, Phase.FAULTED)
+GOOD = {"moved_at_s": 5.0, "fix_good": True, "fix_at_s": 5.0, "estimator_good": True} | {
+    "estimator_at_s": 5.0,
+    "doubted_at_s": 0.0,
+}
+"""Of a position that passes all other checks at that time."""
 IN_FLIGHT = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED)
 ORDERS = (SetMode, Arm, Disarm, TakeOff, Setpoint)  # what moves a vehicle
 
@@ -411,13 +419,25 @@ def test_it_holds_on_where_the_vehicle_cannot_be_says_how_far_off_and_goes_on_on
     assert craft.state.reason is Reason.POSITION_ELSEWHERE
     why = f"hold: {Reason.POSITION_ELSEWHERE.text}: "
     [said] = [say.text for say in craft.sent(StatusText) if say.text.startswith(why)]
-    off_m = float(said.removeprefix(why).removesuffix(" m away"))
+    off_m, allowed_m = (float(each.split(" m ")[0]) for each in said.removeprefix(why).split(", "))
     assert off_m == pytest.approx(50.0, abs=8.0)  # it stops from 150 m/s within a tick
+    assert allowed_m < off_m
     count = len(craft.commands)
     craft.run_for(30.0)
     assert not [c for c in craft.commands[count:] if isinstance(c, Setpoint | Plan)]
     shifted(craft, -50.0).run_for(5.0)
     assert craft.phase is Phase.FLYING
+
+
+def test_how_far_off_it_is_and_what_is_allowed_are_told_so_that_they_differ() -> None:
+    """Between trees a metre counts."""
+    state = fresh(mission())
+    limits = replace(state.task.limits, navigation_error_m=0.3, tracking_error_m=0.3)
+    vehicle = replace(state.vehicle, astray_ne_m=(0.0, 1.04), position_at_s=5.0, believed_at_s=5.0)
+    state = replace(state, vehicle=vehicle, task=replace(state.task, limits=limits))
+    assert distrust(replace(vehicle, **GOOD), 5.0, limits) is Reason.POSITION_ELSEWHERE
+    detail, _ = reason_text(state, Reason.POSITION_ELSEWHERE)
+    assert detail == ": 1.0 m off, 0.6 m allowed"
 
 
 def test_it_goes_on_by_a_position_that_is_vouched_for_a_minute_wherever_it_is() -> None:
@@ -438,7 +458,7 @@ def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
     craft.run_for(5.0)
     assert craft.state.reason is Reason.POSITION_ELSEWHERE
     assert craft.mode is Mode.HOLD
-    assert craft.sent(StatusText)[-1].text.endswith(" m away")
+    assert craft.sent(StatusText)[-1].text.endswith(" m allowed")
     assert shifted(craft, -50.0).run_for(10.0).phase is Phase.FLYING
 
 
@@ -711,6 +731,36 @@ def test_a_take_off_that_is_not_accepted_is_asked_for_once_a_second(autopilot: A
     craft.takes_off = False
     craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
     assert len(craft.run_for(3.5).sent(TakeOff)) == 4
+
+
+# --- words
+
+
+@EVERY
+def test_an_ordinary_take_off_is_called_nothing_else(autopilot: Autopilot) -> None:
+    craft = Craft(traits=autopilot.traits).fly_to(Phase.FLYING)
+    texts = [said.text for said in craft.sent(StatusText)]
+    assert not [text for text in texts if "hold" in text or "taking over" in text]
+    by_itself = autopilot is not ARDUCOPTER
+    assert ("taken off" in texts) == by_itself
+
+
+@pytest.mark.parametrize("seen_first", [False, True])
+def test_a_failsafe_that_landed_it_is_named_with_what_was_seen_before(seen_first: bool) -> None:
+    """Whether the autopilot acts before or after the companion has stopped it for that."""
+    craft = flying()
+    craft.take(Estimator(time_s=craft.now_s, good=False))
+    craft.estimator = False
+    if seen_first:
+        craft.fly_to(Phase.HOLDING)
+        assert craft.state.reason is Reason.ESTIMATOR
+    craft.mode, craft.failsafe, craft.obeys_modes = Mode.LAND, True, False
+    craft.run_until(over)
+    end = craft.end()
+    assert end.reason == (
+        f"{Reason.DISARMED.text}: {Reason.FAILSAFE.text}: {Reason.ESTIMATOR.text}"
+    )
+    assert end.remedy == Reason.ESTIMATOR.remedy
 
 
 # --- nothing waits for ever

@@ -227,7 +227,7 @@ def test_an_altitude_above_ground_that_is_not_known_is_refused_or_said(tmp_path:
         load_mission(str(above_terrain(tmp_path, "", *items)))
     mission = load_mission(str(above_terrain(tmp_path, "", *items, blind=False)))
     said = next(note for note in mission.notes if "above terrain" in note)
-    assert "3 altitudes" in said
+    assert "3 x altitude above terrain" in said
     assert "items[3]" in said
 
 

@@ -172,6 +172,8 @@ def test_a_mission_says_what_it_leaves_out_of_its_map(path: Path) -> None:
     notes = load_mission(str(mission)).notes
     assert any("1 point without radius_m, 1 line, 1 without a geometry" in n for n in notes)
     assert "leave_out" not in mission_text(str(mission))
+    path.write_text(json.dumps(collection()))
+    assert any("holds no zone" in note for note in load_mission(str(mission)).notes)
     mission.write_text(f'{head}threats = {{ file = "{path.name}", leave_out = ["pins"] }}\n')
     assert "leave_out[0]" in refusal(lambda path, _: load_mission(str(path)), mission, None)
 

@@ -350,6 +350,15 @@ def test_what_is_not_done_at_a_waypoint_is_counted(path: Path) -> None:
     assert read(path, plan(waypoint())).notes == []
 
 
+def test_altitudes_above_a_home_that_the_mission_moves_are_refused(path: Path) -> None:
+    moves = item(179, 1, 0, 0, 0, 0, 0, 0)
+    told = refused(path, plan(waypoint(), moves, waypoint(0.02)))
+    assert told.startswith("x.plan: mission.items[2]")
+    assert "do set home" in told
+    amsl = waypoint(0.02, altitude=450.0, frame=0)
+    assert "1 x do set home" in read(path, plan(waypoint(), moves, amsl)).notes[0]
+
+
 @pytest.mark.parametrize("spelled", ["null", "NaN", '"NaN"', '"nan"', '"null"'])
 def test_a_parameter_that_is_no_number_is_not_given(path: Path, spelled: str) -> None:
     text = json.dumps(plan(item(16, 0, 0, 0, 1234.5, 47.41, 8.55, 50))).replace("1234.5", spelled)

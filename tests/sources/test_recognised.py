@@ -6,11 +6,13 @@ import os
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from answers import answered
 
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
+from companion.sources.elevation import write_elevation
 
 MISSIONS = Path(__file__).parent / "missions"
 RECORDINGS = Path(__file__).parents[1] / "recordings"
@@ -37,6 +39,10 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
         (RING, "a fence list", "threats = "),
         ("\ufeff# a comment\n" + RING.replace("\n", "\r\n"), "a fence list", "threats = "),
         ("RALLY 60.0 20.0 50 30 0 0\n", "a list of rally points", "[[rally_points]]"),
+        ("#saved by Mission Planner\nRALLY\t60.0\t20.0\t50\n", "a list of rally points", ""),
+        (b"\0\0\x27\x0a" + bytes(20), "a shapefile", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
+        (b"SQLite format 3\0", "GeoPackage", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
+        ("", "it is empty", "mission.toml"),
         (KML, "KML", "threats = "),
         (KML, "KML", "ogr2ogr -f GeoJSON"),
         ('<gpx version="1.1"/>', "GPX", ".plan"),
@@ -50,7 +56,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
         ('{"schema": 1}\n', "it is JSON, not TOML", "mission.toml"),
         ("version https://git-lfs.github.com/spec/v1\n", "Git LFS", "git lfs pull"),
         ('schema = 1\nname = "x"\n'.encode("utf-16"), "UTF-16", "UTF-8"),
-        (gzip.compress(b"QGC WPL 110\n"), "gzip", "gunzip"),
+        (gzip.compress(b"QGC WPL 110\n", mtime=0), "gzip", "gunzip"),
         (b"\x89PNG\r\n\x1a\n", "picture", ""),
         (b"II*\0\x08\0\0\0", "TIFF", "[terrain] file = "),
         (b"FMT, 128, 89, FMT, BBnNZ\n", "a log of ArduPilot", "replay LOG --shadow"),
@@ -119,6 +125,28 @@ def test_names_that_are_no_utf_8_are_files_like_others(tmp_path: Path) -> None:
         load_mission(str(path))
     assert r"fl\xfcge/l\xefst" in str(caught.value)
     assert str(caught.value).isascii()
+
+
+def test_so_is_an_elevation_file_and_the_run_folder_names_it(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"h\xf6he")
+    folder.mkdir()
+    heights_m = np.arange(200.0)[:, None] + np.zeros((200, 200))
+    write_elevation(tmp_path / "h.tif", heights_m, (47.05, 7.95), (0.0005, 0.0005))
+    (tmp_path / "h.tif").replace(folder / "h.tif")
+    lists = b"QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 100 1\n1 0 3 16 0 0 0 0 47 8.002 240 1\n"
+    (folder / "x.txt").write_bytes(lists)
+    mission = folder / "mission.toml"
+    terrain = '[terrain]\nfile = "h.tif"\nvertical_datum = "EGM96"\n'
+    mission.write_text(f'plan = "x.txt"\n{terrain}')
+    (again := tmp_path / "again.toml").write_text(mission_text(str(mission)), encoding="utf-8")
+    first, second = load_mission(str(mission)).known, load_mission(str(again)).known
+    assert first is not None
+    assert second is not None
+    assert np.isfinite(first.upper_m).any()
+    assert np.array_equal(first.upper_m, second.upper_m)
+    (folder / "h.tif").unlink()
+    with pytest.raises(InputError, match="no such file"):
+        load_mission(str(again))
 
 
 @pytest.mark.parametrize("command", [["report"], ["export", "--format", "kml"]])

@@ -69,3 +69,19 @@ def test_what_was_only_watched_does_not_go_on() -> None:
     it = FlightSummary(session=Session(MISSION, seed=1, lockstep=False, shadow=True), died=True)
     it.session.state = replace(it.session.state, airborne=True)
     assert not it.may_go_on
+
+
+def test_a_plane_is_told_what_it_passed_its_last_target_at_not_where_it_circles() -> None:
+    """The nearest of all positions on the way to that target, and of no other."""
+    it = flown(0.0, 0.0)
+    state = replace(it.session.state, targets_ne_m=((0.0, 0.0), (1_000.0, 0.0)))
+    for target, north_m, east_m in [(0, 3.0, 0.0), (1, 990.2, 30.0), (1, 1_000.0, 9.8)]:
+        here = replace(state.vehicle, position_nea_m=(north_m, east_m, 4_000.0))
+        flight = replace(state.flight, target=target)
+        it.session.state = replace(state, vehicle=here, flight=flight)
+        it.note_passing()
+    assert it.passed_m == pytest.approx(9.8)
+    here = replace(state.vehicle, position_nea_m=(1_000.0, 32.6, 4_000.0))
+    it.session.state = replace(it.session.state, vehicle=here)
+    it.note_passing()
+    assert it.passed_m == pytest.approx(9.8)

@@ -8,7 +8,6 @@ import copyreg
 import dataclasses
 import functools
 import math
-import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Self
@@ -19,7 +18,6 @@ from vehicle_sim.parameters import Firmware, Parameter
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, flat_world
 
-copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # to copy simulations
 copyreg.pickle(Parameter, lambda row: row.name)  # never changes: copies share it
 
 Ids = tuple[int, int]

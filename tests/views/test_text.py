@@ -180,3 +180,12 @@ def test_a_mission_in_words_says_what_an_incomplete_radar_proves(
     assert "may miss ground" not in " ".join(mission_summary(mission).split())
     told = replace(mission, scanner_complete=False, scanner_whole_width=whole_width)
     assert words in " ".join(mission_summary(told).split())
+
+
+def test_of_a_plane_that_has_arrived_the_table_says_what_it_passed_its_target_at() -> None:
+    session = Session(load_mission("sitl-arduplane"), seed=1, lockstep=True)
+    flight = FlightSummary(session=session, passed_m=9.8)
+    flight.end = End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
+    [row] = [line for line in shown(flight_table(flight)).splitlines() if "target" in line]
+    assert "passed the target at" in row
+    assert "9.8 m" in row

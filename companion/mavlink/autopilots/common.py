@@ -76,6 +76,10 @@ class Firmware:
     """Settings of its fence, from parameters by name in the autopilot's units."""
     breached: re.Pattern[str]
     """Searched for in its texts: it has crossed its fence."""
+    breach_events: frozenset[int] = frozenset()
+    """The ids of EVENT that say so, without the component's byte."""
+    polygons_first: bool = False
+    """Whether it misreads a fence's polygon that comes after a circle."""
     all_is_well: Callable[[], Message]
     """What its estimator reports when the position may be believed."""
     how_to_record: Callable[[str], str] = lambda _: ""

@@ -224,11 +224,24 @@ def _fence(parameters: Mapping[str, float]) -> FenceSettings:
     )
 
 
+def event_id(name: str) -> int:
+    """The id of one of its events, without the component's byte: FNV-1a of its name (px4.md 7)."""
+    value = 0x811C9DC5
+    for byte in name.encode():
+        value = (value ^ byte) * 0x01000193 & 0xFFFFFFFF
+    return value & 0xFFFFFF
+
+
 FIRMWARE: Final = Firmware(
     name="px4",
     number=wire.MAV_AUTOPILOT_PX4,
     fence=_fence,
-    breached=re.compile(r"^geofence: approaching or outside", re.IGNORECASE),  # to a station alone
+    breached=re.compile(r"^geofence( violation)?: ", re.IGNORECASE),  # to a station alone
+    breach_events=frozenset(
+        event_id(f"check_gf_violation{why}")
+        for why in ("", "_max_hor_dist", "_max_alt", "_custom_gf")
+    ),
+    polygons_first=True,  # px4.md 7
     all_is_well=lambda: wire.MAVLink_estimator_status_message(0, _NEEDED, *[0.0] * 8),
     how_to_record=lambda name: (
         f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell"

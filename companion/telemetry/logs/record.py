@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol, final
 
 from companion.errors import InputError
-from companion.mavlink.dialect import wire
+from companion.mavlink.dialect import KINDS, wire
 from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
 from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter, LogAnomaly
 from companion.telemetry.logs.needed import Kind, Missing, missing_of
@@ -69,7 +69,7 @@ class Log:
 
     def missing(self) -> tuple[Missing, ...]:
         """What the companion listens to and never came; once `records` has come to the end."""
-        names = {wire.mavlink_map[each].msgname for each in self._heard if each in wire.mavlink_map}
+        names = {KINDS[each].msgname for each in self._heard if each in wire.mavlink_map}
         return missing_of(self.kind, self.autopilot, names)
 
     def records(self) -> Iterator[Record]:

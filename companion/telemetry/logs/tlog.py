@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple, final
 
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS
 from companion.mavlink.frames import LONGEST, V1, V2, boot_ms_of, frame_extent, intact_end
 from companion.mavlink.signing import SECRETS, is_signed
 from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
@@ -194,7 +194,7 @@ class _TlogReader:
         if whole:
             last, following = end == len(data), end + self._stamp_bytes
             place = (window.base + begin, window.base + end)
-            if number not in wire.mavlink_map:
+            if number not in KINDS:
                 if last or _may_begin(data, following):
                     return _Found(*place, known=False)
             elif last or intact_end(data, following):
