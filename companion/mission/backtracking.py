@@ -179,9 +179,11 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         flight = _with_next(flight)
     if state.now_s - flight.progress_at_s > flying.STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
-    if (reason := following.departure_reason(state, flight, event)) is not None:
-        return flying.on_departure(state, _stopped(state).flight, reason)
+    flight, says, departs = flying.kept_to_path(state, flight, event)
+    if departs is not None:
+        return flying.on_departure(state, _stopped(state).flight, departs)
     flight, commands = following.setpoint(state, flight, event, context)
+    commands = [*says, *commands]
     state = replace(state, flight=flight)
     if not following.is_stopped(state, flight):
         return state, commands, None

@@ -80,6 +80,8 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
             reason=None if after.reason is None else after.reason.text,
             code=None if after.reason is None else after.reason.name,
         )
+    if after.flight.left_path_m and not before.flight.left_path_m:
+        yield _entry(journal.PathLeft, after.flight)
     if after.flight.legs_flown != before.flight.legs_flown:
         yield _entry(journal.LegBegun, number=after.flight.legs_flown)
 

@@ -172,9 +172,11 @@ def _follow(state: State, event: Position, context: Context) -> Step:
         return give_up(state, Reason.NOT_FOLLOWING)
     leg = flight.leg
     assert leg is not None
-    if (reason := following.departure_reason(state, flight, event)) is not None:
-        return on_departure(state, at_rest(state.flight, None), reason)
+    flight, says, departs = kept_to_path(state, flight, event)
+    if departs is not None:
+        return on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
     flight, commands = following.setpoint(state, flight, event, context)
+    commands = [*says, *commands]
     if following.is_stopped(state, flight):
         return _at_its_end(replace(state, flight=flight), leg, commands)
     at_m = flight.reference.length_m
@@ -182,6 +184,19 @@ def _follow(state: State, event: Position, context: Context) -> Step:
         flight, scan = start_scan(flight, leg.subpath.pose(at_m).point_nea_m)
         commands += scan
     return replace(state, flight=flight), commands, None
+
+
+def kept_to_path(
+    state: State, flight: Flight, event: Position
+) -> tuple[Flight, list[Command], Reason | None]:
+    """Look whether the vehicle is on its path and follows; a reason: the leg cannot go on."""
+    if following.is_not_taken(state):
+        return flight, [], Reason.NOT_TAKEN
+    flight, departs = following.left_path(state, flight, event)
+    if departs is not None or not flight.left_path_m or state.flight.left_path_m:
+        return flight, [], departs
+    text = f"beside its path, {flight.left_path_m:.2g} m more than its tracking error"
+    return flight, [StatusText(text=text, warning=flight.stop is not None, about="path")], None
 
 
 def circle(state: State, event: Position, context: Context) -> Step:
@@ -198,7 +213,9 @@ def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
     """At rest at the end of the leg, or at the stop before it."""
     flight = state.flight
     if (stop := flight.stop) is not None:
-        state = replace(state, flight=at_rest_at_end(flight), reason=stop.reason)
+        stops = flight.stops + (stop.reason is Reason.BESIDE_PATH)
+        flight = replace(at_rest_at_end(flight), stops=stops)
+        state = replace(state, flight=flight, reason=stop.reason)
         return state, commands, Trigger.FAULT
     if leg.reaches_target:
         return state, commands, Trigger.TARGET_REACHED

@@ -19,16 +19,19 @@ from companion.planner.procedure import (
     Leg,
     Reference,
     advance,
+    ahead_m,
     allowed_speed_m_s,
     follow,
     is_at_end,
+    longest_wait_m,
     may_leave,
     off_path_m,
     sent_pose,
 )
 
-_DEPARTURE = 3.0  # tracking errors off the path
 _NOT_TAKEN_S = 2.0
+_FARTHEST = 2.0  # tracking errors beyond the first: there it is told to hold at once
+_BACK_S = 3.0  # after it has come to rest: for the vehicle to be back on its path
 _ECHO_S = 1.5  # an older echo says nothing
 _LONGEST_DELAY_S = 0.5  # of a link that setpoints are sent ahead for
 
@@ -100,27 +103,66 @@ def advance_reference(state: State, event: Position) -> Flight:
     return joining.switched_to_next_leg(flight, leg, task)
 
 
-def departure_reason(state: State, flight: Flight, event: Position) -> Reason | None:
-    """Why the leg cannot be continued: the vehicle is off the proven path, or not following.
+def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, float, float]:
+    """How far the vehicle is outside of what was proven: across, ahead and far along; 0: inside.
 
-    The latter once the autopilot's echo has disagreed with the setpoints for too long.
+    Across: of the tube about the path, a tracking error wide, that ends so far beyond the end of
+    the leg; of a plane the circle about each point of the path is proven.  Ahead: of where it was
+    told to be.  Far along: farther ahead, or behind, than the reference point waits for it.
     """
-    vehicle, leg, task, now_s = state.vehicle, flight.leg, state.task, state.now_s
+    leg, limits, here = flight.leg, state.task.limits, np.asarray(event.position_nea_m)
     assert leg is not None
-    here, limits = np.asarray(event.position_nea_m), task.limits
-    allowed_m = _DEPARTURE * limits.tracking_error_m
-    if not vehicle.traits.hovers:  # the circle about each point of the path is proven
+    if not (state.task.settings.profile.verified or flight.returning):
+        return 0.0, 0.0, 0.0
+    allowed_m = limits.tracking_error_m
+    if not state.vehicle.traits.hovers:
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
-        allowed_m += limits.loiter_radius_m
-    else:
-        off_m = off_path_m(flight.reference, leg, here)
-        if flight.offset is not None:
-            allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
-    if off_m > allowed_m and (task.settings.profile.verified or flight.returning):
-        return Reason.OFF_PATH
+        return max(off_m - allowed_m - limits.loiter_radius_m, 0.0), 0.0, 0.0
+    if flight.offset is not None:
+        allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
+    ahead = ahead_m(flight.reference, leg, here)
+    across_m = off_path_m(flight.reference, leg, here) - allowed_m
+    before_m = ahead - lead_m(state, flight.reference) - allowed_m
+    far_m = abs(ahead) - longest_wait_m(limits) - allowed_m
+    return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
+
+
+def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Reason | None]:
+    """What follows if the vehicle has left its path: a note, a stop on the path, or a hold.
+
+    Outside of the tube it keeps less than the safety distance.  A copter is stopped on its path,
+    and the way on is planned anew from there (design 5.2); if it slows down for a stop already, or
+    is within the tube, and only ahead of where it was told to be, it is noted.  Reason: it is told
+    to hold at once, as it is farther outside than the safety distance allows for, does not come
+    back, or is a plane.
+    """
+    limits, now_s = state.task.limits, state.now_s
+    across_m, before_m, far_m = outside_m(state, flight, event)
+    outside = max(across_m, before_m, far_m)
+    if outside == 0.0:
+        return replace(flight, left_path_at_s=math.inf, left_path_m=0.0), None
+    if math.isinf(flight.left_path_at_s):
+        flight = replace(flight, left_path_at_s=now_s, left_path_m=outside)
+    most_m = min(_FARTHEST * limits.tracking_error_m, state.task.settings.safety_distance_m)
+    stops_s = limits.speed_m_s / limits.acceleration_m_s2
+    is_away = across_m > 0.0 and now_s > flight.left_path_at_s + stops_s + _BACK_S
+    if not limits.hovers or across_m > most_m or far_m > 0.0 or is_away:
+        return flight, Reason.OFF_PATH
+    leg = flight.leg
+    assert leg is not None
+    left_m = leg.subpath.length_m - flight.reference.length_m
+    ends = flight.next_leg is None and left_m <= limits.slowing_m(limits.speed_m_s)
+    if across_m > 0.0 and flight.stop is None and not ends:
+        stopped, _, _ = stop(replace(state, flight=flight), Reason.BESIDE_PATH)
+        flight = stopped.flight
+    return flight, None
+
+
+def is_not_taken(state: State) -> bool:
+    """Whether the autopilot's echo has disagreed with the setpoints for too long."""
+    vehicle, now_s = state.vehicle, state.now_s
     is_fresh = vehicle.echo_nea_m is not None and now_s - vehicle.echo_at_s < _ECHO_S
-    not_taken = is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
-    return Reason.NOT_TAKEN if not_taken else None
+    return is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
 
 
 def still_loiters(state: State, event: Position) -> bool:
@@ -285,6 +327,8 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
         reference=Reference(),
         offset=None,
         stop=None,
+        left_path_at_s=math.inf,
+        left_path_m=0.0,
         hover_nea_m=hover_nea_m,
         search=None,
         planning_backtrack=None,

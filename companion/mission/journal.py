@@ -96,6 +96,14 @@ class LegBegun(Entry, frozen=True, tag="leg"):
 
 
 @final
+class PathLeft(Entry, frozen=True, tag="path_left"):
+    """The vehicle has left the tube about its path that was proven."""
+
+    left_path_m: float
+    """How far it was outside then: beyond its tracking error."""
+
+
+@final
 class Resumed(Entry, frozen=True, tag="resumed"):
     """The companion was restarted, and resumes the flight."""
 

@@ -263,6 +263,11 @@ class Reason(enum.Enum):
     )
     DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Grounded)
     GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Grounded)
+    BESIDE_PATH = (
+        "the vehicle was beside its path",
+        "Raise vehicle.tracking_error_m or fly slower.",
+        Replan,
+    )
     OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
     NOT_TAKEN = ("the autopilot does not take the setpoints", "See its messages for the reason.")
@@ -515,7 +520,11 @@ class Flight(Struct, frozen=True, kw_only=True):
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""
     departures: int = 0
-    """How often the vehicle has left its path, or not followed it."""
+    """How often the vehicle was told to hold for having left its path, or not followed it."""
+    left_path_at_s: float = math.inf
+    """Since when it has been outside of the tube that was proven; inf: it is inside."""
+    left_path_m: float = 0.0
+    """How far outside it was then."""
     troubles: int = 0
     """Holds for its position or another fault since the last completed leg."""
     progress_at_s: float = 0.0

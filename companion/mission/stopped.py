@@ -73,7 +73,7 @@ _TROUBLES = 8
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _SENSOR_S = 15.0  # for a sensor to see again, before each of them
 _THERE_M = 1.0
-_SETTLED = 2.0  # tracking errors: with three it would have left its next path at once
+_SETTLED = 0.8  # tracking errors: with one it would have left its next path at once
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
 _HOLD_S = 300.0  # for a position that does not get better
 _OBEY_S = 60.0  # for the end action's mode, and for a descent that stands still
@@ -284,8 +284,10 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     cut = state.reason is Reason.NO_PLAN and flight.untried > 0  # each attempt comes to one more
     may_try = flight.failures < context.mission.attempts or cut
     if on_way_back or (may_try and flight.stops <= flying.max_stops(context)):
-        if state.reason is Reason.NEW_THREAT and state.vehicle.traits.hovers:
-            state = _replan_hover(state)  # the band may be another one
+        if state.vehicle.traits.hovers and (
+            state.reason is Reason.NEW_THREAT or not _is_settled(state, event)
+        ):
+            state = _replan_hover(state)  # the band may be another one, or it does not come back
         return preceded(commands, resumed(state))
     return _other_way(state, context)
 

@@ -33,8 +33,9 @@ _ROUNDING_M = 1e-6
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
+_PROJECTIONS = 2  # to the nearest point of a path that hardly bends over a tracking error
 _LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
-_ON_CIRCLE = 2.0  # tracking errors beyond the circle: at three a plane has left its path
+_ON_CIRCLE = 1.0  # tracking errors beyond the circle: farther off a plane has left its path
 
 
 @final
@@ -175,13 +176,18 @@ def advance(
     if slows_to_m_s is not None:
         allowed = min(allowed, max(slows_to_m_s, reference.speed_m_s - change))
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
-    most = max(_LEAD_S * limits.speed_m_s, 2.0 * limits.tracking_error_m)
+    most = longest_wait_m(limits)
     if lead > most:
         return Reference(length_m=reference.length_m, speed_m_s=0.0)
     faster = change * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
     speed = min(max(allowed, reference.speed_m_s - 2.0 * change), reference.speed_m_s + faster)
     step = min(0.5 * (reference.speed_m_s + speed) * elapsed_s, left)
     return Reference(length_m=reference.length_m + step, speed_m_s=speed)
+
+
+def longest_wait_m(limits: Limits) -> float:
+    """How far behind it a copter may be: the reference point waits for it when it is farther."""
+    return max(_LEAD_S * limits.speed_m_s, 2.0 * limits.tracking_error_m)
 
 
 def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Limits) -> Reference:
@@ -247,15 +253,27 @@ def may_leave(
 
 
 def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
-    """Distance of the vehicle from the path, across the tangent at the reference point.
+    """Distance of the vehicle from the path near the reference point; beyond its end, from that.
 
-    Of a plane, whose reference point is the nearest one, it is the distance to that.
+    Before its start the path is taken to come straight from behind: another leg does.
     """
+    at_m = reference.length_m
+    for _ in range(_PROJECTIONS):
+        pose = leg.subpath.pose(at_m)
+        along_m = float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
+        at_m = min(max(at_m + along_m, 0.0), leg.subpath.length_m)
+    pose = leg.subpath.pose(at_m)
+    off = vehicle_nea_m - pose.position_nea_m
+    along_m = float(off @ pose.tangent_nea)
+    if at_m < leg.subpath.length_m:
+        off = off - along_m * pose.tangent_nea
+    return float(np.linalg.norm(off))
+
+
+def ahead_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
+    """How far the vehicle is ahead of the reference point, along the path; negative: behind."""
     pose = leg.subpath.pose(reference.length_m)
-    north, east, up = (vehicle_nea_m - pose.position_nea_m).tolist()
-    x, y, z = pose.tangent_nea.tolist()
-    along = north * x + east * y + up * z
-    return math.hypot(north - along * x, east - along * y, up - along * z)
+    return float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
 
 
 def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:

@@ -10,6 +10,7 @@ from companion.mission.state import Phase
 _BAD_PHASES: Final = [each.value for each in (Phase.HOLDING, Phase.FAULTED, Phase.HANDING_OVER)]
 _WORDS: Final[dict[type[Entry], str]] = {
     noted.LegBegun: "begins subpath {0.number}",
+    noted.PathLeft: "beside its path, {0.left_path_m:.2g} m more than its tracking error",
     noted.Resumed: "the companion was started again",
     noted.StopAsked: "a person asked for the end",
     noted.End: "{0.outcome}: {0.reason}",

@@ -1,6 +1,8 @@
+import copy
 import functools
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +20,20 @@ from made_up import (
 )
 from renewed import replace
 
-from companion.mission.events import Plan, PlanReady, Position, Setpoint, StartScan
+from companion.mission.entries import of_change
+from companion.mission.events import (
+    Mode,
+    Plan,
+    PlanReady,
+    Position,
+    Setpoint,
+    StartScan,
+    StatusText,
+)
+from companion.mission.following import left_path
 from companion.mission.joining import joined
-from companion.mission.state import Answered, Phase, Reason
-from companion.planner.procedure import hover_pose
+from companion.mission.state import Answered, Flight, Phase, Reason
+from companion.planner.procedure import Reference, hover_pose
 from companion.planner.request import Planned, PlanRequest
 
 # The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,
@@ -131,6 +143,103 @@ def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it
     craft.follows = True
     assert math.hypot(*craft.run_for(30.0).velocity) == pytest.approx(SPEED_M_S)
     assert Phase.HOLDING not in {after.phase for *_, after, _ in craft.steps}
+
+
+ERROR_M, SAFETY_M = MISSION.task.limits.tracking_error_m, MISSION.task.settings.safety_distance_m
+ASIDE, ALONG = (NORTH_EAST, -NORTH_EAST, 0.0), (NORTH_EAST, NORTH_EAST, 0.0)
+BACK = (-NORTH_EAST, -NORTH_EAST, 0.0)
+Way = tuple[float, float, float]
+
+
+@functools.cache
+def cruising() -> Craft:
+    return flying().run_for(60.0)
+
+
+def found_at(craft: Craft, way: Way, by_m: float, later_s: float = 0.0) -> tuple[Flight, Any]:
+    """What follows if the vehicle is found so far from its reference point."""
+    flight, state = craft.state.flight, craft.state
+    assert flight.leg is not None
+    told = flight.leg.subpath.pose(flight.reference.length_m).position_nea_m
+    here = tuple(np.add(told, np.multiply(way, by_m)).tolist())
+    if later_s:
+        flight = replace(flight, left_path_at_s=state.now_s - later_s, left_path_m=1.0)
+    return left_path(state, flight, position(state.now_s, here, craft.velocity))
+
+
+@pytest.mark.parametrize(
+    "way", [ASIDE, (0.0, 0.0, 1.0), (0.6 * NORTH_EAST, -0.6 * NORTH_EAST, 0.8)]
+)
+def test_who_leaves_the_tube_is_to_stop_on_its_path(way: Way) -> None:
+    flight, departs = found_at(cruising(), way, 0.98 * ERROR_M)
+    assert (flight.left_path_m, flight.stop, departs) == (0.0, None, None)
+    flight, departs = found_at(cruising(), way, 1.02 * ERROR_M)
+    assert flight.left_path_m == pytest.approx(0.02 * ERROR_M, rel=0.01)
+    assert flight.stop is not None
+    assert (flight.stop.reason, departs) == (Reason.BESIDE_PATH, None)
+
+
+def test_who_is_ahead_of_where_it_was_told_to_be_is_noted_and_far_ahead_or_behind_is_to_hold() -> (
+    None
+):
+    """The reference point waits for who is a second's way behind."""
+    flight, departs = found_at(cruising(), ALONG, 0.98 * ERROR_M)
+    assert (flight.left_path_m, flight.stop, departs) == (0.0, None, None)
+    flight, departs = found_at(cruising(), ALONG, 1.02 * ERROR_M)
+    assert flight.left_path_m == pytest.approx(0.02 * ERROR_M, rel=0.01)
+    assert (flight.stop, departs) == (None, None)  # it is on its path
+    for way in (ALONG, BACK):
+        assert found_at(cruising(), way, 0.98 * (ERROR_M + SPEED_M_S))[1] is None
+        assert found_at(cruising(), way, 1.02 * (ERROR_M + SPEED_M_S))[1] is Reason.OFF_PATH
+
+
+def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
+    craft = cruising()
+    leg = craft.state.flight.leg
+    assert leg is not None
+    at_end = Reference(length_m=leg.subpath.length_m - 0.5 * ERROR_M, speed_m_s=5.0)
+    flight = replace(craft.state.flight, reference=at_end, next_leg=None)
+    craft = copy.copy(craft)
+    craft.state = replace(craft.state, flight=flight)
+    for beyond_m in (0.98 * ERROR_M, 1.02 * ERROR_M):
+        left, departs = found_at(craft, ALONG, 0.5 * ERROR_M + beyond_m)
+        ahead = 0.5 * ERROR_M + beyond_m - ERROR_M  # of where it was told to be
+        assert left.left_path_m == pytest.approx(max(beyond_m - ERROR_M, ahead), abs=1e-3)
+        assert (left.stop, departs) == (None, None)  # it stops there anyway
+
+
+def test_who_is_too_far_off_for_a_stop_or_does_not_come_back_is_told_to_hold() -> None:
+    most_m = ERROR_M + min(2.0 * ERROR_M, SAFETY_M)
+    assert found_at(cruising(), ASIDE, 0.98 * most_m)[1] is None
+    assert found_at(cruising(), ASIDE, 1.02 * most_m)[1] is Reason.OFF_PATH
+    stops_s = SPEED_M_S / 5.0
+    assert found_at(cruising(), ASIDE, 1.5 * ERROR_M, later_s=stops_s + 2.0)[1] is None
+    assert found_at(cruising(), ASIDE, 1.5 * ERROR_M, later_s=stops_s + 4.0)[1] is Reason.OFF_PATH
+    back, departs = found_at(cruising(), ASIDE, 0.5 * ERROR_M, later_s=stops_s + 4.0)
+    assert (back.left_path_m, departs) == (0.0, None)
+
+
+def test_who_has_left_its_path_stops_says_so_and_goes_on_from_there() -> None:
+    craft = flying().run_for(60.0)
+    legs, craft.follows = craft.state.flight.legs_flown, False
+    for tick in range(2_000):  # it drifts out by a metre a tick, and back
+        told = craft.sent(Setpoint)[-1].position_nea_m
+        off_m = max(18.0 - abs(tick - 18.0), 0.0)
+        craft.here = tuple(np.add(told, np.multiply(ASIDE, off_m)).tolist())
+        craft.velocity = craft.sent(Setpoint)[-1].velocity_nea_m_s
+        craft.tick()
+        if craft.state.flight.legs_flown > legs:
+            break
+    assert Reason.BESIDE_PATH in {after.reason for *_, after, _ in craft.steps}
+    assert {after.phase for *_, after, _ in craft.steps[-500:]} <= {Phase.FLYING, Phase.HOLDING}
+    assert craft.mode is Mode.GUIDED
+    assert craft.state.flight.legs_flown > legs
+    assert craft.state.flight.stops == 1
+    said = [each.text for each in craft.sent(StatusText)]
+    assert any(text.startswith("beside its path, ") for text in said)
+    entries = [e for before, _, after, _ in craft.steps for e in of_change(before, after)]
+    (left,) = [each for each in entries if each["kind"] == "path_left"]
+    assert 0.0 < left["left_path_m"] < 1.01
 
 
 def test_a_datagram_that_was_overtaken_neither_stops_the_flight_nor_sends_it_back() -> None:

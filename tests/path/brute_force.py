@@ -61,6 +61,8 @@ class Scale:
     acceleration_m_s2: float
     turn_radius_m: float
     relief_m: float
+    dead_man_s: float = 3.5
+    overruns_m: tuple[float, ...] = (np.inf,)
 
 
 SCALES = (
@@ -70,6 +72,12 @@ SCALES = (
           acceleration_m_s2=2.5, turn_radius_m=40.0, relief_m=150.0),
     Scale(cell_m=25.0, cells=56, distance_m=200.0, error_m=10.0, speed_m_s=30.0,
           acceleration_m_s2=4.0, turn_radius_m=150.0, relief_m=300.0),
+    Scale(cell_m=0.25, cells=80, distance_m=0.5, error_m=0.45, speed_m_s=3.0,
+          acceleration_m_s2=2.5, turn_radius_m=6.0, relief_m=4.0,
+          dead_man_s=1.0, overruns_m=(0.3, 0.5, 1.0, np.inf)),
+    Scale(cell_m=0.625, cells=90, distance_m=1.0, error_m=0.9, speed_m_s=5.0,
+          acceleration_m_s2=2.5, turn_radius_m=8.0, relief_m=8.0,
+          dead_man_s=1.0, overruns_m=(0.3, 0.5, 1.0, np.inf)),
 )  # fmt: skip
 
 
@@ -91,13 +99,14 @@ def random_case(rng: np.random.Generator) -> Case:
         ceiling_amsl_m=4.0 * scale.relief_m,
         north_m=(0.0, size),
         east_m=(0.0, size),
+        overrun_m=float(rng.choice(scale.overruns_m)),
         loiter_radius_m=scale.distance_m * rng.uniform(0.3, 1.5) if rng.random() < 0.2 else 0.0,
     )
     margins = Margins(
         clearance_m=scale.distance_m + scale.error_m,
         contact_m=scale.error_m,
         band_inset_m=scale.error_m,
-        dead_man_s=3.5,
+        dead_man_s=scale.dead_man_s,
     )
     return Case(
         control_nea_m=_control(rng, size, margins.clearance_m, known),
@@ -388,7 +397,12 @@ def stretch_points_nea_m(
     """Points of the straight stretches that leave the curve at u.  (S,) x2 -> (S, 3)."""
     limits, twice = case.limits, 2.0 * case.limits.acceleration_m_s2
     flown = np.interp(u, fine, lengths)
-    speed = np.minimum(limits.speed_m_s, np.sqrt(twice * np.maximum(lengths[-1] - flown, 0.0)))
+    left, brakes = np.maximum(lengths[-1] - flown, 0.0), limits.acceleration_m_s2
+    speed = np.minimum(limits.speed_m_s, np.sqrt(twice * left))
+    if np.isfinite(limits.overrun_m):  # v T + v^2 / 2a <= left + overrun
+        flies_on_s = case.margins.dead_man_s
+        within = np.sqrt(flies_on_s**2 + 2.0 * (left + limits.overrun_m) / brakes)
+        speed = np.minimum(speed, brakes * (within - flies_on_s))
     if case.from_rest:
         speed = np.minimum(speed, np.sqrt(twice * flown))
     reach = speed * case.margins.dead_man_s + speed**2 / twice

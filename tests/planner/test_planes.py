@@ -237,7 +237,7 @@ def test_a_plane_leaves_its_circle_once_in_a_turn_and_joins_the_path_within_its_
         for sense in (1.0, -1.0):
             for first in np.linspace(0.0, 2.0 * math.pi, 3, endpoint=False):
                 widest = widest_m(leg, at_m, sense, float(first))
-                assert widest <= LOITER + 3.0 * LIMITS.tracking_error_m
+                assert widest <= LOITER + LIMITS.tracking_error_m
 
 
 def test_a_plane_that_is_not_on_its_circle_does_not_leave_it() -> None:
@@ -246,7 +246,7 @@ def test_a_plane_that_is_not_on_its_circle_does_not_leave_it() -> None:
     pose = leg.subpath.pose(0.0)
     north, east, _ = (V * float(value) for value in pose.tangent_nea)
     beside = np.array([-east, north, 0.0]) / V
-    most_m = LOITER + 2.0 * LIMITS.tracking_error_m
+    most_m = LOITER + LIMITS.tracking_error_m
     for off_m, leaves in ((0.5 * LOITER, True), (most_m - 1.0, True), (most_m + 1.0, False)):
         here = pose.position_nea_m + off_m * beside
         place = (float(here[0]), float(here[1]), float(here[2]))

@@ -13,7 +13,9 @@ from companion.planner.procedure import (
     Leg,
     Reference,
     advance,
+    ahead_m,
     is_at_end,
+    off_path_m,
 )
 from companion.planner.settings import PlannerSettings, Task
 
@@ -289,3 +291,29 @@ def test_a_speed_limit_holds_where_it_is_below_that_of_the_mission(limit_m_s: fl
 def test_a_leg_of_the_way_back_is_left_at_its_very_end() -> None:
     leg = replace(leg_to(900.0, 0.0, 0.0), through=True)
     assert leg.successor_at_m(TASK) == leg.subpath.length_m
+
+
+@given(
+    at=st.floats(0.05, 1.0),
+    along_m=st.floats(-20.0, 20.0),
+    aside_m=st.floats(-15.0, 15.0),
+    up_m=st.floats(-15.0, 15.0),
+)
+def test_off_the_path_is_the_distance_to_its_nearest_point_and_beyond_its_end_to_that(
+    at: float, along_m: float, aside_m: float, up_m: float
+) -> None:
+    leg = bent_leg()
+    reference = Reference(length_m=at * leg.subpath.length_m)
+    pose = leg.subpath.pose(reference.length_m)
+    north, east, _ = pose.tangent_nea.tolist()
+    across = np.array([-east, north, 0.0]) / math.hypot(north, east)
+    vehicle = pose.position_nea_m + along_m * pose.tangent_nea + aside_m * across
+    vehicle[2] += up_m
+    near = np.linspace(reference.length_m - 80.0, reference.length_m + 80.0, 3_201)
+    near = near[(near >= 0.0) & (near <= leg.subpath.length_m)]
+    points = leg.subpath.points_nea_m(near)
+    nearest = float(np.linalg.norm(points - vehicle, axis=-1).min())
+    assert off_path_m(reference, leg, vehicle) == pytest.approx(nearest, abs=0.05)
+    assert ahead_m(reference, leg, vehicle) == pytest.approx(
+        float((vehicle - pose.position_nea_m) @ pose.tangent_nea)
+    )

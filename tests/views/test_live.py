@@ -36,7 +36,7 @@ class Terminal:
     def show(self, time_s: float, *, failsafe: bool = False, **changes: Any) -> list[str]:
         """The lines that this prints."""
         session = self.flown.session
-        session.clock.read(time_s)
+        session.clock.read(time_s, time_s)  # it is heard as time goes by
         vehicle = replace(session.state.vehicle, failsafe=failsafe)
         session.state = replace(session.state, now_s=time_s, vehicle=vehicle, **changes)
         self.progress.show(flight_status(self.flown))

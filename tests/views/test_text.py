@@ -125,8 +125,8 @@ def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum
 
 def test_times_of_a_flight_that_was_resumed_are_said_to_be_those_since_then() -> None:
     flight = flown()
-    flight.session.clock.read(900.0)
-    flight.session.clock.read(1_020.0)
+    flight.session.clock.read(900.0, 0.0)
+    flight.session.clock.read(1_020.0, 120.0)
     flight.elapsed_s = 60.0
     lines = shown(flight_table(flight)).splitlines()
     assert [line.split()[-3] for line in lines if " time " in line][:2] == ["120.0", "60.0"]
