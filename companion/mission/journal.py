@@ -288,7 +288,7 @@ class CommandHeard(Entry, frozen=True, tag="command"):
     """A MAVLink command to the companion, and the answer."""
 
     sender: str
-    """System and component id: "255/190"."""
+    """System and component id: "255/190"; "terminal": a yes that was typed."""
     command: int
     """MAV_CMD."""
     order: str | None = None
@@ -308,7 +308,7 @@ class OrderGiven(Entry, frozen=True, tag="order"):
     ]
     """The order."""
     sender: str
-    """System and component id of the sender: "255/190"."""
+    """System and component id of the sender: "255/190"; or "terminal"."""
     target_ne_m: NorthEast | None
     """Where to go (REPOSITION); the centre (KEEP_OUT)."""
     speed_m_s: float | None

@@ -42,7 +42,7 @@ class FlightSummary:
     """Whether somebody can say go in the terminal."""
     died: bool = False
     """Whether a part of the companion did."""
-    _target: int = 0
+    _target: tuple[tuple[float, float], ...] = ()
 
     @property
     def to_go_m(self) -> float | None:
@@ -54,9 +54,10 @@ class FlightSummary:
 
     def note_passing(self) -> None:
         """Take account of the newest position."""
-        flight, to_go_m = self.session.state.flight, self.to_go_m
-        if flight.target != self._target:
-            self._target, self.passed_m = flight.target, math.inf
+        state, to_go_m = self.session.state, self.to_go_m
+        ahead = state.targets_ne_m[state.flight.target :]
+        if ahead[:1] != self._target:
+            self._target, self.passed_m = ahead[:1], math.inf
         if to_go_m is not None:
             self.passed_m = min(self.passed_m, to_go_m)
 

@@ -2,13 +2,23 @@
 
 import itertools
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import tlog
-from flights import kept, launch, run, short_mission
+from flights import ENVIRONMENTS, kept, launch, run, short_mission
+
+from companion.config import load_mission
+from companion.mission.checkpoint import without_checkpoint
+from companion.mission.events import Order, OrderKind
+from companion.runtime.compiler import Planner
+from companion.runtime.in_process import loop_in_process
+from companion.session import Session
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import read_world
 
 pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]  # without a wire: `test_memory`
 
@@ -70,3 +80,29 @@ def test_it_takes_over_says_so_never_arms_and_arrives(
     assert warning in texts
     armed = [row["armed"] for row in flight.truth]
     assert [after for before, after in itertools.pairwise(armed) if before != after][:1] == [True]
+
+
+@pytest.mark.parametrize(("name", "after_s"), [("sitl-arducopter", 85.0), ("sitl-px4-plane", 90.0)])
+def test_told_to_return_it_lands_at_home_and_not_where_it_took_over(
+    name: str, after_s: float
+) -> None:
+    mission, planner = load_mission(name), Planner(lockstep=True)
+    vehicle = Simulation(read_world(ENVIRONMENTS / name / "world.toml"), seed=1)
+    before = Session(mission, seed=1, lockstep=True, go=True)
+    for _ in loop_in_process(before, vehicle, planner=planner).turns():
+        if vehicle.now_us > after_s * 1e6:
+            break
+    number = before.state.flight.plan_id
+    lost = without_checkpoint("torn", system_id=1, time_s=before.now_s, plan_id=number)
+    session = Session(mission, seed=1, lockstep=True, resume=(lost, None))
+    loop, told = loop_in_process(session, vehicle, planner=planner), False
+    for _ in loop.turns():
+        if not told and session.state.flight.leg is not None:
+            told = True
+            session._handle(Order(time_s=session.now_s, kind=OrderKind.RETURN))
+    home, here = session.state.vehicle.home_nea_m, session.state.vehicle.position_nea_m
+    assert home is not None
+    assert here is not None
+    assert vehicle.landed
+    limits = mission.task.limits
+    assert math.dist(here[:2], home[:2]) < max(5.0, 1.5 * limits.loiter_radius_m)
