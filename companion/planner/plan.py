@@ -72,6 +72,7 @@ _ANY_WAY = tuple(
 )
 """Tried if still nothing was proven, or a vehicle at rest would make a long detour."""
 _ALL_ROUND = tuple(_SearchVariant(turn_rad=turn) for turn in (2.2, -2.2, math.pi))
+_ASIDE = (*_SHORT, *_ANY_WAY, *_ALL_ROUND)
 
 
 def plan(
@@ -319,25 +320,46 @@ class _Plan:
         )
 
     def _searched(self) -> Planned | None:
-        """The cheapest subpath of all searches, until one is cheap enough or time is up."""
+        """The cheapest subpath of all searches, until one is cheap enough or time is up.
+
+        Short and turned ones come early among near things, and count if no other is cheap enough.
+        """
         ways, before = self._ways(), self._request.tried
         best: Planned | None = None
+        aside: Planned | None = None
         for number in range(before, before + len(ways)):
             how, enough = ways[number % len(ways)]
             if how is _ANY_WAY[0] and best is not None and not self._request.from_rest:
                 break
-            if how is not None and (best is None or self._excess(best) > enough):
+            is_aside = how in _ASIDE and self._is_near_at_rest
+            so_far = self._cheaper(best, aside) if is_aside else best
+            if how is not None and (so_far is None or self._excess(so_far) > enough):
                 if self._tries and self._stop():
                     break
                 planned = self._attempt(how, wider=1 + number // len(ways))
-                if best is None or (planned and self._price(planned) < self._price(best)):
-                    best = planned
+                if is_aside:
+                    aside = self._cheaper(aside, planned)
+                else:
+                    best = self._cheaper(best, planned)
                 if self._is_cut and self._made:
                     break  # it is made again; the only one is not, or no attempt got past it
             self._made += 1
         self._is_short = self._made < len(ways)
         self._untried = max(len(ways) - before - self._made, 0)
-        return best
+        if best is not None and self._excess(best) <= _MUCH_DEARER:
+            return best
+        return self._cheaper(best, aside)
+
+    def _cheaper(self, one: Planned | None, other: Planned | None) -> Planned | None:
+        """Of two subpaths, the first one if they cost the same."""
+        if one is None or other is None:
+            return one or other
+        return other if self._price(other) < self._price(one) else one
+
+    @property
+    def _is_near_at_rest(self) -> bool:
+        """Whether the vehicle stands among near things."""
+        return self._request.from_rest and self._request.task.settings.is_near
 
     def _ways(self) -> list[tuple[_SearchVariant | None, float]]:
         """All searches in their order, and up to which excess of the best each is left out.
@@ -348,7 +370,7 @@ class _Plan:
         edge = self._to_edge_of_sight() or (None,)
         ways = [(how, _DEARER) for how in (_FIRST, *edge)]
         others = [(how, _DEARER) for how in _OTHER_WAYS] + [(how, _MUCH_DEARER) for how in _HARDER]
-        near = self._request.from_rest and self._request.task.settings.is_near
+        near = self._is_near_at_rest
         turned = [(how, _MUCH_DEARER) for how in ((*_SHORT, *_ANY_WAY) if near else _ANY_WAY)]
         ways += turned + others if near else others + turned
         all_round = _ALL_ROUND if self._request.from_rest else ()
