@@ -89,7 +89,8 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
-    if state.flight.stop is None and waits_for_fence(state, context):
+    unread = state.fence_unread_s is not None
+    if unread and state.flight.stop is None and waits_for_fence(state, context):
         state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
         if trigger is not None:
             return state, commands, trigger
@@ -172,9 +173,11 @@ def _follow(state: State, event: Position, context: Context) -> Step:
         return give_up(state, Reason.NOT_FOLLOWING)
     leg = flight.leg
     assert leg is not None
-    flight, says, departs = kept_to_path(state, flight, event)
-    if departs is not None:
-        return on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
+    says: list[Command] = []
+    if flight.left_path_m or not following.is_on_path(state, flight, event):
+        flight, says, departs = kept_to_path(state, flight, event)
+        if departs is not None:
+            return on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
     flight, commands = following.setpoint(state, flight, event, context)
     commands = [*says, *commands]
     if following.is_stopped(state, flight):

@@ -103,6 +103,25 @@ def advance_reference(state: State, event: Position) -> Flight:
     return joining.switched_to_next_leg(flight, leg, task)
 
 
+def is_on_path(state: State, flight: Flight, event: Position) -> bool:
+    """Whether it follows, and nothing of `outside_m` can be the case: what is looked at first.
+
+    The path leaves its tangent at the reference point by along^2 / 2 R at most where it bends no
+    more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
+    """
+    vehicle, leg, limits, now_s = state.vehicle, flight.leg, state.task.limits, state.now_s
+    assert leg is not None
+    echoes = vehicle.echo_nea_m is None or now_s - flight.echoed_at_s <= _NOT_TAKEN_S
+    if not (echoes and vehicle.traits.hovers):
+        return False
+    pose, (north, east, up) = leg.subpath.pose(flight.reference.length_m), event.position_nea_m
+    off = np.array((north, east, up)) - pose.position_nea_m
+    along_m, error_m = float(off @ pose.tangent_nea), limits.tracking_error_m
+    across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
+    bends_m = along_m**2 / limits.turn_radius_m
+    return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
+
+
 def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, float, float]:
     """How far the vehicle is outside of what was proven: across, ahead and far along; 0: inside.
 
