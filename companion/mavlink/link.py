@@ -150,7 +150,7 @@ def _is_of_an_autopilot(heard: Incoming) -> bool:
     return message.type not in _NO_AUTOPILOTS and message.autopilot != wire.MAV_AUTOPILOT_INVALID
 
 
-TO_COMPONENT_1: Final = "Set the autopilot's component id to 1 (PX4: MAV_COMP_ID)."
+TO_COMPONENT_1: Final = "Set the autopilot's component id to 1 (MAV_COMP_ID)."
 
 
 def ids_in_words(ids: Iterable[tuple[int, int]]) -> str:

@@ -8,6 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 
 from companion.mavlink.frames import decoded, packed
+from companion.printable import printable
 
 KINDS = sorted(wire.mavlink_map)
 
@@ -23,8 +24,12 @@ def frame_of(kind: Any, rng: random.Random, *, version_1: bool) -> bytes:
 
 
 def told(message: Any) -> dict[str, Any]:
-    """All that there is to know of a message, numbers that are none included."""
-    values = {name: repr(value) for name, value in vars(message).items() if name != "_header"}
+    """All that there is to know of a message, numbers that are none included; texts made fit."""
+    values = {
+        name: repr(printable(value) if isinstance(value, str) else value)
+        for name, value in vars(message).items()
+        if name != "_header"
+    }
     return {**values, "header": vars(message.get_header())}
 
 
@@ -40,6 +45,8 @@ def test_every_kind_is_decoded_as_by_pymavlink(version_1: bool) -> None:
             frame = frame_of(kind, rng, version_1=version_1)
             message = decoded(frame, kind)
             assert told(message) == told(theirs.decode(bytearray(frame)))
+            texts = (getattr(message, name) for name in message.get_fieldnames())
+            assert all(text.isprintable() for text in texts if isinstance(text, str))
             if b"c" not in kind.native_format:
                 assert packed(message, theirs) == message.pack(theirs)
             compared += 1
