@@ -46,9 +46,15 @@ _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
 _OTHER_CLOCK: Final = "a stamp of another clock"
 _STRANGE: Final = "a distance is outside its limits"
-_USED: Final = {_OTHER_CLOCK: ", taken as of now", _STRANGE: ", that sector says nothing"}
+_NO_ROOM: Final = "a link had no room for all sectors"
+_USED: Final = {
+    _OTHER_CLOCK: ", taken as of now",
+    _STRANGE: ", that sector says nothing",
+    _NO_ROOM: ", those left out say nothing",
+}
 """Reasons for which a sweep is used all the same, and how."""
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
+_EVEN = 1.5  # times the least time between two sets: more, and one is missing
 _WHOLE_S = 2.5  # in it HEARTBEAT and SYS_STATUS come twice: one fewer sector fits beside them
 
 
@@ -223,6 +229,8 @@ class NearSensing:
         """Those of ArduPilot's eight that were ever told."""
         self._whole_s = -math.inf, -math.inf
         """Since when all of these have come, and until when."""
+        self._stamp_s, self._period_s = math.inf, math.inf
+        """Of the newest set; and the least time between two."""
         self._full_since_s = np.empty(0)
         """Since when each sector, as the sensor counts them, has said "max"; inf: it does not."""
         self._limits_cm: dict[int, tuple[float, float]] = {}
@@ -338,7 +346,8 @@ class NearSensing:
 
         But the high sectors may be what a link had no room for (proximity.md 1).  Where that is so
         the cut moves with what else is sent: those behind the last one were left out for it unless
-        all that was ever told has come for a while.
+        all that was ever told has come for a while.  Where that is the first sector alone, a cut
+        before it leaves out the whole set: they have to come at even intervals.
         """
         messages, self._set = self._set, []
         messages = [m for m in messages if 0 <= m.min_distance < m.max_distance]
@@ -355,10 +364,15 @@ class NearSensing:
             least_cm[message.orientation] = message.min_distance
         one, last = messages[0], max(message.orientation for message in messages)
         since_s, until_s = self._whole_s
-        if not 0.0 <= self._set_s - until_s <= _SILENT_S or last < max(self._sectors, default=0):
+        highest, gap_s = max(self._sectors, default=0), one.time_boot_ms * 1e-3 - self._stamp_s
+        if gap_s > 0.0:
+            self._period_s = min(self._period_s, gap_s)
+        self._stamp_s = one.time_boot_ms * 1e-3
+        is_missing = last < highest or (highest == 0 and gap_s > _EVEN * self._period_s)
+        if is_missing or not 0.0 <= self._set_s - until_s <= _SILENT_S:
             since_s = self._set_s
-        if last < max(self._sectors, default=0):
-            self.refused["a link had no room for all sectors"] += 1
+        if is_missing:
+            self.refused[_NO_ROOM] += 1
         if self._set_s < until_s:  # the autopilot has begun anew, and what it has told
             self._sectors.clear()
         self._whole_s = since_s, self._set_s

@@ -282,12 +282,15 @@ class NearMap:
         return stands | (looked & ~self.free(window))
 
     def expire(self, now_s: float) -> Window | None:
-        """Cells that no sweep has passed for too long are unknown.  -> where that may be so."""
-        before_s, changed = now_s - self.rules.free_for_s, None
-        while self.swept and self.swept[0][0] < before_s:
+        """Cells that no sweep has passed for too long are unknown.  -> where that may be so.
+
+        So are those that one has passed so much later than now: the clock has begun anew.
+        """
+        free_for_s, changed = self.rules.free_for_s, None
+        while self.swept and abs(now_s - self.swept[0][0]) > free_for_s:
             _, window = self.swept.popleft()
             passes, looks = self.passes[window], self.looks[window]  # views
-            old = (passes > 0) & (self.passed_s[window] < before_s)
+            old = (passes > 0) & (np.abs(now_s - self.passed_s[window]) > free_for_s)
             np.copyto(looks, 0, where=old & ~self.occupied(window))  # nor is it closed for that
             np.copyto(passes, 0, where=old)
             changed = both(changed, window)

@@ -309,6 +309,27 @@ def test_what_a_link_has_no_room_for_stays_unknown() -> None:
     assert sectors_over(9.0, once)[6:] == pytest.approx([16.0, 16.0])
 
 
+def test_of_the_first_sector_alone_a_cut_leaves_out_the_whole_set() -> None:
+    cut = lambda k: (0,) if k % 20 else ()  # noqa: E731
+    assert sectors_over(6.0, cut) == [7.0, *[0.0] * 7]
+    assert sectors_over(6.0, lambda _: (0,)) == pytest.approx([7.0, *[16.0] * 7])
+
+
+def test_a_sweep_from_which_a_link_left_something_out_is_not_called_unbelieved() -> None:
+    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+    for k, sector in enumerate((0, 5, 0, 0)):
+        beam = wire.MAVLink_distance_sensor_message(
+            10_000 + 50 * (k // 2), 20, 1600, 700, 0, 10, sector, 0
+        )
+        sensing.on_distance_sensor(beam, NOW_S + 0.05 * (k // 2))
+    late = wire.MAVLink_distance_sensor_message(10_100, 20, 1600, 700, 0, 10, 0, 0)
+    sensing.on_distance_sensor(late, NOW_S + 0.1)
+    assert list(in_words(sensing.refused)) == [
+        "used all the same: a link had no room for all sectors, those left out say nothing "
+        "(1 times)"
+    ]
+
+
 def test_one_that_is_left_out_now_and_was_told_before_is_unknown() -> None:
     clear_m = sectors_over(4.0, lambda k: (0, 2, 5) if k < 70 else (0, 5))
     assert clear_m == pytest.approx([7.0, 16.0, 0.0, 16.0, 16.0, 7.0, 16.0, 16.0])

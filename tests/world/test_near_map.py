@@ -197,6 +197,15 @@ def test_nothing_is_free_for_longer_without_any_sweep() -> None:
     assert near.expire(1_000.0) is None
 
 
+def test_nothing_is_free_of_what_was_seen_before_the_clock_began_anew() -> None:
+    """The autopilot has rebooted: in the meantime the position may have drifted, too."""
+    near = NearMap.empty(LATTICE, RULES)
+    looked(near, np.full((1, 2), 100.0), 5, start_s=300.0)
+    assert near.free().any()
+    assert near.expire(20.0) is not None
+    assert not near.free().any()
+
+
 def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
     """A wall was free up to, and something new stands before it, nearer than the error."""
     near, barrier = NearMap.empty(LATTICE, RULES), wall((6.5, -30.0), (6.5, 30.0))
