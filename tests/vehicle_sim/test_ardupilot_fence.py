@@ -155,3 +155,33 @@ def test_autoenable_3_is_a_fence_while_armed() -> None:
     it.command(176, 1, 9)
     it.run_until(lambda: not it.autopilot.armed, 60.0)
     assert not it.autopilot.fence.enabled
+
+
+@pytest.mark.parametrize("value", [1.0, 2.0])
+def test_autoenable_1_and_2_are_a_fence_once_it_has_taken_off(value: float) -> None:
+    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=value, FENCE_ACTION=0.0, **FLOOR)
+    it.run(5.0)
+    assert it.autopilot.fence.enabled
+    assert it.autopilot.fence.has_floor
+    it.command(176, 1, 9)
+    it.run(1.0)
+    assert it.autopilot.fence.enabled is (value == 2.0)  # of 2 only the floor ends
+    it.run_until(lambda: not it.autopilot.armed, 60.0)
+    assert it.when("Min Alt fence breached") == []
+
+
+def test_a_take_off_that_ends_below_the_floor_is_a_breach_then() -> None:
+    it = fenced(FENCE_ENABLE=0.0, FENCE_AUTOENABLE=2.0, FENCE_TYPE=8.0, FENCE_ALT_MIN=50.0)
+    it.run_until(lambda: it.autopilot.mode_name == "RTL", 10.0)
+    assert len(it.when("Min Alt fence breached")) == 1
+
+
+def test_a_fence_that_is_switched_off_is_not_breached() -> None:
+    it = fenced(FENCE_ACTION=0.0)
+    it.autopilot.plans[PlanKind.FENCE] = polygon(5001, (50.0, 0.0), (90.0, 0.0), (90.0, 40.0))
+    it.autopilot.on_plan(PlanKind.FENCE)
+    it.run(0.5)
+    assert it.autopilot.status().fence_breached
+    it.command(207, 0)
+    it.run(0.2)
+    assert not it.autopilot.status().fence_breached

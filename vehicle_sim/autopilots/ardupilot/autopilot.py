@@ -87,8 +87,8 @@ Due = tuple[int, Reply | tuple[str, float]]
 """When since boot, and what: something to say, or a parameter that changes and is said."""
 
 _RPLIDAR_A2 = 5
-_ONLY_WHEN_ARMED = 3.0
-"""FENCE_AUTOENABLE, whose other values 4.7 does not have."""
+_FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
+"""FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 SLOW_US = 100_000
 FIRST_STATISTICS_US, STATISTICS_US = 30_440_000, 31_010_000
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
@@ -346,11 +346,20 @@ class ArduPilot(abc.ABC):
     def on_battery_failsafe(self, action: int) -> None:
         """BATT_FS_LOW_ACT or BATT_FS_CRT_ACT."""
 
+    def took_off(self) -> None:
+        """An automatic take-off is over (AC_Fence::auto_enable_fence_after_takeoff)."""
+        if self.parameters["FENCE_AUTOENABLE"] in (_FOR_THE_FLIGHT, _FROM_TAKE_OFF):
+            self.fence.enabled = True
+            self.fence.has_floor = True  # whatever its height; not if there is none
+
     def _check_fence(self) -> None:
+        down = not self.armed or self.landed
+        if self.parameters["FENCE_AUTOENABLE"] == _FOR_THE_FLIGHT and (down or self.lands):
+            self.fence.enabled = False
         if not self.fence.enabled or self.home is None:
-            self.fence.has_floor = False
+            self.fence.forget()
             return
-        if not self.armed or self.landed:
+        if down:
             self.fence.forget()
             return
         if not self.ekf.position_ok:

@@ -445,6 +445,7 @@ class Auto:
                 here_m = self._host.estimate.altitude_amsl_m
                 if here_m > goal.place.altitude_amsl_m - 0.3 and self._waited(0.7):
                     motion.takeoff_us = None
+                    self._host.took_off()
                     self._reached()
                 return wanted
             case Leg.RETURN:

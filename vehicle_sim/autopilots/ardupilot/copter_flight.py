@@ -251,6 +251,7 @@ class Flight:
                 self._reached_us = self.host.now_us
         elif self.host.now_us - self._reached_us >= REACHED_US:
             self.motion.takeoff_us = self._reached_us = None
+            self.host.took_off()
 
     def _run_brake(self, dt_s: float) -> Vector:
         copter, e = self.copter, self.host.estimate

@@ -130,7 +130,7 @@ class Fence:
         return min(rooms)
 
     def forget(self) -> None:
-        """It is not in the air."""
+        """It is not in the air, or the fence is off."""
         self.breached, self.has_floor = 0, False
 
     def raises_floor(self, place: Place, home: Place, *, lands: bool) -> bool:

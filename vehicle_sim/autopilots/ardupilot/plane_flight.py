@@ -320,6 +320,7 @@ class Flight:
         self.takeoff.tell_level_off(to_go_m)
         if to_go_m <= 2.0 or distance_m(self._start, here) >= parameters["TKOFF_DIST"]:
             self._end_climb()
+            host.took_off()
         limit = self.takeoff.bank_limit_rad(climbed_m)
         return min(max(bank, -limit), limit)
 
@@ -337,6 +338,7 @@ class Flight:
         if self.takeoff.stage is Stage.CLIMBING:
             if not mission.takes_off:
                 self._end_climb()
+                host.took_off()
             elif self._start is not None:
                 climbed_m = self._host.estimate.place.altitude_amsl_m - self._start.altitude_amsl_m
                 limit = self.takeoff.bank_limit_rad(climbed_m)
