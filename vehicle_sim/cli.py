@@ -334,11 +334,10 @@ def _row(world: World, count: int, port_step: int) -> list[World]:
     """The same world for each of so many vehicles, standing side by side."""
     vehicle = world.vehicle
     highest = personality_of(vehicle).highest_id
-    if not 1 <= count <= _MAX_VEHICLES or vehicle.system_id + count - 1 > highest:
-        rule = (
-            f"must be 1 to {_MAX_VEHICLES}, with system ids from {vehicle.system_id} to {highest}"
-        )
-        raise InputError("--count", count, rule, "Try 5.")
+    most = min(_MAX_VEHICLES, highest - vehicle.system_id + 1)
+    if not 1 <= count <= most:
+        rule = f"must be 1 to {most}: there are system ids from {vehicle.system_id} to {highest}"
+        raise InputError("--count", count, rule, f"Try {min(most, 5)}.")
     if not 0 <= port_step <= 1000:
         raise InputError("--port-step", port_step, "must be from 0 to 1000", "Try 10.")
     return [

@@ -309,10 +309,16 @@ def test_what_a_link_has_no_room_for_stays_unknown() -> None:
     assert sectors_over(9.0, once)[6:] == pytest.approx([16.0, 16.0])
 
 
-def test_of_the_first_sector_alone_a_cut_leaves_out_the_whole_set() -> None:
-    cut = lambda k: (0,) if k % 20 else ()  # noqa: E731
-    assert sectors_over(6.0, cut) == [7.0, *[0.0] * 7]
-    assert sectors_over(6.0, lambda _: (0,)) == pytest.approx([7.0, *[16.0] * 7])
+@pytest.mark.parametrize("first", [0, 4])
+def test_a_set_that_a_link_leaves_out_altogether_is_missed(first: int) -> None:
+    """A thing in the next sector is never told of, for want of room."""
+    cut = lambda k: (first,) if k % 20 else ()  # noqa: E731
+    unknown = range(first + 1, 8)
+    assert {sectors_over(6.0, cut)[each] for each in unknown} == {0.0}
+    slower = lambda k: (first,) if k < 20 or k % 2 else ()  # noqa: E731
+    for told in (lambda _: (first,), slower):
+        clear_m = sectors_over(7.0, told)
+        assert clear_m == pytest.approx([7.0 if each == first else 16.0 for each in range(8)])
 
 
 def test_a_sweep_from_which_a_link_left_something_out_is_not_called_unbelieved() -> None:

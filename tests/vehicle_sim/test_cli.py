@@ -67,6 +67,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["--param", "MAV_SYSID=4.5"], ["MAV_SYSID = 4.5", "whole number"]),
         (["--autopilot", "px4", "--param", "MAV_COMP_ID=255"], ["MAV_COMP_ID = 255.0", "1 to 254"]),
         (["--param", "MAV_SYSID=200", "--count", "99"], ["--count = 99", "from 200 to 255"]),
+        (["--param", "MAV_SYSID=253", "--count", "5"], ["must be 1 to 3", "Try 3."]),
         (["--param", "FENCE_ENABLE=300"], ["FENCE_ENABLE = 300.0", "8 bits"]),
         (["--count", "0"], ["--count = 0"]),
         (["--count", "251"], ["--count = 251"]),
