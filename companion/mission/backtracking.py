@@ -27,8 +27,11 @@ from companion.mission.state import (
 )
 from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference, hover_pose
-from companion.planner.request import Backtrack, PlanRequest
+from companion.planner.request import Backtrack, PlanRequest, Refusal
 from companion.planner.rules import target_refusal
+
+_NO_WAY_OUT = frozenset({Refusal.START_NEAR_TERRAIN, Refusal.START_NEAR_UNKNOWN})
+"""From where nothing leads away nothing leads home either: only the autopilot climbs out."""
 
 
 def request_backtrack(state: State, context: Context) -> Step:
@@ -142,11 +145,12 @@ def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = Fal
     if is_above_home(state) and state.vehicle.traits.lands:
         says = StatusText(text="returning: above home, landing", about="end")
         return state, [says], Trigger.END_LAND
-    planned = None if state.flight.homeward else replan_home(state)
+    stuck = state.reason is Reason.NO_PLAN and state.flight.refusal in _NO_WAY_OUT
+    planned = None if state.flight.homeward or stuck else replan_home(state)
     if planned is not None:
         return planned, [StatusText(text=text, warning=warning, about="end")], Trigger.RESUME
-    place, why = home_ne_m(state), "home is not known"
-    if place is not None:
+    place, why = home_ne_m(state), "" if stuck else "home is not known"
+    if place is not None and not stuck:
         why = target_refusal(state.task, place).replace("the target:", "home:")
     return preceded([StatusText(text=why, warning=True)] if why else [], give_up(state, reason))
 

@@ -36,7 +36,7 @@ from companion.mission.events import (
 )
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, Reason, Replan, TakeOver
-from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
+from companion.planner.request import Backtrack, PlanOutcome, PlanRequest, Refusal
 
 AWAY = two_legs_away()
 
@@ -291,6 +291,17 @@ def test_at_the_last_target_too_and_that_is_an_arrival() -> None:
     craft.fly_to(Phase.DONE)
     assert is_home(craft)
     assert craft.end().outcome is Outcome.ARRIVED
+
+
+def test_from_where_nothing_leads_away_no_way_home_is_looked_for() -> None:
+    """What is too near to the terrain does not stay there for as many attempts again."""
+    craft = under_way(taken_over())
+    craft.plan = lambda request: replace(
+        not_planned(request), refusal=Refusal.START_NEAR_TERRAIN, broken=()
+    )
+    craft.fly_to(Phase.DONE)
+    assert craft.mode is Mode.RETURN
+    assert {request.target_ne_m for request in requests(craft)} == {FAR.targets_ne_m[0]}
 
 
 @pytest.mark.parametrize(
