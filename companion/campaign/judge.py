@@ -330,12 +330,14 @@ def _radar_excuse(table: _Table, done: Sequence[Happening]) -> dict[str, BoolArr
 
 
 def _new_excuse(gap_m: FloatArray, known_s: float, table: _Table, drawn: DrawnWorld) -> BoolArray:
-    """Not yet known, or on the way out for the first time."""
+    """Not yet known, or on the way out for the first time: from when it is led, or was told."""
     excused: BoolArray = table.t_s < known_s
-    after = np.nonzero(~excused)[0]
+    after = np.nonzero(~excused & table.ours)[0]
     if math.isinf(known_s) or not len(after):
         return excused
-    return excused | _on_the_way_out(gap_m, int(after[0]), known_s, table, drawn)
+    first = int(after[0])
+    since_s = max(known_s, float(table.t_s[first]))
+    return excused | _on_the_way_out(gap_m, first, since_s, table, drawn)
 
 
 def _back_excuse(gap_m: FloatArray, table: _Table, drawn: DrawnWorld) -> BoolArray:
