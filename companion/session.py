@@ -252,6 +252,8 @@ class Session:
         order = events.Order(time_s=self.now_s, kind=events.OrderKind.START, sender="terminal")
         if self.state.phase in IN_AIR or self.state.phase is Phase.ARMING:
             return f"the mission is {self.state.phase.value} already"
+        if self.state.airborne:
+            return "it has taken off already"
         heard = {"sender": order.sender, "command": wire.MAV_CMD_MISSION_START}
         if self._judged(order) is not changes.OrderResult.ACCEPTED:
             why = changes.why_not(self.state, order)

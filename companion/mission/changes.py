@@ -347,7 +347,7 @@ def _flies_there(state: State) -> bool:
     return outward and state.orders.active is None and not state.flight.homeward
 
 
-def _ordered(state: State, order: Order, _context: Context) -> Step:
+def _ordered(state: State, order: Order, context: Context) -> Step:
     match order.kind:
         case OrderKind.START if state.phase is Phase.READY:
             return state, [StatusText(text=f"go: told by {order.sender}")], Trigger.GO
@@ -364,7 +364,9 @@ def _ordered(state: State, order: Order, _context: Context) -> Step:
         case OrderKind.SPEED:
             return _with_speed(state, order.speed_m_s)
         case OrderKind.RETURN:
-            return _return(state)
+            waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
+            text = "it returns once the changed fence is read, or goes on being read for too long"
+            return preceded([StatusText(text=text)] if waits else [], _return(state))
         case OrderKind.LAND:
             return _land(state)
         case OrderKind.KEEP_OUT:
@@ -486,6 +488,7 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         fallen_back=flight.fallen_back,
     )
     known = state.vehicle.home_nea_m if state.airborne else None
+    armed_by_us = state.armed_by_us and state.airborne  # on the ground who arms it now is another
     vehicle = Vehicle(
         traits=state.vehicle.traits,
         bad_at_s=state.now_s,
@@ -502,6 +505,7 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
+        armed_by_us=armed_by_us,
         fence_unread_s=None,
         unready=Reason.REBOOTED.text if waited else "",
     )

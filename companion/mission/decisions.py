@@ -48,6 +48,7 @@ _HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
 _GROUNDED_S = 1.5
 _COMES_BACK_S = 3.0  # PX4 takes a stream up again within a second (px4.md 6)
 _FENCE_READ_S = 3.0  # for a changed fence; a few items are read in less, also by a slow radio
+_FENCE_GIVEN_UP_S = 300.0  # twice what 5,010 items took; who does not answer is asked for ever
 _FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
 _SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
 _ACTS_S = 15.0  # EKF failsafes come 1 to 10 s after the first doubt (ardupilot.md 5; px4.md 8)
@@ -171,12 +172,24 @@ def _is_out_of_its_fence(state: State) -> bool:
 
 
 def waits_for_fence(state: State, context: Context) -> bool:
-    """Whether nothing is flown on until the changed fence is known; not by a low battery."""
+    """Whether nothing is flown on until the changed fence is known; not by a low battery.
+
+    What goes back waits no longer than until the reading is given up.
+    """
     since_s, flight = state.fence_unread_s, state.flight
     if since_s is None or context.mission.goes_on_while_reading:
         return False
+    goes_back = flight.returning or flight.homeward or state.orders.active is Reason.RETURN_ASKED
+    if goes_back and fence_is_given_up(state):
+        return False
     low = Reason.BATTERY_LOW in (state.reason, state.orders.active, flight.fallen_back)
     return not low and state.now_s - since_s > _FENCE_READ_S
+
+
+def fence_is_given_up(state: State) -> bool:
+    """Whether reading the changed fence has lasted for too long: it may never end."""
+    since_s = state.fence_unread_s
+    return since_s is not None and state.now_s - since_s > _FENCE_GIVEN_UP_S
 
 
 def is_silent(state: State) -> bool:

@@ -120,6 +120,8 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return give_up(state, reason)
     if Item.CHECKS not in state.prepared:
         return state, [], None
+    if vehicle.armed and not context.go:  # by us, before a restart: nobody has said go since
+        return give_up(state, Reason.ARMED_ALREADY)
     return state, [], Trigger.GO if context.go else Trigger.READY
 
 

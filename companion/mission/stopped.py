@@ -14,6 +14,7 @@ from companion.mission.decisions import (
     ask,
     cannot_fly,
     fault,
+    fence_is_given_up,
     give_up,
     in_phase_s,
     is_at_rest,
@@ -270,7 +271,9 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
         return state, commands, None
     if waits_for_fence(state, context):
-        return state, commands, None
+        if not fence_is_given_up(state):
+            return state, commands, None
+        return preceded(commands, _other_way(with_hold_reason(state, Reason.FENCE_UNREAD), context))
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
     on_way_back = state.flight.returning or (low_battery and state.flight.homeward)
     goes_back = on_way_back or state.flight.homeward

@@ -190,6 +190,16 @@ def test_a_changed_fence_is_told_at_once_and_held_for_until_it_is_read() -> None
     assert craft.now_s > began_s + 153.0
 
 
+def test_a_fence_that_cannot_be_read_to_its_end_ends_the_mission_and_not_the_way_back() -> None:
+    """Who does not answer is asked for ever: the hold would never end."""
+    craft = flying(two_legs_away())
+    changed(craft)
+    craft.run_until(lambda craft: craft.phase is Phase.HOLDING, 60.0)
+    craft.run_until(lambda craft: craft.phase is not Phase.HOLDING, 320.0)
+    craft.fly_to(Phase.DONE)
+    assert Reason.FENCE_UNREAD.text in craft.end().reason
+
+
 def test_a_few_items_are_read_in_flight() -> None:
     craft = flying(two_legs_away())
     changed(craft, 9)
