@@ -30,9 +30,10 @@ from companion.mission.events import (
     StartScan,
     StatusText,
 )
-from companion.mission.following import left_path
+from companion.mission.following import is_on_path, left_path, outside_m
 from companion.mission.joining import joined
 from companion.mission.state import Answered, Flight, Phase, Reason
+from companion.path.subpath import Subpath
 from companion.planner.procedure import Reference, hover_pose
 from companion.planner.request import Planned, PlanRequest
 
@@ -191,6 +192,30 @@ def test_who_is_ahead_of_where_it_was_told_to_be_is_noted_and_far_ahead_or_behin
     for way in (ALONG, BACK):
         assert found_at(cruising(), way, 0.98 * (ERROR_M + SPEED_M_S))[1] is None
         assert found_at(cruising(), way, 1.02 * (ERROR_M + SPEED_M_S))[1] is Reason.OFF_PATH
+
+
+def test_who_is_seen_at_a_glance_to_be_on_its_path_is_not_outside_of_anything() -> None:
+    """On paths that bend up to the turn radius, before and behind the reference point."""
+    craft, rng = cruising(), np.random.default_rng(1)
+    state, radius_m, seen = craft.state, MISSION.task.limits.turn_radius_m, 0
+    leg = state.flight.leg
+    assert leg is not None
+    for _ in range(60):
+        turn_rad = np.linspace(0.0, rng.uniform(0.2, 2.0), 7)
+        bend_m = radius_m * rng.uniform(1.1, 3.0)  # of the polygon: the curve lies inside it
+        control = np.stack([np.sin(turn_rad), 1.0 - np.cos(turn_rad), 0.0 * turn_rad], axis=-1)
+        bent = Subpath(control_nea_m=bend_m * control + (0.0, 0.0, craft.here[2]))
+        at = Reference(length_m=rng.uniform(0.0, bent.length_m), speed_m_s=SPEED_M_S)
+        flight = replace(state.flight, leg=replace(leg, subpath=bent), reference=at)
+        told = bent.pose(at.length_m).position_nea_m
+        for off_m in (np.zeros(3), *(rng.normal(size=(40, 3)) * ERROR_M * rng.uniform(0.1, 1.5))):
+            here = position(state.now_s, tuple((told + off_m).tolist()), craft.velocity)
+            if is_on_path(state, flight, here):
+                seen += 1
+                assert outside_m(state, flight, here) == (0.0, 0.0, 0.0)
+            else:
+                assert off_m.any()
+    assert seen > 500
 
 
 def test_who_overshoots_the_end_of_its_path_has_left_it() -> None:
