@@ -164,6 +164,8 @@ class Session:
         self._end: End | None = None
         self._last_asked: tuple[SetMode | Disarm, ...] = ()
         """What the autopilot was told when the mission ended, until it has done it."""
+        self._broke_off_landing = False
+        """Whether it was landing for us then: what lands otherwise somebody has told to."""
         self._status: VehicleStatus | None = None
         """Its last heartbeat; at the end only one from after that."""
         self._mode_asked_at_s = self._kept_house_s = -math.inf
@@ -756,6 +758,7 @@ class Session:
         if ends:
             told = tuple(each for each in commands if isinstance(each, SetMode | Disarm))
             self._last_asked = told  # nothing from before counts any more
+            self._broke_off_landing = before.phase is Phase.LANDING
             self._status = None if told else self._status
             assert self._end is not None
             self._send_end_text(self._end, told)
@@ -813,7 +816,8 @@ class Session:
         status = self._status
         if self._silence_told_s >= _NO_VEHICLE_S or not self._last_asked:
             return True
-        if status is None or status.mode in (Mode.GUIDED, Mode.TAKE_OFF, Mode.LAND):
+        ours = (Mode.GUIDED, Mode.TAKE_OFF, *(Mode.LAND,) * self._broke_off_landing)
+        if status is None or status.mode in ours:
             return False  # in any other it, or somebody, has chosen
         return not (status.armed and Disarm() in self._last_asked)
 

@@ -24,6 +24,7 @@ from companion.mission.decisions import (
     is_at_rest,
     is_duplicate_suspected,
     is_gone,
+    is_grounded,
     is_second_companion,
     is_silent,
     landing_order,
@@ -121,7 +122,9 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     if Item.CHECKS not in state.prepared:
         return state, [], None
     if vehicle.armed and not context.go:  # by us, before a restart: nobody has said go since
-        return give_up(state, Reason.ARMED_ALREADY)
+        if not is_grounded(state):  # it is disarmed once that is certain
+            return state, [], None
+        return give_up(state, Reason.NOT_READY, ": armed before a restart, and no go since")
     return state, [], Trigger.GO if context.go else Trigger.READY
 
 

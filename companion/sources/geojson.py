@@ -69,6 +69,9 @@ def threats_of(features: list[Any], name: str, leave_out: Collection[NoZone] = (
         raise InputError(f"{name}: features", len(features), rule, remedy)
     threats, no_zones = Threats(), Counter[NoZone]()
     for index, feature in enumerate(features):
+        if not isinstance(feature, dict):
+            label, rule = f"{name}: features[{index}]", "a feature is a JSON object"
+            raise InputError(label, feature, rule, "Remove or complete it.")
         for part in _parts(feature):
             if (kind := _no_zone(part)) is not None:
                 no_zones[kind] += 1

@@ -17,6 +17,7 @@ _SAVE: Final = "Open it in QGroundControl and save it as a .plan."
 _PLAN: Final = 'Give it as the mission, or name it in a mission.toml: plan = "{name}".'
 _GEOJSON_OF: Final = " GeoJSON of it: ogr2ogr -f GeoJSON zones.geojson {name}"
 _KML: Final = f", or make{_GEOJSON_OF}"
+_DRAW: Final = "Draw it in QGroundControl, and save it as a .plan."
 _TERRAIN: Final = 'Name it in a mission.toml: [terrain] file = "{name}", with vertical_datum.'
 _MISSION: Final = "Give a mission.toml, a .plan or a waypoint list."
 _PICTURE: Final = ("a picture or a document", "Give the file that it shows.")
@@ -48,6 +49,8 @@ _BINARY: Final = {
 """First bytes: what it is, and what to do."""
 _TLOG: Final = re.compile(rb"\0[\x03-\x07].{6}[\xfd\xfe]", re.DOTALL)
 """The stamp of a frame, microseconds since 1970 (1998 to 2041), and the frame's first byte."""
+_RECORD: Final = b"\x1e"
+"""Before each JSON text of a sequence (RFC 7464, RFC 8142)."""
 _PLAN_IN_JSON: Final = re.compile(rb'"fileType"\s*:\s*"Plan"')
 _TAG: Final = re.compile(r"<\s*(?:\w+:)?([A-Za-z]\w*)")
 _PAIR: Final = re.compile(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?\s+[-+]?\d+(\.\d*)?([eE][-+]?\d+)?")
@@ -123,7 +126,7 @@ def _of_bytes(content: bytes) -> tuple[str, str] | None:
 
 def _of_text(content: bytes) -> tuple[str, str] | None:
     begin = _begin(content)
-    if begin.startswith(b"{"):
+    if begin.startswith((b"{", _RECORD)):
         return _of_json(content)
     head = begin.decode("utf-8", "replace")
     if head.startswith("<"):
@@ -145,7 +148,7 @@ def _of_text(content: bytes) -> tuple[str, str] | None:
     if all(_PARAMETER.fullmatch(line) for line in lines):
         return "a list of an autopilot's parameters", "Load it with a ground station."
     if len(lines) > 1 and all(line.count(",") > 1 and "=" not in line for line in lines):
-        return "a table of comma-separated values", f"Draw it in QGroundControl. {_SAVE}"
+        return "a table of comma-separated values", _DRAW
     return None
 
 
@@ -157,8 +160,18 @@ def _of_xml(head: str) -> tuple[str, str]:
     if root == "html" or head.lower().startswith("<!doctype html"):
         return "a web page", "Download the file itself (raw)."
     if root == "gpx":
-        return "GPX: tracks and points", f"Draw it in QGroundControl. {_SAVE}"
+        return "GPX: tracks and points", _DRAW
     return f"XML (<{root}>)", _MISSION
+
+
+def _is_sequence(content: bytes) -> bool:
+    """Whether the first line is a feature, and more follows: GeoJSONSeq of GDAL."""
+    lines = content.removeprefix(_BOM).replace(_RECORD, b"").strip().split(b"\n", 1)
+    try:
+        first = json.loads(lines[0])
+    except (RecursionError, ValueError):
+        return False
+    return isinstance(first, dict) and first.get("type") == "Feature"
 
 
 def _of_json(content: bytes) -> tuple[str, str]:
@@ -168,6 +181,8 @@ def _of_json(content: bytes) -> tuple[str, str]:
         found = json.loads(content)
     except (RecursionError, ValueError):
         found = None
+    if found is None and _is_sequence(content):
+        return "GeoJSON with a feature a line", f"Make one{_GEOJSON_OF}."
     keys = found if isinstance(found, dict) else {}
     if keys.get("type") in _GEOJSON:
         return "GeoJSON", _ZONES

@@ -4,14 +4,16 @@ from collections.abc import Callable
 
 import pytest
 from made_up import HOME_AMSL_M, Craft, mission, near_target, order_of
+from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER
-from companion.mission import changes
+from companion.mission import changes, checkpoint
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
 from companion.mission.events import (
     Arm,
+    Disarm,
     FenceChanged,
     Item,
     LinkLost,
@@ -184,3 +186,29 @@ def test_a_vehicle_that_flies_already_is_taken_over_without_a_go(traits: Vehicle
     it.context = Context(mission=it.mission, seed=1, go=False)
     it.watch.context = it.context
     it.fly_to(Phase.FLYING)
+
+
+def test_what_was_armed_before_a_restart_is_put_down_and_not_left_armed() -> None:
+    it = Wild.calmly(ARDUCOPTER.traits)
+    it.fly_to(Phase.ARMING).run_until(lambda it: it.armed)
+    it.context = Context(mission=it.mission, seed=1, go=False)
+    values = checkpoint.values_of(it.state)
+    again = checkpoint.initial_state(it.mission, (values, it.state.flight.known))
+    it.state = replace(again, now_s=it.now_s, since_s=it.now_s)
+    it.later, it.watch.context = [], it.context
+    it.watch.restarted(it.now_s)
+    it.run_until(lambda it: it.over, 30.0)
+    assert it.state.reason is Reason.NOT_READY
+    assert it.sent(Disarm)
+    assert not it.sent(TakeOff)
+
+
+def test_who_arms_it_after_a_reboot_on_the_ground_keeps_it() -> None:
+    it = Wild.calmly(ARDUCOPTER.traits)
+    it.fly_to(Phase.ARMING).run_until(lambda it: it.state.armed_by_us)
+    it.take(Rebooted(time_s=it.now_s))
+    it.armed, it.mode = True, Mode.OTHER
+    count = len(it.said_to)
+    it.run_until(lambda it: it.over, 30.0)
+    assert it.state.reason is Reason.ARMED_ALREADY
+    assert not [command for command in it.said_to[count:] if isinstance(command, UP)]

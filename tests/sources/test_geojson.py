@@ -210,7 +210,8 @@ def test_what_cannot_be_taken_is_told_by_its_feature(
         ({}, "no GeoJSON FeatureCollection"),
         ({"type": "Topology", "coordinates": [RING]}, "no GeoJSON FeatureCollection"),
         ({"type": "FeatureCollection", "features": {}}, "no GeoJSON FeatureCollection"),
-        (collection(7), "features[0]"),
+        (collection(7), "features[0] = 7: a feature is a JSON object"),
+        (collection(None), "features[0] = None: a feature is a JSON object"),
         (collection({"type": "Feature", "geometry": 7}), "features[0] (feature 0): geometry"),
         (
             collection(crs={"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::2056"}}),

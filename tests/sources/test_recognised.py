@@ -46,6 +46,9 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
         (KML, "KML", "threats = "),
         (KML, "KML", "ogr2ogr -f GeoJSON"),
         ('<gpx version="1.1"/>', "GPX", ".plan"),
+        ("lat,lon,alt\n60,20,9\n", "comma-separated", "Draw it in QGroundControl, and save it"),
+        ('{"type": "Feature"}\n' * 2, "a feature a line", "ogr2ogr -f GeoJSON zones.geojson x"),
+        ('\x1e{"type": "Feature"}\n', "a feature a line", "ogr2ogr -f GeoJSON zones.geojson x"),
         ("<!DOCTYPE html><html>", "a web page", "Download"),
         (json.dumps(OLD, indent=1), "an old mission of QGroundControl", "save it as a .plan"),
         (json.dumps(FENCE), "GeoFence", "save it as a .plan"),
@@ -103,6 +106,7 @@ def test_zones_named_as_threats_are_read_and_other_files_are_told_what_they_are(
         ((MISSIONS / "plane.plan").read_text(), "a plan of QGroundControl"),
         ("RALLY 60.0 20.0 50 30 0 0\n", "a list of rally points"),
         ("RTL_ALT,3000\nFENCE_ENABLE,1\n", "parameters"),
+        ('\x1e{"type": "Feature"}\n' * 2, "a feature a line"),
         ('{"type": "Topology"}', "it is no GeoJSON FeatureCollection"),
     ):
         (tmp_path / "x").write_text(content)
