@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from scripted_vehicle import MISSION, Pair, Vehicle, messages, pair
+from scripted_vehicle import BRAKE, LAND, MISSION, Pair, Vehicle, messages, pair
 
 from companion.mission.events import Outcome
 from companion.mission.mission import EndAction
@@ -108,6 +108,25 @@ def test_whatever_ends_it_in_whatever_phase(
     assert (phase, trigger) in MOVES
     end(it)
     must_be_said(it)
+
+
+@pytest.mark.parametrize("phase", [Phase.FLYING, Phase.LANDING])
+def test_who_lands_it_in_the_moment_of_the_end_is_not_overruled(phase: Phase) -> None:
+    """But a landing of ours, which a person has broken off, is told to stop until it does."""
+    it = in_phase(Phase.FLYING)
+    if phase is Phase.LANDING:
+        ask(it, wire.MAV_CMD_NAV_LAND)
+        it.run_until(lambda it: it.session.state.phase is phase)
+    it.vehicle.deaf_to = {wire.MAV_CMD_DO_SET_MODE}
+    stopped(it)
+    it.vehicle.mode = LAND
+    it.run_until(lambda it: it.vehicle.time_ms % 1000 == 0)  # its heartbeat says so
+    count = len(it.frames)
+    for _ in range(40):
+        it.tick()
+    told = [m for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_LONG"]
+    holds = [m for m in told if (m.command, m.param2) == (wire.MAV_CMD_DO_SET_MODE, BRAKE)]
+    assert bool(holds) == (phase is Phase.LANDING)
 
 
 def test_arrived() -> None:

@@ -228,6 +228,19 @@ def test_copters_hold_and_planes_circle_while_it_is_read(traits: VehicleTraits) 
     assert it.sent(End)[0].outcome is Outcome.ARRIVED
 
 
+def test_a_return_that_waits_for_an_unread_fence_says_so_and_is_flown_in_the_end() -> None:
+    craft = flying(two_legs_away())
+    changed(craft)
+    craft.run_until(lambda craft: craft.phase is Phase.HOLDING, 60.0)
+    told = craft.take(Order(time_s=craft.now_s, kind=OrderKind.RETURN))
+    assert "it returns once the changed fence is read" in " ".join(
+        command.text for command in told if isinstance(command, StatusText)
+    )
+    craft.run_for(100.0)
+    assert craft.phase is Phase.HOLDING
+    craft.run_until(lambda craft: craft.phase is not Phase.HOLDING, 320.0)
+
+
 def test_the_way_back_waits_too_but_not_with_an_empty_battery() -> None:
     craft = flying(two_legs_away())
     low = replace(craft.state.orders, active=Reason.BATTERY_LOW)
