@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Final, Self, TextIO, final
 
-HOW_TO: Final = "type yes to take off as soon as it is ready, Ctrl-C to end"
+HOW_TO: Final = "once it is ready, type yes to take off; Ctrl-C ends it"
 _AGAIN_S = 1.0  # in the background what is typed is for the shell
 _MOST = 4096
 
