@@ -25,7 +25,7 @@ from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
-from vehicle_sim.wire.missions import ArduPilotMissions, Px4Missions, store
+from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
 from vehicle_sim.wire.radio import Radio
@@ -80,7 +80,7 @@ class FlightController:
         self._is_px4 = is_px4 = profile.firmware == "px4"
         self._messages = (telemetry_px4 if is_px4 else telemetry_ardupilot).MESSAGES
         self._parameter_protocol = ParameterProtocol(autopilot)
-        self._mission_protocol = (Px4Missions if is_px4 else ArduPilotMissions)(autopilot)
+        self._mission_protocol = Missions(autopilot)
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
