@@ -236,9 +236,6 @@ class FlightController:
             case "SET_POSITION_TARGET_GLOBAL_INT" | "SET_POSITION_TARGET_LOCAL_NED":
                 setpoint = messages.setpoint(message)
                 return () if self.setpoints_ignored else autopilot.on_setpoint(setpoint)
-            case "SET_ATTITUDE_TARGET":
-                target = messages.attitude_target(message)
-                return () if self.setpoints_ignored else autopilot.on_attitude(target)
             case "TIMESYNC" if message.tc1 == 0:
                 said = messages.time_sync(since_boot_us * 1000, message.ts1, sender)
                 return (SendMessage(message=said, to=sender),)

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol, final
 
-from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.parameters import Parameters
@@ -437,9 +436,6 @@ class Autopilot(Protocol):
 
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Take a setpoint."""
-
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """Fly at this attitude, or turn at these rates, from now on."""
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A heartbeat of another component, with its MAV_TYPE (6 is a ground station)."""

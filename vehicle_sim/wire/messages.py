@@ -11,7 +11,6 @@ from typing import Any
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Event, ManualControl, Sender, Setpoint, Text
-from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.dialect import Prepared, make
 
@@ -86,17 +85,6 @@ def setpoint(message: Any) -> Setpoint:
         acceleration_ned_m_s2=(message.afx, message.afy, message.afz),
         yaw_rad=message.yaw,
         yaw_rate_rad_s=message.yaw_rate,
-    )
-
-
-def attitude_target(message: Any) -> AttitudeTarget:
-    """A SET_ATTITUDE_TARGET."""
-    w, x, y, z = message.q
-    return AttitudeTarget(
-        type_mask=message.type_mask,
-        quaternion=(w, x, y, z),
-        rates_rad_s=(message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate),
-        thrust=message.thrust,
     )
 
 

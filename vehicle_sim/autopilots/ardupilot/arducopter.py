@@ -59,13 +59,6 @@ from vehicle_sim.autopilots.ardupilot.flat_earth import (
     flat_earth_ned_m,
     offset,
 )
-from vehicle_sim.autopilots.attitude import (
-    IGNORE_RATES,
-    IGNORE_THRUST,
-    AttitudeTarget,
-    attitude_of,
-    finite,
-)
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.faults.conditions import SIM_PARAMETERS
 from vehicle_sim.parameters import table
@@ -81,8 +74,6 @@ IN_FLIGHT_ALIGNMENT_M = 2.9
 AVOIDANCE_1_S = 0.5
 SMART_RTL_GIVES_UP_US = 7_120_000
 _IGNORE_YAWS = IGNORE_YAW | IGNORE_YAW_RATE
-THRUST_AS_THRUST = 8
-"""GUID_OPTIONS: the thrust of SET_ATTITUDE_TARGET is one, and no climb rate."""
 ECHO_MASKS = {
     Submode.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
     Submode.POSITION: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
@@ -413,29 +404,6 @@ class ArduCopter(ArduPilot):
             self._refused_text = None
         return self._taken() if self._out else ()
 
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """SET_ATTITUDE_TARGET, in GUIDED and GUIDED_NOGPS.
-
-        Source: GCS_MAVLINK_Copter::handle_message_set_attitude_target; not measured.
-        """
-        flight, mask = self.flight, target.type_mask
-        wanted = self.mode in (Mode.GUIDED, Mode.GUIDED_NOGPS) and not flight.guided.paused
-        given = sum(not mask & bit for bit in IGNORE_RATES)
-        known = finite(target) and not mask & IGNORE_THRUST and given in (0, len(IGNORE_RATES))
-        if target.by_attitude:
-            known = known and attitude_of(target.quaternion) is not None
-        if not (wanted and known and (target.by_attitude or target.by_rates)):
-            return ()
-        thrust, climb_m_s = None, 0.0
-        if int(self.parameters["GUID_OPTIONS"]) & THRUST_AS_THRUST:
-            thrust = min(max(target.thrust, -1.0), 1.0)
-        else:
-            share, tuning = 2.0 * min(max(target.thrust, 0.0), 1.0) - 1.0, flight.control.tuning
-            climb_m_s = share * (tuning.speed_up_m_s if share > 0.0 else tuning.speed_down_m_s)
-        flight.abandon_takeoff()
-        flight.guided.take_angle(target, climb_m_s=climb_m_s, thrust=thrust, now_us=self.now_us)
-        return ()
-
     def _stop(self, stop: Stop) -> None:
         """It does not like it: stand still, and say what the real one would die of once."""
         self.flight.abandon_takeoff()
@@ -513,9 +481,9 @@ class ArduCopter(ArduPilot):
         return Landed.TAKEOFF if self.flight.taking_off else Landed.IN_AIR
 
     def target_echo(self) -> TargetEcho | None:
-        """What GUIDED steers for; in other modes, and for an attitude, nothing is sent."""
+        """What GUIDED steers for; in other modes nothing is sent."""
         origin, guided = self.ekf.origin, self.flight.guided
-        if self.mode != Mode.GUIDED or origin is None or guided.submode is Submode.ANGLE:
+        if self.mode != Mode.GUIDED or origin is None:
             return None
         position: tuple[float, float, float] | None
         if guided.submode is Submode.TAKEOFF:

@@ -30,19 +30,11 @@ from vehicle_sim.autopilots.ardupilot.autopilot import (
 )
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
-from vehicle_sim.autopilots.ardupilot.plane_mission import Forced
 from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     AUTONOMOUS,
     BY_ITSELF,
     NAMES,
     Mode,
-)
-from vehicle_sim.autopilots.attitude import (
-    IGNORE_RATES,
-    IGNORE_THRUST,
-    AttitudeTarget,
-    attitude_of,
-    finite,
 )
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults.conditions import SIM_PARAMETERS
@@ -298,25 +290,6 @@ class ArduPlane(ArduPilot):
         return Result.ACCEPTED
 
     # --- setpoints ----------------------------------------------------------------------------
-
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """SET_ATTITUDE_TARGET in GUIDED: bank, nose and throttle, each for three seconds.
-
-        Source: GCS_MAVLINK_Plane::handle_set_attitude_target, where a rate that is *not* ignored
-        says that its angle is meant; not measured.
-        """
-        if self.mode != Mode.GUIDED or not finite(target):
-            return ()
-        angles = attitude_of(target.quaternion) if target.by_attitude else None
-        roll, pitch = (not target.type_mask & bit for bit in IGNORE_RATES[:2])
-        neither = all(target.type_mask & bit for bit in IGNORE_RATES)
-        forced = Forced(
-            roll_rad=angles.roll_rad if angles and (roll or neither) else None,
-            pitch_rad=angles.pitch_rad if angles and (pitch or neither) else None,
-            throttle=None if target.type_mask & IGNORE_THRUST else target.thrust,
-        )
-        self._flight.guided.force(forced, self.now_us)
-        return ()
 
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Only heights are taken, and only in GUIDED."""

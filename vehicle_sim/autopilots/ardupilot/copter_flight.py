@@ -31,7 +31,6 @@ class Mode(enum.IntEnum):
     LAND = 9
     POSHOLD = 16
     BRAKE = 17
-    GUIDED_NOGPS = 20
     SMARTRTL = 21
 
 
@@ -78,7 +77,6 @@ class Flight:
         self._looks_ahead = False
         self._runs: dict[int, Callable[[float], Vector]] = {
             Mode.GUIDED: self._run_guided,
-            Mode.GUIDED_NOGPS: self._run_angle,
             Mode.AUTO: self.auto.run,
             Mode.RTL: motion.run_return,
             Mode.SMARTRTL: motion.run_return,
@@ -175,11 +173,7 @@ class Flight:
         self.copter.altitude_amsl_m = ground_amsl_m
         if host.mode == Mode.AUTO and host.armed:
             self.auto.on_ground()
-        by_angle = host.mode in (Mode.GUIDED, Mode.GUIDED_NOGPS) and self.guided.climbs()
         spun_up = now_us - self.armed_us >= LIFTS_AFTER_ARMING_US
-        if host.armed and by_angle and spun_up and not self.guided.lapsed(now_us):
-            self._lift_off()
-            return
         if self.motion.takeoff_us is not None and host.armed:
             since_us = now_us - self.motion.takeoff_us
             if since_us >= LIFTS_AFTER_COMMAND_US and spun_up:
@@ -231,18 +225,9 @@ class Flight:
     def _run_guided(self, dt_s: float) -> Vector:
         if self.motion.takeoff_us is not None:
             self._watch_takeoff()
-        if self.guided.submode is Submode.ANGLE:
-            return self._run_angle(dt_s)
         if not self.host.ekf.aiding:
             return self.motion.level_out(0.0, dt_s)
         return self.guided.wanted(self.host.now_us, dt_s)
-
-    def _run_angle(self, dt_s: float) -> Vector:
-        """GUIDED_NOGPS, and GUIDED after a SET_ATTITUDE_TARGET: no position is needed."""
-        lean_rad = math.radians(min(max(self.host.parameters["ANGLE_MAX"] / 100.0, 10.0), 85.0))
-        wanted, yaw_rad = self.guided.fly_angle(self.host.now_us, lean_rad, dt_s)
-        self.yaw.command(yaw_rad, None)
-        return wanted
 
     def _watch_takeoff(self) -> None:
         """The take-off is over some time after the height was nearly reached."""
@@ -315,4 +300,4 @@ class Flight:
     @property
     def holds_place(self) -> bool:
         """Whether GUIDED's target has a place."""
-        return self.guided.submode not in (Submode.VELOCITY, Submode.ACCELERATION, Submode.ANGLE)
+        return self.guided.submode not in (Submode.VELOCITY, Submode.ACCELERATION)

@@ -11,7 +11,7 @@ from typing import final
 from vehicle_sim.autopilots import Landed, Place, Waypoint
 from vehicle_sim.autopilots.ardupilot.autopilot import HEARTBEAT, ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, offset
-from vehicle_sim.autopilots.ardupilot.plane_mission import NOT_FORCED, Forced, Guided, Mission
+from vehicle_sim.autopilots.ardupilot.plane_mission import Guided, Mission
 from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     GLIDES,
     LOITERS,
@@ -23,7 +23,7 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
-from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane
+from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 
 # --- ArduPlane's take-off from a runway, and its landing: down the slope, a flare, what it says
@@ -392,11 +392,6 @@ class Flight:
             bank = guided.bank_rad(
                 self.navigation.course_rad if guided.of_course else plane.heading_rad, dt_s
             )
-        forced = NOT_FORCED
-        if host.mode == Mode.GUIDED and guided.forces:
-            forced = guided.forced(host.now_us)
-        if forced.roll_rad is not None:
-            bank = forced.roll_rad
         most = self._bank_most_rad
         bank = -most if bank < -most else most if bank > most else bank
         mode = host.mode
@@ -417,7 +412,7 @@ class Flight:
             self._land(bank, height_m - ground_amsl_m, dt_s)
             self._speed_m_s = plane.airspeed_m_s
         else:
-            self._cruise(bank, height_m, forced, dt_s)
+            self._cruise(bank, height_m, dt_s)
         if plane.altitude_amsl_m <= ground_amsl_m:
             self._touch_down(ground_amsl_m)
 
@@ -450,7 +445,7 @@ class Flight:
         """True airspeed for the one that is wanted."""
         return true_airspeed_m_s(self._demand_m_s, self._host.estimate.altitude_amsl_m)
 
-    def _cruise(self, bank: float, height_m: float, forced: Forced, dt_s: float) -> None:
+    def _cruise(self, bank: float, height_m: float, dt_s: float) -> None:
         plane = self._plane
         wanted = true_airspeed_m_s(self._demand_m_s, height_m)
         self._speed_m_s = max(wanted, self._speed_m_s - SLOWING_M_S2 * dt_s)
@@ -461,21 +456,7 @@ class Flight:
                 climb = max(climb, EXCESS_CLIMB * excess)
             else:
                 self._settling = False
-        parameters, limits = self._host.parameters, plane.limits
-        if forced.pitch_rad is not None:
-            self.heights.begin(height_m)
-            steepest, lowest = parameters["PTCH_LIM_MAX_DEG"], parameters["PTCH_LIM_MIN_DEG"]
-            pitch_deg = min(max(math.degrees(forced.pitch_rad), lowest), steepest)
-            climb = plane.airspeed_m_s * math.sin(math.radians(pitch_deg) - PITCH_AT_CRUISE_RAD)
-        if forced.throttle is not None:
-            trim = min(max(parameters["TRIM_THROTTLE"] / 100.0, 0.01), 0.99)
-            spare = forced.throttle / trim - 1.0
-            if spare > 0.0:
-                spare = (forced.throttle - trim) / (1.0 - trim)
-            climb = min(climb, spare * (limits.climb_max_m_s if spare > 0.0 else GLIDE_M_S))
         plane.advance(bank, climb, self._speed_m_s, dt_s)
-        if forced.throttle is not None:
-            plane.throttle = min(max(forced.throttle, 0.0), 1.0)
 
     # --- on the ground ----------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ Texts are those of ArduPilot's sources; times and turns were not measured (ardup
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import final
 
 from vehicle_sim.autopilots import FRAMES_AMSL, Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
@@ -24,22 +24,6 @@ HEADING_GAIN = math.radians(50.0)
 ERROR_FILTER_S = 1.0 / (math.tau * 5.0)
 _AT_ONCE = 1000.0
 _LATERAL_LEAST_M_S2 = 0.05
-
-
-FORCED_US = 3_000_000
-"""An attitude or throttle from outside is forgotten after this."""
-
-
-@final
-class Forced(NamedTuple):
-    """What SET_ATTITUDE_TARGET asks for; None: nothing."""
-
-    roll_rad: float | None = None
-    pitch_rad: float | None = None
-    throttle: float | None = None
-
-
-NOT_FORCED = Forced()
 
 
 @final
@@ -62,14 +46,11 @@ class Guided:
         self._acceleration_m_s2 = _AT_ONCE
         self._altitude_amsl_m: float | None = None
         self._rate_m_s = _AT_ONCE
-        self._forced, self.forces = NOT_FORCED, False
-        self._forced_until_us = [0, 0, 0]
 
     def forget(self) -> None:
         """The mode has changed."""
         self.holds_heading = False
         self._airspeed_m_s = self._altitude_amsl_m = self.cruise_m_s = None
-        self._forced, self.forces = NOT_FORCED, False
 
     # --- what it is told ----------------------------------------------------------------------
 
@@ -105,14 +86,6 @@ class Guided:
         self._heading_rad = heading_rad
         self._bank_most_rad = math.atan(max(lateral_m_s2, _LATERAL_LEAST_M_S2) / GRAVITY_M_S2)
 
-    def force(self, forced: Forced, now_us: int) -> None:
-        """SET_ATTITUDE_TARGET; what it does not give is as before."""
-        for at, value in enumerate(forced):
-            if value is not None:
-                self._forced_until_us[at] = now_us + FORCED_US
-        given = {name: value for name, value in forced._asdict().items() if value is not None}
-        self._forced, self.forces = self._forced._replace(**given), True
-
     # --- what comes of it -----------------------------------------------------------------------
 
     def airspeed_m_s(self, before_m_s: float, dt_s: float) -> float | None:
@@ -128,11 +101,6 @@ class Guided:
             return None
         most_m = self._rate_m_s * dt_s
         return min(max(self._altitude_amsl_m, present_m - most_m), present_m + most_m)
-
-    def forced(self, now_us: int) -> Forced:
-        """The demands that have not expired."""
-        lasting = zip(self._forced, self._forced_until_us, strict=True)
-        return Forced(*(None if now_us > until_us else value for value, until_us in lasting))
 
     def bank_rad(self, actual_rad: float, dt_s: float) -> float:
         """Proportional to the error, up to the bank of the lateral acceleration given."""

@@ -29,7 +29,6 @@ from vehicle_sim.autopilots import (
     TargetEcho,
     Waypoint,
 )
-from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
 from vehicle_sim.autopilots.px4 import failsafe, health
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
 from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Pilot
@@ -170,10 +169,6 @@ class Px4(abc.ABC):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest setpoint that OFFBOARD flies; None: none since OFFBOARD was entered."""
-        self.attitude: AttitudeTarget | None = None
-        """The same, of a SET_ATTITUDE_TARGET: the newest of the two is flown."""
-        self.needs_no_position = False
-        """The newest setpoint was one of attitude or rates."""
         self.orbit: Orbit | None = None
         """DO_ORBIT's circle."""
         self.takeoff_place: tuple[float, float, float] | None = None
@@ -334,31 +329,13 @@ class Px4(abc.ABC):
             ),
         )
         if target is not None:
-            self._hear_offboard(by_attitude=False)
+            self._signal_us = self.now_us
+            if not self.offboard_signal:  # the arming checks run at once for it
+                self.offboard_signal = self._select_due = True
+                self._next_check_us = self.now_us
             if self.mode is Mode.OFFBOARD:
-                self.target, self.attitude = target, None
+                self.target = target
         return ()
-
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """The same of a SET_ATTITUDE_TARGET, which asks for no position to fly by.
-
-        Source: MavlinkReceiver::handle_message_set_attitude_target; not measured.
-        """
-        known = target.by_rates or (
-            target.by_attitude and attitude_of(target.quaternion) is not None
-        )
-        if known and finite(target):
-            self._hear_offboard(by_attitude=True)
-            if self.mode is Mode.OFFBOARD:
-                self.target, self.attitude = None, target
-        return ()
-
-    def _hear_offboard(self, *, by_attitude: bool) -> None:
-        """A setpoint counts as a sign of life in any mode."""
-        self._signal_us, self.needs_no_position = self.now_us, by_attitude
-        if not self.offboard_signal:  # the arming checks run at once for it
-            self.offboard_signal = self._select_due = True
-            self._next_check_us = self.now_us
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A heartbeat of another component."""
@@ -589,8 +566,7 @@ class Px4(abc.ABC):
                 ),
                 offboard_signal=self.offboard_signal,
                 position_ok=position_ok,
-                precise=self.ekf.precise(self.now_us)
-                or (intended is Mode.OFFBOARD and self.needs_no_position),
+                precise=self.ekf.precise(self.now_us),
             )
         if action is not self.action:
             worse = action > self.action
@@ -621,7 +597,7 @@ class Px4(abc.ABC):
         """Fly this from now on."""
         before, self.mode = self.mode, mode
         if mode is Mode.OFFBOARD and before is not Mode.OFFBOARD:
-            self.target = self.attitude = None
+            self.target = None
         if not self.landed and mode is Mode.LAND:
             self.gimbal.straighten(self.now_us)
         if before is Mode.MISSION:
@@ -660,10 +636,8 @@ class Px4(abc.ABC):
     def _can_run(self, mode: Mode) -> bool:
         """Whether it has what the mode needs."""
         precise = self.ekf.precise(self.now_us)
-        steerable = precise or self.needs_no_position
-        return failsafe.can_run(
-            mode, position_ok=precise, offboard_ok=self.offboard_signal and steerable
-        )
+        offboard_ok = self.offboard_signal and precise
+        return failsafe.can_run(mode, position_ok=precise, offboard_ok=offboard_ok)
 
     def _can_arm(self, position_ok: bool, signal: bool) -> bool:
         """Whether the mode now flown can be armed in."""
@@ -672,7 +646,7 @@ class Px4(abc.ABC):
         if self.mode is Mode.MISSION and not self.mission.items:
             return False
         if self.mode is Mode.OFFBOARD:
-            return signal and (position_ok or self.needs_no_position)
+            return signal and position_ok
         return self.mode is Mode.DESCEND or position_ok
 
     @property

@@ -14,14 +14,13 @@ import math
 from typing import Final, final
 
 from vehicle_sim.autopilots import Event, TargetEcho, Waypoint
-from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits, size, true_airspeed_m_s
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
-from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
+from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 
 # --- A fixed wing of PX4 on its wheels, and in the seconds before and after (px4.md 10) -----------
 # Times, speeds and events are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a
@@ -104,8 +103,6 @@ _GLIDE_M_S = 1.6
 """Sink without throttle."""
 _DESCEND_M_S = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
-_RATES_LEAD_S = 0.1
-"""Rates are flown as the attitude that they lead to in this time: that of the bank's response."""
 _CLEARED_M = 10.0
 """A take-off climbs on by this much beyond its height (kClearanceAltitudeBuffer)."""
 _RUNWAY_US = 20_000
@@ -267,13 +264,10 @@ class Px4FixedWing(Px4):
             plane.fall(dt_s)
         else:
             self._steps += 1
-            if self.mode is Mode.OFFBOARD and self.attitude is not None:
-                self._fly_attitude(self.attitude, dt_s)
-            else:
-                if self._steps % _STEER_EVERY == 0:
-                    self._steer(_STEER_EVERY * dt_s)
-                plane.advance(course.bank_rad, course.climb_m_s, course.commanded_m_s, dt_s)
-                plane.throttle = course.throttle
+            if self._steps % _STEER_EVERY == 0:
+                self._steer(_STEER_EVERY * dt_s)
+            plane.advance(course.bank_rad, course.climb_m_s, course.commanded_m_s, dt_s)
+            plane.throttle = course.throttle
         if plane.altitude_amsl_m < self.ground_amsl_m:
             self._wheels = True
             plane.touch_down(self.ground_amsl_m)
@@ -304,22 +298,6 @@ class Px4FixedWing(Px4):
                 height_m, parameters["FW_WING_HEIGHT"], parameters["FW_WING_SPAN"]
             )
         course.steer(self.local_m, self.estimate, dt_s)
-
-    def _fly_attitude(self, target: AttitudeTarget, dt_s: float) -> None:
-        """Bank and nose as they were sent; the thrust says how fast that may climb."""
-        plane = self.vehicle
-        given = attitude_of(target.quaternion) if target.by_attitude else None
-        here = Attitude(plane.roll_rad, plane.pitch_rad, plane.heading_rad)
-        held = given or here.turned(target.rates_rad_s, _RATES_LEAD_S)
-        thrust = 0.0 if target.type_mask & IGNORE_THRUST else min(max(target.thrust, 0.0), 1.0)
-        trim = min(max(self.parameters["FW_THR_TRIM"], 0.01), 0.99)
-        most_m_s = _GLIDE_M_S * (thrust / trim - 1.0)
-        if thrust > trim:
-            most_m_s = plane.limits.climb_max_m_s * (thrust - trim) / (1.0 - trim)
-        wanted_m_s = plane.airspeed_m_s * math.sin(held.pitch_rad - PITCH_AT_CRUISE_RAD)
-        airspeed_m_s = self.cruise_m_s(Mode.OFFBOARD)
-        plane.advance(held.roll_rad, min(wanted_m_s, most_m_s), airspeed_m_s, dt_s)
-        plane.throttle = thrust
 
     @property
     def _since_s(self) -> float:

@@ -4,7 +4,6 @@ import math
 from typing import Final, final
 
 from vehicle_sim.autopilots import TargetEcho, Waypoint
-from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
@@ -33,8 +32,6 @@ _HEAVY_M_S2: Final = 1.5
 _LIES_US: Final = 1_100_000
 """Contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog."""
 _ARRIVED_M: Final = 0.5
-_OFF_GROUND_M: Final = 0.3
-"""Flown by attitude it counts as taken off from here."""
 _RESPONSE_S: Final = 0.1
 """Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
 _TAKEN_OFF_US: Final = 2_200_000
@@ -79,8 +76,6 @@ class Px4Multicopter(Px4):
         """RTL: 0 climbs, 1 flies home, 2 descends and lands."""
         self._aim_yaw_rad = _NAN
         self._turn_rad_s = 0.0
-        self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
-        """What SET_ATTITUDE_TARGET has come to, with its rates."""
         self._judged: Target | None = None
         self._flies = False
         self._up_us: int | None = None
@@ -115,7 +110,6 @@ class Px4Multicopter(Px4):
             self._aim_return()
         elif mode is Mode.ORBIT:
             self._goal = self._given(*(self.orbit or HERE)[:3])  # its centre
-        self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
 
     def _stopping_point(self) -> Vector:
         """Where braking will end: the navigator holds there (preproject_stop_point)."""
@@ -194,9 +188,6 @@ class Px4Multicopter(Px4):
                 self.landed = True
                 copter.stand(self.ground_amsl_m)
             return
-        if self.mode is Mode.OFFBOARD and self.attitude is not None:
-            self._fly_attitude(self.attitude, dt_s)
-            return
         wanted = self._asked = self._wanted(dt_s)
         if not self._flying and not self._start(wanted):
             copter.stand(self.ground_amsl_m)
@@ -221,34 +212,6 @@ class Px4Multicopter(Px4):
             self._stand()
         elif self._ramp_us is None:
             self._contact_us = None
-
-    def _fly_attitude(self, target: AttitudeTarget, dt_s: float) -> None:
-        """Attitude and thrust as they were sent: no position controller."""
-        copter = self.vehicle
-        given = attitude_of(target.quaternion) if target.by_attitude else None
-        self._held = given or self._held.turned(target.rates_rad_s, dt_s)
-        thrust = 0.0 if target.type_mask & IGNORE_THRUST else min(max(target.thrust, 0.0), 1.0)
-        thrust_m_s2 = GRAVITY_M_S2 * thrust / max(copter.hover_throttle, 0.01)
-        north, east, up = self._held.acceleration_neu_m_s2(thrust_m_s2)
-        self._asked, self._yaw_rad = (NOTHING, NOTHING, NOTHING), self._held.yaw_rad
-        self._ramp_us = None
-        spun_up = self.now_us - self._armed_us >= self.parameters["COM_SPOOLUP_TIME"] * 1e6
-        if not self._flying and (up <= 0.0 or not spun_up):
-            copter.stand(self.ground_amsl_m)
-            self._contact(pressed=True)
-            return
-        self._flying = True
-        self._turn(dt_s)
-        if copter.altitude_amsl_m <= self.ground_amsl_m and up <= 0.0:
-            self._stand()
-            return
-        copter.advance(north, east, up, dt_s)
-        if copter.altitude_amsl_m < self.ground_amsl_m:
-            self._stand()
-            return
-        self._contact_us = None
-        if copter.altitude_amsl_m > self.ground_amsl_m + _OFF_GROUND_M:
-            self._took_off()
 
     def _stand(self) -> None:
         """On the ground, with the motors turning."""
