@@ -258,8 +258,6 @@ class FlightController:
             case _ if message.get_msgId() in MISSION:
                 self.transfers = True
                 return self._mission_protocol.on_message(message, sender, self.now_us)
-            case "MANUAL_CONTROL":
-                return autopilot.on_manual_control(messages.manual_control(message, sender))
             case "PING" if is_px4 and message.target_system == 0:
                 return (SendMessage(message=messages.pong(message, sender), to=sender),)
             case "TERRAIN_CHECK" if not is_px4:  # there is no terrain data here either

@@ -253,26 +253,18 @@ def commanded(custom: int) -> int:
 @functools.cache
 def _piloted() -> Companion:
     flight = ground()
-    flight.stick = 0.0
-    flight.run(1.0)
+    flight.simulation.add_fault("pilot")
     return flight.flying(15.0)
 
 
 def piloted(**parameters: float) -> Companion:
-    """In OFFBOARD north at 5 m/s, with hands at the sticks."""
+    """In OFFBOARD north at 5 m/s, with a pilot who keeps the sticks centred."""
     flight = refreshed(_piloted())
     for name, value in parameters.items():
         flight.set_parameter(name, value)
     flight.aim = north(5.0)
     flight.run(8.0)
     return flight
-
-
-def first_sticks() -> int:
-    vehicle = ground()
-    vehicle.stick = 0.0
-    vehicle.run(0.5)
-    return vehicle.mode
 
 
 @functools.cache
@@ -293,33 +285,3 @@ def loss_with_pilot() -> Seen:
         "sunk_m": after[2] - before[2],
         "mode_with_stream": flight.mode,
     }
-
-
-@functools.cache
-def takeover(override: int) -> Seen:
-    """60 % of stick for a second.
-
-    Seconds: to another mode; NaN: none; mode: 3 s later; result: of OFFBOARD, and the mode then.
-    """
-    flight = piloted(COM_RC_OVERRIDE=override)
-    flight.stick = 0.6
-    seconds = flight.until(lambda: flight.mode != OFFBOARD, 1.0)
-    flight.stick = 0.0
-    flight.run(3.0)
-    mode, result = flight.mode, flight.set_mode(OFFBOARD)
-    flight.run(1.0)
-    return {
-        "seconds": seconds,
-        "mode": mode,
-        "result": result,
-        "mode_after": flight.mode,
-    }
-
-
-def pilot_lost(exception: int = 0) -> list[tuple[float, int]]:
-    """Modes and their times after the last sticks, the stream going on."""
-    flight = piloted(COM_RCL_EXCEPT=exception)
-    since_s = flight.now_s
-    flight.stick = None
-    flight.run(9.0)
-    return [(t_s - since_s, mode) for t_s, mode in flight.modes(since_s)]

@@ -299,7 +299,6 @@ LOSS = [
     case("1.5", "a commanded Land is not undone", LAND, offboard.commanded, LAND),
 ]
 PILOT = [
-    case("6 pilot", "first sticks while disarmed: POSCTL", POSCTL, offboard.first_sticks),
     *looks(
         "6 pilot",
         offboard.loss_with_pilot,
@@ -309,21 +308,6 @@ PILOT = [
         sunk_m=about(0.0, 0.7),
         mode_with_stream=OFFBOARD,
     ),
-    *looks("6 pilot", offboard.takeover, 1, mode=OFFBOARD),
-    *looks(
-        *("6 pilot", offboard.takeover, 3),
-        seconds=between(0.0, 1.0),
-        mode=POSCTL,
-        result=0,
-        mode_after=OFFBOARD,
-    ),
-    case(
-        "6 pilot",
-        "lost: AUTO:LOITER after about 1 s, AUTO:RTL 5 s later",
-        [(about(0.5, 0.5), OFFBOARD), (about(1.0, 0.5), HOLD), (about(6.0, 0.7), RETURN)],
-        offboard.pilot_lost,
-    ),
-    case("6 pilot", "COM_RCL_EXCEPT 4", [(about(0.5, 0.5), OFFBOARD)], offboard.pilot_lost, 4),
 ]
 
 # --- 7 --------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Whatever comes, in whatever order: no exception in an autopilot, and only sense out of it.
 
-Commands, setpoints, sticks, parameters, plans, faults and waiting, with NaN, infinities and the
+Commands, setpoints, parameters, plans, faults and waiting, with NaN, infinities and the
 largest floats that a frame can carry, thrown at each of the four personalities.
 """
 
@@ -26,7 +26,6 @@ from vehicle_sim.autopilots import (
     Ack,
     Autopilot,
     Command,
-    ManualControl,
     Place,
     Sender,
     Setpoint,
@@ -257,18 +256,6 @@ class Fuzz(RuleBasedStateMachine):
         """Another mission, fence or rally list."""
         self.autopilot.plans[kind] = tuple(items)
         self.check(self.autopilot.on_plan(kind))
-
-    @rule(sender=SENDERS, manual_control=st.tuples(*[st.floats(-1.0, 1.0)] * 4))
-    def manual_control(self, sender: Sender, manual_control: Any) -> None:
-        """A pilot."""
-        pitch, roll, throttle, yaw = manual_control
-        self.check(
-            self.autopilot.on_manual_control(
-                ManualControl(
-                    sender=sender, pitch=pitch, roll=roll, throttle=abs(throttle), yaw=yaw
-                )
-            )
-        )
 
     @rule(sender=SENDERS, vehicle_type=st.sampled_from([0, 6, 18, 26]))
     def heartbeat(self, sender: Sender, vehicle_type: int) -> None:

@@ -7,7 +7,7 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Ack, Reboot, Result
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, parameter_rows, profile
-from vehicle_sim.autopilots.px4.failsafe import Pilot
+from vehicle_sim.autopilots.px4.failsafe import Stations
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
@@ -155,8 +155,8 @@ def test_the_battery_brings_it_home() -> None:
 
 
 def test_a_ground_station_is_missed_only_after_it_was_heard() -> None:
-    pilot = Pilot()
-    assert not pilot.ground_station_lost(100_000_000, 10.0)
-    pilot.hear(6, 100_000_000, ours=False)
-    assert not pilot.ground_station_lost(105_000_000, 10.0)
-    assert pilot.ground_station_lost(111_000_000, 10.0)
+    stations = Stations()
+    assert not stations.ground_station_lost(100_000_000, 10.0)
+    stations.hear(6, 100_000_000, ours=False)
+    assert not stations.ground_station_lost(105_000_000, 10.0)
+    assert stations.ground_station_lost(111_000_000, 10.0)

@@ -106,18 +106,6 @@ class Setpoint(NamedTuple):
     yaw_rate_rad_s: float = 0.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ManualControl:
-    """A MANUAL_CONTROL: deflections from -1 to 1, throttle from 0 to 1."""
-
-    sender: Sender
-    pitch: float
-    roll: float
-    throttle: float
-    yaw: float
-
-
 # --- out ------------------------------------------------------------------------------------------
 
 
@@ -439,9 +427,6 @@ class Autopilot(Protocol):
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A heartbeat of another component, with its MAV_TYPE (6 is a ground station)."""
-
-    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
-        """Take a MANUAL_CONTROL."""
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
         """A parameter was set by a client."""

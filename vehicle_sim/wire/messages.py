@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Event, ManualControl, Sender, Setpoint, Text
+from vehicle_sim.autopilots import Ack, Command, Event, Sender, Setpoint, Text
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.dialect import Prepared, make
 
@@ -22,9 +22,7 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
 _sender = lru_cache(maxsize=64)(Sender)
 """The same few speak all the time."""
-_DEFLECTION = 1000.0
 _TEXT_BYTES = 50
-_NO_DEFLECTION = 0x7FFF
 
 
 # --- in -------------------------------------------------------------------------------------------
@@ -85,21 +83,6 @@ def setpoint(message: Any) -> Setpoint:
         acceleration_ned_m_s2=(message.afx, message.afy, message.afz),
         yaw_rad=message.yaw,
         yaw_rate_rad_s=message.yaw_rate,
-    )
-
-
-def manual_control(message: Any, origin: Sender) -> ManualControl:
-    """A MANUAL_CONTROL; an axis that the pilot does not have is in the middle."""
-
-    def deflection(raw: int) -> float:
-        return 0.0 if raw == _NO_DEFLECTION else max(-1.0, min(raw / _DEFLECTION, 1.0))
-
-    return ManualControl(
-        sender=origin,
-        pitch=deflection(message.x),
-        roll=deflection(message.y),
-        throttle=max(0.0, deflection(message.z)),
-        yaw=deflection(message.r),
     )
 
 

@@ -20,7 +20,6 @@ from vehicle_sim.autopilots import (
     Command,
     Estimate,
     FirmwareProfile,
-    ManualControl,
     Place,
     Reboot,
     Reply,
@@ -607,11 +606,6 @@ class ArduPilot(abc.ABC):
         return self._taken()
 
     # --- the rest of the protocol -----------------------------------------------------------------
-
-    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
-        """MANUAL_CONTROL is not flown."""
-        del manual_control
-        return ()
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
         """A parameter has been set from outside; of a vector all three are told."""

@@ -17,7 +17,6 @@ from vehicle_sim.autopilots import (
     Event,
     FirmwareProfile,
     Landed,
-    ManualControl,
     Place,
     Reply,
     Result,
@@ -31,7 +30,7 @@ from vehicle_sim.autopilots import (
 )
 from vehicle_sim.autopilots.px4 import failsafe, health
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
-from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Pilot
+from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Stations
 from vehicle_sim.autopilots.px4.health import Gimbal, LoggerState, text
 from vehicle_sim.autopilots.px4.mission import Fence, Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
@@ -181,7 +180,9 @@ class Px4(abc.ABC):
         """DO_CHANGE_SPEED, in AUTO modes."""
         self.mission = Mission(plans, self._surroundings, self.emit, self._obey_mission)
         self.fence = Fence(plans)
-        self.pilot = Pilot()
+        self.stations = Stations()
+        self.pilot_present = False
+        """Holds the sticks centred: without one the manual modes sink."""
         self.gimbal = Gimbal()
         self.offboard_signal = False
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
@@ -340,17 +341,7 @@ class Px4(abc.ABC):
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A heartbeat of another component."""
         ours = sender.system == self._system
-        self.pilot.hear(vehicle_type, self.now_us, ours=ours)
-        return ()
-
-    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
-        """Take a MANUAL_CONTROL."""
-        first = self.pilot.take(manual_control, self.now_us)
-        if first and not self.armed and self.intended is Mode.LOITER:
-            self.command_mode(Mode.POSCTL)
-        elif self._overrides():
-            self.command_mode(Mode.POSCTL)
-            self.emit(text(6, "Pilot took over using sticks"))
+        self.stations.hear(vehicle_type, self.now_us, ours=ours)
         return ()
 
     def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - read live
@@ -365,7 +356,7 @@ class Px4(abc.ABC):
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to Position mode and holds the sticks centred."""
-        self.pilot.hold(self.now_us)
+        self.pilot_present = True
         self.command_mode(Mode.POSCTL)
         return ()
 
@@ -469,7 +460,7 @@ class Px4(abc.ABC):
         """Ten times a second: arming checks, incidents; what follows is done in the next step."""
         now_us, parameters, estimate = self.now_us, self.parameters, self.estimate
         self._said += self._diary.due(now_us)
-        if self.pilot.misses_companion(now_us, parameters["COM_OBC_LOSS_T"]):
+        if self.stations.misses_companion(now_us, parameters["COM_OBC_LOSS_T"]):
             self.emit(text(2, "Connection to mission computer lost"))
         self._checks.logs_always = self._diary.logs_always
         self._still = not self.armed and now_us - self._disarmed_us >= _STILL_US
@@ -490,7 +481,7 @@ class Px4(abc.ABC):
             )
             self._said.extend(events)
         if self.armed:
-            self._watch_pilot()
+            self._watch_ground_station()
             self._watch_fence()
             self._watch_battery()
         self._select_due = True
@@ -506,25 +497,12 @@ class Px4(abc.ABC):
             text(6, f"GNSS data fusion {words}"),
         )
 
-    def _watch_pilot(self) -> None:
-        """Manual control, if there was any at arming; ground station, if NAV_DLL_ACT says so."""
-        now_us, parameters, pilot = self.now_us, self.parameters, self.pilot
-        action = Action.NONE
-        loss_s = parameters["COM_RC_LOSS_T"]
-        if pilot.at_arming and not pilot.present(now_us, loss_s) and not self._excepted():
-            silent_s = (now_us - (pilot.heard_us or 0)) * 1e-6 - loss_s
-            action = failsafe.LINK_LOSS.get(int(parameters["NAV_RCL_ACT"]), Action.NONE)
-            if silent_s < parameters["COM_FAIL_ACT_T"] and action > Action.HOLD:
-                action = Action.HOLD
-        self._incidents.note(Cause.PILOT_LOST, action)
+    def _watch_ground_station(self) -> None:
+        """If NAV_DLL_ACT says that it matters."""
+        parameters = self.parameters
         chosen = failsafe.LINK_LOSS.get(int(parameters["NAV_DLL_ACT"]), Action.NONE)
-        lost = pilot.ground_station_lost(now_us, parameters["COM_DL_LOSS_T"])
+        lost = self.stations.ground_station_lost(self.now_us, parameters["COM_DL_LOSS_T"])
         self._incidents.note(Cause.GROUND_STATION_LOST, chosen if lost else Action.NONE)
-
-    def _excepted(self) -> bool:
-        """COM_RCL_EXCEPT: modes that do without manual control."""
-        bit = {Mode.MISSION: 1, Mode.LOITER: 2, Mode.OFFBOARD: 4}.get(self.intended, 0)
-        return bool(int(self.parameters["COM_RCL_EXCEPT"]) & bit)
 
     def _watch_fence(self) -> None:
         home, parameters = self.home, self.parameters
@@ -587,8 +565,7 @@ class Px4(abc.ABC):
             Event(number=number, log_levels=health.CRITICAL, arguments=arguments),
             text(2, "Failsafe activated"),
         )
-        manual = failsafe.MODES.get(action) in MANUAL_MODES
-        if manual and not self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"]):
+        if failsafe.MODES.get(action) in MANUAL_MODES and not self.pilot_present:
             self.emit(text(4, "Matching flight task was not able to run"))
 
     # --- modes and arming ---------------------------------------------------------------------
@@ -642,7 +619,7 @@ class Px4(abc.ABC):
     def _can_arm(self, position_ok: bool, signal: bool) -> bool:
         """Whether the mode now flown can be armed in."""
         if self.mode in MANUAL_MODES:
-            return self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"])
+            return self.pilot_present
         if self.mode is Mode.MISSION and not self.mission.items:
             return False
         if self.mode is Mode.OFFBOARD:
@@ -669,7 +646,6 @@ class Px4(abc.ABC):
         self._armed_us, self._landed_us, self._contact_us = now_us, None, None
         if self.estimate.position_ok:
             self.home = self.estimate.place
-        self.pilot.at_arming = self.pilot.present(now_us, self.parameters["COM_RC_LOSS_T"])
         arguments = bytes((health.ARMED_BY_COMMAND,))
         self.emit(
             Event(number=health.ARMED, log_levels=health.INFO, arguments=arguments),
@@ -716,15 +692,6 @@ class Px4(abc.ABC):
             wait_s = self.parameters["COM_DISARM_PRFLT"]
             if wait_s > 0.0 and now_us - self._armed_us >= wait_s * 1e6:
                 self.disarm(health.DISARMED_UNFLOWN)
-
-    def _overrides(self) -> bool:
-        """COM_RC_OVERRIDE: 1 the sticks take over from AUTO modes, 2 from OFFBOARD."""
-        if not self.armed or self.mode in MANUAL_MODES:
-            return False
-        bit = 2 if self.mode is Mode.OFFBOARD else 1
-        if not int(self.parameters["COM_RC_OVERRIDE"]) & bit:
-            return False
-        return self.pilot.moves(self.parameters["COM_RC_STICK_OV"] * 0.01)
 
     def _system_status(self) -> int:
         if self.armed:

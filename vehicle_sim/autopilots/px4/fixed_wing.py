@@ -107,7 +107,6 @@ _CLEARED_M = 10.0
 """A take-off climbs on by this much beyond its height (kClearanceAltitudeBuffer)."""
 _RUNWAY_US = 20_000
 """Arming to "takeoff on runway" in the log."""
-_STICK = 0.06
 _ECHO_MASK = 3576
 
 
@@ -286,8 +285,6 @@ class Px4FixedWing(Px4):
             self.land()
         elif mode is Mode.RTL:
             self.return_home()
-        elif mode in MANUAL_MODES:
-            self._fly_manual()
         elif mode is Mode.DESCEND and self._since_s > self.parameters["NAV_GPSF_LT"]:
             course.climb(-_DESCEND_M_S)
         course.bank_most_rad = math.pi
@@ -387,23 +384,6 @@ class Px4FixedWing(Px4):
         too_fast_m_s = max(self.vehicle.airspeed_m_s - self.course.airspeed_m_s, 0.0)
         sink_m_s = self._landing_airspeed_m_s() * glide + SINKS_FASTER_1_S * too_fast_m_s
         self.course.climb(-sink_m_s)
-
-    def _fly_manual(self) -> None:
-        """Position and Altitude mode: without a pilot straight on at this height."""
-        manual_control, course, parameters = self.pilot.manual_control, self.course, self.parameters
-        if manual_control is None or not self.pilot.present(
-            self.now_us, parameters["COM_RC_LOSS_T"]
-        ):
-            return
-        if abs(manual_control.roll) > _STICK or self.mode is not Mode.POSCTL:
-            course.bank_from_stick(manual_control.roll)
-        elif course.blind:
-            course.straight(self.local_m, self.vehicle.heading_rad)
-        if abs(manual_control.pitch) > _STICK:
-            rate = "FW_T_SINK_R_SP" if manual_control.pitch > 0.0 else "FW_T_CLMB_R_SP"
-            course.climb(-manual_control.pitch * parameters[rate])
-        elif not course.holds_altitude:
-            course.hold_altitude(self.estimate.altitude_amsl_m)
 
     # --- missions -----------------------------------------------------------------------------
 

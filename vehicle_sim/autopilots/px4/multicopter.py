@@ -14,10 +14,8 @@ from vehicle_sim.autopilots.px4.position_control import (
     PositionControl,
     Trajectory,
     Wanted,
-    beyond,
 )
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
-from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
 
 _QUADROTOR: Final = 2
@@ -229,7 +227,7 @@ class Px4Multicopter(Px4):
             return False
         position, velocity, acceleration = wanted
         up = position[2] < self.local_m[2] - 0.1 or velocity[2] < -0.1 or acceleration[2] < -0.1
-        if not up or (self.mode not in (Mode.TAKEOFF, Mode.OFFBOARD, Mode.MISSION, Mode.POSCTL)):
+        if not up or (self.mode not in (Mode.TAKEOFF, Mode.OFFBOARD, Mode.MISSION)):
             return False
         self._ramp_us = self.now_us
         self._flying = True
@@ -258,7 +256,10 @@ class Px4Multicopter(Px4):
         if mode is Mode.DESCEND:
             return self._sink()
         if mode in MANUAL_MODES:
-            return self._fly_manual(dt_s)
+            if not self.pilot_present:
+                return self._sink()
+            self._path.towards_speed(0.0, 0.0, 0.0, dt_s)
+            return self._path.wanted()
         self._automatic(dt_s)
         return self._path.wanted()
 
@@ -411,34 +412,8 @@ class Px4Multicopter(Px4):
         """Without a pilot the flight tasks of these modes cannot run: level, and down."""
         return NOTHING, (_NAN, _NAN, self.parameters["MPC_LAND_SPEED"]), NOTHING
 
-    def _fly_manual(self, dt_s: float) -> Wanted:
-        """One step of Position mode, or of the others as if they were Altitude."""
-        parameters, pilot, path = self.parameters, self.pilot, self._path
-        sticks = pilot.manual_control
-        if sticks is None or not pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
-            return self._sink()
-        self._yaw_rad += beyond(sticks.yaw) * math.radians(parameters["MPC_MAN_Y_MAX"]) * dt_s
-        lift = 2.0 * sticks.throttle - 1.0
-        most = parameters["MPC_Z_VEL_MAX_UP" if lift > 0.0 else "MPC_Z_VEL_MAX_DN"]
-        down_m_s = -beyond(lift) * most
-        ahead, aside = beyond(sticks.pitch), beyond(sticks.roll)
-        heading_rad = self.vehicle.heading_rad
-        sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
-        north, east = ahead * cosine - aside * sine, ahead * sine + aside * cosine
-        if self.mode is Mode.POSCTL:
-            most = parameters["MPC_VEL_MANUAL"]
-            path.towards_speed(north * most, east * most, down_m_s, dt_s)
-            return path.wanted()
-        path.towards_speed(0.0, 0.0, down_m_s, dt_s)
-        lean = GRAVITY_M_S2 * math.tan(math.radians(parameters["MPC_MAN_TILT_MAX"]))
-        return (
-            (_NAN, _NAN, path.p[2]),
-            (_NAN, _NAN, path.v[2]),
-            (north * lean, east * lean, path.a[2]),
-        )
-
     def _turn(self, dt_s: float) -> None:
-        """Turn the nose: to the setpoint's yaw, along the way, or as the pilot says."""
+        """Turn the nose: to the setpoint's yaw, or along the way."""
         copter, mode, parameters = self.vehicle, self.mode, self.parameters
         by_client = mode is Mode.OFFBOARD
         most_deg_s = parameters["MC_YAWRATE_MAX" if by_client else "MPC_YAWRAUTO_MAX"]

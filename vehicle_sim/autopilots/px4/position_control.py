@@ -142,7 +142,7 @@ class PositionControl:
 
 # --- The smooth motion of PX4's multicopters: a point that runs ahead within acceleration and jerk
 # The position controller follows it.  MPC_ACC_HOR 3 and MPC_JERK_AUTO 4 stop 12 m/s in 31 m
-# (px4.md 4).  In Position and Altitude mode the sticks move it (px4.md 6), in DO_ORBIT a circle,
+# (px4.md 4).  In the manual modes it comes to rest (px4.md 6), in DO_ORBIT it follows a circle,
 # whose limits are those of FlightTaskOrbit; how it goes round was not measured.
 
 _STANDS_M_S: Final = 0.05
@@ -165,7 +165,7 @@ class Trajectory:
         self.most, self.most_up, self.jerk = 3.0, 4.0, 4.0
 
     def limit(self, parameters: Parameters, *, manual: bool) -> None:
-        """Take the limits of the AUTO modes, or of the sticks."""
+        """Take the limits of the AUTO modes, or of the manual ones."""
         self.most = max(parameters["MPC_ACC_HOR_MAX" if manual else "MPC_ACC_HOR"], 0.5)
         self.most_up = max(parameters["MPC_ACC_UP_MAX"], 0.5)
         self.jerk = max(parameters["MPC_JERK_MAX" if manual else "MPC_JERK_AUTO"], 0.5)
@@ -236,17 +236,8 @@ class Trajectory:
         return math.hypot(self.v[0], self.v[1]) < _STANDS_M_S
 
 
-_DEAD: Final = 0.1
-"""MPC_HOLD_DZ: share of a stick's travel that means nothing."""
-
 Wanted = tuple[Vector, Vector, Vector]
 """Position, velocity and acceleration; NaN: not given."""
-
-
-def beyond(stick: float) -> float:
-    """A stick's deflection beyond its dead zone, -1 to 1."""
-    size = abs(stick)
-    return 0.0 if size < _DEAD else math.copysign(min((size - _DEAD) / (1 - _DEAD), 1.0), stick)
 
 
 _RADIUS_M: Final = (1.0, 1000.0)
