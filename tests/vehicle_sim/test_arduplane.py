@@ -4,7 +4,6 @@ from functools import cache
 import numpy as np
 import pytest
 from tracking_plane import (
-    CHANGE_ALTITUDE,
     CHANGE_HEADING,
     CHANGE_SPEED,
     GUIDED,
@@ -194,17 +193,6 @@ def test_change_speed_alone_changes_the_speed_in_guided() -> None:
     assert rig.command(178, 0.0, 18.0) is Result.ACCEPTED
     rig.run(30.0)
     assert rig.speed_m_s == pytest.approx(18.9, abs=0.3)
-
-
-def test_change_altitude_crawls() -> None:
-    rig = flying()
-    before_m = rig.height_m
-    place = (0.0, 0.0, 3.0, 0.0, 0.0, 0.0)
-    assert rig.command(CHANGE_ALTITUDE, *place, 120.0, frame=3) is Result.ACCEPTED
-    rig.run(15.0)
-    assert rig.height_m - before_m == pytest.approx(1.4, abs=0.3)  # ardupilot.md 7
-    assert rig.command(CHANGE_ALTITUDE, *place, 0.0, frame=3) is Result.DENIED
-    assert rig.command(CHANGE_ALTITUDE, *place, 50.0, frame=8) is Result.DENIED
 
 
 def setpoint(frame: int, z: float, mask: int = 0xDF8, *, is_global: bool = True) -> Setpoint:

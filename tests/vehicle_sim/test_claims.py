@@ -1,12 +1,11 @@
 """What a personality says of itself, it has: its capabilities and its modes, one by one."""
 
-import math
 import struct
 from collections.abc import Callable
 from typing import Any, Final
 
 import pytest
-from over_the_wire import KINDS, PLACE, Link, Vector, flying, ready
+from over_the_wire import KINDS, PLACE, Link, flying, ready
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots.ardupilot import copter_flight, plane_navigation
@@ -125,16 +124,6 @@ def answers_questions_about_terrain(client: Link) -> None:
     assert (report.lat, report.lon) == (check.lat, check.lon)
 
 
-def terminates_the_flight(client: Link) -> None:
-    assert client.command(185, 1) == ACCEPTED
-    assert not client.simulation.armed
-
-
-def calibrates_its_compass(client: Link) -> None:
-    assert client.command(42424, 0, 0, 1) == ACCEPTED
-    assert client.command(42426) == ACCEPTED
-
-
 def speaks_mavlink_2(client: Link) -> None:
     assert {heard.frame[0] for heard in client.run(1.0)} == {mavlink.PROTOCOL_MARKER_V2}
 
@@ -150,18 +139,16 @@ SHOWN: Final[dict[str, Callable[[Link], object]]] = {
     "SET_POSITION_TARGET_LOCAL_NED": flies_local_setpoints,
     "SET_POSITION_TARGET_GLOBAL_INT": flies_global_setpoints,
     "TERRAIN": answers_questions_about_terrain,
-    "FLIGHT_TERMINATION": terminates_the_flight,
-    "COMPASS_CALIBRATION": calibrates_its_compass,
     "MAVLINK2": speaks_mavlink_2,
     "MISSION_FENCE": lambda client: takes_a_plan(client, 1, 5001, 5001, 5001),
     "MISSION_RALLY": lambda client: takes_a_plan(client, 2, 5100),
 }
 
 
-NOT_FLOWN: Final = {"SET_ATTITUDE_TARGET"}
+NOT_FLOWN: Final = {"SET_ATTITUDE_TARGET", "FLIGHT_TERMINATION", "COMPASS_CALIBRATION"}
 """The real ones say so, and clients compare."""
 IN_FLIGHT: Final = {
-    *("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT", "FLIGHT_TERMINATION"),
+    *("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"),
 }
 
 
@@ -223,39 +210,3 @@ def test_px4_returns_in_mode_return_when_its_mission_says_so(kind: Kind) -> None
     assert client.command(400, 1) == ACCEPTED
     returns = CUSTOM_MODES[Mode.RTL]
     assert client.until(lambda: client.last("HEARTBEAT").custom_mode == returns, 180.0) < 180.0
-
-
-@pytest.mark.parametrize(("kind", "radius_m"), [(PX4S[0], 30.0), (PX4S[1], 120.0)], ids=str)
-def test_px4_orbits_the_place_at_the_radius_that_it_is_given(kind: Kind, radius_m: float) -> None:
-    client = flying(*kind)
-    place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
-    assert client.command(34, radius_m, 5.0, 0, 0, *place, frame=5) == ACCEPTED
-    client.run(40.0)
-    places = set[Vector]()
-    for _ in range(20):
-        client.run(1.0)
-        here = client.simulation.vehicle
-        north_m = (here.latitude_deg - PLACE[0]) * 111_200.0
-        east_m = (here.longitude_deg - PLACE[1]) * 111_200.0 * math.cos(math.radians(PLACE[0]))
-        assert math.hypot(north_m, east_m) == pytest.approx(radius_m, rel=0.15)
-        places.add((round(north_m), round(east_m), 0.0))
-    assert len(places) > 15
-
-
-def test_px4_denies_follow_me_and_a_wild_orbit_in_its_own_words() -> None:
-    client = flying("px4", "copter")
-    assert client.command(176, 1, 4, 8) != ACCEPTED
-    assert client.command(34, 1.0, 9.0, 0, 0, *PLACE[:2], PLACE[2] + 40.0) != ACCEPTED
-    client.run(0.1)
-    texts = " ".join(client.texts())
-    assert "Unsupported auto mode" in texts
-    assert "Orbit command rejected" in texts
-
-
-def test_px4_answers_inject_failure_and_does_it() -> None:
-    client = flying("px4", "copter")
-    for failure, has_fix in ((1, False), (0, True)):  # GPS off, and on again
-        assert client.command(420, 4, failure, 0) == ACCEPTED
-        client.run(2.0)
-        assert (client.last("GPS_RAW_INT").fix_type >= 3) is has_fix
-    assert client.command(420, 2, 1, 0) == mavlink.MAV_RESULT_UNSUPPORTED

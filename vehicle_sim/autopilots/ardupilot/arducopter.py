@@ -276,12 +276,8 @@ class ArduCopter(ArduPilot):
             22: self._take_off,
             115: self._condition_yaw,
             178: self._change_speed,
-            185: self._terminate,
             192: self._reposition,
             193: self._pause_or_continue,
-            195: self._look_at,
-            197: self._look_at,
-            201: self._look_at,
             300: self._start_mission,
         }
 
@@ -324,12 +320,6 @@ class ArduCopter(ArduPilot):
             control.speed_m_s = speed_m_s
         return Result.ACCEPTED
 
-    def _terminate(self, command: Command) -> Result:
-        if not command.parameters[0] > 0.5:
-            return Result.FAILED
-        self.disarm()
-        return Result.ACCEPTED
-
     def _reposition(self, command: Command) -> Result:
         """COMMAND_INT only; p2 bit 0 changes to GUIDED first."""
         if command.frame is None:
@@ -360,15 +350,6 @@ class ArduCopter(ArduPilot):
         else:
             return Result.FAILED
         return Result.ACCEPTED
-
-    def _look_at(self, command: Command) -> Result:
-        """A region of interest: the nose goes there once."""
-        place = self.place_of(command) if command.number != 197 else Result.ACCEPTED
-        if isinstance(place, Place):
-            self.flight.yaw.command(bearing_rad(self.estimate.place, place), None)
-            return Result.ACCEPTED
-        self.flight.yaw.look_ahead()
-        return place
 
     def _start_mission(self, command: Command) -> Result:
         del command

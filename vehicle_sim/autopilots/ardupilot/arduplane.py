@@ -185,12 +185,9 @@ class ArduPlane(ArduPilot):
             20: lambda _: self._change_to(Mode.RTL),
             22: lambda _: Result.FAILED,
             178: self._do_change_speed,
-            186: self._do_change_altitude,
-            189: lambda _: Result.FAILED,
             192: self._do_reposition,
             300: self._mission_start,
             43000: self._guided_change_speed,
-            43001: self._guided_change_altitude,
             43002: self._guided_change_heading,
         }
 
@@ -237,14 +234,6 @@ class ArduPlane(ArduPilot):
         p = command.parameters
         return Result.ACCEPTED if self._flight.guided.change_speed(p[0], p[1]) else Result.FAILED
 
-    def _do_change_altitude(self, command: Command) -> Result:
-        frame = command.parameters[1]
-        altitude_m = self.altitude_amsl_m(command.parameters[0], frame)
-        if altitude_m is None:
-            return Result.DENIED
-        self._flight.navigation.set_altitude(altitude_m)
-        return Result.ACCEPTED
-
     def altitude_amsl_m(self, altitude_m: float, frame: float) -> float | None:
         """A height in a MAV_FRAME; None where that has none."""
         if not math.isfinite(altitude_m):
@@ -261,18 +250,6 @@ class ArduPlane(ArduPilot):
             return Result.DENIED
         finite = math.isfinite(acceleration)
         self._flight.guided.set_speed(speed_m_s, acceleration if finite else 0.0)
-        return Result.ACCEPTED
-
-    def _guided_change_altitude(self, command: Command) -> Result:
-        rate_m_s, z_m = command.parameters[2], command.parameters[6]
-        if self.mode != Mode.GUIDED:
-            return Result.FAILED
-        frame = 3 if command.frame is None else command.frame
-        altitude_m = self.altitude_amsl_m(z_m, frame)
-        if altitude_m is None or z_m in (0.0, -1.0):
-            return Result.DENIED
-        rate_m_s = rate_m_s if math.isfinite(rate_m_s) else 0.0
-        self._flight.guided.set_altitude(altitude_m, rate_m_s)
         return Result.ACCEPTED
 
     def _guided_change_heading(self, command: Command) -> Result:

@@ -417,15 +417,11 @@ class ArduPilot(abc.ABC):
             179: self._do_set_home,
             207: self._do_fence_enable,
             224: self._do_set_mission_current,
-            241: self._when_disarmed,
-            245: self._when_disarmed,
             246: self._reboot,
             400: self._arm_or_disarm,
             401: self._run_prearm_checks,
             410: self._get_home,
             520: self._capabilities,
-            42424: self._when_disarmed,  # DO_START_MAG_CAL, which lasts until it is cancelled
-            42426: lambda _: Result.ACCEPTED,
         }
 
     def on_command(self, command: Command) -> Sequence[Reply]:
@@ -511,11 +507,6 @@ class ArduPilot(abc.ABC):
     @abc.abstractmethod
     def fly_item(self, number: int) -> None:
         """Another item of the mission is the current one: in AUTO it goes there at once."""
-
-    def _when_disarmed(self, command: Command) -> Result:
-        """Calibration and storage: there is nothing to do."""
-        del command
-        return Result.FAILED if self.armed else Result.ACCEPTED
 
     def _reboot(self, command: Command) -> Result:
         if command.parameters[0] not in (1.0, 3.0):

@@ -9,11 +9,10 @@ import math
 from collections.abc import Callable
 from typing import final
 
-from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_auto import Auto, Motion, Yaw, tuning_of
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, Submode
-from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, offset
+from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
 from vehicle_sim.dynamics.copter import Copter
 
 
@@ -72,8 +71,6 @@ class Flight:
         self._reached_us: int | None = None
         self._touched_us: int | None = None
         self._landed_us: int | None = None
-        self._circle_rad = 0.0
-        self._circle_centre: Place | None = None
         self._looks_ahead = False
         self._runs: dict[int, Callable[[float], Vector]] = {
             Mode.GUIDED: self._run_guided,
@@ -82,7 +79,7 @@ class Flight:
             Mode.SMARTRTL: motion.run_return,
             Mode.LAND: motion.run_landing,
             Mode.BRAKE: self._run_brake,
-            Mode.CIRCLE: self._run_circle,
+            Mode.CIRCLE: self._run_loiter,
             Mode.LOITER: self._run_loiter,
             Mode.POSHOLD: self._run_loiter,
             Mode.ALT_HOLD: self._run_altitude_hold,
@@ -109,8 +106,6 @@ class Flight:
             self.motion.lands_with_position = self.host.ekf.position_ok
         elif mode in RETURNS:
             self.motion.begin_return(climb=mode == Mode.RTL)
-        elif mode == Mode.CIRCLE:
-            self._begin_circle()
         elif mode == Mode.AUTO:
             self.auto.begin()
 
@@ -270,26 +265,6 @@ class Flight:
         north, east, _ = self.control.levelled(dt_s)
         most = copter.limits.speed_vertical_m_s
         return north, east, FALL_1_S * (-most - copter.velocity_up_m_s)
-
-    def _begin_circle(self) -> None:
-        radius_m = self.host.parameters["CIRCLE_RADIUS"] / 100.0
-        heading_rad = self.copter.heading_rad
-        self._circle_centre = offset(
-            self.host.estimate.place,
-            radius_m * math.cos(heading_rad),
-            radius_m * math.sin(heading_rad),
-        )
-        self._circle_rad = heading_rad + math.pi
-
-    def _run_circle(self, dt_s: float) -> Vector:
-        assert self._circle_centre is not None
-        parameters = self.host.parameters
-        radius_m = parameters["CIRCLE_RADIUS"] / 100.0
-        rate = math.radians(parameters["CIRCLE_RATE"])
-        self._circle_rad += rate * dt_s
-        return self.motion.circle(
-            self._circle_centre, radius_m, self._circle_rad, rate, -self._pilot_down_m_s(), dt_s
-        )
 
     @property
     def taking_off(self) -> bool:

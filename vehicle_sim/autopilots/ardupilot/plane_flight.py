@@ -261,10 +261,7 @@ class Flight:
             return
         navigation.measure()
         self._bank_rad = self._wanted_bank()
-        crawling_m = self.guided.altitude_amsl_m(host.estimate.altitude_amsl_m, NAVIGATION_S)
-        if crawling_m is not None:
-            navigation.target_amsl_m = crawling_m
-        elif host.mode in LOITERS or host.mode in (Mode.AUTO, Mode.TAKEOFF):
+        if host.mode in LOITERS or host.mode in (Mode.AUTO, Mode.TAKEOFF):
             navigation.update_altitude()
 
     def _wanted_bank(self) -> float:

@@ -16,7 +16,7 @@ from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import DO_JUMP, Jumps, PlanItem, PlanKind
 
-# --- What ArduPlane was told besides a point: speed and, in GUIDED, height by rate and heading
+# --- What ArduPlane was told besides a point: speed and, in GUIDED, heading
 # All of it is forgotten when the mode changes.  Source: ardupilot.md 7.
 
 HEADING_GAIN = math.radians(50.0)
@@ -28,7 +28,7 @@ _LATERAL_LEAST_M_S2 = 0.05
 
 @final
 class Guided:
-    """DO_CHANGE_SPEED, GUIDED_CHANGE_SPEED, _ALTITUDE and _HEADING."""
+    """DO_CHANGE_SPEED, GUIDED_CHANGE_SPEED and GUIDED_CHANGE_HEADING."""
 
     def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
         self._parameters = parameters
@@ -44,13 +44,11 @@ class Guided:
         self._error_rad = 0.0
         self._airspeed_m_s: float | None = None
         self._acceleration_m_s2 = _AT_ONCE
-        self._altitude_amsl_m: float | None = None
-        self._rate_m_s = _AT_ONCE
 
     def forget(self) -> None:
         """The mode has changed."""
         self.holds_heading = False
-        self._airspeed_m_s = self._altitude_amsl_m = self.cruise_m_s = None
+        self._airspeed_m_s = self.cruise_m_s = None
 
     # --- what it is told ----------------------------------------------------------------------
 
@@ -73,11 +71,6 @@ class Guided:
         self._airspeed_m_s = airspeed_m_s
         self._acceleration_m_s2 = abs(acceleration_m_s2) or _AT_ONCE
 
-    def set_altitude(self, altitude_amsl_m: float, rate_m_s: float) -> None:
-        """GUIDED_CHANGE_ALTITUDE; 0: as fast as it can."""
-        self._altitude_amsl_m = altitude_amsl_m
-        self._rate_m_s = abs(rate_m_s) or _AT_ONCE
-
     def set_heading(self, heading_rad: float, lateral_m_s2: float, *, course: bool) -> None:
         """GUIDED_CHANGE_HEADING."""
         if not self.holds_heading:
@@ -94,13 +87,6 @@ class Guided:
             return None
         most = self._acceleration_m_s2 * dt_s
         return before_m_s + min(max(self._airspeed_m_s - before_m_s, -most), most)
-
-    def altitude_amsl_m(self, present_m: float, dt_s: float) -> float | None:
-        """The height demand; based on the present height each time, so that it changes slowly."""
-        if self._altitude_amsl_m is None:
-            return None
-        most_m = self._rate_m_s * dt_s
-        return min(max(self._altitude_amsl_m, present_m - most_m), present_m + most_m)
 
     def bank_rad(self, actual_rad: float, dt_s: float) -> float:
         """Proportional to the error, up to the bank of the lateral acceleration given."""

@@ -41,7 +41,6 @@ from vehicle_sim.autopilots.px4.modes import (
     Mode,
     base_mode,
 )
-from vehicle_sim.autopilots.px4.position_control import Orbit
 from vehicle_sim.autopilots.px4.setpoints import (
     Projection,
     SetpointFrames,
@@ -126,14 +125,12 @@ class Px4(abc.ABC):
     speed_m_s, mission).
     """
 
-    HANDLERS: ClassVar[Mapping[int, "Handler | None"]]
-    """Handlers by MAV_CMD; None: not answered."""
+    HANDLERS: ClassVar[Mapping[int, "Handler"]]
+    """Handlers by MAV_CMD."""
     TABLES: ClassVar[tuple[str, ...]]
     """Of its parameters."""
     profile: FirmwareProfile
     measures_airspeed = False
-    orbits = False
-    """Flies DO_ORBIT in a mode of its own."""
     learns = False
     """Calibrates its accelerometer in flight."""
 
@@ -168,8 +165,6 @@ class Px4(abc.ABC):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest setpoint that OFFBOARD flies; None: none since OFFBOARD was entered."""
-        self.orbit: Orbit | None = None
-        """DO_ORBIT's circle."""
         self.takeoff_place: tuple[float, float, float] | None = None
         """NAV_TAKEOFF's latitude, longitude (NaN: not given) and altitude AMSL."""
         self.reposition: tuple[float, float, float, float] | None = None
@@ -406,10 +401,7 @@ class Px4(abc.ABC):
 
     def on_command(self, command: Command) -> Sequence[Reply]:
         """Handle a command; returns the replies."""
-        handler = self.HANDLERS.get(command.number, _unsupported)
-        if handler is None:
-            return ()
-        result = handler(self, command)
+        result = self.HANDLERS.get(command.number, _unsupported)(self, command)
         said, self._said = self._said, []
         ack = Ack(to=command.sender, command=command.number, result=result)
         if command.number == _DO_SET_MODE:
@@ -600,13 +592,11 @@ class Px4(abc.ABC):
         takeoff: tuple[float, float, float] | None = None,
         reposition: tuple[float, float, float, float] | None = None,
         land: tuple[float, float] | None = None,
-        orbit: Orbit | None = None,
     ) -> Result:
         """Request a mode.  On the ground, disarmed, every mode is accepted."""
         if self.armed and not self._can_run(mode):
             return Result.TEMPORARILY_REJECTED
         self.takeoff_place, self.reposition, self.land_place = takeoff, reposition, land
-        self.orbit = orbit
         self._intend(mode)
         return Result.ACCEPTED
 

@@ -204,10 +204,7 @@ class Px4FixedWing(Px4):
         centre_m = self._here_m
         altitude_m = self.estimate.altitude_amsl_m
         place: tuple[float, float, float] | None = None
-        radius_m = self.loiter_radius_m
-        if self.orbit is not None:
-            place, radius_m = self.orbit[:3], self.orbit.radius_m
-        elif self.reposition is not None:
+        if self.reposition is not None:
             place = self.reposition[:3]
         elif before is Mode.TAKEOFF and self.takeoff_place is not None:
             place = self.takeoff_place
@@ -216,7 +213,7 @@ class Px4FixedWing(Px4):
             if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
                 centre_m = self._local_m(latitude_deg, longitude_deg)
             altitude_m = wanted_m if math.isfinite(wanted_m) else altitude_m
-        self.course.loiter(centre_m, radius_m)
+        self.course.loiter(centre_m, self.loiter_radius_m)
         self.course.hold_altitude(altitude_m)
 
     @property

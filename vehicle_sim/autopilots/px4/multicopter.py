@@ -9,7 +9,6 @@ from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
 from vehicle_sim.autopilots.px4.position_control import (
-    HERE,
     Gains,
     PositionControl,
     Trajectory,
@@ -52,7 +51,7 @@ class Px4Multicopter(Px4):
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/multicopter")
     profile = profile(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ)
-    learns = orbits = True
+    learns = True
 
     def _set_up(self) -> None:
         self._control = PositionControl(Gains(self.parameters))
@@ -106,8 +105,6 @@ class Px4Multicopter(Px4):
             self._goal = (north_m, east_m, _NAN)
         elif mode is Mode.RTL:
             self._aim_return()
-        elif mode is Mode.ORBIT:
-            self._goal = self._given(*(self.orbit or HERE)[:3])  # its centre
 
     def _stopping_point(self) -> Vector:
         """Where braking will end: the navigator holds there (preproject_stop_point)."""
@@ -287,8 +284,6 @@ class Px4Multicopter(Px4):
             self._return(dt_s)
         elif mode is Mode.MISSION:
             self._follow_mission(dt_s)
-        elif mode is Mode.ORBIT:
-            self._circle(dt_s)
         else:
             self._go(dt_s)
             if mode is Mode.TAKEOFF and self._is_up():
@@ -342,15 +337,6 @@ class Px4Multicopter(Px4):
             self._descend(dt_s)
         else:
             self._go(dt_s)
-
-    def _circle(self, dt_s: float) -> None:
-        """DO_ORBIT: along the circle, towards it where it is off it, the nose to the centre."""
-        north_m, east_m = self.local_m[0] - self._goal[0], self.local_m[1] - self._goal[1]
-        cruise_m_s, up_m_s, down_m_s = self._speeds()
-        north, east = (self.orbit or HERE).velocity_m_s(north_m, east_m, cruise_m_s)
-        down = min(max(self._goal[2] - self.local_m[2], -up_m_s), down_m_s)
-        self._path.towards_speed(north, east, down, dt_s)
-        self._aim_yaw_rad = math.atan2(-east_m, -north_m)
 
     def _is_over_goal(self) -> bool:
         north_m, east_m = self._goal[0] - self.local_m[0], self._goal[1] - self.local_m[1]
