@@ -136,12 +136,6 @@ def test_unknown_commands_are_unsupported(number: int) -> None:
     assert Rig().command(number) == [Result.UNSUPPORTED]
 
 
-@pytest.mark.parametrize("number", [1000, 203])
-def test_commands_of_others_get_no_answer(number: int) -> None:
-    """Gimbals and cameras answer themselves."""
-    assert Rig().command(number) == []
-
-
 def test_the_battery_brings_it_home() -> None:
     """COM_LOW_BAT_ACT 3: return when critical, land in an emergency."""
     rig = Rig()

@@ -65,7 +65,7 @@ class Flight:
         self.control = motion.control
         self.guided = Guided(self.control, host.parameters["GUID_TIMEOUT"])
         self.yaw = Yaw()
-        self.auto = Auto(motion, self.guided, self.yaw)
+        self.auto = Auto(motion, self.guided)
         self.on_ground = True
         self.armed_us = 0
         self._reached_us: int | None = None

@@ -26,9 +26,7 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 
-# --- ArduPlane's take-off from a runway, and its landing: down the slope, a flare, what it says
-# Source of the take-off: arduplane-guided-reposition.tlog, 26 to 35 s. The landing was not
-# measured (ardupilot.md 8): the numbers are ArduPilot's defaults, the texts its sources'.
+# --- ArduPlane's take-off from a runway: arduplane-guided-reposition.tlog, 26 to 35 s
 
 FULL_THRUST_M_S2, DRAG_1_S = 14.5, 0.55
 """Acceleration on the runway at full throttle, and what it loses with each metre a second."""
@@ -42,11 +40,6 @@ DIRECTED_M_S = 6.8
 CLIMB_AIRSPEED = 1.225
 """At full throttle and nose up, over cruising airspeed."""
 CLIMB_M_S = 9.9
-APPROACH_SPEED, FLARE_SPEED = 0.8, 0.64
-"""Of the cruising airspeed."""
-FLARE_SINK_M_S = 0.5
-ERROR_S = 3.0
-"""Time constant with which it gets back onto the slope."""
 ROLL_LEVEL_TO_FREE = 3.0
 """Wings are held level below TKOFF_LVL_ALT; above so many times that the bank is free."""
 
@@ -141,6 +134,8 @@ SLOWING_M_S2 = 2.2
 EXCESS_CLIMB = 0.9
 """After a take-off the excess of speed is turned into height: climb for each m/s of it."""
 GLIDE_M_S = 2.5
+LANDING_SINK_M_S = 1.5
+"""Wings level from the place of a landing on: no approach and no flare."""
 READY_US = 1_727_000
 """Since boot, until it leaves INITIALISING."""
 BRAKING_M_S2 = -3.0
@@ -174,8 +169,6 @@ class Flight:
         """TAKEOFF has settled where it goes."""
         self._settling = False
         """Climbing on with the speed that is left from a take-off."""
-        self._flaring = False
-        """From the flare until it disarms by itself."""
         self._still_us = 0
         self.read_parameters()
 
@@ -192,7 +185,6 @@ class Flight:
     def enter(self, mode: Mode) -> None:
         """Begin to fly in this mode; what GUIDED was told is forgotten."""
         self.guided.forget()
-        self._flaring = False
         self.mission.stop()
         navigation, here = self.navigation, self._host.estimate.place
         navigation.l1.forget()
@@ -340,7 +332,7 @@ class Flight:
                 climbed_m = self._host.estimate.place.altitude_amsl_m - self._start.altitude_amsl_m
                 limit = self.takeoff.bank_limit_rad(climbed_m)
                 bank = min(max(bank, -limit), limit)
-        return 0.0 if self._flaring else bank
+        return 0.0 if self._sinks else bank
 
     def _end_climb(self) -> None:
         """From take-off to normal flight."""
@@ -404,39 +396,19 @@ class Flight:
             self._speed_m_s = self._cruise_m_s() * CLIMB_AIRSPEED
             plane.advance(bank, CLIMB_M_S, self._speed_m_s, dt_s)
             plane.throttle = 1.0
-        elif mode == Mode.AUTO and self.mission.lands:
-            self.heights.begin(height_m)
-            self._land(bank, height_m - ground_amsl_m, dt_s)
-            self._speed_m_s = plane.airspeed_m_s
+        elif self._sinks:
+            plane.advance(0.0, -LANDING_SINK_M_S, self._cruise_m_s(), dt_s)
+            plane.throttle = 0.0
         else:
             self._cruise(bank, height_m, dt_s)
         if plane.altitude_amsl_m <= ground_amsl_m:
             self._touch_down(ground_amsl_m)
 
-    def _land(self, bank: float, height_m: float, dt_s: float) -> None:
-        """Down the slope and through the flare, from so high above the ground."""
-        plane, navigation, estimate = self._plane, self.navigation, self._host.estimate
-        cruise_m_s = self._cruise_m_s()
-        if not self._flaring and height_m <= self._host.parameters["LAND_FLARE_ALT"]:
-            self._flaring = True
-            self._host.send_text(
-                6,
-                f"Flare {height_m:.1f}m sink={-estimate.velocity_up_m_s:.2f} "
-                f"speed={plane.airspeed_m_s:.1f} dist={navigation.distance_m:.1f}",
-            )
-        if self._flaring:
-            plane.advance(0.0, -FLARE_SINK_M_S, cruise_m_s * FLARE_SPEED, dt_s)
-            plane.throttle = 0.0
-            return
-        slope = 0.0
-        before, following = navigation.before, navigation.next
-        if before is not None and following is not None:
-            length_m = max(distance_m(before, following), 1.0)
-            slope = (following.altitude_amsl_m - before.altitude_amsl_m) / length_m
-        speed = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
-        error_m = navigation.target_amsl_m - estimate.altitude_amsl_m
-        climb = slope * speed + error_m / ERROR_S
-        plane.advance(bank, climb, cruise_m_s * APPROACH_SPEED, dt_s)
+    @property
+    def _sinks(self) -> bool:
+        """Beyond the place where the mission lands."""
+        lands = self._host.mode == Mode.AUTO and self.mission.lands
+        return lands and self.navigation.along >= 1.0
 
     def _cruise_m_s(self) -> float:
         """True airspeed for the one that is wanted."""
@@ -483,13 +455,11 @@ class Flight:
     def _wait_to_disarm(self) -> None:
         """Some time after a landing."""
         host = self._host
-        if not host.armed or not self._flaring:
+        if not host.armed or not self._sinks:
             return
         delay_us = host.parameters["LAND_DISARMDELAY"] * 1e6
         if delay_us > 0.0 and host.now_us - self._still_us >= delay_us:
-            self._flaring = False
             host.disarm()
-            self._host.send_text(6, "Auto disarmed")
 
     def _touch_down(self, ground_amsl_m: float) -> None:
         """Wheels or nose on the ground."""

@@ -24,8 +24,8 @@ from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 
 # --- A fixed wing of PX4 on its wheels, and in the seconds before and after (px4.md 10) -----------
 # Times, speeds and events are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a
-# second later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing the flare
-# at 434.9, contact at 436.0, 0.9 m/s and "landing detected" at 438.7 s after boot.
+# second later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing contact at
+# 436.0, 0.9 m/s and "landing detected" at 438.7 s after boot.  A landing ends without a flare.
 
 ON_RUNWAY: Final = Event(number=18146901, log_levels=0x66)
 """Takeoff on """
@@ -33,9 +33,6 @@ ROTATING: Final = Event(number=27229571, log_levels=0x66)
 """Takeoff airspeed reached, climbout."""
 CLEARED: Final = Event(number=26123793, log_levels=0x66)
 """Reached clearance altitude."""
-FLARING: Final = Event(number=33124855, log_levels=0x66)
-"""Landing, flaring."""
-
 TAKEOFF_SEEN_M_S: Final = 6.6
 """The land detector believes in a take-off from here on, still on the wheels."""
 CLIMB_OUT_M_S: Final = 2.63
@@ -50,12 +47,8 @@ LANDS_FASTER_M_S: Final = 0.5
 """Flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3."""
 SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
-FLARE_SINKS_M_S: Final = 0.6
-"""At least, whatever FW_LND_FL_SINK (0.25) says: a second from the flare to contact."""
 SINKS_FASTER_1_S: Final = 0.15
 """Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
-FLARE_BRAKES_M_S: Final = 4.0
-"""Airspeed that the flare is told to fly: 10.8 to 6.8 m/s in the second before contact."""
 _ROLL_OUT_S: Final = 1.33
 """Time constant of the speed on the wheels without throttle: 5.45 m/s at 437 s, 0.87 at 439.5."""
 _FULL_M_S2: Final = 6.4
@@ -76,12 +69,6 @@ def roll_out_m_s2(ground_speed_m_s: float) -> float:
 def bank_near_ground_rad(height_m: float, wing_height_m: float, wing_span_m: float) -> float:
     """The bank that keeps the wing tips off the ground (getMaxRollAngleNearGround)."""
     return min(max(2.0 * (height_m - wing_height_m) / wing_span_m, 0.0), 0.5 * math.pi)
-
-
-def flare_sink_m_s(since_s: float, flare_s: float, from_m_s: float, to_m_s: float) -> float:
-    """Sink rate so long after the flare began: from one to the other with the root of time."""
-    share = math.sqrt(min(max(since_s / flare_s, 0.0), 1.0))
-    return share * to_m_s + (1.0 - share) * from_m_s
 
 
 SIH_AIRPLANE: Final = PlaneLimits(
@@ -131,13 +118,9 @@ class Px4FixedWing(Px4):
         """The setpoint that the course was made of."""
         self._leg: mission.Leg | None = None
         self._leg_aimed = False
-        self._leg_reached_us: int | None = None
-        """When it came to the circle of a loiter with turns."""
         self._began_us = 0
         """When the mode began."""
         self._runway_said = self._rotated = False
-        self._flare_us: int | None = None
-        self._flare_from_m_s = 0.0
         self._follows_path = False
         """OFFBOARD with position and velocity, which is not echoed."""
 
@@ -146,7 +129,7 @@ class Px4FixedWing(Px4):
     def _begin(self, mode: Mode, before: Mode) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
         self._began_us = self.now_us
-        self._seen = self._flare_us = None
+        self._seen = None
         self._follows_path = self._runway_said = self._rotated = False
         self._leg_aimed, self._leg = False, None
         course = self.course
@@ -279,7 +262,7 @@ class Px4FixedWing(Px4):
         elif mode is Mode.MISSION:
             self._follow_mission()
         elif mode is Mode.LAND:
-            self.land()
+            self._glide()
         elif mode is Mode.RTL:
             self.return_home()
         elif mode is Mode.DESCEND and self._since_s > self.parameters["NAV_GPSF_LT"]:
@@ -341,7 +324,7 @@ class Px4FixedWing(Px4):
         course, parameters = self.course, self.parameters
         if course.landing or not course.on_circle(self.local_m):
             if course.landing:
-                self.land()
+                self._glide()
             return
         home = self.home or self._reference
         height_m = home.altitude_amsl_m + parameters["RTL_DESCEND_ALT"]
@@ -351,29 +334,6 @@ class Px4FixedWing(Px4):
         if low and delay_s >= 0.0 and self._since_s > delay_s:
             self.start_landing(self._local_m(home.latitude_deg, home.longitude_deg))
             course.landing = True
-
-    def land(self) -> None:
-        """Flare near the ground."""
-        parameters, course = self.parameters, self.course
-        if self._flare_us is None:
-            height_m = self.estimate.altitude_amsl_m - self.ground_amsl_m
-            sink_m_s = max(-self.estimate.velocity_up_m_s, 0.0)
-            flare_s = parameters["FW_LND_FL_TIME"]
-            if height_m > max(flare_s * sink_m_s, parameters["FW_LND_FLALT"]):
-                self._glide()
-                return
-            self._flare_us, self._flare_from_m_s = self.now_us, sink_m_s
-            self.emit(FLARING)
-        since_s = (self.now_us - self._flare_us) * 1e-6
-        course.airspeed_m_s = FLARE_BRAKES_M_S
-        course.climb_out(
-            -flare_sink_m_s(
-                since_s,
-                parameters["FW_LND_FL_TIME"],
-                self._flare_from_m_s,
-                max(parameters["FW_LND_FL_SINK"], FLARE_SINKS_M_S),
-            )
-        )
 
     def _glide(self) -> None:
         """Down the slope of FW_LND_ANG, steeper while it is too fast."""
@@ -394,7 +354,7 @@ class Px4FixedWing(Px4):
                 self.emit(CLEARED)
                 self.mission.arrived()
         elif leg.command == mission.LAND:
-            self.land()
+            self._glide()
         elif self._has_arrived(leg):
             self.mission.arrived()
 
@@ -403,7 +363,6 @@ class Px4FixedWing(Px4):
         leg = self.mission.leg
         if leg is not self._leg or not self._leg_aimed:
             before, self._leg, self._leg_aimed = self._leg, leg, True
-            self._leg_reached_us = None
             self._set_course(leg, before)
         return leg
 
@@ -430,12 +389,11 @@ class Px4FixedWing(Px4):
             course.fly_leg(from_m, place_m, self.loiter_radius_m)
             course.hold_altitude(leg.altitude_amsl_m)
         else:
-            radius_m = leg.radius_m if abs(leg.radius_m) > 1.0 else self.loiter_radius_m
-            course.loiter(place_m, radius_m)
+            course.loiter(place_m, self.loiter_radius_m)
             course.hold_altitude(leg.altitude_amsl_m)
 
     def _has_arrived(self, leg: mission.Leg) -> bool:
-        """Near enough in distance and height; of a loiter with turns after these."""
+        """Near enough in distance and height, or on the circle."""
         course, estimate = self.course, self.estimate
         off_m = abs(estimate.altitude_amsl_m - leg.altitude_amsl_m)
         if not off_m < self.parameters["NAV_FW_ALT_RAD"]:
@@ -445,13 +403,7 @@ class Px4FixedWing(Px4):
             if leg.acceptance_m > near_m:
                 near_m = leg.acceptance_m
             return course.distance_m(self.local_m) < near_m
-        if self._leg_reached_us is None:
-            if not course.on_circle(self.local_m):
-                return False
-            self._leg_reached_us = self.now_us
-        speed_m_s = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
-        round_s = math.tau * abs(course.radius_m) / max(speed_m_s, 1.0)
-        return (self.now_us - self._leg_reached_us) * 1e-6 >= leg.turns * round_s
+        return course.on_circle(self.local_m)
 
     # --- on the wheels ------------------------------------------------------------------------
 
