@@ -348,7 +348,7 @@ class Course:
         self.climb_rate_m_s, self._at_once = rate_m_s, False
 
     def climb_out(self, rate_m_s: float) -> None:
-        """At this rate and full throttle after take-off, or without any in the flare."""
+        """At this rate and full throttle after take-off."""
         self.climb_rate_m_s, self._at_once = rate_m_s, True
 
     # --- what of it is told -------------------------------------------------------------------

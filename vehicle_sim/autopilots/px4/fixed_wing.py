@@ -49,8 +49,9 @@ SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
 SINKS_FASTER_1_S: Final = 0.15
 """Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
-_ROLL_OUT_S: Final = 1.33
-"""Time constant of the speed on the wheels without throttle: 5.45 m/s at 437 s, 0.87 at 439.5."""
+_ROLL_OUT_S: Final = 0.8
+"""Time constant of the speed on the wheels without throttle, so that it stands when and where the
+recorded one does, whose flare brakes it from 10.8 to 6.8 m/s before contact (then 1.33 s)."""
 _FULL_M_S2: Final = 6.4
 _RAMP_M_S3: Final = 5.7
 """Acceleration while RWTO_RAMP_TIME (2 s) opens the throttle."""
