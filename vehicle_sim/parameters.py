@@ -131,18 +131,12 @@ Readable = Mapping[str, float] | Parameters
 _KINDS = {"i8": Kind.INT8, "i16": Kind.INT16, "i32": Kind.INT32, "real": Kind.REAL32}
 
 
-def lines_of(
-    name: str,
-    splits: int | None = None,
-    *,
-    separator: str | None = None,
-    beside: str = "autopilots",
-) -> Iterator[list[str]]:
-    """The words of each line of a table in this subpackage, split so often at most."""
-    text = resources.files(f"vehicle_sim.{beside}").joinpath(name).read_text("utf-8")
+def lines_of(name: str, splits: int = -1) -> Iterator[list[str]]:
+    """The words of each line of a table of the autopilots, split so often at most."""
+    text = resources.files("vehicle_sim.autopilots").joinpath(name).read_text("utf-8")
     for line in text.splitlines():
         if not line.startswith("#"):
-            yield line.split(separator, -1 if splits is None else splits)
+            yield line.split(None, splits)
 
 
 @functools.cache
@@ -151,7 +145,7 @@ def without_effect() -> frozenset[str]:
     return frozenset(name for names in lines_of("without_effect.table") for name in names)
 
 
-def row_of(name: str, default: str, kind: str = "real", *limits: str) -> Parameter:
+def _row_of(name: str, default: str, kind: str = "real", *limits: str) -> Parameter:
     """The row that a line is: name, default, type (a float without one), least and most."""
     bounds = dict(zip(("least", "most"), map(float, limits), strict=False))
     return Parameter(name=name, default=float(default), kind=_KINDS[kind], **bounds)
@@ -159,5 +153,5 @@ def row_of(name: str, default: str, kind: str = "real", *limits: str) -> Paramet
 
 def table(*names: str) -> tuple[Parameter, ...]:
     """The rows of these files; a later one replaces an earlier one of its name in its place."""
-    rows = {words[0]: row_of(*words) for name in names for words in lines_of(f"{name}.parm")}
+    rows = {words[0]: _row_of(*words) for name in names for words in lines_of(f"{name}.parm")}
     return tuple(rows.values())
