@@ -20,7 +20,6 @@ _NEVER_FORWARDED: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_RADIO,
         mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
-        mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
         mavlink.MAVLINK_MSG_ID_SETUP_SIGNING,
     }
 )
