@@ -18,18 +18,10 @@ from companion.mission.events import Mode
 
 Rng = np.random.Generator
 
-FAMILIES: Final = ("single", "combined", "steady", "programs")
-"""One thing after the other from a list; two or three of them; small ones, one every two minutes;
-those of two processes."""
+FAMILIES: Final = ("single", "combined", "programs")
+"""One thing after the other from a list; two or three of them; those of two processes."""
 PROGRAM_FAULTS: Final = ("companion_off", "planner_off", "planner_stopped")
 ONLY_TWO_PROCESSES: Final = ("planner_off", "planner_stopped")
-_STEADY_EVERY_S: Final = 120.0
-_STEADY_LASTS_S: Final = 60.0
-_STEADY: Final = (
-    *("gps_noise", "gps_delay", "wind", "link_loss", "link_delay", "link_duplication"),
-    *("link_corruption", "radar_off", "radar_loss", "radar_delay"),
-)
-"""None that alone ends a flight."""
 _FROM_S: Final = 35.0
 """About when vehicles are in the air."""
 _UNTIL_S: Final = {"copter": 110.0, "plane": 140.0}
@@ -59,7 +51,6 @@ class Subject:
     vehicle: str
     """`ardupilot-copter`, ..."""
     speed_m_s: float
-    limit_s: float
 
     @property
     def size(self) -> float:
@@ -109,16 +100,6 @@ def drawn(script: FaultScript, subject: Subject) -> tuple[str, str]:
     rows = {name: draw for name, draw in ROWS.items() if _applies(name, subject.vehicle)}
     names = list(PROGRAM_ROWS if script.family == "programs" else rows)
     rng = np.random.default_rng((FAMILIES.index(script.family), script.seed, script.index))
-    if script.family == "steady":
-        times = np.arange(_STEADY_EVERY_S, subject.limit_s, _STEADY_EVERY_S)
-        lasts = f" for {_STEADY_LASTS_S} s: "
-        chosen = [str(rng.choice(_STEADY)) for _ in times]
-        lines = [
-            line if " for " in line else line.replace(": ", lasts, 1)
-            for name, at_s in zip(chosen, times.tolist(), strict=True)
-            for line in rows[name](rng, subject, at_s)
-        ]
-        return "small ones", "\n".join(lines)
     chosen = [names[script.index % len(names)]]
     if script.family == "combined":
         chosen = list(rng.choice(names, int(rng.integers(2, 4)), replace=False))

@@ -63,8 +63,6 @@ class PlaceTable(Table):
     """So many copters in one airspace: a run for each number; left out: one, as the mission is."""
     vehicle: Vehicle | None = None
     """The only one that flies there, where there is no factor `vehicle`."""
-    laps: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    """Back and forth between targets and start, so often in place of once there."""
 
 
 _Budget = keys_of(PlannerSettings, "evaluations").model_fields["evaluations"]
@@ -139,7 +137,6 @@ class Place:
     over: Over | None = None
     vehicles: int | None = None
     vehicle: str | None = None
-    laps: int | None = None
 
 
 @final
@@ -227,8 +224,6 @@ def _check_place(place: PlaceTable, field: str) -> None:
         without = dict.fromkeys(("seed", "first", "count", "indices"), rule)
     elif place.indices is not None:
         without |= dict.fromkeys(("first", "count"), "indices says which worlds are drawn")
-    if place.vehicles is not None:
-        without["laps"] = "several vehicles fly to the other side of their circles, once"
     _refuse_given(place, without, field)
 
 
@@ -263,7 +258,7 @@ def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
         if campaign.factors.vehicle:
             without["vehicle"] = "the factor vehicle says which vehicles fly, at all places"
         if (place.over or over) == "planner":
-            without = dict.fromkeys(("vehicle", "laps"), "the planner alone has no vehicle")
+            without["vehicle"] = "the planner alone has no vehicle"
         _refuse_given(place, without, f"{where}: places[{k}]")
         if place.vehicles and (place.over or over) != "process":
             rule, remedy = "several vehicles fly in one process", 'Write over = "process".'
@@ -346,7 +341,7 @@ def _joined(lists: Iterable[list[str]]) -> tuple[str, ...]:
 
 
 def _places(table: PlaceTable, folder: Path) -> Iterator[Place]:
-    how: Any = {"over": table.over, "vehicle": table.vehicle, "laps": table.laps}
+    how: Any = {"over": table.over, "vehicle": table.vehicle}
     if table.family is not None:
         found = [
             Place(

@@ -12,7 +12,6 @@ from typing import Any, final
 
 import numpy as np
 
-from companion.campaign.growth import Growth
 from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 
@@ -45,7 +44,6 @@ class Flight:
     plans_s: list[float]
     folder: Path
     """With the log of what was said, if it was recorded."""
-    growth: Growth | None = None
 
 
 def truth_of(folder: Path) -> list[dict[str, Any]]:

@@ -9,7 +9,6 @@ from typing import Any, Protocol, final
 
 from companion.campaign.drawn_faults import split
 from companion.campaign.flight import Flight, FlightFiles, truth_of
-from companion.campaign.growth import Growth
 from companion.config import load_mission, mission_text
 from companion.entry_points import Parts
 from companion.errors import InputError
@@ -206,7 +205,6 @@ def fly_here(files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -
         limit_s=limit_s,
         recorded=recorded or bool(to_come),
     )
-    growth = Growth()
     try:
         while flying.flies:
             look_s = flying.now_s + _LOOK_S
@@ -218,7 +216,6 @@ def fly_here(files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -
                 continue
             flying.fly_on(1e6 * look_s)
             flying.write_truth()
-            growth.look(flying.now_s)
     finally:
         flying.close()
-    return replace(flying.flight(), growth=growth if growth.is_known else None)
+    return flying.flight()

@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TIMING = (
-    *("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker"),
-    *("memory_mb", "memory_grown_mb"),
-)
+TIMING = ("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker")
 """Columns that differ from machine to machine; all others are a function of the run."""
 
 
@@ -75,11 +72,6 @@ class Row:
     """With faults: the largest error of the position that it was told."""
     silent_s: float | None = None
     """With faults: longest time without a command in guided mode, while somebody could send one."""
-    memory_mb: float | None = None
-    """Of a flight of hours in one process: in use at its end."""
-    memory_grown_mb: float | None = None
-    """More than after its first hour."""
-    handles_more: int | None = None
     length_m: float | None = None
     """Of what was flown."""
     straight_m: float | None = None

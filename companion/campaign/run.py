@@ -52,8 +52,6 @@ _SPACING_M = 1.0
 _MOST_POINTS = 20_000
 _OF_SHAPE = ("turn radius", "climb angle", "dive angle")
 _TOUCHED = "flown: touched something"
-_MOST_GROWTH_MB = 10.0
-"""In use, from the first hour of a flight to its end."""
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
 _OF_PLACE = ("mission", "family", "family_seed", "family_index", "vehicles")
 _ROOT = "runs"
@@ -254,15 +252,12 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     mission["planner"] = mission.get("planner", {}) | given
     world = with_settings(world, run.world_settings)
     mission = with_settings(mission, run.mission_settings)
-    if place.laps is not None:
-        start = {name: world["vehicle"].get(name, 0.0) for name in ("north_m", "east_m")}
-        mission["targets"] = [*mission["targets"], start] * place.laps
     name, timeline = "", run.timeline
     if run.script is not None:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
         subject = drawn_faults.Subject(
-            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"], limit_s=run.limit_s
+            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"]
         )
         name, more = drawn_faults.drawn(run.script, subject)
         timeline = "\n".join(filter(None, (timeline, more)))
@@ -382,15 +377,6 @@ def _with_faults(flown: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, A
             checked = _near(flown, times_s) | checked
     known = [*verdict.pop("violated"), *filter(None, [checked["violated"]])]
     checked["violations"] += len(known) - bool(checked["violated"])
-    if (growth := flown.growth) is not None:
-        if growth.grown_mb > _MOST_GROWTH_MB or growth.more_handles > 0:
-            known.append(f"grew by {growth.grown_mb:.1f} MB, {growth.more_handles} handles")
-            checked["violations"] += 1
-        verdict |= {
-            "memory_mb": growth.now_mb,
-            "memory_grown_mb": growth.grown_mb,
-            "handles_more": growth.more_handles,
-        }
     if verdict["ending"] == "arrived":
         verdict["reason"] = None
     return checked | verdict | {"violated": "; ".join(known) or None}

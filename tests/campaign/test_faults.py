@@ -30,7 +30,7 @@ TARGET = DRAWN.targets_ne_m[-1]
 
 
 def subject(vehicle: str) -> Subject:
-    return Subject(vehicle=vehicle, speed_m_s=10.0, limit_s=1_000.0)
+    return Subject(vehicle=vehicle, speed_m_s=10.0)
 
 
 # --- draws
