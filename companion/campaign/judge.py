@@ -45,7 +45,7 @@ GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})
 LANDS: Final = frozenset({"LAND", "Land", "Descend", "AUTOLAND"})
 RETURNS: Final = frozenset({"RTL", "Return", "SMARTRTL"})
-THERE: Final = ("arrived", "held and resumed")
+_THERE: Final = ("arrived", "held and resumed")
 """Endings at the target."""
 _BY_ORDER: Final = {"hold": HOLDS, "land": LANDS, "return": RETURNS}
 KNOWN_AFTER_S: Final = 10.0
@@ -97,10 +97,7 @@ class _Told:
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     """The columns of a row that this judge fills in; `violated` in words, empty: nothing."""
     flight, is_cut = _until_stopped(flight)
-    done, told = (
-        happenings(timeline),
-        _told(flight.folder / "flight.tlog", flight.mission.system_id),
-    )
+    done, told = happenings(timeline), _told(flight.folder / "flight.tlog")
     table = _table(flight, drawn, done, told)
     safety_m = drawn.task.settings.safety_distance_m
     terrain_m = _terrain_m(table, drawn)
@@ -123,7 +120,7 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
     if ending.startswith("unexplained"):
         known.append(f"{ending}: {reason}")
-    elif not done and ending not in THERE:
+    elif not done and ending not in _THERE:
         known.append(f"{ending} with nothing wrong: {reason}")
     return {
         "ending": ending,
@@ -153,15 +150,13 @@ def _any(excuses: dict[str, BoolArray]) -> BoolArray:
 # --- the flight as arrays
 
 
-def _told(log: Path, system_id: int | None) -> _Told:
-    """What the companion and its vehicle said to each other; others' frames may be there too."""
+def _told(log: Path) -> _Told:
+    """What the companion and its vehicle said to each other."""
     at_us, of_s, places, sent_us = list[int](), list[float](), list[tuple[float, ...]](), []
     with Records(log) as records:
         while (record := records.take()) is not None:
             us, frame = record
-            number, (system, component) = number_of(frame), sender_of(frame)
-            if system_id not in (None, system):
-                continue
+            number, (_, component) = number_of(frame), sender_of(frame)
             from_vehicle = component == AUTOPILOT_COMPONENT
             if number == _POSITION.id and from_vehicle:
                 told = decoded(frame, _POSITION)

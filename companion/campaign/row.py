@@ -31,8 +31,6 @@ class Row:
     family_seed: int | None = None
     family_index: int | None = None
     mission: str | None = None
-    vehicles: int | None = None
-    """So many in one airspace, whose figures are added up; None: one, as the mission is."""
     vehicle: str | None = None
     """`ardupilot-copter`, ...; of the planner alone: None."""
     profile: str
@@ -93,13 +91,8 @@ class Row:
     """Answers of the planner, refusals too."""
     holds: int | None = None
     """Stops on the way."""
-    vehicles_arrived: int | None = None
-    apart_least_m: float | None = None
-    """Of any two of several vehicles in the air, by where they really were."""
-    separation_kept: float | None = None
-    """The least share of the mission's separation that was, horizontally or vertically."""
     flight_s: float | None = None
-    """Vehicle time from take-off; of several, the longest."""
+    """Vehicle time from take-off."""
     folder: str | None = None
     """Of the run, within the campaign's; empty if it was not kept."""
     error: str | None = None

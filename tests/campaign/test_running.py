@@ -279,7 +279,8 @@ def test_a_full_disk_is_one_line_and_no_result(
         ('keep = "failures"', 'over = "planner"', "the planner alone has no vehicle"),
         ("[factors]", '[factors]\noptimiser = ["luck"]', "refined-de"),
         ("[factors]", "[factors]\nbudget = [1]", "budget"),
-        ("[factors]", 'over = "udp"\nvehicles = [2]\n[factors]', "in one process"),
+        ("[factors]", "vehicles = [2]\n[factors]", "places[0].vehicles"),
+        ("[factors]", 'over = "planner"\n[factors]', "places[0].over"),
         ("[factors]", '[factors]\nknowledge = ["elevation"]', "of the planner alone"),
         ("schema = 1", "schema = [", "not TOML"),
         ("[factors]", "seed = 3\n[factors]", "places[0].seed = 3: it is of a family"),
@@ -290,7 +291,6 @@ def test_a_full_disk_is_one_line_and_no_result(
         (WORLD_ALONE, f"{DENSE}first = 3\nindices = [1]", "places[0].first = 3: indices says"),
         (WORLD_ALONE, f"{DENSE}count = 3\nindices = [1]", "places[0].count = 3: indices says"),
         (WORLD_ALONE, f"{DENSE}indices = []", "places[0].indices"),
-        ("[factors]", "vehicles = []\n[factors]", "places[0].vehicles"),
         (
             "[factors]",
             'vehicle = "px4-copter"\n[factors]\nvehicle = ["ardupilot-copter"]',
@@ -341,13 +341,12 @@ def test_keys_that_the_planner_alone_has_no_use_for_are_refused(
     [
         (["--only", "0", "--most", "1"], "--most = 1: --only says which runs"),
         (["--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs = 2"),
-        (["--over", "process"], "--over = 'process': each place"),
     ],
 )
 def test_options_of_which_one_has_no_effect_are_refused(
     options: list[str], says: str, tmp_path: Path
 ) -> None:
-    path = campaign_file(tmp_path, PLANNED.replace("[factors]", 'over = "planner"\n[factors]'))
+    path = campaign_file(tmp_path, PLANNED)
     with pytest.raises(InputError, match=re.escape(says)):
         campaign_command("run", str(path), "--out", str(tmp_path / "out"), *options)
 
