@@ -72,9 +72,7 @@ def run_command(
     ] = None,
     over: Annotated[
         str | None,
-        typer.Option(
-            help="*process*, *udp* (both programs, over sockets) or *planner*, as the file's."
-        ),
+        typer.Option(help="*process* or *planner*, in place of the file's."),
     ] = None,
     keep: Annotated[
         str | None, typer.Option(help="Run folders to keep: *all*, *failures* or *none*.")

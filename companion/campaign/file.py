@@ -29,7 +29,7 @@ from companion.sources.mission_schema import Name
 from companion.sources.recognised import refuse_other
 from companion.sources.schema import Table, validated
 
-Over = Literal["process", "udp", "planner"]
+Over = Literal["process", "planner"]
 Keep = Literal["all", "failures", "none"]
 Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane"]
 
@@ -257,9 +257,6 @@ def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
             rule = "the planner alone has no vehicle"
             remedy = 'Leave it out, or fly: over = "process".'
             raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
-    if over != "udp" and any(table.family == "programs" for table in campaign.faults):
-        rule = "faults of two processes need two"
-        raise InputError(f"{where}: faults", "programs", rule, "Fly them with --over udp.")
     for factor in ("optimiser", "profile"):
         if getattr(campaign.factors, factor) and _OURS not in (campaign.factors.planner or [_OURS]):
             rule, remedy = "rivals have none", f"Leave it out, or add {_OURS!r} to the planners."

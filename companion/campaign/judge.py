@@ -15,7 +15,7 @@ before, it could not know of it or had no say:
   inside then, or nearer than d_s, has the time to leave it once, by half the mission's speed;
 - it was given back to the companion in there, or nearer than d_s: it has the same time.
 
-Everything else counts: wind, a late or dead planner, lost frames, an autopilot that does not obey.
+Everything else counts: wind, lost frames, an autopilot that does not obey.
 So does an ending without a reason, or one that leaves the vehicle to nobody (`unexplained: ...`),
 unless no command could reach it then: a copter that hears nothing hovers.
 """
@@ -30,7 +30,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from companion.campaign import truth
-from companion.campaign.drawn_faults import Happening, happenings
+from companion.campaign.drawn_faults import KILLED, Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.flight import Flight, crash_of
 from companion.geodesy import BoolArray, FloatArray
@@ -411,7 +411,7 @@ def _touched(flight: Flight, table: _Table) -> tuple[list[str], list[str]]:
 
 def _outages_s(done: Sequence[Happening]) -> list[tuple[float, float]]:
     """When no command could have reached the autopilot, or nobody was there to send one."""
-    ends = [(e.at_s, e.until_s) for e in done if e.what.startswith(("link_off", "companion_off"))]
+    ends = [(e.at_s, e.until_s) for e in done if e.what.startswith(("link_off", KILLED))]
     return [*ends, *((e.at_s, math.inf) for e in done if e.what == "reboot")]
 
 

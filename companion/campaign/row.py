@@ -46,7 +46,7 @@ class Row:
     knowledge: str = "scans"
     """What the planner is told: `scans`; `elevation`, a poor file too; `full`, all of it."""
     over: str
-    """`process`, `udp` or `planner`."""
+    """`process` or `planner`."""
 
     # results
     outcome: str

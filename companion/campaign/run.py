@@ -26,7 +26,6 @@ from companion.campaign import (
     families,
     in_process,
     judge,
-    over_udp,
     truth,
 )  # fmt: skip
 from companion.campaign.drawn_files import write
@@ -132,10 +131,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
         return _planned(run, folder)
     files = _files(run, folder)
     recorded = run.keep != "none" or run.with_faults
-    if run.over == "udp":
-        flown = over_udp.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
-    else:
-        flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
+    flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
     found = _judged(flown, files, with_faults=run.with_faults)
     found |= {"timeline": files.faults or None}
     return found | ({"faults": files.drawn} if run.script is not None else {})
@@ -214,7 +210,7 @@ def _with_factors(drawn: DrawnWorld, run: Run) -> DrawnWorld:
 
 
 def _files(run: Run, folder: Path) -> FlightFiles:
-    """World and mission of a run, with its factors, as both programs read them."""
+    """World and mission of a run, with its factors, as companion and vehicle read them."""
     place = run.place
     if place.family is not None:
         autopilot: Any = (run.vehicle or "ardupilot").partition("-")[0]
