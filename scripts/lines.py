@@ -59,7 +59,8 @@ def main() -> int:
     for row in over:
         print(
             f"budget: {row} = {count[row]:,}: {budget[row][1]:,} are allowed"
-            " (docs/architecture.md). Make what you add pay for itself, or lower another row by as much and say why.",
+            " (docs/architecture.md). Make what you add pay for itself,"
+            " or lower another row by as much and say why.",
             file=sys.stderr,
         )
     return 1 if over else 0
