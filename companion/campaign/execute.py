@@ -14,7 +14,6 @@ from companion.campaign.file import Run
 from companion.campaign.row import Row
 from companion.campaign.run import fly_run, lost_run
 from companion.errors import FlightInterrupted, InputError
-from companion.extras import need
 from companion.runtime.compiler import load_kernel
 from companion.runtime.worker_pool import worker_pool
 
@@ -84,7 +83,6 @@ def fly_on_cluster(runs: Sequence[Run], out: Path, scheduler: str) -> Iterator[R
 
     OSError: no room for a folder.
     """
-    need("cluster", "--scheduler", scheduler)
     from distributed import Client, as_completed
 
     try:
