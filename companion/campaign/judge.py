@@ -105,18 +105,15 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     known, unknown = _breaches("terrain", terrain_m, safety_m, table, excuses)
     touched = _touched(flight, table)
     hit = touched if any(touched) else _crash(flight, table, excuses)
-    for each, found in zip((known, unknown), hit, strict=True):
-        each += found
+    known, unknown = known + hit[0], unknown + hit[1]
     for zone, known_s in _zones(flight, drawn, done):
         gap_m = _gap_m(table.points_nea_m, zone)
         excused = table.excuses | {
             "the zone was new": _new_excuse(gap_m, known_s, table, drawn),
             "it was given back there": _back_excuse(gap_m, table, drawn),
         }
-        for each, found in zip(
-            (known, unknown), _breaches(zone.name, gap_m, safety_m, table, excused), strict=True
-        ):
-            each += found
+        near = _breaches(zone.name, gap_m, safety_m, table, excused)
+        known, unknown = known + near[0], unknown + near[1]
     ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
     if ending.startswith("unexplained"):
         known.append(f"{ending}: {reason}")
