@@ -11,13 +11,11 @@ from typing import Any, final
 from vehicle_sim.autopilots import (
     Ack,
     Autopilot,
-    Event,
     Reboot,
     Reply,
     Report,
     Sender,
     SendMessage,
-    SendParameter,
     SendTelemetry,
     Text,
 )
@@ -172,13 +170,6 @@ class FlightController:
                     self._send(reply.message, reply.to)
                 case SendMessage():
                     self._deliver(reply.message, reply.to)
-                case SendParameter():
-                    self._say_parameter(reply.name)
-                case Event():
-                    boot_ms = (self.now_us - self.boot_us) // 1000
-                    sequence = (self.report.event_sequence + 1) % 65536
-                    self.report.event_sequence = sequence
-                    self._radio.broadcast(messages.event(reply, sequence, boot_ms))
                 case Reboot():
                     self.wants_reboot = True
                 case None:
@@ -197,12 +188,6 @@ class FlightController:
             self._radio.broadcast(message)
         else:
             self._radio.send(message, to.link)
-
-    def _say_parameter(self, name: str) -> None:
-        """ArduPilot sends it to links on which a sender was heard."""
-        for link in self._radio.links:
-            if self._is_px4 or self._radio.router.heard(link):
-                self._radio.send(self._parameter_protocol.value(name), link)
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""

@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
+from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, Text
 from vehicle_sim.autopilots.factory import (
     ids_of,
     make_vehicle,
@@ -365,8 +365,6 @@ class Simulation:
         self._parameters[name] = value
         if self._is_down:
             return
-        if self._world.vehicle.autopilot == "px4":  # also reports changes by clients
-            self._controller.answer([SendParameter(name=name)])
         self._controller.answer(self._controller.autopilot.on_parameter(name))
 
     def _refresh(self) -> None:

@@ -141,8 +141,7 @@ def reached(north_m_s: float, down_m_s: float) -> tuple[float, float]:
 def loss(action: int) -> Seen:
     """The stream stops at 5 m/s, and comes back 8 s later; times after the last setpoint.
 
-    Announced_s: of the two EVENTs; told: whether the text came that no flight task could run;
-    sinks_m_s: between 2 and 5 s after the new mode; metres: flown to the north, from the new mode
+    Sinks_m_s: between 2 and 5 s after the new mode; metres: flown to the north, from the new mode
     on; speed_m_s: at the end; back_s: to OFFBOARD, when the stream is back.
     """
     flight = cruise(loss_action=action)
@@ -164,10 +163,6 @@ def loss(action: int) -> Seen:
         "intended": current.intended_custom_mode,
         "heartbeat_s": beats[0].at_s - last_s,
         "status": status,
-        "announced_s": tuple(
-            flight.events(last_s).get(number, NAN) - last_s for number in (3087815, 14605264)
-        ),
-        "told": any("Matching flight task was not able to run" in t for t in flight.texts(last_s)),
         "sinks_m_s": (heights[20] - heights[50]) / 3.0,
         "climbs_to_m": max(heights.values()),
         "metres": metres,

@@ -59,9 +59,7 @@ def test_quadplane_modes_are_refused(mode: int) -> None:
     rig = Rig()
     rig.run(24.0)
     assert rig.set_mode(mode) is Result.FAILED
-    assert rig.texts[-1] == "Q_ENABLE 0"
     assert rig.set_mode(99) is Result.FAILED
-    assert rig.texts[-1] == "No such mode 99"
 
 
 def test_it_disarms_in_flight_only_by_force() -> None:
@@ -216,7 +214,6 @@ def test_of_a_global_setpoint_only_the_height_is_taken() -> None:
     assert math.hypot(*rig.ne_m) < 150.0
     rig.take(rig.autopilot.on_setpoint(setpoint(6, 50.0, mask=0xDFC)))  # z ignored
     rig.take(rig.autopilot.on_setpoint(setpoint(7, 50.0)))
-    assert rig.texts[-1] == "Invalid coord frame in SET_POSTION_TARGET_GLOBAL_INT"
     rig.take(rig.autopilot.on_setpoint(setpoint(5, math.nan)))
     assert rig.texts[-1].startswith("SIM:")
     rig.run(20.0)
@@ -353,7 +350,6 @@ def test_after_the_mission_it_returns(mission_rig: Rig) -> None:
     rig.set_mode(Mode.AUTO)
     rig.command(400, 1.0)
     rig.run_until(lambda: rig.autopilot.mode == Mode.RTL)
-    assert "Mission complete, changing mode to RTL" in rig.texts
     assert rig.autopilot.status().mission_state == 5
 
 

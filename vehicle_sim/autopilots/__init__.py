@@ -2,7 +2,7 @@
 
 wire/ converts frames to these and back. One module per autopilot: ardupilot/arducopter.py,
 ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of them share, and their
-parts, are beside them.  Parameters and boot messages are data: *.parm and *.boot.
+parts, are beside them.  Parameters are data: *.parm.
 """
 
 import enum
@@ -132,17 +132,6 @@ class Text:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """An EVENT (410) of PX4, to every link."""
-
-    number: int
-    log_levels: int
-    """External in the low half byte, internal in the high one."""
-    arguments: bytes = b""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SendTelemetry:
     """Send the telemetry message of this number once; to all links if no receiver is given."""
 
@@ -161,19 +150,11 @@ class SendMessage:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendParameter:
-    """Broadcast the PARAM_VALUE of a parameter that the autopilot has changed itself."""
-
-    name: str
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Reboot:
     """Reboot: intervals are reset, the UDP source port changes, time_boot_ms begins at 0."""
 
 
-Reply = Ack | Text | Event | SendTelemetry | SendMessage | SendParameter | Reboot
+Reply = Ack | Text | SendTelemetry | SendMessage | Reboot
 
 # --- to tell --------------------------------------------------------------------------------------
 
@@ -295,11 +276,7 @@ class Status(NamedTuple):
     above_ground_m: float | None = None
     """By a distance sensor; None: there is none."""
     fusing: bool = True
-    """The estimator uses GPS, as of the last report of the arming checks (PX4)."""
-    logs_always: bool = False
-    """It writes a log from boot on (PX4)."""
-    position_reported: bool = True
-    """There is a position to fly by, as of that report."""
+    """The estimator uses GPS (PX4)."""
     fence_breached: bool = False
     fence_breaches: int = 0
     logging: bool = False
@@ -327,8 +304,6 @@ class Report:
     unix_us: int = 0
     """GPS time; 0 while there is none."""
     hardware_id: int = 1
-    event_sequence: int = 65525
-    """Of the newest EVENT (PX4)."""
     range_sensors: tuple[int, int] = (0, 0)
     """Bits of SYS_STATUS: proximity and rangefinder, and those of them that are not well."""
     vehicle: Vehicle = field(init=False)

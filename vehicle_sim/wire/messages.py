@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Event, Sender, Setpoint, Text
+from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.dialect import Prepared, make
 
@@ -122,18 +122,6 @@ def texts(value: Text, number: int) -> list[Prepared]:
         )
         for k, start in enumerate(starts)
     ]
-
-
-def event(value: Event, sequence: int, boot_ms: int) -> Prepared:
-    """EVENT of PX4."""
-    return make(
-        "EVENT",
-        id=value.number,
-        event_time_boot_ms=boot_ms,
-        sequence=sequence,
-        log_levels=value.log_levels,
-        arguments=value.arguments.ljust(40, b"\0"),
-    )
 
 
 def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Prepared:

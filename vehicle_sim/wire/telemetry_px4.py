@@ -34,7 +34,6 @@ _UNKNOWN: Final = (_NAN, _NAN, _NAN)
 _PRESENT, _ENABLED, _HEALTH = 33570863, 33636399, 52480063
 """SYS_STATUS as recorded; the bits of the GPS (0x20) and of the position control (0x4000) apart."""
 _AIRSPEED_BIT, _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x10, 0x20, 0x4000, 0x10000000
-_LOGGING_BIT: Final = 0x1000000
 _BOOTING_HEALTH: Final = 52545599
 _SENSORS_FROM_US: Final = 2_100_000
 """Boot to the first report of sensors that are present: 1.6 s + 0.64 s of the log."""
@@ -61,12 +60,10 @@ def _masks(report: Report) -> tuple[int, int, int]:
     present, enabled, health = _PRESENT, _ENABLED, _HEALTH
     if not report.status.fusing:
         present, enabled = present & ~_GPS_BIT, enabled & ~_GPS_BIT
-    if not report.status.position_reported:
+    if not report.estimate.position_ok:
         health &= ~_POSITION_BIT
     if is_plane(report):
         present, enabled = present | _AIRSPEED_BIT, enabled | _AIRSPEED_BIT
-    if report.status.logs_always:
-        present, enabled = present | _LOGGING_BIT, enabled | _LOGGING_BIT
     if report.time_us < _SENSORS_FROM_US:
         present, enabled, health = 0, 0, _BOOTING_HEALTH
     return present, enabled, health | (_PREARM_BIT if report.status.prearm_ok else 0)
@@ -372,11 +369,6 @@ MESSAGES: Final = telemetry.builders(
         "TIME_ESTIMATE_TO_TARGET": {
             "safe_return": _return_s,
             "land mission_next_item mission_end commanded_action": (-1,) * 4,
-        },
-        # so that missed events can be requested; flags 1: the sequence was reset
-        "CURRENT_EVENT_SEQUENCE": {
-            "sequence": lambda r: r.event_sequence,
-            "flags": lambda r: 1 if r.time_us < 3_000_000 else 0,
         },
     }
 )

@@ -19,15 +19,12 @@ from vehicle_sim.autopilots import (
     State,
     Status,
     TargetEcho,
-    Text,
     Waypoint,
 )
 from vehicle_sim.autopilots.ardupilot.autopilot import (
     HEARTBEAT,
     TIMESYNC,
     ArduPilot,
-    Due,
-    boot_of,
     profile,
 )
 from vehicle_sim.autopilots.ardupilot.copter_flight import (
@@ -70,9 +67,7 @@ EKF_CHECKS = 10
 READY_US = 2_450_000
 """From here on the heartbeat says STANDBY."""
 ABOVE_HOME_FRAME = 3
-IN_FLIGHT_ALIGNMENT_M = 2.9
 AVOIDANCE_1_S = 0.5
-SMART_RTL_GIVES_UP_US = 7_120_000
 _IGNORE_YAWS = IGNORE_YAW | IGNORE_YAW_RATE
 ECHO_MASKS = {
     Submode.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
@@ -99,18 +94,11 @@ class ArduCopter(ArduPilot):
         attitude_us=5_900_000,
         origin_after_fix_us=10_000_000,
         using_after_fix_us=31_620_000,
-        origin_texts=((193_000, "EKF3 IMU1 origin set"),),
     )
     PREARM_US: ClassVar[int] = 23_300_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = False
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
     CRASH_TEXT: ClassVar[str] = "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0"
-
-    def boot(self) -> Sequence[Due]:
-        """With the pressure of the ground."""
-        pressure_pa = 101325.0 * (1.0 - 2.25577e-5 * self.vehicle.altitude_amsl_m) ** 5.25588
-        pressures = (("BARO1_GND_PRESS", pressure_pa), ("BARO2_GND_PRESS", pressure_pa - 0.29))
-        return [*((1_930_000, row) for row in pressures), *boot_of("copter")]
 
     def _set_up(self) -> None:
         self.flight = Flight(self, self.vehicle)
@@ -119,8 +107,6 @@ class ArduCopter(ArduPilot):
         self._refused_text: str | None = None
         self._ekf_failures = 0
         self._was_glitching = False
-        self._was_aiding = False
-        self._aligned_in_flight = False
 
     # --- each step ----------------------------------------------------------------------------
 
@@ -139,24 +125,6 @@ class ArduCopter(ArduPilot):
         if ekf.glitching is not self._was_glitching:
             self._was_glitching = ekf.glitching
             self.send_text(2, "GPS Glitch or Compass error" if ekf.glitching else "Glitch cleared")
-        if ekf.aiding is not self._was_aiding:
-            self._was_aiding = ekf.aiding
-            if not ekf.aiding and self.armed:
-                text = Text(severity=4, text="SmartRTL deactivated: bad position")
-                self.later(SMART_RTL_GIVES_UP_US, text)
-        if not self._aligned_in_flight and not self.landed and self.home is not None:
-            up_m = self.estimate.altitude_amsl_m - self.home.altitude_amsl_m
-            if up_m >= IN_FLIGHT_ALIGNMENT_M:
-                self._aligned_in_flight = True
-                for lane in (0, 1):
-                    self.send_text(6, f"EKF3 IMU{lane} MAG0 in-flight yaw alignment complete")
-
-    def _on_origin(self) -> None:
-        super()._on_origin()
-        assert self.home is not None
-        self.change_parameter("BARO1_GND_PRESS", 101325.0625)
-        self.change_parameter("BARO2_GND_PRESS", 101323.640625)
-        self.send_text(6, f"Field Elevation Set: {self.home.altitude_amsl_m:.0f}m")
 
     # --- modes and failsafes --------------------------------------------------------------------
 
@@ -177,9 +145,7 @@ class ArduCopter(ArduPilot):
         if self.armed and self.ekf.origin is not None and not self.ekf.position_ok:
             if self._ekf_failures < EKF_CHECKS:
                 self._ekf_failures += 1
-                if self._ekf_failures == EKF_CHECKS - 1 and self.ekf.primary == 0:
-                    self.ekf.switch_lane(1)
-                elif self._ekf_failures == EKF_CHECKS:
+                if self._ekf_failures == EKF_CHECKS:
                     self.send_text(2, "EKF variance")
                     self.failsafe = True
                     self._on_ekf_failsafe()
@@ -260,7 +226,6 @@ class ArduCopter(ArduPilot):
         """Stop the motors, wherever it is."""
         if self.armed:
             self.send_text(6, "Disarming motors")
-            self.change_parameter("MOT_THST_HOVER", self.parameters["MOT_THST_HOVER"])
         super().disarm()
         self.flight.abandon_takeoff()
 

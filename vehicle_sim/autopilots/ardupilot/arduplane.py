@@ -16,7 +16,6 @@ from vehicle_sim.autopilots import (
     Setpoint,
     State,
     Status,
-    Text,
     Waypoint,
     height_amsl_m,
 )
@@ -24,8 +23,6 @@ from vehicle_sim.autopilots.ardupilot.autopilot import (
     GPS_GLOBAL_ORIGIN,
     HOME_POSITION,
     ArduPilot,
-    Due,
-    boot_of,
     profile,
 )
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
@@ -67,16 +64,11 @@ class ArduPlane(ArduPilot):
         attitude_us=12_300_000,
         origin_after_fix_us=10_220_000,
         using_after_fix_us=11_240_000,
-        origin_texts=((1, "EKF3 IMU1 origin set"),),
     )
     PREARM_US: ClassVar[int] = 22_800_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = True
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
     CRASH_TEXT: ClassVar[str] = "Crash detected"
-
-    def boot(self) -> Sequence[Due]:
-        """The same everywhere."""
-        return boot_of("plane")
 
     def _set_up(self) -> None:
         self.mode = Mode.INITIALISING
@@ -96,20 +88,13 @@ class ArduPlane(ArduPilot):
         elif self.now_us - self._first_fix_us >= HOME_SET_US:
             self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
-            self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
 
     def _on_origin(self) -> None:
         """The estimator's origin is set; it is told two seconds later."""
-        for core in ("EKF2 IMU0", "EKF2 IMU1", "EKF3 IMU0"):
-            self.send_text(6, f"{core} origin set")
-        origin = self.ekf.origin
-        if origin is not None:
-            height_m = round(origin.altitude_amsl_m)
-            self.later(42_000, Text(severity=6, text=f"Field Elevation Set: {height_m}m"))
         self._origin_due_us = self.now_us + ORIGIN_SAID_US
 
     def slow(self) -> None:
-        """Ten times a second: failsafes, fence, statistics, navigation."""
+        """Ten times a second: failsafes, fence, navigation."""
         super().slow()
         if self._origin_due_us is not None and self.now_us >= self._origin_due_us:
             self._origin_due_us = None
@@ -146,13 +131,6 @@ class ArduPlane(ArduPilot):
             self.set_mode(Mode.RTL)
 
     # --- modes ----------------------------------------------------------------------------------
-
-    def set_mode(self, mode: int) -> bool:
-        """Fly in this mode from now on, if it can be."""
-        if 17 <= mode <= 25 and mode not in NAMES:
-            self.send_text(6, "Q_ENABLE 0")
-            return False
-        return super().set_mode(mode)
 
     def enter_mode(self, mode: int) -> str | None:
         """Begin to fly in this mode; plane refuses only those that nobody may choose."""
@@ -277,9 +255,7 @@ class ArduPlane(ArduPilot):
             if setpoint.frame == 7 and navigation.next is not None:
                 self._add_height(-setpoint.position[2])
             return self._taken()
-        if setpoint.frame not in (0, 3, 5, 6, 10, 11):
-            self.send_text(4, "Invalid coord frame in SET_POSTION_TARGET_GLOBAL_INT")
-        elif not setpoint.type_mask & 4:
+        if setpoint.frame in (0, 3, 5, 6, 10, 11) and not setpoint.type_mask & 4:
             altitude_m = self.altitude_amsl_m(setpoint.position[2], setpoint.frame)
             if altitude_m is not None:
                 navigation.set_altitude(altitude_m)
@@ -288,14 +264,11 @@ class ArduPlane(ArduPilot):
         return self._taken()
 
     def _add_height(self, climb_m: float) -> None:
-        navigation, home = self._flight.navigation, self.home
+        navigation = self._flight.navigation
         if not math.isfinite(climb_m):
             self.send_text(2, "SIM: NaN height in a setpoint stops the real autopilot")
         elif navigation.next is not None:
-            altitude_m = navigation.next.altitude_amsl_m + climb_m
-            navigation.set_altitude(altitude_m)
-            above_m = altitude_m - (home.altitude_amsl_m if home else 0.0)
-            self.send_text(6, f"Change alt to {above_m:.1f}")
+            navigation.set_altitude(navigation.next.altitude_amsl_m + climb_m)
 
     # --- arming -------------------------------------------------------------------------------
 
@@ -311,8 +284,6 @@ class ArduPlane(ArduPilot):
 
     def on_armed(self) -> None:
         """The motor may turn."""
-        self.change_parameter("BARO1_GND_PRESS", 101324.0234375)
-        self.change_parameter("BARO2_GND_PRESS", 101324.609375)
         self.send_text(6, "Throttle armed")
         if self.mode == Mode.AUTO:
             self._flight.mission.begin(1)

@@ -1,12 +1,11 @@
 """What ArduCopter and ArduPlane share: modes, commands, arming, failsafes, what there is to tell.
 
 A personality derives from ArduPilot, adds its modes and flies.  Times are microseconds since boot.
-What it says (`send_text`, `send`, `change_parameter`) is collected, and goes out with the answer to
+What it says (`send_text`, `send`) is collected, and goes out with the answer to
 what it is doing.  Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights.
 """
 
 import abc
-import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -26,7 +25,6 @@ from vehicle_sim.autopilots import (
     Result,
     Sender,
     SendMessage,
-    SendParameter,
     SendTelemetry,
     Status,
     Text,
@@ -37,7 +35,7 @@ from vehicle_sim.autopilots.ardupilot.fence import NAMES, Fence
 from vehicle_sim.autopilots.ardupilot.flat_earth import flat_earth_ned_m
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.parameters import Parameter, Parameters, lines_of
+from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
@@ -82,28 +80,12 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
     )
 
 
-Due = tuple[int, Reply | tuple[str, float]]
-"""When since boot, and what: something to say, or a parameter that changes and is said."""
-
-_RPLIDAR_A2 = 5
 _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 SLOW_US = 100_000
-FIRST_STATISTICS_US, STATISTICS_US = 30_440_000, 31_010_000
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 RECOVERY_US = 10_000_000
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
-
-
-def boot_of(name: str) -> list[Due]:
-    """What a vehicle says by itself while it boots: the rows of its `.boot`."""
-    rows: list[Due] = []
-    for at, first, *rest in lines_of(f"ardupilot/{name}.boot", 2):
-        if first.isdigit():
-            rows.append((int(at), Text(severity=int(first), text=rest[0])))
-        else:
-            rows.append((int(at), (first, float(rest[0])) if rest else SendParameter(name=first)))
-    return rows
 
 
 class ArduPilot(abc.ABC):
@@ -139,7 +121,7 @@ class ArduPilot(abc.ABC):
         """The power module's measurements, set by the simulation."""
         self.estimate = Estimate(latitude_deg=0.0, longitude_deg=0.0, altitude_amsl_m=0.0)
         self._out: list[Reply] = []
-        self.ekf = Ekf3(self.estimate, self.TIMING, self._out, rng)
+        self.ekf = Ekf3(self.estimate, self.TIMING, rng)
         self.fence = Fence(self.parameters, plans)
         self.now_us = 0
         self.mode = 0
@@ -148,15 +130,9 @@ class ArduPilot(abc.ABC):
         self.home: Place | None = None
         self.mission_current = 0
         self.failsafe = False
-        self._was_armed = False
+        self._was_armed = self._was_aiding = False
         self._attitude_rad = self.rates_rad_s = (0.0, 0.0, 0.0)
-        self._due = sorted(self.boot(), key=lambda row: row[0])
-        if self.parameters["PRX1_TYPE"] == _RPLIDAR_A2:
-            self.later(3_010_000, Text(severity=6, text="RPLidar A2 hw=6 fw=17.42"))
         self._slow_us = SLOW_US
-        self._statistics_us = FIRST_STATISTICS_US
-        self._flown_us = 0
-        self._said_flown_s = 0
         self._gcs_seen_us: int | None = None
         self._gcs_lost = False
         self._battery_low_since_us: int | None = None
@@ -169,10 +145,6 @@ class ArduPilot(abc.ABC):
     @abc.abstractmethod
     def _set_up(self) -> None:
         """The end of the construction: the personality's own parts and memory."""
-
-    @abc.abstractmethod
-    def boot(self) -> Sequence[Due]:
-        """What it says by itself while it boots."""
 
     # --- saying things ----------------------------------------------------------------------------
 
@@ -187,16 +159,6 @@ class ArduPilot(abc.ABC):
     def reply(self, reply: Reply) -> None:
         """Anything else."""
         self._out.append(reply)
-
-    def change_parameter(self, name: str, value: float) -> None:
-        """Set a parameter and broadcast it."""
-        if name in self.parameters:
-            self.parameters[name] = value
-            self._out.append(SendParameter(name=name))
-
-    def later(self, after_us: int, what: Reply | tuple[str, float]) -> None:
-        """Send this after a delay."""
-        bisect.insort(self._due, (self.now_us + after_us, what), key=lambda row: row[0])
 
     def reached(self, number: int) -> None:
         """Send MISSION_ITEM_REACHED to all links."""
@@ -218,8 +180,6 @@ class ArduPilot(abc.ABC):
         ekf.step(now_us, self.vehicle, fix)
         if ekf.became_origin:
             self._on_origin()
-        if self._due and self._due[0][0] <= now_us:
-            self._say_due()
         if self.parameters.version != self._parameters_version:
             self._parameters_version = self.parameters.version
             self.read_parameters()
@@ -241,14 +201,12 @@ class ArduPilot(abc.ABC):
         """Some parameter has changed."""
 
     def slow(self) -> None:
-        """Ten times a second: failsafes, fence, statistics."""
-        if self.armed and self.flying:
-            self._flown_us += SLOW_US
+        """Ten times a second: failsafes, fence."""
         self._watch_attitude()
-        if self.now_us >= self._statistics_us:
-            first = self._statistics_us == FIRST_STATISTICS_US
-            self._statistics_us += 30_010_000 if first else STATISTICS_US
-            self.say_statistics()
+        if self.ekf.aiding is not self._was_aiding:
+            self._was_aiding = self.ekf.aiding
+            how = "is using GPS" if self.ekf.aiding else "stopped aiding"
+            self.send_text(6, f"EKF3 IMU0 {how}")
         self._check_fence()
         self._check_gcs()
         self._check_battery()
@@ -270,28 +228,10 @@ class ArduPilot(abc.ABC):
         """Whether flight time counts."""
         return not self.landed
 
-    def _say_due(self) -> None:
-        while self._due and self._due[0][0] <= self.now_us:
-            what = self._due.pop(0)[1]
-            if isinstance(what, tuple):
-                self.change_parameter(*what)
-            else:
-                self._out.append(what)
-
     def _on_origin(self) -> None:
         """The estimator's origin is set, and home with it."""
         self.home = self.ekf.origin
         self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
-        self.send_text(6, "EKF3 IMU0 origin set")
-        self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
-
-    def say_statistics(self) -> None:
-        """Send flight time, if changed, and run time: unsolicited PARAM_VALUEs."""
-        flown_s = self._flown_us // 1_000_000
-        if flown_s != self._said_flown_s:
-            self._said_flown_s = flown_s
-            self.change_parameter("STAT_FLTTIME", flown_s)
-        self.change_parameter("STAT_RUNTIME", self.now_us // 1_000_000)
 
     # --- failsafes --------------------------------------------------------------------------------
 
@@ -396,7 +336,6 @@ class ArduPilot(abc.ABC):
     def set_mode(self, mode: int) -> bool:
         """Fly in this mode from now on, if it can be."""
         if mode not in self.MODES:
-            self.send_text(4, f"No such mode {mode}")
             return False
         if mode == self.mode:
             return True
@@ -446,7 +385,6 @@ class ArduPilot(abc.ABC):
         if was_breached and self.fence.enabled:
             self._fence_left_alone_us = self.now_us + RECOVERY_US
             self.fence.breached = was_breached
-            self.send_text(6, "Manual recovery started")
         return Result.ACCEPTED
 
     def place_of(self, command: Command) -> Place | Result:
@@ -587,7 +525,6 @@ class ArduPilot(abc.ABC):
         self.armed = False
         if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
             self.fence.enabled = False
-        self.ekf.to_first_lane()
 
     def crash(self) -> Sequence[Reply]:
         """It has hit something."""
@@ -599,13 +536,9 @@ class ArduPilot(abc.ABC):
     # --- the rest of the protocol -----------------------------------------------------------------
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
-        """A parameter has been set from outside; of a vector all three are told."""
+        """A parameter has been set from outside."""
         if name == "FENCE_ENABLE":
             self.fence.enabled = bool(self.parameters[name])
-        if name.startswith("SIM_GPS1_GLTCH_"):
-            return [
-                SendParameter(name=f"SIM_GPS1_GLTCH_{axis}") for axis in "XYZ" if axis != name[-1]
-            ]
         return ()
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
@@ -614,9 +547,8 @@ class ArduPilot(abc.ABC):
         name, count = names.get(kind, "RALLY_TOTAL"), len(self.plans[kind])
         if kind is PlanKind.FENCE:
             self.fence.load(self.now_us)
-        if self.parameters[name] != count:
-            self.change_parameter(name, count)
-        return self._taken()
+        self.parameters[name] = count
+        return ()
 
     def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
         """Fault: the estimator resets and its position jumps by this much."""

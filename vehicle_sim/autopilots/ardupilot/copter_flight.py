@@ -179,7 +179,6 @@ class Flight:
             self._landed_us = now_us
             host.landed = True
             self.guided.stop()
-            host.say_statistics()
         if self._landed_us is not None and host.armed:
             waits_us = host.parameters["DISARM_DELAY"] * 1e6
             if self.landing:
@@ -200,14 +199,11 @@ class Flight:
 
     def _touch_down(self, ground_amsl_m: float) -> None:
         """Come to rest on the terrain, or in it."""
-        copter, host = self.copter, self.host
-        sinking = -copter.velocity_up_m_s
-        copter.stand(ground_amsl_m)
+        self.copter.stand(ground_amsl_m)
         self.on_ground = True
         self.abandon_takeoff()
         self.control.rest()
-        host.send_text(6, f"SIM Hit ground at {sinking:f} m/s")
-        self._touched_us = host.now_us
+        self._touched_us = self.host.now_us
 
     def crash(self) -> None:
         """Who lies on the ground need not wait to believe it."""

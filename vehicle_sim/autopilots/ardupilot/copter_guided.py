@@ -128,7 +128,7 @@ def _place(setpoint: Setpoint, bearings: SetpointFrames, *, use_velocity: bool) 
         return Stop()
     height_m = height_amsl_m(setpoint.frame, altitude_m, bearings.home.altitude_amsl_m)
     if height_m is None:
-        return Stop(text=f"Unknown mavlink coordinate frame {setpoint.frame}")
+        return Stop()
     return Place(latitude_deg, longitude_deg, height_m)
 
 

@@ -5,7 +5,6 @@ Navigation is run ten times a second, attitude and height at every step.
 
 import enum
 import math
-from collections.abc import Callable
 from typing import final
 
 from vehicle_sim.autopilots import Landed, Place, Waypoint
@@ -35,8 +34,7 @@ LIFT_OFF_SHARE = 0.86
 FLYING_M_S = 2.5
 """Ground speed that counts as flying."""
 AIMED_M_S = 5.0
-"""Ground speed at which TAKEOFF settles where it goes, and says so; then where it would land."""
-DIRECTED_M_S = 6.8
+"""Ground speed at which TAKEOFF settles where it goes."""
 CLIMB_AIRSPEED = 1.225
 """At full throttle and nose up, over cruising airspeed."""
 CLIMB_M_S = 9.9
@@ -55,16 +53,13 @@ class Stage(enum.Enum):
 
 @final
 class Takeoff:
-    """One take-off after another; says what the real one says."""
+    """One take-off after another."""
 
-    def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
+    def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
-        self._say = say
         self.stage = Stage.IDLE
         self._since_s = 0.0
         self._throttle = 0.0
-        self._levelling = False
-        self._directed = False
 
     def abandon(self) -> None:
         """Abandon the take-off."""
@@ -80,17 +75,12 @@ class Takeoff:
         parameters = self._parameters
         if self.stage is Stage.IDLE:
             self.stage, self._since_s = Stage.WAITING, 0.0
-            self._levelling = self._directed = False
-            delay_s = parameters["TKOFF_THR_DELAY"] * 0.1
-            self._say(6, f"Armed AUTO, xaccel = 0.0 m/s/s, waiting {delay_s:.1f} sec")
         self._since_s += dt_s
-        speed = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
         if self.stage is Stage.WAITING:
             if self._since_s < parameters["TKOFF_THR_DELAY"] * 0.1:
                 plane.roll_on_ground(-3.0, dt_s)
                 return False
             self.stage, self._throttle = Stage.RUNNING, 0.0
-            self._say(6, f"Triggered AUTO. GPS speed = {speed:.1f}")
         slew = parameters["THR_SLEWRATE"] * 0.01 or 100.0
         self._throttle = min(self._throttle + slew * dt_s, parameters["THR_MAX"] * 0.01)
         thrust = FULL_THRUST_M_S2 * self._throttle**1.5
@@ -101,20 +91,6 @@ class Takeoff:
             self.stage = Stage.CLIMBING
             return True
         return False
-
-    def tell_direction(self, plane: Plane, speed_m_s: float) -> None:
-        """Once, fast enough on the runway."""
-        if not self._directed and speed_m_s >= DIRECTED_M_S:
-            self._directed = True
-            course = math.atan2(plane.velocity_east_m_s, plane.velocity_north_m_s)
-            whole_deg = math.floor(math.degrees(course) - 1e-3) % 360
-            self._say(6, f"Autoland direction= {whole_deg}")
-
-    def tell_level_off(self, to_go_m: float) -> None:
-        """Once, TKOFF_PLIM_SEC before the height is reached."""
-        if not self._levelling and to_go_m <= CLIMB_M_S * self._parameters["TKOFF_PLIM_SEC"]:
-            self._levelling = True
-            self._say(6, f"Takeoff level-off starting at {int(to_go_m)}m")
 
     def bank_limit_rad(self, climbed_m: float) -> float:
         """How far it may bank at this height above the runway."""
@@ -151,8 +127,8 @@ class Flight:
         plane.turn_efficiency = TURN_EFFICIENCY
         parameters = host.parameters
         self.navigation = Navigation(host.estimate, plane, parameters)
-        self.takeoff = Takeoff(parameters, host.send_text)
-        self.guided = Guided(parameters, host.send_text)
+        self.takeoff = Takeoff(parameters)
+        self.guided = Guided(parameters)
         self.mission = Mission(host, plane, self.navigation, self.guided)
         self.heights = HeightControl(climb_max_m_s=5.0, sink_max_m_s=5.0)
         self.flying = False
@@ -165,7 +141,6 @@ class Flight:
         """True airspeed to hold now; it follows the demand as fast as the throttle can."""
         self._demand_m_s = 22.0
         self._start: Place | None = None
-        self._aimed = False
         """TAKEOFF has settled where it goes."""
         self._settling = False
         """Climbing on with the speed that is left from a take-off."""
@@ -215,10 +190,8 @@ class Flight:
         missing_m = parameters["TKOFF_ALT"] - above_m
         navigation.active_radius_m = 0.0
         if missing_m <= 0.0:
-            self._host.send_text(6, "Above TKOFF alt - loitering")
             navigation.start(here, here)
             return
-        self._host.send_text(6, "Climbing to TKOFF alt then loitering")
         self._aim_ahead(missing_m)
 
     def _aim_ahead(self, up_m: float) -> None:
@@ -291,22 +264,11 @@ class Flight:
             if navigation.next is None or speed < AIMED_M_S or navigation.distance_m < 1.0:
                 self._start = here
                 self._aim_ahead(parameters["TKOFF_ALT"])
-                self._aimed = False
-            elif not self._aimed:
-                self._aimed = True
-                course_deg = math.degrees(self.navigation.course_rad) % 360.0
-                self._host.send_text(
-                    6,
-                    f"Takeoff to {parameters['TKOFF_ALT']:.0f}m for "
-                    f"{parameters['TKOFF_DIST']:.1f}m heading {course_deg:.1f} deg",
-                )
-            self.takeoff.tell_direction(plane, speed)
         bank = navigation.circle(0.0)
         if stage is not Stage.CLIMBING or self._start is None:
             return bank
         climbed_m = here.altitude_amsl_m - self._start.altitude_amsl_m
         to_go_m = parameters["TKOFF_ALT"] - climbed_m
-        self.takeoff.tell_level_off(to_go_m)
         if to_go_m <= 2.0 or distance_m(self._start, here) >= parameters["TKOFF_DIST"]:
             self._end_climb()
             host.took_off()
@@ -322,7 +284,6 @@ class Flight:
         if not mission.runs and host.armed and not host.landed:
             self.mission_over = True
             host.set_mode(Mode.RTL)
-            self._host.send_text(6, "Mission complete, changing mode to RTL")
             return 0.0
         if self.takeoff.stage is Stage.CLIMBING:
             if not mission.takes_off:
@@ -370,8 +331,6 @@ class Flight:
         if host.mode == Mode.INITIALISING and host.now_us >= READY_US:
             host.mode = Mode.MANUAL
             host.send(HEARTBEAT)
-        if host.ekf.began_aiding:
-            host.send_text(6, "AHRS: EKF3 active")
         if host.landed:
             self._on_ground(dt_s, ground_amsl_m)
             return

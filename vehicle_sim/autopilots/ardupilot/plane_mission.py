@@ -5,7 +5,6 @@ from there on the plane sinks wings level.
 """
 
 import math
-from collections.abc import Callable
 from typing import final
 
 from vehicle_sim.autopilots import FRAMES_AMSL, Place
@@ -31,9 +30,8 @@ _LATERAL_LEAST_M_S2 = 0.05
 class Guided:
     """DO_CHANGE_SPEED, GUIDED_CHANGE_SPEED and GUIDED_CHANGE_HEADING."""
 
-    def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
+    def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
-        self._say = say
         self.cruise_m_s: float | None = None
         """Airspeed of DO_CHANGE_SPEED, in AUTO too."""
         self.holds_heading = False
@@ -64,7 +62,6 @@ class Guided:
         if not parameters["AIRSPEED_MIN"] <= speed_m_s <= parameters["AIRSPEED_MAX"]:
             return False
         self.cruise_m_s = speed_m_s
-        self._say(6, f"Set airspeed {int(speed_m_s)} m/s")
         return True
 
     def set_speed(self, airspeed_m_s: float, acceleration_m_s2: float) -> None:

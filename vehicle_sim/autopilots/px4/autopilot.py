@@ -14,7 +14,6 @@ import numpy as np
 from vehicle_sim.autopilots import (
     Ack,
     Command,
-    Event,
     FirmwareProfile,
     Landed,
     Place,
@@ -26,12 +25,12 @@ from vehicle_sim.autopilots import (
     State,
     Status,
     TargetEcho,
+    Text,
     Waypoint,
 )
-from vehicle_sim.autopilots.px4 import failsafe, health
+from vehicle_sim.autopilots.px4 import failsafe
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
 from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Stations
-from vehicle_sim.autopilots.px4.health import Gimbal, LoggerState, text
 from vehicle_sim.autopilots.px4.mission import Fence, Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
     CUSTOM_MODES,
@@ -59,9 +58,8 @@ CAPABILITIES: Final = 0xE8FF
 SOFTWARE_VERSION: Final = 0x01110040
 CUSTOM_VERSION: Final = bytes((0, 0, 0, 178, 57, 165, 123, 187))
 
-_ON_EVENT: Final = (42, 46, 49, 77, 148, 300, 410, 411)
+_ON_EVENT: Final = (42, 46, 49, 77, 148, 300)
 _BY_RATE: Final = {
-    0.33: (411,),
     0.5: (147, 241, 242, 380, 436),
     1.0: (0, 2, 4, 8, 29, 42, 230, 441, 12901, 12904),
     5.0: (1, 245),
@@ -89,7 +87,7 @@ def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile
         custom_version=CUSTOM_VERSION,
         first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
-        streamable=(every | {49, 410}) - _NOT_STREAMABLE - {148, 300},
+        streamable=(every | {49}) - _NOT_STREAMABLE - {148, 300},
         requestable=every | frozenset(_ON_EVENT),
     )
 
@@ -100,8 +98,6 @@ LANDED_US: Final = 1_800_000
 """Contact to "landing detected": 54.6 to 56.4 s of px4-offboard-short.tlog."""
 _CHECK_PHASE_US: Final = 60_000
 """The checks run ten times a second: events at x.06 s in the logs."""
-_FIRST_REPORT_US: Final = 2_060_000
-"""The arming checks are told for the first time."""
 _STILL_US: Final = 2_000_000
 """Disarmed to the estimator's constant-position mode."""
 _LOW_M: Final = 1.2
@@ -131,8 +127,6 @@ class Px4(abc.ABC):
     """Of its parameters."""
     profile: FirmwareProfile
     measures_airspeed = False
-    learns = False
-    """Calibrates its accelerometer in flight."""
 
     def __init__(
         self,
@@ -178,11 +172,8 @@ class Px4(abc.ABC):
         self.stations = Stations()
         self.pilot_present = False
         """Holds the sticks centred: without one the manual modes sink."""
-        self.gimbal = Gimbal()
         self.offboard_signal = False
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
-        self._checks = health.Checks(airspeed=self.measures_airspeed)
-        self._diary = LoggerState(self.parameters, rng)
         self._incidents = Incidents()
         self._remember_nothing()
         self._set_up()
@@ -292,8 +283,6 @@ class Px4(abc.ABC):
         self._turning_s = dt_s
         if self.armed and self.landed:
             self._disarm_by_itself()
-        if now_us >= self.gimbal.due_us:
-            self.emit(*self.gimbal.take(now_us))
         if not self._said:
             return ()
         said, self._said = self._said, []
@@ -380,8 +369,7 @@ class Px4(abc.ABC):
             base_mode=base_mode(mode, armed=armed),
             system_status=self._system_status(),
             landed_state=self._landed_state(),
-            prearm_ok=self.now_us >= ARMABLE_US
-            and self._can_arm(self._checks.reported_position_ok, self._checks.reported_signal),
+            prearm_ok=self.armable,
             origin=self.origin,
             waypoint=self._waypoint() if armed and mode in NAVIGATED else None,
             intended_mode=CUSTOM_MODES[self.intended],
@@ -389,9 +377,7 @@ class Px4(abc.ABC):
             mission_state=self.mission.state,
             mission_total=self.mission.total,
             above_ground_m=self._height_m,
-            fusing=self._checks.reported_fusing,
-            logs_always=self._checks.logs_always,
-            position_reported=self._checks.reported_position_ok,
+            fusing=self._fusing,
             fence_breached=self.fence.breached,
             fence_breaches=self.fence.breaches,
             failsafe=armed and self.action > Action.WARN,
@@ -416,16 +402,16 @@ class Px4(abc.ABC):
         """Send these at the end of the step."""
         self._said.extend(replies)
 
+    def say(self, severity: int, words: str) -> None:
+        """A STATUSTEXT; PX4 ends those that are events as well with a tab."""
+        self.emit(Text(severity=severity, text=words + "\t"))
+
     def _took_off(self) -> None:
         """The land detector sees it in the air."""
         if self.landed:
             self.landed = False
             self._flown = True
             self._contact_us = self._landed_us = None
-            self.emit(
-                Event(number=health.TAKEOFF_DETECTED, log_levels=health.INFO),
-                text(6, "Takeoff detected"),
-            )
 
     def _contact(self, *, pressed: bool) -> None:
         """Stands on the ground, and does not want up (pressed) or does."""
@@ -437,10 +423,6 @@ class Px4(abc.ABC):
         elif self.now_us - self._contact_us >= LANDED_US:
             self.landed = True
             self._landed_us = self.now_us
-            self.emit(
-                Event(number=health.LANDING_DETECTED, log_levels=health.INFO),
-                text(6, "Landing detected"),
-            )
 
     def finish_takeoff(self) -> None:
         """The take-off has reached its height: Hold (COM_TAKEOFF_ACT 0)."""
@@ -450,11 +432,9 @@ class Px4(abc.ABC):
 
     def _check(self) -> None:
         """Ten times a second: arming checks, incidents; what follows is done in the next step."""
-        now_us, parameters, estimate = self.now_us, self.parameters, self.estimate
-        self._said += self._diary.due(now_us)
+        now_us, parameters = self.now_us, self.parameters
         if self.stations.misses_companion(now_us, parameters["COM_OBC_LOSS_T"]):
-            self.emit(text(2, "Connection to mission computer lost"))
-        self._checks.logs_always = self._diary.logs_always
+            self.say(2, "Connection to mission computer lost")
         self._still = not self.armed and now_us - self._disarmed_us >= _STILL_US
         self._low = self._height_m < _LOW_M and not self.landed and self.mode is not Mode.TAKEOFF
         self.ekf.lag_s = parameters["EKF2_GPS_DELAY"] * 1e-3
@@ -463,15 +443,6 @@ class Px4(abc.ABC):
         self.offboard_signal = signal_us is not None and now_us - signal_us <= lost_us
         if self.ekf.fusing != self._fusing:
             self._tell_fusion()
-        if now_us >= _FIRST_REPORT_US:
-            armable = estimate.position_ok and now_us >= ARMABLE_US
-            events = self._checks.report(
-                now_us,
-                position_ok=armable,
-                offboard_signal=self.offboard_signal,
-                fusing=self._fusing,
-            )
-            self._said.extend(events)
         if self.armed:
             self._watch_ground_station()
             self._watch_fence()
@@ -482,12 +453,8 @@ class Px4(abc.ABC):
         self._fusing = self.ekf.fusing
         if not self._flown:
             return
-        number = health.FUSION_STARTED if self._fusing else health.FUSION_STOPPED
         words = "started" if self._fusing else "stopped"
-        self.emit(
-            Event(number=number, log_levels=health.INFO),
-            text(6, f"GNSS data fusion {words}"),
-        )
+        self.say(6, f"GNSS data fusion {words}")
 
     def _watch_ground_station(self) -> None:
         """If NAV_DLL_ACT says that it matters."""
@@ -513,7 +480,7 @@ class Px4(abc.ABC):
         chosen = failsafe.FENCE.get(int(parameters["GF_ACTION"]), Action.WARN)
         action = chosen if breached else Action.NONE
         if self._incidents.note(Cause.FENCE, action):
-            self.emit(text(4, "Geofence: approaching or outside geofence"))
+            self.say(4, "Geofence: approaching or outside geofence")
 
     def _watch_battery(self) -> None:
         parameters = self.parameters
@@ -521,7 +488,7 @@ class Px4(abc.ABC):
         choice = int(parameters["COM_LOW_BAT_ACT"])
         action = failsafe.battery_action(self.battery.remaining, thresholds, choice)
         if self._incidents.note(Cause.BATTERY, action):
-            self.emit(text(2, "Critical battery level, land now"))
+            self.say(2, "Critical battery level, land now")
 
     def _select(self) -> None:
         """Which mode is flown now."""
@@ -542,23 +509,13 @@ class Px4(abc.ABC):
             worse = action > self.action
             self.action = action
             if worse and action > Action.WARN:
-                self._tell_failsafe(action)
+                self.say(2, "Failsafe activated")
         if action in (Action.DISARM, Action.TERMINATE):
-            self.disarm(health.DISARMED_BY_COMMAND)
+            self.disarm("external command")
             return
         mode = failsafe.MODES.get(action, intended)
         if mode is not self.mode:
             self._change(mode)
-
-    def _tell_failsafe(self, action: Action) -> None:
-        arguments = CUSTOM_MODES[self.intended].to_bytes(4, "little") + bytes((action,))
-        number = health.DISENGAGED if action is Action.DESCEND else health.FAILSAFE
-        self.emit(
-            Event(number=number, log_levels=health.CRITICAL, arguments=arguments),
-            text(2, "Failsafe activated"),
-        )
-        if failsafe.MODES.get(action) in MANUAL_MODES and not self.pilot_present:
-            self.emit(text(4, "Matching flight task was not able to run"))
 
     # --- modes and arming ---------------------------------------------------------------------
 
@@ -567,8 +524,6 @@ class Px4(abc.ABC):
         before, self.mode = self.mode, mode
         if mode is Mode.OFFBOARD and before is not Mode.OFFBOARD:
             self.target = None
-        if not self.landed and mode is Mode.LAND:
-            self.gimbal.straighten(self.now_us)
         if before is Mode.MISSION:
             self.mission.pause()
         if mode is Mode.MISSION:
@@ -628,7 +583,7 @@ class Px4(abc.ABC):
         if self.armed:
             return Result.ACCEPTED
         if not forced and not self.armable:
-            self.emit(text(2, "Arming denied: Resolve system health failures first"))
+            self.say(2, "Arming denied: Resolve system health failures first")
             return Result.TEMPORARILY_REJECTED
         now_us = self.now_us
         self.armed = True
@@ -636,38 +591,27 @@ class Px4(abc.ABC):
         self._armed_us, self._landed_us, self._contact_us = now_us, None, None
         if self.estimate.position_ok:
             self.home = self.estimate.place
-        arguments = bytes((health.ARMED_BY_COMMAND,))
-        self.emit(
-            Event(number=health.ARMED, log_levels=health.INFO, arguments=arguments),
-            text(6, "Armed by external command"),
-        )
-        self._said += self._diary.arm(now_us)
+        self.say(6, "Armed by external command")
         self._begin(self.mode, self.mode)
         return Result.ACCEPTED
 
-    def disarm(self, reason: int) -> None:
+    def disarm(self, by: str) -> None:
         """Stop the motors.  The mode returns to the one last commanded for flight."""
         if not self.armed:
             return
         self.armed = False
         self._disarmed_us = self.now_us
-        if reason == health.DISARMED_BY_LANDING:
-            calm = self.learns and self.ekf.resets == 0
-            self._said += self._diary.book(self.now_us - self._armed_us, calm=calm)
         self.landed = self.landed or self._contact_us is not None
         self._incidents.forget()
         self.intended = self._after_disarming
-        self.emit(
-            Event(number=health.DISARMED, log_levels=health.INFO, arguments=bytes((reason,))),
-            text(6, f"Disarmed by {health.REASONS.get(reason, 'landing')}"),
-        )
+        self.say(6, f"Disarmed by {by}")
         self.action = Action.NONE
         if self.intended is not self.mode:
             self._change(self.intended)
 
     def crash(self) -> Sequence[Reply]:
         """It has hit something, which its failure detector notices at once."""
-        self.disarm(health.DISARMED_BY_FAILURE)
+        self.disarm("failure detector")
         said, self._said = self._said, []
         return said
 
@@ -677,11 +621,11 @@ class Px4(abc.ABC):
         if self._landed_us is not None:
             wait_s = self.parameters["COM_DISARM_LAND"]
             if wait_s > 0.0 and now_us - self._landed_us >= wait_s * 1e6:
-                self.disarm(health.DISARMED_BY_LANDING)
+                self.disarm("landing")
         else:
             wait_s = self.parameters["COM_DISARM_PRFLT"]
             if wait_s > 0.0 and now_us - self._armed_us >= wait_s * 1e6:
-                self.disarm(health.DISARMED_UNFLOWN)
+                self.disarm("auto preflight disarming")
 
     def _system_status(self) -> int:
         if self.armed:

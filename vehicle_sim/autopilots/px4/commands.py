@@ -10,17 +10,14 @@ from typing import Final
 from vehicle_sim.autopilots import (
     HIGHEST_HOME_M,
     Command,
-    Event,
     Place,
     Reboot,
     Result,
     SendTelemetry,
     height_amsl_m,
 )
-from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.autopilot import Handler, Px4
-from vehicle_sim.autopilots.px4.health import text
-from vehicle_sim.autopilots.px4.modes import MAIN_AUTO, MANUAL_MODES, Mode, mode_of
+from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode, mode_of
 
 _FORCE: Final = 21196.0
 _HIGHEST_M: Final = 1e5
@@ -49,8 +46,6 @@ def _set_mode(px4: Px4, command: Command) -> Result:
         return Result.TEMPORARILY_REJECTED
     mode = mode_of(int(main), int(sub))
     if mode is None:
-        if main == MAIN_AUTO:  # follow-me, precision landing, ...
-            px4.emit(text(2, "Unsupported auto mode"))
         return Result.TEMPORARILY_REJECTED
     return px4.command_mode(mode)
 
@@ -62,37 +57,23 @@ def _arm(px4: Px4, command: Command) -> Result:
     if wanted == 1.0:
         return px4.arm(forced=force == _FORCE)
     if px4.armed and not px4.landed and force != _FORCE and px4.mode not in MANUAL_MODES:
-        px4.emit(text(2, "Disarming denied: not landed"))
         return Result.TEMPORARILY_REJECTED
-    px4.disarm(health.DISARMED_BY_COMMAND)
+    px4.disarm("external command")
     return Result.ACCEPTED
 
 
 def _take_off(px4: Px4, command: Command) -> Result:
-    place = _place(px4, command)
-    result = px4.command_mode(Mode.TAKEOFF, takeoff=place)
-    if result is not Result.ACCEPTED:
-        px4.emit(text(2, "Takeoff denied! Please disarm and retry"))
-    return result
+    return px4.command_mode(Mode.TAKEOFF, takeoff=_place(px4, command))
 
 
 def _land(px4: Px4, command: Command) -> Result:
     latitude_deg, longitude_deg, _ = _place(px4, command)
     given = math.isfinite(latitude_deg) and math.isfinite(longitude_deg)
-    result = px4.command_mode(Mode.LAND, land=(latitude_deg, longitude_deg) if given else None)
-    if result is Result.ACCEPTED:
-        px4.emit(
-            Event(number=health.LANDING_HERE, log_levels=health.INFO),
-            text(6, "Landing at current position"),
-        )
-    return result
+    return px4.command_mode(Mode.LAND, land=(latitude_deg, longitude_deg) if given else None)
 
 
 def _return(px4: Px4, _: Command) -> Result:
-    result = px4.command_mode(Mode.RTL)
-    if result is Result.ACCEPTED:
-        px4.emit(text(6, "Returning to launch"))
-    return result
+    return px4.command_mode(Mode.RTL)
 
 
 def _reposition(px4: Px4, command: Command) -> Result:
@@ -101,7 +82,6 @@ def _reposition(px4: Px4, command: Command) -> Result:
     if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
         north_m, east_m = px4.projection.to_local(latitude_deg, longitude_deg)
         if not px4.fence.allows(px4.projection, north_m, east_m):
-            px4.emit(text(2, "Reposition is outside geofence"))
             return Result.DENIED
     flags, yaw = command.parameters[1], command.parameters[3]
     switches = math.isfinite(flags) and bool(int(flags) & 1)

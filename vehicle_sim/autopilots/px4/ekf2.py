@@ -92,8 +92,6 @@ class Ekf2:
         self._booted = False
         self.fusing = False
         """Whether GPS is in use: "GNSS data fusion stopped" and "started" tell its changes."""
-        self.resets = 0
-        """Jumps of the position so far."""
         self.estimate = Estimate(
             latitude_deg=vehicle.latitude_deg,
             longitude_deg=vehicle.longitude_deg,
@@ -153,7 +151,6 @@ class Ekf2:
     def shift(self, north_m: float, east_m: float) -> None:
         """Fault: the position jumps by this much at once."""
         self._error_m += complex(north_m, east_m)
-        self.resets += 1
 
     def _take(self, now_us: int, vehicle: Vehicle, fix: Fix) -> None:
         """A new fix."""
@@ -213,7 +210,6 @@ class Ekf2:
         self._rate_m_s, self._climb_m_s = 0j, 0.0
         self._drifting = False
         self._refused_us = self._fix_us
-        self.resets += 1
 
     def _stir(self, *, still: bool) -> None:
         """The errors that are always there: velocities wander, and the position with them."""

@@ -13,7 +13,7 @@ import cmath
 import math
 from typing import Final, final
 
-from vehicle_sim.autopilots import Event, TargetEcho, Waypoint
+from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
@@ -27,20 +27,12 @@ from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 # second later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing contact at
 # 436.0, 0.9 m/s and "landing detected" at 438.7 s after boot.  A landing ends without a flare.
 
-ON_RUNWAY: Final = Event(number=18146901, log_levels=0x66)
-"""Takeoff on """
-ROTATING: Final = Event(number=27229571, log_levels=0x66)
-"""Takeoff airspeed reached, climbout."""
-CLEARED: Final = Event(number=26123793, log_levels=0x66)
-"""Reached clearance altitude."""
 TAKEOFF_SEEN_M_S: Final = 6.6
 """The land detector believes in a take-off from here on, still on the wheels."""
 CLIMB_OUT_M_S: Final = 2.63
 """Climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle."""
-ROTATES_AT: Final = 0.9
-"""Share of the take-off airspeed (RunwayTakeoff.cpp)."""
 LIFTS_OFF_AT: Final = 1.1
-"""And where it leaves the ground: at 11.3 m/s, 0.3 s later."""
+"""Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
 LANDING_SEEN_M_S: Final = 3.2
 """From here on the landing detector counts its 1.8 s: 0.9 m/s when it is done."""
 LANDS_FASTER_M_S: Final = 0.5
@@ -93,8 +85,6 @@ _DESCEND_M_S = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
 _CLEARED_M = 10.0
 """A take-off climbs on by this much beyond its height (kClearanceAltitudeBuffer)."""
-_RUNWAY_US = 20_000
-"""Arming to "takeoff on runway" in the log."""
 _ECHO_MASK = 3576
 
 
@@ -121,7 +111,6 @@ class Px4FixedWing(Px4):
         self._leg_aimed = False
         self._began_us = 0
         """When the mode began."""
-        self._runway_said = self._rotated = False
         self._follows_path = False
         """OFFBOARD with position and velocity, which is not echoed."""
 
@@ -131,7 +120,7 @@ class Px4FixedWing(Px4):
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
         self._began_us = self.now_us
         self._seen = None
-        self._follows_path = self._runway_said = self._rotated = False
+        self._follows_path = False
         self._leg_aimed, self._leg = False, None
         course = self.course
         if mode is Mode.OFFBOARD:
@@ -313,8 +302,6 @@ class Px4FixedWing(Px4):
             course.climb_out(CLIMB_OUT_M_S)
             course.airspeed_m_s = self.cruise_m_s(Mode.TAKEOFF)
             return
-        if not course.holds_altitude:
-            self.emit(CLEARED)
         course.hold_altitude(goal_m + _CLEARED_M)
         place = self.takeoff_place
         if place is not None and math.isfinite(place[0]) and math.isfinite(place[1]):
@@ -352,7 +339,6 @@ class Px4FixedWing(Px4):
             return
         if leg.command == mission.TAKEOFF:
             if self.estimate.altitude_amsl_m >= leg.altitude_amsl_m:
-                self.emit(CLEARED)
                 self.mission.arrived()
         elif leg.command == mission.LAND:
             self._glide()
@@ -431,24 +417,17 @@ class Px4FixedWing(Px4):
     def _wants_up(self) -> bool:
         """Take-off, by mode or by a mission that begins with one."""
         if self.mode is Mode.TAKEOFF:
-            return self.landed or self._runway_said
+            return True
         if self.mode is not Mode.MISSION:
             return False
         leg = self._aim_leg()
         return leg is not None and leg.command == mission.TAKEOFF
 
     def _run_up(self, airspeed_m_s: float) -> None:
-        """Tell of the take-off, and leave the ground at its airspeed."""
-        if not self._runway_said and self.now_us - self._armed_us >= _RUNWAY_US:
-            self._runway_said = True
-            self.emit(ON_RUNWAY)
+        """Leave the ground at its airspeed."""
         if airspeed_m_s >= TAKEOFF_SEEN_M_S:
             self._took_off()
-        takeoff_m_s = self._takeoff_airspeed_m_s()
-        if airspeed_m_s >= ROTATES_AT * takeoff_m_s and not self._rotated:
-            self._rotated = True
-            self.emit(ROTATING)
-        if airspeed_m_s >= LIFTS_OFF_AT * takeoff_m_s:
+        if airspeed_m_s >= LIFTS_OFF_AT * self._takeoff_airspeed_m_s():
             self._took_off()
             self._wheels = False
             self.course.start(airspeed_m_s)

@@ -51,7 +51,6 @@ class Px4Multicopter(Px4):
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/multicopter")
     profile = profile(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ)
-    learns = True
 
     def _set_up(self) -> None:
         self._control = PositionControl(Gains(self.parameters))
