@@ -39,10 +39,7 @@ _SET_MODE = 11
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
 _STREAM_PARAMETERS = {
-    1: "RAW_SENS",
     2: "EXT_STAT",
-    3: "RC_CHAN",
-    4: "RAW_CTRL",
     6: "POSITION",
     10: "EXTRA1",
     11: "EXTRA2",
@@ -243,10 +240,6 @@ class FlightController:
             case _ if message.get_msgId() in MISSION:
                 self.transfers = True
                 return self._mission_protocol.on_message(message, sender, self.now_us)
-            case "PING" if is_px4 and message.target_system == 0:
-                return (SendMessage(message=messages.pong(message, sender), to=sender),)
-            case "TERRAIN_CHECK" if not is_px4:  # there is no terrain data here either
-                return (SendMessage(message=messages.no_terrain(message), to=sender),)
             case "SETUP_SIGNING" if self._radio.signing is not None:
                 return (self._radio.signing.setup(message, armed=autopilot.armed),)
             case "FILE_TRANSFER_PROTOCOL":

@@ -313,7 +313,7 @@ class Fuzz(RuleBasedStateMachine):
         assert target is None or not any(map(math.isinf, target.position_ned_m or ()))
         assert math.isfinite(estimate.velocity_north_m_s + estimate.velocity_east_m_s)
         assert math.isfinite(estimate.velocity_up_m_s)
-        assert not math.isinf(estimate.horizontal_accuracy_m + estimate.vertical_accuracy_m)
+        assert not math.isinf(estimate.horizontal_accuracy_m)
         assert math.isfinite(vehicle.roll_rad + vehicle.pitch_rad + vehicle.heading_rad)
         assert math.isfinite(vehicle.airspeed_m_s)
         assert 0.0 <= vehicle.throttle <= 1.0

@@ -57,16 +57,6 @@ def test_the_echo_is_what_the_controller_wants(flying: Rig) -> None:
     assert math.isnan(idle.vx)
 
 
-def test_the_accelerometer_feels_gravity_and_the_tilt(flying: Rig) -> None:
-    """Standing: 1 g up; flying steadily against drag: still 1 g in all, but leaning."""
-    fresh = Rig()
-    fresh.run(5.0)
-    still = read(MESSAGES[105](_report(fresh)))
-    moving = read(MESSAGES[105](_report(flying)))
-    assert (still.xacc, still.yacc, still.zacc) == pytest.approx((0.0, 0.0, -9.80665), abs=0.05)
-    assert moving.zacc == pytest.approx(-9.8, abs=0.6)
-
-
 def test_global_targets_are_told_in_auto_modes_only(flying: Rig) -> None:
     assert MESSAGES[87](_report(flying)) is None
     rig = Rig()

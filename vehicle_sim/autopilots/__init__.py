@@ -208,15 +208,11 @@ class Estimate:
     flags: int = 0
     """EKF_STATUS_REPORT.flags or ESTIMATOR_STATUS.flags, whichever the autopilot sends."""
     velocity_variance: float = 0.0
-    """These five are the ratios of the two status messages."""
+    """These two are the ratios of the two status messages."""
     horizontal_variance: float = 0.0
-    vertical_variance: float = 0.0
-    compass_variance: float = 0.0
-    terrain_variance: float = 0.0
     frozen_altitude_amsl_m: float | None = None
     """Reported altitude AMSL while the position is lost; None: the estimate."""
     horizontal_accuracy_m: float = 0.0
-    vertical_accuracy_m: float = 0.0
 
     @property
     def place(self) -> Place:

@@ -86,11 +86,6 @@ def setpoint(message: Any) -> Setpoint:
     )
 
 
-def no_terrain(check: Any) -> Prepared:
-    """TERRAIN_REPORT of an autopilot that knows nothing of the place it is asked about."""
-    return make("TERRAIN_REPORT", lat=check.lat, lon=check.lon, pending=56)
-
-
 # --- out ------------------------------------------------------------------------------------------
 
 
@@ -129,12 +124,6 @@ def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Prepared:
     system, component = (to.system, to.component) if to else (0, 0)
     target = {"target_system": system, "target_component": component}
     return make("TIMESYNC", tc1=tc1_ns, ts1=ts1_ns, **target)
-
-
-def pong(question: Any, to: Sender) -> Prepared:
-    """The answer to a PING."""
-    target = {"target_system": to.system, "target_component": to.component}
-    return make("PING", time_usec=question.time_usec, seq=question.seq, **target)
 
 
 def component_heartbeat() -> Prepared:

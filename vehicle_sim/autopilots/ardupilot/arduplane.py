@@ -43,11 +43,9 @@ ORIGIN_SAID_US = 2_261_000
 """From setting the origin to saying it and home."""
 HOME_SET_US = 850_000
 """From the first fix to home."""
-_STREAMED = """
-0 1 2 24 27 29 30 32 33 36 42 62 65 74 87 116 125 129 133 136 137 147 152 162 163 164 168 241 295
-11020 11030
-"""
-_RATES_HZ = dict.fromkeys(map(int, _STREAMED.split()), 1.0) | {111: 0.1}
+_RATES_HZ = dict.fromkeys((0, 1, 2, 24, 30, 32, 33, 42, 62, 74, 87, 147, 162, 168), 1.0) | {
+    111: 0.1
+}
 """What a fresh link gets unasked."""
 
 

@@ -43,24 +43,24 @@ HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
 TIMESYNC = 111
 CUSTOM_VERSION = b"2598e9d4"
 
-STREAMABLE = frozenset(
-    {0, 1, 2, 24, 26, 27, 29, 30, 31, 32, 33, 35, 36, 42, 49, 62, 65, 74, 85, 87, 116, 124, 125}
-    | {127, 129, 132, 133, 136, 137, 143, 147, 148, 152, 162, 163, 164, 165, 168, 173, 178, 193}
-    | {194, 226, 235, 241, 242, 245, 246, 291, 295, 376, 435, 11020, 11030, 11039}
+TOLD = frozenset(
+    {0, 1, 2, 24, 30, 31, 32, 33, 42, 49, 62, 74, 85, 87, 132, 147, 148, 162, 164, 168, 173, 193}
+    | {242, 245}
 )
-REQUESTABLE = STREAMABLE
-"""ESTIMATOR_STATUS (230) and PROTOCOL_VERSION (300) fail."""
+STREAMABLE = TOLD | {
+    *(26, 27, 29, 35, 36, 65, 116, 124, 125, 127, 129, 133, 136, 137, 143, 152, 163, 165, 178, 194),
+    *(226, 235, 241, 246, 291, 295, 376, 435, 11020, 11030, 11039),
+}
+"""The others are taken, as the real one takes them, and not told here."""
 
 DATA_STREAMS = {
-    1: (27, 26, 116, 129, 29, 137, 143),
-    2: (1, 125, 152, 42, 24, 124, 62, 162, 87),
-    3: (36, 65),
+    2: (1, 42, 24, 62, 162, 87),
     6: (33, 32),
-    10: (30, 164, 178, 11030),
+    10: (30, 164),
     11: (74,),
-    12: (163, 168, 2, 133, 136, 147, 193, 241, 295, 11020, 132, 173),
+    12: (168, 2, 147, 193, 132, 173),
 }
-"""MAV_DATA_STREAM: RAW_SENSORS, EXTENDED_STATUS, RC_CHANNELS, POSITION, EXTRA1, EXTRA2, EXTRA3."""
+"""MAV_DATA_STREAM: EXTENDED_STATUS, POSITION, EXTRA1, EXTRA2, EXTRA3."""
 
 
 def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float]) -> FirmwareProfile:
@@ -75,7 +75,7 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
         first_heartbeat_us=900_000,  # ardupilot.md 1
         rates_hz=rates_hz,
         streamable=STREAMABLE,
-        requestable=REQUESTABLE,
+        requestable=TOLD,
         data_streams=DATA_STREAMS,
     )
 

@@ -182,13 +182,9 @@ class Ekf3:
         self._rejected_since_us = now_us
 
     def _tell(self, ratio: float) -> None:
-        """The figures of EKF_STATUS_REPORT; what noise would make of them is drawn."""
-        e = self.estimate
-        one, two, three = self._rng.random(3)
-        e.velocity_variance = 0.004 + 0.016 * one
-        e.horizontal_variance = ratio
-        e.vertical_variance = 0.001 * two
-        e.compass_variance = 0.003 + 0.02 * three
+        """The figures of EKF_STATUS_REPORT; what noise would make of the speed's is drawn."""
+        self.estimate.velocity_variance = 0.004 + 0.016 * self._rng.random()
+        self.estimate.horizontal_variance = ratio
 
     # --- what happens by itself -------------------------------------------------------------------
 

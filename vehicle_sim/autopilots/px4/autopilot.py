@@ -58,26 +58,28 @@ CAPABILITIES: Final = 0xE8FF
 SOFTWARE_VERSION: Final = 0x01110040
 CUSTOM_VERSION: Final = bytes((0, 0, 0, 178, 57, 165, 123, 187))
 
-_ON_EVENT: Final = (42, 46, 49, 77, 148, 300)
+_ON_EVENT: Final = frozenset({42, 46, 49, 77, 148, 300})
 _BY_RATE: Final = {
-    0.5: (147, 241, 242, 380, 436),
-    1.0: (0, 2, 4, 8, 29, 42, 230, 441, 12901, 12904),
+    0.5: (147, 242, 436),
+    1.0: (0, 2, 42, 230),
     5.0: (1, 245),
     8.0: (24,),
-    10.0: (36, 74, 83, 85, 87, 111, 132, 141),
+    10.0: (74, 85, 87, 111, 132, 141),
     30.0: (32, 331),
-    50.0: (31, 33, 105),
+    50.0: (31, 33),
     100.0: (30,),
 }
 RATES_HZ: Final = dict(sorted((n, hz) for hz, ns in _BY_RATE.items() for n in ns))
 """What a fresh onboard link gets, by message number, in Hz of vehicle time."""
+_NOT_TOLD: Final = frozenset({4, 8, 29, 36, 40, 62, 65, 83, 105, 241, 360, 380, 441, 12901, 12904})
+"""Their intervals are taken, as the real one takes them."""
 _NOT_STREAMABLE: Final = frozenset({0, 42})
 """Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
 
 
 def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile:
     """PX4 on its onboard link (px4.md 2), for a vehicle of this MAV_TYPE."""
-    every = frozenset(rates_hz) | {40, 62, 65, 77, 148, 230, 231, 300}
+    told = frozenset(rates_hz) | {231}
     return FirmwareProfile(
         firmware="px4",
         vehicle_type=vehicle_type,
@@ -87,8 +89,8 @@ def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile
         custom_version=CUSTOM_VERSION,
         first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
-        streamable=(every | {49}) - _NOT_STREAMABLE - {148, 300},
-        requestable=every | frozenset(_ON_EVENT),
+        streamable=(told | _NOT_TOLD | {49, 77}) - _NOT_STREAMABLE,
+        requestable=told | _ON_EVENT,
     )
 
 

@@ -95,7 +95,7 @@ class Px4FixedWing(Px4):
     vehicle: Plane
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/fixed_wing")
-    profile = profile(vehicle_type=_AEROPLANE, rates_hz=RATES_HZ | {231: 10.0, 360: 5.0})
+    profile = profile(vehicle_type=_AEROPLANE, rates_hz=RATES_HZ | {231: 10.0})
     """WIND_COV as well, and ORBIT_EXECUTION_STATUS while it circles."""
     measures_airspeed = True
 
