@@ -81,8 +81,6 @@ DEFAULTS: dict[str, float] = {
     "COM_OBC_LOSS_T": 5,
     "NAV_DLL_ACT": 0,
     "COM_RC_IN_MODE": 1,
-    "COM_ARM_WO_GPS": 1,
-    "SYS_FAILURE_EN": 1,
     "COM_LOW_BAT_ACT": 3,
     "MIS_TAKEOFF_ALT": 2.5,
     "COM_DISARM_PRFLT": 10.0,
@@ -93,13 +91,9 @@ DEFAULTS: dict[str, float] = {
     "MPC_TILTMAX_AIR": 45.0,
     "MPC_XY_P": 0.95,
     "COM_RC_OVERRIDE": 1,
-    "COM_FAIL_ACT_T": 5.0,
-    "NAV_RCL_ACT": 2,
     "COM_RCL_EXCEPT": 0,
     "RTL_RETURN_ALT": 30.0,
-    "GF_PREDICT": 0,
     "GF_ACTION": 2,
-    "EKF2_NOAID_TOUT": 5_000_000,
     "SIM_GPS_USED": 10,
 }
 WING_DEFAULTS = {"FW_AIRSPD_TRIM": 15.0, "NAV_LOITER_RAD": 80.0, "NAV_FW_ALT_RAD": 10.0}
