@@ -9,6 +9,7 @@ from typing import Final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Landed, Report
+from vehicle_sim.autopilots.px4.autopilot import ARMABLE_US
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, standard_mode
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded
@@ -46,7 +47,8 @@ def _on_ground(report: Report) -> bool:
 def _masks(report: Report) -> tuple[int, int, int]:
     """What is there, wanted and well."""
     there = _SENSORS | (_GPS_BIT if report.status.fusing else 0)
-    position = _POSITION_BIT if report.estimate.position_ok else 0
+    flies = report.estimate.position_ok and report.time_us >= ARMABLE_US
+    position = _POSITION_BIT if flies else 0
     prearm = _PREARM_BIT if report.status.prearm_ok else 0
     wanted = there | _POSITION_BIT | _PREARM_BIT
     return wanted, wanted, there | position | prearm
