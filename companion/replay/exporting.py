@@ -1,7 +1,6 @@
 """A run folder's flight, put together for export, and written in one of the formats."""
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from pathlib import Path
 
 from companion.config import elevation_file, load_mission
@@ -11,7 +10,6 @@ from companion.sources.files import file_of_run, writing
 from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.geojson import write_geojson
 from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.plan import Source, write_plan
 from companion.telemetry.export.table import write_csv
 from companion.telemetry.export.track import Track, track_of
 from companion.telemetry.journal import Journal
@@ -40,19 +38,11 @@ def recorded(
     return builder.flight(track), (*journal.findings, *notes)
 
 
-def write(flight: RecordedFlight, to: str, file: Path, source: Source) -> tuple[str, ...]:
-    """Write a flight as kml, geojson, csv or plan; what people should know of it.
-
-    source: which path becomes a plan.  Raises InputError about the file, or the path.
-    """
-    writers: dict[str, Callable[[RecordedFlight, Path], tuple[str, ...] | None]] = {
-        "kml": write_kml,
-        "geojson": write_geojson,
-        "csv": write_csv,
-        "plan": partial(write_plan, source=source),
-    }
+def write(flight: RecordedFlight, to: str, file: Path) -> None:
+    """Write a flight as kml, geojson or csv.  Raises InputError about the file."""
+    writers = {"kml": write_kml, "geojson": write_geojson, "csv": write_csv}
     with writing("--out", file):
-        return writers[to](flight, file) or ()
+        writers[to](flight, file)
 
 
 def mission_of(run_dir: Path) -> Mission:
