@@ -21,7 +21,6 @@ from companion.mission.start import Start, terrain_of
 from companion.planner.kernels import NUMPY, Kernel
 from companion.replay.differences import message_of
 from companion.replay.from_log import LogReplay
-from companion.replay.playback import PlaybackSettings, play_file
 from companion.replay.report import Replayed, replay_json, replay_text
 from companion.replay.reproduce import Replay, Step
 from companion.replay.session_inputs import DamagedInputError, MissionOf, start_of
@@ -38,20 +37,6 @@ from companion.views.output import plain_console
 _LOADING = "loading the planner (the first time it is compiled: some ten seconds)"
 _SHOWN_EVERY_S = 0.1
 _TABLE_COLUMNS = 130  # into a file
-
-
-def play(
-    flight: Path,
-    connect: str,
-    span_s: tuple[float, float],
-    speed: float | None,
-    system: int | None,
-    *,
-    only: bool,
-) -> None:
-    """Play a log, or that of a run folder, to a ground station."""
-    playing = PlaybackSettings(speed=speed or 1.0, from_s=span_s[0], until_s=span_s[1])
-    play_file(_log(flight), connect, playing, system_id=system, only_vehicle=only)
 
 
 def same_run(

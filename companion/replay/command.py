@@ -43,9 +43,6 @@ def replay_command(
         ProfileName | None,
         typer.Option(help="What if: plan with another profile: flight or paper."),
     ] = None,
-    connect: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Play the log to a ground station there.")
-    ] = None,
     from_s: Annotated[
         float, typer.Option("--from", metavar="S", help="Begin here, seconds of the flight.")
     ] = 0.0,
@@ -57,10 +54,7 @@ def replay_command(
     ] = math.inf,
     speed: Annotated[
         float | None,
-        typer.Option(
-            metavar="X",
-            help="So many times real time; by default as fast as it goes, to a ground station 1.",
-        ),
+        typer.Option(metavar="X", help="So many times real time; by default as fast as it goes."),
     ] = None,
     step: Annotated[
         bool,
@@ -77,17 +71,14 @@ def replay_command(
         int | None,
         typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
     ] = None,
-    only_vehicle: Annotated[
-        bool, typer.Option("--only-vehicle", help="Play only what the vehicle sent.")
-    ] = False,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the report to a JSON file.")
     ] = None,
 ) -> None:
     """Feed a recorded flight through the same decisions, and compare: 0 if identical, 1 if not.
 
-    Or run another's flight in shadow (--shadow), plan it again under other settings (--set, --seed,
-    --profile), or play it to a ground station (--connect).
+    Or run another's flight in shadow (--shadow), or plan it again under other settings (--set,
+    --seed, --profile).
     """
     if not answer(flight.exists):
         remedy = "Give a run folder, or a .tlog, .bin or .ulg."
@@ -99,10 +90,7 @@ def replay_command(
     span_s = from_s, until_s
     from companion.replay import actions  # so that `companion fly` starts without it
 
-    if connect is not None:
-        _refuse_others(context, _PLAYING)
-        actions.play(flight, connect, span_s, speed, system, only=only_vehicle)
-    elif shadow:
+    if shadow:
         _refuse_others(context, _SHADOW)
         actions.shadow(flight, mission, system, json_file)
     elif is_log:
@@ -118,13 +106,11 @@ def replay_command(
         actions.same_run(flight, span_s, speed, json_file, **how)
 
 
-_PLAYING: Final = "playing to a ground station (--connect)"
 _SHADOW: Final = "a shadow (--shadow)"
 _WHAT_IF: Final = "what if (--set, --seed, --profile)"
 _LOG: Final = "the replay of a log alone"
 _RUN: Final = "the replay of a run folder"
 _TAKES: Final = {
-    _PLAYING: ("--connect", "--from", "--until", "--speed", "--system", "--only-vehicle"),
     _SHADOW: ("--shadow", "--mission", "--system", "--json"),
     _WHAT_IF: ("--set", "--seed", "--profile", "--numba", "--json"),
     _LOG: ("--mission", "--seed", "--profile", "--system", "--until", "--numba", "--json"),

@@ -170,9 +170,7 @@ def test_a_log_in_which_there_is_no_companion_is_refused(run_dir: Path, tmp_path
         ([], ["--step"]),
         ([], ["--speed", "3"]),
         ([], ["--from", "5"]),
-        ([], ["--only-vehicle"]),
         (["--shadow"], ["--profile", "paper"]),
-        (["--connect", "udpout:127.0.0.1:9"], ["--json", "x"]),
         (["--set", "planner.seed=1"], ["--no-plans"]),
     ],
 )
