@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from companion.config import elevation_file, load_mission
@@ -19,10 +18,9 @@ from companion.errors import FlightFailed, InputError
 from companion.mission.mission import Mission
 from companion.mission.start import Start, terrain_of
 from companion.planner.kernels import NUMPY, Kernel
-from companion.replay.differences import message_of
 from companion.replay.from_log import LogReplay
 from companion.replay.report import Replayed, replay_json, replay_text
-from companion.replay.reproduce import Replay, Step
+from companion.replay.reproduce import Replay
 from companion.replay.session_inputs import DamagedInputError, MissionOf, start_of
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import renderables
@@ -41,13 +39,10 @@ _TABLE_COLUMNS = 130  # into a file
 
 def same_run(
     folder: Path,
-    span_s: tuple[float, float],
-    speed: float | None,
     json_file: Path | None,
     *,
     plans: bool,
     numba: bool,
-    by_step: bool,
 ) -> None:
     """Replay a run folder and compare.  FlightFailed if any decision differs.
 
@@ -55,8 +50,7 @@ def same_run(
     """
     mission_of = flown_mission(folder)
     kernel = kernel_for(numba=numba) if plans else None
-    replay = Replay(folder, mission_of, kernel=kernel, from_s=span_s[0])
-    _compare(replay, folder, span_s, speed, json_file, by_step=by_step)
+    _compare(Replay(folder, mission_of, kernel=kernel), folder, json_file)
 
 
 def same_log(
@@ -65,7 +59,6 @@ def same_log(
     profile: str | None,
     seed: int,
     system: int | None,
-    until_s: float,
     json_file: Path | None,
     *,
     numba: bool,
@@ -83,27 +76,20 @@ def same_log(
         version=version("companion"),
         system_id=system,
     )
-    _compare(replay, log, (0.0, until_s), None, json_file, by_step=False)
+    _compare(replay, log, json_file)
 
 
 # --- the same flight
 
 
-def _compare(
-    replay: Replay | LogReplay,
-    flight: Path,
-    span_s: tuple[float, float],
-    speed: float | None,
-    json_file: Path | None,
-    *,
-    by_step: bool,
-) -> None:
-    console = plain_console(soft_wrap=True, highlight=False)
-    _run(replay, span_s[1], speed, console if by_step else None)
-    found = replay.found
+def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -> None:
+    console, found = plain_console(soft_wrap=True, highlight=False), replay.found
+    with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
+        for _ in replay.steps():
+            show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
         console.print(f"note: {finding}")
-    _refuse_if_nothing_was_compared(found, flight, span_s)
+    _refuse_if_nothing_was_compared(found, flight)
     console.print("\n".join(replay_text(found)))
     _write(replay_json(found), json_file)
     if found.damaged and found.difference is None:
@@ -112,20 +98,12 @@ def _compare(
         raise FlightFailed("the replay did not decide as the flight did", "")
 
 
-def _refuse_if_nothing_was_compared(
-    found: Replayed, flight: Path, span_s: tuple[float, float]
-) -> None:
+def _refuse_if_nothing_was_compared(found: Replayed, flight: Path) -> None:
     """Nothing is not the same as something."""
     if found.compared or found.difference is not None:
         return
     if found.damaged:
         raise _damaged(found, flight)
-    if found.flown_s < span_s[0]:
-        rule = f"the flight has {found.flown_s:,.1f} s, so nothing was compared"
-        raise InputError("--from", span_s[0], rule, "Give fewer seconds, or leave it out.")
-    if found.flown_s > span_s[1]:
-        rule = "nothing was recorded in so short a time, so nothing was compared"
-        raise InputError("--until", span_s[1], rule, "Give more seconds, or leave it out.")
     rule = "it holds nothing to compare a replay with"
     raise InputError("RUN_DIR|LOG", str(flight), rule, "Give the recording of a flight, whole.")
 
@@ -133,45 +111,6 @@ def _refuse_if_nothing_was_compared(
 def _damaged(found: Replayed, flight: Path) -> InputError:
     rule = f"what was recorded is damaged ({found.damaged})"
     return InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
-
-
-def _run(
-    replay: Replay | LogReplay, until_s: float, speed: float | None, shows: Console | None
-) -> None:
-    """Replay so many seconds of the flight, at a speed if one is given; shows: each step."""
-    began_s = time.monotonic()
-    with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
-        for each in replay.steps():
-            found = replay.found
-            if found.flown_s > until_s:
-                break
-            if speed is not None and found.flown_s > 0.0:
-                time.sleep(max(began_s + found.flown_s / speed - time.monotonic(), 0.0))
-            if shows is not None:
-                _print_step(each, shows)
-            show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
-
-
-def _print_step(step: Step, console: Console) -> None:
-    """Print an input, its output and the state after it."""
-    session, out = step.session, step.output
-    if step.recorded_input[0] == "receive":
-        return  # shown with what it leads to
-    state = session.state
-    reason = "" if state.reason is None else f" ({state.reason.name})"
-    lines = [f"t {session.now_s:.3f} s  {step.recorded_input[0]}  {state.phase.value}{reason}"]
-    if (here := state.vehicle.position_nea_m) is not None:
-        leg, along_m = state.flight.leg, state.flight.reference.length_m
-        on = "" if leg is None else f", {along_m:,.1f} m along subpath {leg.number}"
-        lines.append(f"  at {here[0]:,.1f} north, {here[1]:,.1f} east, {here[2]:,.1f} m{on}")
-    if out is not None:
-        for entry in out.journal:
-            lines.append(f"  {json.dumps(entry, default=str)[:300]}")
-        for frame in out.frames:
-            lines.append(f"  sends {message_of(frame)}")
-    console.print("\n".join(lines))
-    if sys.stdin.isatty() and console.is_terminal:
-        console.input("")
 
 
 # --- other questions
