@@ -163,7 +163,7 @@ def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_p
     """
     torn = b'{"schema":"companion-resume","vers'
     folder = kept(tmp_path / "run", torn)
-    (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
+    (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":3}\n{"t_')
     (folder / "flight.tlog").write_bytes(b"\x00\x01")
     options = ("--out", folder, "--resume", *connect(free_port()))
     code, said, errors = answered("fly", tmp_path / "gone.toml", *options)

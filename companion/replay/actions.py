@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from companion.config import elevation_file, load_mission
+from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import FlightFailed, InputError
 from companion.mission.mission import Mission
 from companion.mission.start import Start, terrain_of
@@ -130,10 +130,8 @@ def changed(
     if not folder.is_dir():
         rule = "a log does not hold the states to plan from"
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
-    file = str(folder / "mission.toml")
-    other = load_mission(file, profile, settings)
-    found = []
-    flown = flown_mission(folder)
+    found, flown = [], flown_mission(folder)
+    other = load_mission(str(folder / "mission.toml"), profile, settings)
     kernel = kernel_for(numba=numba)
     with _bar("planning again", 0) as show:
         for each in what_if(folder, flown, other, seed=seed, kernel=kernel):
@@ -178,12 +176,13 @@ def _log(flight: Path) -> Path:
 
 def flown_mission(folder: Path) -> MissionOf:
     """The mission of a run folder, as it was flown.  InputError if it is another one now."""
+    refuse_older(folder)
     file = file_of_run(folder, "mission.toml", "RUN_DIR|LOG")
     loaded = cache(partial(load_mission, str(file)))
 
     def mission_of(start: Start) -> Mission:
         mission = loaded(start.profile)
-        if start.terrain not in (None, terrain_of(mission)):
+        if start.terrain != terrain_of(mission):
             raise _other_terrain(file)
         return mission
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from companion.config import elevation_file, load_mission
+from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.files import file_of_run, writing
@@ -47,6 +47,7 @@ def write(flight: RecordedFlight, to: str, file: Path) -> None:
 
 def mission_of(run_dir: Path) -> Mission:
     """The mission as it was flown; what is known of its terrain does not matter here."""
+    refuse_older(run_dir)
     file = file_of_run(run_dir, "mission.toml")
     known = elevation_file(str(file))  # it may be on another computer
     return load_mission(str(file), settings=() if known is None else (_NOT_NEEDED,))

@@ -24,6 +24,7 @@ from short_flight import (
 
 from companion.config import load_mission
 from companion.errors import InputError
+from companion.mission.journal import VERSION
 from companion.mission.start import Start
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -67,6 +68,48 @@ def test_that_no_frame_was_compared_is_said(run: Path) -> None:
     (run / "flight.tlog").write_bytes(b"")
     _, out, _ = replays(run)
     assert "no frame was compared: flight.tlog holds none" in out
+
+
+# --- another version
+
+
+def of_an_older_journal(run: Path) -> str:
+    path = run / "journal.jsonl"
+    head, rest = path.read_bytes().split(b"\n", 1)
+    older = json.dumps({**json.loads(head), "version": VERSION - 1}, separators=(",", ":"))
+    path.write_bytes(older.encode() + b"\n" + rest)
+    return "its journal is of version 2"
+
+
+def with_a_key_that_is_gone(run: Path) -> str:
+    with (run / "mission.toml").open("a", encoding="utf-8") as file:
+        file.write("[traffic]\nspacing_m = 100.0\n")
+    return "its mission.toml has traffic, which was removed"
+
+
+@pytest.mark.parametrize("change", [of_an_older_journal, with_a_key_that_is_gone])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("replay", "RUN"),
+        ("replay", "RUN", "--seed", 3),
+        ("report", "RUN"),
+        ("export", "RUN", "--format", "csv"),
+        ("view", "RUN", "--view-port", 0),
+        ("fly", "environment-1", "--out", "RUN", "--resume"),
+    ],
+    ids=lambda command: " ".join(map(str, command)),
+)
+def test_a_run_folder_of_an_older_version_is_told_who_reads_it_and_left_as_it_is(
+    run: Path, command: tuple[object, ...], change: Callable[[Path], str]
+) -> None:
+    why = change(run)
+    before = {file: file.read_bytes() for file in run.iterdir()}
+    code, _, said = answered(*(run if word == "RUN" else word for word in command))
+    assert code == 2
+    rule = f"an older companion has recorded it: {why}. Use companion 0.2.0 for it."
+    assert said == f"error: RUN_DIR = '{run}': {rule}\n"
+    assert {file: file.read_bytes() for file in run.iterdir()} == before
 
 
 # --- what is damaged
@@ -281,19 +324,3 @@ def test_an_elevation_file_that_has_changed_is_said_in_one_line(
         assert f"terrain.file = '{file}': the elevation file has changed since the flight" in error
         assert "Put the file of the flight there, or name it in " in error
         assert "first difference" not in out
-
-
-def test_a_flight_that_was_recorded_without_a_word_of_its_terrain_is_still_replayed(
-    flown_with_elevations: tuple[Path, Path],
-) -> None:
-    path, file = flown_with_elevations
-
-    def change(told: list[Input]) -> None:
-        name, values = told[0]
-        assert len(values.pop("terrain")) == 64
-        told[0] = (name, values)
-
-    rewritten(path, change)
-    assert replays(path)[0] == 0
-    elevations(file, higher_m=10)
-    assert replays(path)[0] in (0, 1)
