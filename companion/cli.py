@@ -21,7 +21,14 @@ from rich.console import Console
 from companion import extras
 from companion.campaign.command import campaign_app
 from companion.compare.command import compare_app
-from companion.config import bundled, load_mission, load_world, mission_name, mission_text
+from companion.config import (
+    bundled,
+    load_mission,
+    load_world,
+    mission_name,
+    mission_text,
+    refuse_older,
+)
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 from companion.live_view.command import (
     VIEW_PORT,
@@ -213,6 +220,7 @@ def fly_command(
             rule = "there is no flight to go on with"
             raise InputError("--resume", True, rule, "Give the run folder with --out.")
         if resume and out is not None and (out / "mission.toml").is_file():
+            refuse_older(out)
             mission = _as_begun(mission, out)
         chosen = _for_system(load_mission(mission, profile), system)
         _say_notes(chosen, shows.console)

@@ -48,8 +48,6 @@ DECODE_ERRORS = (
 )
 """Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_ADDED_LATER: Final[Values] = {"set_aside": None, "refusal": None, "sank": False, "keep_outs": []}
-"""Fields that older checkpoints do not have."""
 
 
 def values_of(state: State) -> Values:
@@ -163,8 +161,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     The vehicle's state is not part of it: the vehicle is prepared again.
     """
     _must_be_finite(values)
-    values = _ADDED_LATER | values
-    kept, under = _read(values, _OF_STATE), values.get("flown_under")
+    kept, under = _read({"keep_outs": []} | values, _OF_STATE), values.get("flown_under")
     given = _task(mission, values.get("settings"))
     state = State.of(mission, known).with_rules(given, kept["fence"], kept["keep_outs"])
     rules = state.task

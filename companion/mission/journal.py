@@ -22,7 +22,7 @@ from companion.world.threats import CircleZone, PolygonZone, Zone
 
 SCHEMA: Final = "companion-journal"
 VERSION: Final = 3
-"""The newest.  What has changed: `telemetry.journal._UPGRADES`."""
+"""The only one that is read; 1 and 2 were written by companions before 0.2.0."""
 
 if TYPE_CHECKING:
     AnyZone = Zone
@@ -84,7 +84,7 @@ class Phase(Entry, frozen=True, tag="phase"):
     reason: str | None
     """Why it holds or ends, as text; null if there is no reason."""
     code: str | None
-    """The reason's name, which stays the same if its text is improved.  Since version 2."""
+    """The reason's name, which stays the same if its text is improved."""
 
 
 @final
