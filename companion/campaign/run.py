@@ -12,7 +12,7 @@ import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import pairwise
@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from companion.campaign import (
-    airspace,
     drawn_faults,
     families,
     in_process,
@@ -58,11 +57,6 @@ _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledg
 _OF_PLACE = ("mission", "family", "family_seed", "family_index", "vehicles")
 _ROOT = "runs"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_SUMS = (
-    *("plans", "holds", "subpaths", "subpaths_checked", "violations", "straight_m", "length_m"),
-    *("cost", "cost_length", "cost_height", "cost_radar", "radar_m"),
-)
-"""Columns that are added up over several vehicles."""
 
 
 def fly_run(run: Run, out: Path) -> Row:
@@ -142,17 +136,9 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
     recorded = run.keep != "none" or run.with_faults
     if run.over == "udp":
         flown = over_udp.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
-    elif run.place.vehicles is not None:
-        several = airspace.in_fours(files, run.place.vehicles, run.seed)
-        flights = airspace.fly_together(
-            several, seed=run.seed, limit_s=run.limit_s, recorded=recorded
-        )
     else:
         flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
-    if run.place.vehicles is not None:
-        found = _judged_together(flights, several, with_faults=run.with_faults)
-    else:
-        found = _judged(flown, files, with_faults=run.with_faults)
+    found = _judged(flown, files, with_faults=run.with_faults)
     found |= {"timeline": files.faults or None}
     return found | ({"faults": files.drawn} if run.script is not None else {})
 
@@ -336,36 +322,6 @@ def _judged_way(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict
             "clearance_least_t_s": float(times_s[least]),
         }
     )
-
-
-def _judged_together(
-    flights: Sequence[Flight], several: Sequence[FlightFiles], *, with_faults: bool
-) -> dict[str, Any]:
-    """Several vehicles as one row: sums, but for what has a worst, a longest or a median."""
-    pairs = zip(flights, several, strict=True)
-    rows = [_judged(*each, with_faults=with_faults) for each in pairs]
-    arrived = [row for row in rows if row["arrived"]]
-    found: dict[str, Any] = rows[0] | airspace.separation(flights)
-    found |= {"vehicles_arrived": len(arrived), "clearance_least_t_s": None}
-    if left := [row for row in rows if not row["arrived"]]:
-        reason = f"{len(arrived)} of {len(rows)} arrived: {left[0]['reason']}"
-        found |= {"arrived": False, "outcome": left[0]["outcome"], "reason": reason}
-    ways: dict[str, Callable[[list[Any]], Any]] = dict.fromkeys(_SUMS, sum)
-    ways |= {"plan_ms_median": np.median, "plan_ms_p99": max, "flight_s": max}
-    ways |= {"clearance_least_m": min, "violated": "; ".join, "excused": "; ".join}
-    ways |= {"silent_s": max, "position_off_m": max, "ending": _worst_ending}
-    for name, way in ways.items():
-        values = [row[name] for row in rows if row.get(name) is not None]
-        found[name] = way(values) if values else None
-    if found["separation_kept"] is not None and found["separation_kept"] < 1.0:
-        found["violations"] = (found["violations"] or 0) + 1
-        found["violated"] = "; ".join(filter(None, [found["violated"], "flown: separation"]))
-    return found
-
-
-def _worst_ending(endings: list[str]) -> str:
-    """One that nobody explains, else one that is no arrival, else the first."""
-    return max(endings, key=lambda each: (each.startswith("unexplained"), each not in judge.THERE))
 
 
 def _with_faults(flown: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:

@@ -173,9 +173,6 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
         if trigger is not None:
             return state, commands, trigger
-    others = state.traffic
-    if others is not None and (step := flying.make_way(state, others, event, context)) is not None:
-        return step
     if state.flight.circling and following.still_loiters(state, event):
         return flying.circle(state, event, context)
     flight = following.advance_reference(state, event)

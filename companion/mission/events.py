@@ -16,7 +16,6 @@ from companion.planner.settings import Task
 from companion.world.known_map import Scan
 from companion.world.near_map import NearMap, Sight
 from companion.world.threats import Zone
-from companion.world.traffic import Claim, Track
 
 Vector = tuple[float, float, float]
 
@@ -315,16 +314,6 @@ class DuplicateId(Event, frozen=True, kw_only=True):
 
 
 @final
-class OthersHeard(Event, frozen=True, kw_only=True):
-    """All that is known of others in the air, before a position."""
-
-    ours: int
-    """Our system id."""
-    tracks: tuple[Track, ...]
-    claims: tuple[Claim, ...]
-
-
-@final
 class StopAsked(Event, frozen=True, kw_only=True):
     """The operator ends the mission now."""
 
@@ -404,15 +393,6 @@ class Setpoint(Struct, frozen=True, kw_only=True):
 
 
 @final
-class ClaimWay(Struct, frozen=True, kw_only=True):
-    """Tell other vehicles of ours which straight stretch this one keeps to."""
-
-    time_s: float
-    begin_nea_m: Vector
-    end_nea_m: Vector
-
-
-@final
 class StatusText(Struct, frozen=True, kw_only=True):
     """A short text to ground stations and the terminal."""
 
@@ -441,7 +421,6 @@ Command = (
     | StartScan
     | Plan
     | Setpoint
-    | ClaimWay
     | StatusText
     | End
 )

@@ -11,7 +11,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
-from companion.mission.mission import Mission, TrafficRules
+from companion.mission.mission import Mission
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
@@ -20,7 +20,6 @@ from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.near_map import Sight
 from companion.world.threats import CircleZone
-from companion.world.traffic import Claim, Track
 
 
 class Phase(enum.Enum):
@@ -305,13 +304,6 @@ class Reason(enum.Enum):
         "Bring the vehicle down.",
         ReturnOrdered,
     )
-    GIVING_WAY = ("giving way to others in the air", "It goes on by itself.", Replan, False)
-    TRAFFIC = (
-        "out of the way of others in the air",
-        "It goes on by itself, from another level.",
-        Replan,
-    )
-    NO_LEVEL = ("in the way of others, and no level is free", "Send it elsewhere.", Replan)
     PLANNER_DIED = (
         "a part of the companion stopped with an error",
         "Report the error in the journal.",
@@ -564,51 +556,6 @@ class Flight(Struct, frozen=True, kw_only=True):
 
 
 @final
-class Traffic(Struct, frozen=True, kw_only=True):
-    """Others in the air, and what they leave this vehicle (`mission.traffic`).
-
-    Lengths are those flown along the legs since the reference point was last at rest off a leg.
-    """
-
-    rules: TrafficRules
-    ours: int = 0
-    """Our system id."""
-    tracks: tuple[Track, ...] = ()
-    claims: tuple[Claim, ...] = ()
-    legs: tuple[Leg | None, Leg | None] = (None, None)
-    """The leg and the next one, as of the last position."""
-    at_m: float = 0.0
-    """Length along the leg then."""
-    flown_m: float = 0.0
-    asked: tuple[tuple[float, float], ...] = ()
-    """Since when, and to what length, a stretch has been claimed without a break."""
-    committed_m: float = 0.0
-    """The length up to which it may be entered."""
-    taken_m: float = math.inf
-    """The length at which others' claims begin."""
-    speed_m_s: float = math.inf
-    """The fastest that keeps clear of all tracks."""
-    waits: bool = False
-    """Whether a plane has to loiter."""
-    moved_at_s: float = 0.0
-    forced_since_s: float = math.inf
-    """Since when the vehicle is in the way where it stands."""
-    level_m: float | None = None
-    """Altitude to climb or descend to, out of the way."""
-    level_since_s: float = math.inf
-    """Since when the column to it has been claimed."""
-    climbs: bool = False
-    """Whether it may be entered."""
-    floor_m: float | None = None
-    """The next leg from rest is planned no lower: the last such level."""
-    claimed_at_s: float = -1e9
-    """When a claim was last sent."""
-    told: Reason | None = None
-    told_at_s: float = -1e9
-    """When that last applied."""
-
-
-@final
 class Orders(Struct, frozen=True):
     """Orders of the operator, or of the battery, which outlast other holds."""
 
@@ -680,8 +627,6 @@ class State(Struct, frozen=True, kw_only=True):
     task: Task
     """The task for planning: `given` with the vehicle's fence and the ordered keep-outs."""
     targets_ne_m: tuple[tuple[float, float], ...]
-    traffic: Traffic | None = None
-    """None: the mission does not watch it."""
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
 
@@ -692,7 +637,6 @@ class State(Struct, frozen=True, kw_only=True):
             given=mission.task,
             task=mission.task,
             targets_ne_m=mission.targets_ne_m,
-            traffic=mission.traffic and Traffic(rules=mission.traffic),
             flight=Flight(known=known),
         )
 
@@ -720,7 +664,6 @@ class State(Struct, frozen=True, kw_only=True):
             asked_at_s=self.asked_at_s + shift_s,
             duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
             fence_unread_s=None if self.fence_unread_s is None else self.fence_unread_s + shift_s,
-            traffic=self.traffic and Traffic(rules=self.traffic.rules),
             vehicle=replace(
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
             ),

@@ -4,7 +4,7 @@ import math
 
 from msgspec.structs import replace
 
-from companion.mission import backtracking, fallback, flying, following, loiter, traffic
+from companion.mission import backtracking, fallback, flying, following, loiter
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -253,11 +253,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
         low = with_hold_reason(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
         return low, [StatusText(text=f"hold: {Reason.BATTERY_LOW.text}", warning=True)], None
     state, warning = flying.battery_warning(state, context)
-    state, says = traffic.hold(state)
     flight, commands = following.hold_setpoint(state, event.time_s, context)
-    commands, state = [*warning, *says, *commands], replace(state, flight=flight)
-    if traffic.keeps_holding(state):
-        return state, commands, None
+    commands, state = [*warning, *commands], replace(state, flight=flight)
     if flight.planning_backtrack is not None:
         if state.now_s - flight.planning_backtrack.since_s > _ANSWER_S:
             return give_up(state, state.reason or Reason.NO_PLAN)

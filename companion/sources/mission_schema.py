@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
+from companion.mission.mission import EndAction, Fallback, Mission
 from companion.objective.scene import Weights
 from companion.optimise.registry import OPTIMISERS
 from companion.path.limits import Limits
@@ -166,10 +166,6 @@ class LinkTable(
     commanders: list[Sender] | None = None
 
 
-class TrafficTable(keys_of(TrafficRules, *(each.name for each in fields(TrafficRules)))):  # type: ignore[misc]
-    """How others in the air are kept clear of; left out: they are not watched."""
-
-
 class FromVehicleTable(
     keys_of(  # type: ignore[misc]
         Mission,
@@ -222,7 +218,6 @@ class MissionTable(Table):
     battery: BatteryTable = BatteryTable()
     link: LinkTable = LinkTable()
     from_vehicle: FromVehicleTable = FromVehicleTable()
-    traffic: TrafficTable | None = None
     terrain: KnownTerrainTable | None = None
     radars: list[MissionRadarTable] = Field(default_factory=list)
     keep_outs: list[ZoneTable] = Field(default_factory=list)
