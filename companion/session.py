@@ -14,7 +14,6 @@ event at the first position at or after request + T, never earlier; in lockstep 
 that position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
 """
 
-import dataclasses
 import enum
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,7 +25,8 @@ from msgspec.structs import replace
 from companion.mavlink import near_scanner, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
-from companion.mavlink.component import REQUESTS, Component
+from companion.mavlink.commands import MESSAGES as COMMANDS
+from companion.mavlink.component import Component
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Incoming, boot_ms_of
 from companion.mavlink.link import (
@@ -386,7 +386,7 @@ class Session:
         self._out.record.append((self.clock.now_s, heard.frame))
         if heard.component == COMPANION_COMPONENT:
             self._look_for_duplicates(heard)
-        if is_read and number in REQUESTS:
+        if is_read and number in COMMANDS:
             self._serve(heard)
         if is_read and role is not None:
             handler = _HANDLERS.get((role, number)) or _OTHERS[role]
@@ -533,7 +533,7 @@ class Session:
         self.vehicle = AutopilotClient.found(message, self.context)
         traits = None
         if self.vehicle is not None:
-            self._component = Component(self.mission, system, self.state.task, self._version)
+            self._component = Component(self.mission, system, self._version)
             traits = self.vehicle.autopilot.traits
         found: dict[str, Any] = {"system_id": system, "name": name}
         self._note("vehicle found", **found)
@@ -546,7 +546,7 @@ class Session:
         self._due_s = -math.inf
         served = component.on_message(heard.message, self.now_s)
         reply = self._send_all if heard.link == VEHICLE_LINK else self._outbox.send_to_ground
-        (self._send_all_to_ground if served.is_for_all else reply)(served.replies)
+        reply(served.replies)
         if served.note is not None:
             self._note(**served.note)
         if served.text:
@@ -558,9 +558,6 @@ class Session:
                 self._handle(served.order)
             else:
                 self._send_text(changes.why_not(self.state, served.order), warning=True)
-        if served.task is not None:
-            task = dataclasses.replace(served.task, zones=self.state.given.zones)
-            self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
     def _judged(self, order: events.Order) -> changes.OrderResult:
         """The result of an order; of a go, after a look at every check."""

@@ -8,7 +8,6 @@ from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
 from companion.mavlink.link import Output
 from companion.mission.state import Phase, Reason
-from companion.planner.adjustable import PARAMETERS
 from companion.replay.session_inputs import feed, session_of, start_of
 from companion.session import Session
 
@@ -80,25 +79,6 @@ def test_who_may_not_command_may_not_there_either() -> None:
     [ack] = of("COMMAND_ACK", it.to_ground)
     assert ack.result == wire.MAV_RESULT_DENIED
     assert it.session.state.flight is before
-
-
-def test_a_value_that_is_set_is_told_to_everybody() -> None:
-    it = flying()
-    here = len(it.frames)
-    it.hear(wire.MAVLink_param_set_message(1, 195, b"PLN_SAFE_DIST", 600.0, 9), link=2)
-    for frames in (it.to_ground, it.frames[here:]):
-        [value] = of("PARAM_VALUE", frames)
-        assert value.param_value == 600.0
-
-
-def test_the_list_of_its_parameters_comes_there_and_to_everybody() -> None:
-    it = flying()
-    it.hear(wire.MAVLink_param_request_list_message(1, 0))
-    for _ in range(20):
-        it.tick()
-    for frames in (it.to_ground, it.frames):
-        names = [value.param_id for value in of("PARAM_VALUE", frames)]
-        assert names == [parameter.name for parameter in PARAMETERS]
 
 
 def test_no_word_of_a_vehicle_counts_there() -> None:

@@ -17,13 +17,8 @@ HEARTBEAT = wire.MAVLINK_MSG_ID_HEARTBEAT
 AUTOPILOT_VERSION = wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 OBSTACLE_DISTANCE = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
 
-CAPABILITIES = (
-    wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-    | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    | wire.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT  # the old name of the next
-    | wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
-)
-"""No mission, fence or rally protocol: those are the autopilot's; no files; no bytewise values."""
+CAPABILITIES = wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+"""No parameters, mission, fence or rally points: those are the autopilot's; no files."""
 
 _KINDS = {
     "a": wire.FIRMWARE_VERSION_TYPE_ALPHA,

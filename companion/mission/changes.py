@@ -1,4 +1,4 @@
-"""External changes during a mission: threats, settings, targets, orders."""
+"""External changes during a mission: threats, targets, orders."""
 
 import enum
 import math
@@ -25,7 +25,6 @@ from companion.mission.events import (
     Rebooted,
     ScanDone,
     SetSpeed,
-    SettingsChanged,
     StatusText,
     TargetsChanged,
 )
@@ -56,10 +55,8 @@ from companion.mission.state import (
     with_circle,
 )
 from companion.mission.stopped import fence_breached, resumed
-from companion.planner.adjustable import loosest
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
-from companion.world.known_map import empty_map
 from companion.world.threats import CircleZone
 from companion.world.zone_index import index_of
 
@@ -167,10 +164,10 @@ def _stops(state: State) -> bool:
 # --- threats
 
 
-def _with_fence(state: State, event: FenceChanged, _context: Context) -> Step:
+def _with_fence(state: State, event: FenceChanged, context: Context) -> Step:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
-    state = state.with_rules(state.given, event)
+    state = state.with_rules(context.mission.task, event)
     return _with_zones(state, StatusText(text=f"fence: {len(event.zones)} zones", warning=known))
 
 
@@ -193,12 +190,12 @@ def _keep_outs(state: State, order: Order) -> tuple[CircleZone, ...]:
     return with_circle(state.keep_outs, order.target_ne_m, order.radius_m)
 
 
-def _with_keep_out(state: State, order: Order) -> Step:
+def _with_keep_out(state: State, order: Order, context: Context) -> Step:
     """Another keep-out from now on, or some are lifted."""
     before, after = state.keep_outs, _keep_outs(state, order)
     if after == before:
         return state, [], None
-    state = state.with_rules(state.given, state.fence, after)
+    state = state.with_rules(context.mission.task, state.fence, after)
     if lifted := [zone.name for zone in before if zone not in after]:
         return _with_zones(state, StatusText(text=f"lifted: {', '.join(lifted)}"))
     zone = after[-1]
@@ -288,17 +285,7 @@ def _inside(state: State) -> str:
     return zone.name if zone is not None and gap_m < 0.0 else ""
 
 
-# --- settings, targets and orders
-
-
-def _with_settings(state: State, event: SettingsChanged, _context: Context) -> Step:
-    task = event.task
-    if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
-        known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-        state = replace(state, flight=replace(state.flight, known=known))
-    if state.airborne:
-        state = replace(state, flown_under=loosest(state.flown_under or state.given, task))
-    return state.with_rules(task, state.fence), [StatusText(text=f"set {event.what}")], None
+# --- targets and orders
 
 
 def _with_vehicles_targets(state: State, event: TargetsChanged, _context: Context) -> Step:
@@ -370,7 +357,7 @@ def _ordered(state: State, order: Order, context: Context) -> Step:
         case OrderKind.LAND:
             return _land(state)
         case OrderKind.KEEP_OUT:
-            return _with_keep_out(state, order)
+            return _with_keep_out(state, order, context)
 
 
 def _go_on(state: State) -> Step:
@@ -519,7 +506,6 @@ HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]]
     FenceChanged: _with_fence,
     FenceReading: _fence_reading,
     FenceBreach: _fence_breach,
-    SettingsChanged: _with_settings,
     TargetsChanged: _with_vehicles_targets,
     Order: _ordered,
     Rebooted: _rebooted,

@@ -12,7 +12,6 @@ from msgspec import Struct
 
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.planner.settings import Task
 from companion.world.known_map import Scan
 from companion.world.near_map import NearMap, Sight
 from companion.world.threats import Zone
@@ -193,16 +192,6 @@ class TargetsChanged(Event, frozen=True, kw_only=True):
     """The targets of the vehicle's mission, if ours takes them from there."""
 
     targets_ne_m: tuple[tuple[float, float], ...]
-
-
-@final
-class SettingsChanged(Event, frozen=True, kw_only=True):
-    """Planner parameters were set: they apply from the next plan on."""
-
-    task: Task
-    """As it is now, all of it."""
-    what: str
-    """For the journal and the operator: name = value."""
 
 
 class OrderKind(enum.Enum):

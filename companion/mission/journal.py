@@ -276,14 +276,6 @@ class Targets(Entry, frozen=True, tag="targets"):
 
 
 @final
-class Setting(Entry, frozen=True, tag="setting"):
-    """A planner parameter was set."""
-
-    what: str
-    """Name = value."""
-
-
-@final
 class CommandHeard(Entry, frozen=True, tag="command"):
     """A MAVLink command to the companion, and the answer."""
 

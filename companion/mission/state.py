@@ -615,17 +615,13 @@ class State(Struct, frozen=True, kw_only=True):
     detail: str = ""
     """Detail of the reason."""
     remedy: str = ""
-    given: Task
-    """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
     fence_unread_s: float | None = None
     """Since when a fence that has changed is being read; None: it is known."""
     keep_outs: tuple[CircleZone, ...] = ()
     """Ordered in flight."""
-    flown_under: Task | None = None
-    """The loosest version of `given` in the air, if it was changed there."""
     task: Task
-    """The task for planning: `given` with the vehicle's fence and the ordered keep-outs."""
+    """The task for planning: the mission's with the vehicle's fence and the ordered keep-outs."""
     targets_ne_m: tuple[tuple[float, float], ...]
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
@@ -634,7 +630,6 @@ class State(Struct, frozen=True, kw_only=True):
     def of(mission: Mission, known: KnownMap) -> "State":
         """A mission that has not begun."""
         return State(
-            given=mission.task,
             task=mission.task,
             targets_ne_m=mission.targets_ne_m,
             flight=Flight(known=known),
@@ -642,18 +637,18 @@ class State(Struct, frozen=True, kw_only=True):
 
     def with_rules(
         self,
-        given: Task,
+        task: Task,
         fence: FenceChanged | None,
         keep_outs: tuple[CircleZone, ...] | None = None,
     ) -> "State":
-        """The state under another task, fence or keep-outs (None: the same).
+        """The state under another fence or keep-outs (None: the same); task: the mission's.
 
         Its `task` is the old one if they are equal.
         """
         keep_outs = self.keep_outs if keep_outs is None else keep_outs
-        task = within(given, fence, keep_outs)
+        task = within(task, fence, keep_outs)
         task = self.task if task == self.task else task
-        return replace(self, given=given, fence=fence, keep_outs=keep_outs, task=task)
+        return replace(self, fence=fence, keep_outs=keep_outs, task=task)
 
     def rebase_time(self, shift_s: float) -> "State":
         """The state on a clock that shows shift_s more: its own time, and the waits that go on."""

@@ -302,19 +302,13 @@ def _is_settled(state: State, event: Position) -> bool:
 
 
 def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
-    """Take the backtrack; if it failed, retry under the rules it was flown under; else give up."""
+    """Take the backtrack; if it failed, plan a path home, or give up."""
     flight, asked = state.flight, state.flight.planning_backtrack
     if asked is None or event.outcome.plan_id != flight.plan_id:
         return state, [], None
     if asked.rules is not state.task:  # it was proven under other rules
         return backtracking.request_backtrack(state, context)
     back = backtracking.on_backtrack_plan(state, event)
-    whole = back is not None and back.legs[-1].reaches_target
-    if not whole and (looser := backtracking.with_looser_rules(state)) is not None:
-        return preceded(
-            [StatusText(text=looser[1], warning=True)],
-            backtracking.request_backtrack(looser[0], context),
-        )
     if back is not None:
         after = replace(state, flight=replace(flight, way=back, planning_backtrack=None))
         if backtracking.start_backtrack(after) is not None:

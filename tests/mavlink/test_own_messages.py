@@ -76,7 +76,7 @@ def test_the_version_is_told_when_it_is_asked_for() -> None:
     can = read.capabilities
     assert can & wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     assert can & wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    assert can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+    assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
     assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     assert not can & wire.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
     assert counted(own_messages, begin_s=1.0) == {"HEARTBEAT": 10}

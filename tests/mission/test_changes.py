@@ -42,7 +42,6 @@ from companion.mission.events import (
     SetMode,
     Setpoint,
     SetSpeed,
-    SettingsChanged,
     StartScan,
     StatusText,
     StopAsked,
@@ -272,7 +271,7 @@ def on_its_way_out() -> tuple[Craft, FenceChanged]:
     """On a leg that was proven with a zone around its start, and leads out of that."""
     craft = flying()
     around = fence(craft, *craft.here[:2], 200.0)
-    state = craft.state.with_rules(craft.state.given, around)
+    state = craft.state.with_rules(craft.context.mission.task, around)
     assert state.flight.leg is not None
     leg = replace(state.flight.leg, rules=state.task)
     craft.state = replace(state, flight=replace(state.flight, leg=leg))
@@ -308,18 +307,6 @@ def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
     assert craft.state.task.limits.ceiling_amsl_m == 4_000.0
     craft.take(FenceChanged(time_s=craft.now_s, zones=()))
     assert craft.state.task.limits == MISSION.task.limits
-
-
-def test_settings_count_from_the_next_plan_on_within_the_fence() -> None:
-    craft = flying()
-    craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
-    settings = replace(MISSION.task.settings, safety_distance_m=600.0)
-    task = replace(craft.state.given, settings=settings)
-    craft.take(SettingsChanged(time_s=craft.now_s, task=task, what="PLN_SAFE_DIST = 600"))
-    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
-    asked = craft.sent(Plan)[-1].request.task
-    assert asked.settings.safety_distance_m == 600.0
-    assert "drawn" in {zone.name for zone in asked.zones}
 
 
 # --- the vehicle itself

@@ -38,7 +38,6 @@ from companion.mission.events import (
     SetMode,
     Setpoint,
     SetSpeed,
-    SettingsChanged,
     StatusText,
     StopAsked,
 )
@@ -325,12 +324,6 @@ def no_way_back(request: PlanRequest) -> PlanOutcome:
     return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
 
 
-def set_in_flight(craft: Craft, safety_distance_m: float) -> None:
-    settings = replace(craft.state.given.settings, safety_distance_m=safety_distance_m)
-    task = replace(craft.state.given, settings=settings)
-    craft.take(SettingsChanged(time_s=craft.now_s, task=task, what="PLN_SAFE_DIST"))
-
-
 def ended(craft: Craft) -> bool:
     return craft.phase in (Phase.DONE, Phase.FAULTED)
 
@@ -379,40 +372,6 @@ def test_a_vehicle_that_is_not_where_it_believes_to_be_lands_and_is_not_sent_hom
     asked = [command.mode for command in craft.sent(SetMode)]
     assert Mode.LAND in asked
     assert Mode.RETURN not in asked
-
-
-def test_under_stricter_rules_the_way_back_is_the_one_that_was_flown_by_the_old_ones() -> None:
-    """What is proven by d_s = 300 m only, flown by that, while more is asked for since."""
-    flown_m, asked_m = MISSION.task.settings.safety_distance_m, 700.0
-    allowed_m: list[float] = []
-
-    def by_the_old_rules(request: PlanRequest) -> PlanOutcome:
-        allowed_m.append(request.task.settings.safety_distance_m)
-        provable = request.flown is None or allowed_m[-1] <= flown_m
-        return home_or_on(request) if provable else no_way_back(request)
-
-    craft = flying(two_legs_away(), plan=by_the_old_rules)
-    craft.run_for(20.0)
-    set_in_flight(craft, asked_m)
-    restarted_task = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-    again = checkpoint.restored(craft.context.mission, craft.state.flight.known, restarted_task)
-    assert again.given.settings == craft.state.given.settings
-    assert again.flown_under == craft.state.flown_under
-    tell(craft, OrderKind.RETURN)
-    craft.run_until(lambda craft: craft.phase is Phase.RETURNING)
-    assert allowed_m[-2:] == [asked_m, flown_m]
-    assert craft.state.task.settings.safety_distance_m == flown_m
-    said = f"returning as it was flown: PLN_SAFE_DIST = {flown_m:g}"
-    assert StatusText(text=said, warning=True) in craft.commands
-
-
-def test_settings_of_a_checkpoint_that_no_mission_may_have_are_none() -> None:
-    craft = under_way()
-    values = checkpoint.values_of(craft.state)
-    for name, value in (("PLN_SAFE_DIST", 1e5), ("PLN_SPEED", 500.0), ("PLN_EVALS", 1.0)):
-        wrong = {**values, "settings": {**values["settings"], name: value}}
-        with pytest.raises(checkpoint.DECODE_ERRORS):
-            checkpoint.restored(craft.context.mission, craft.state.flight.known, wrong)
 
 
 def test_told_to_return_twice_it_is_accepted_twice() -> None:
@@ -599,14 +558,13 @@ def test_a_keep_out_stops_a_vehicle_only_where_it_lies_on_the_rest_of_its_path(
     assert craft.state.keep_outs[0] in craft.sent(Plan)[-1].request.task.zones
 
 
-def test_keep_outs_outlive_the_fence_the_settings_the_companion_and_the_autopilot() -> None:
+def test_keep_outs_outlive_the_fence_the_companion_and_the_autopilot() -> None:
     craft = under_way()
     for radius_m in (100.0, 200.0, 100.0):  # the third is the first again
         assert keep_out(craft, (-3_000.0, 500.0), radius_m) is OrderResult.ACCEPTED
     zones = craft.state.keep_outs
     assert [zone.radius_m for zone in zones] == [100.0, 200.0]
     craft.take(FenceChanged(time_s=craft.now_s, zones=()))
-    set_in_flight(craft, 31.0)
     restarted(craft)
     craft.take(Rebooted(time_s=craft.now_s))
     assert craft.state.keep_outs == zones

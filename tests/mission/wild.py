@@ -49,7 +49,6 @@ from companion.mission.events import (
     ScanDone,
     SetMode,
     Setpoint,
-    SettingsChanged,
     StartScan,
     StopAsked,
     TakeOff,
@@ -571,11 +570,6 @@ class Wild:
         targets = tuple((float(north), float(east)) for north, east in at)
         self.take(TargetsChanged(time_s=self.now_s, targets_ne_m=targets))
 
-    def _settings(self) -> None:
-        settings = replace(_SETTINGS, planning_time_s=float(self.rng.choice([1.0, 2.0])))
-        task = replace(self.state.given, settings=settings)
-        self.take(SettingsChanged(time_s=self.now_s, task=task, what="made up"))
-
     def _reboot(self) -> None:
         """As the session does it: the clock begins again."""
         if self.over:
@@ -652,7 +646,6 @@ _CHANCES = {
     "silence": 1.5,
     "teleport": 0.7,
     "targets": 1.5,
-    "settings": 1.0,
     "reboot": 0.6,
     "restart": 2.0,
     "namesake": 1.0,
