@@ -113,33 +113,6 @@ def test_garbage_there_is_passed_over_and_cuts_no_message_of_the_vehicle() -> No
     assert it.frames == quiet.frames
 
 
-def test_a_keep_out_on_the_way_its_lifting_and_a_landing_are_obeyed_and_told_again() -> None:
-    """The same again from what was recorded: every frame, the answers too."""
-    it = flying()
-    it.run_until(lambda it: it.session.state.flight.legs_flown == 1)
-    leg = it.session.state.flight.leg
-    assert leg is not None
-    north_m, east_m, _ = leg.subpath.pose(0.7 * leg.subpath.length_m).point_nea_m
-    latitude_deg, longitude_deg = MISSION.frame.to_geodetic_deg(north_m, east_m)
-    place = (latitude_deg, longitude_deg, 0.0)
-    for radius_m in (-1.0, 0.0, 300.0):
-        it.order(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, radius_m, 0.0, 0.0, 0.0, *place)
-    it.run_until(lambda it: it.session.state.reason is Reason.NEW_THREAT)
-    it.run_until(lambda it: it.session.state.phase is Phase.FLYING)
-    it.order(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0.0, 0.0, 0.0, 0.0, *place)
-    denied, accepted = wire.MAV_RESULT_DENIED, wire.MAV_RESULT_ACCEPTED
-    results = [ack.result for ack in of("COMMAND_ACK", it.to_ground)]
-    assert results == [denied, denied, accepted, accepted]
-    assert it.session.state.keep_outs == ()
-    it.order(wire.MAV_CMD_NAV_LAND)
-    it.run_until(lambda it: it.session.state.phase is Phase.LANDING)
-    start, *others = it.inputs
-    session = session_of(start_of(start), lambda _start: MISSION)
-    outs = [out for told in others if (out := feed(session, told)) is not None]
-    assert [frame for out in outs for frame in out.frames] == it.frames
-    assert [frame for out in outs for frame in out.to_ground] == it.to_ground
-
-
 def test_a_flight_from_before_there_were_such_links_is_told_again_as_it_was() -> None:
     it = flying(has_ground=False)
     (name, values), *others = it.inputs

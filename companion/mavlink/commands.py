@@ -9,10 +9,9 @@ those it uses must be finite and in range, else it is denied with a text.
 
 import enum
 import math
-import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 from msgspec.structs import replace
 
@@ -33,9 +32,6 @@ from companion.mission.events import Order, OrderKind
 from companion.path.limits import Limits
 
 MESSAGES: Final = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
-_SLOWEST_M_S = 0.1
-_SLOWEST_SHARE = 0.75  # of a plane's speed: its stall speed is not known here
-_LARGEST_FLOAT = 3.4e38
 _SAME_S = 5.0  # a command that comes again within this time may be the same one
 _MAX_SENDERS = 64
 _NOT_GIVEN_E7 = 2**31 - 1
@@ -84,8 +80,9 @@ def _outcome(accepted: bool) -> _CommandOutcome:
     return _CommandOutcome(Result.ACCEPTED if accepted else Result.DENIED)
 
 
-def _order(kind: OrderKind, **values: Any) -> _CommandOutcome:
-    return _CommandOutcome(Result.ACCEPTED, order=Order(time_s=0.0, kind=kind, **values))
+def _order(kind: OrderKind, target_ne_m: tuple[float, float] | None = None) -> _CommandOutcome:
+    order = Order(time_s=0.0, kind=kind, target_ne_m=target_ne_m)
+    return _CommandOutcome(Result.ACCEPTED, order=order)
 
 
 @final
@@ -106,8 +103,8 @@ class CommandServer:
         if reply.order is not None:            # give it to the machine, then
             send(server.order_done(reply.order, result))
 
-    ours: our ids; commanders: who may give orders (0: any id); frame: the mission's; limits: its
-    own, before anybody changed them; presence: what can be asked for.
+    ours: our ids; commanders: who may give orders (0: any id); frame, limits: the mission's;
+    own_messages: what can be asked for.
     """
 
     def __init__(
@@ -227,52 +224,15 @@ class CommandServer:
             return _CommandOutcome(Result.DENIED, text)
         return _order(OrderKind.LAND)
 
-    def _keep_out(self, message: Message) -> _CommandOutcome:
-        """A circle to keep out of, at any altitude; of radius 0: no longer, around its place."""
-        radius_m = from_float32(message.param1)
-        sides_m = (high - low for low, high in (self._limits.north_m, self._limits.east_m))
-        largest_m = math.hypot(*sides_m)
-        if not 0.0 <= radius_m <= largest_m:
-            text = f"keep-out: radius {radius_m:g} m: must be 0 to {largest_m:.0f}"
-            return _CommandOutcome(Result.DENIED, text)
-        return self._at_place(message, OrderKind.KEEP_OUT, radius_m=radius_m)
-
-    def _change_speed(self, message: Message) -> _CommandOutcome:
-        speed = from_float32(message.param2)
-        if message.param1 not in (wire.SPEED_TYPE_AIRSPEED, wire.SPEED_TYPE_GROUNDSPEED):
-            return _CommandOutcome(Result.DENIED, "speed: its type, param1, must be 0 or 1")
-        if speed == -1.0:  # no change
-            return _CommandOutcome(Result.ACCEPTED)
-        speed = self._limits.speed_m_s if speed == -2.0 else speed  # the default
-        if refusal := self._too_fast_or_slow(speed):
-            return _CommandOutcome(Result.DENIED, refusal)
-        return _order(OrderKind.SPEED, speed_m_s=speed)
-
     def _reposition(self, message: Message) -> _CommandOutcome:
-        """A new target; the planner chooses the altitude, so the one given is ignored."""
-        meaning, speed = self._at_place(message, OrderKind.REPOSITION), from_float32(message.param1)
-        if meaning.order is None or not speed > 0.0:  # not given: as it is
-            return meaning
-        if refusal := self._too_fast_or_slow(speed):
-            return _CommandOutcome(Result.DENIED, refusal)
-        return self._at_place(message, OrderKind.REPOSITION, speed_m_s=speed)
-
-    def _at_place(self, message: Message, kind: OrderKind, **others: float) -> _CommandOutcome:
-        """An order with a place on the map; refused without."""
-        name = kind.name.lower()
+        """A new target; altitude and speed are the mission's, so those given are ignored."""
         if message.get_type() == "COMMAND_INT" and message.frame not in _FRAMES:
-            text = f"{name}: frame {message.frame} is not one of 0, 3, 5, 6"
+            text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
             return _CommandOutcome(Result.UNSUPPORTED_MAV_FRAME, text)
         place = self._place_ne_m(message)
         if place is None:
-            return _CommandOutcome(Result.DENIED, f"{name}: give a place on the mission's map")
-        return _order(kind, target_ne_m=place, **others)
-
-    def _too_fast_or_slow(self, speed_m_s: float) -> str:
-        low, high = speed_bounds_m_s(self._limits)
-        if low <= speed_m_s <= high:
-            return ""
-        return f"speed {speed_m_s:g} m/s: must be {low:.3g} to {high:.3g}"
+            return _CommandOutcome(Result.DENIED, "reposition: give a place on the mission's map")
+        return _order(OrderKind.REPOSITION, place)
 
     def _place_ne_m(self, message: Message) -> tuple[float, float] | None:
         """The place of a command; None if it is invalid or off the map."""
@@ -305,10 +265,8 @@ _ORDERS: Final[dict[int, _Handler]] = {
     wire.MAV_CMD_MISSION_START: CommandServer._start,
     wire.MAV_CMD_DO_PAUSE_CONTINUE: CommandServer._pause_or_continue,
     wire.MAV_CMD_DO_REPOSITION: CommandServer._reposition,
-    wire.MAV_CMD_DO_CHANGE_SPEED: CommandServer._change_speed,
     wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: CommandServer._return,
     wire.MAV_CMD_NAV_LAND: CommandServer._land,
-    wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: CommandServer._keep_out,
 }
 """Orders: from commanders only."""
 
@@ -342,21 +300,6 @@ def _values(message: Message) -> str:
 def _ack(message: Message, result: Result) -> Message:
     """The ACK of a command, for who gave it."""
     return wire.MAVLink_command_ack_message(message.command, int(result), 0, 0, *sender_of(message))
-
-
-def speed_bounds_m_s(limits: Limits) -> tuple[float, float]:
-    """The range of speed commands: never faster than the mission's own speed."""
-    fastest = limits.speed_m_s
-    return (_SLOWEST_M_S if limits.hovers else _SLOWEST_SHARE * fastest), fastest
-
-
-def from_float32(value: float) -> float:
-    """The shortest decimal of a float32: 12.3, not 12.300000190734863."""
-    if not 0.0 < abs(value) < _LARGEST_FLOAT:  # NaN too
-        return value
-    rounded = (float(f"{value:.{digits}g}") for digits in range(6, 9))
-    exact = struct.pack("<f", value)
-    return next((short for short in rounded if struct.pack("<f", short) == exact), value)
 
 
 def _whole(value: float) -> int | None:

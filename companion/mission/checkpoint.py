@@ -46,7 +46,7 @@ DECODE_ERRORS = (
 )
 """Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_ADDED_LATER: Final[Values] = {"set_aside": None, "refusal": None, "sank": False, "keep_outs": []}
+_ADDED_LATER: Final[Values] = {"set_aside": None, "refusal": None, "sank": False}
 """Fields that older checkpoints do not have."""
 
 
@@ -80,8 +80,6 @@ def _plain(value: Any) -> Any:
         case FenceChanged():
             limits = {name: getattr(value, name) for name in ("floor_amsl_m", "ceiling_amsl_m")}
             return {"zones": [_of_zone(zone) for zone in value.zones], **limits}
-        case CircleZone():
-            return _of_zone(value)
         case FlownSegment():
             return [value.control_nea_m.tolist(), value.from_m, value.until_m]
         case float():
@@ -151,7 +149,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     _must_be_finite(values)
     values = _ADDED_LATER | values
     kept = _read(values, _OF_STATE)
-    state = State.of(mission, known).with_rules(mission.task, kept["fence"], kept["keep_outs"])
+    state = State.of(mission, known).with_fence(mission.task, kept["fence"])
     rules = state.task
     back = tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None)
     flight = replace(
@@ -222,11 +220,6 @@ def _leg(values: Values | None, rules: Task) -> Leg | None:
     )
 
 
-def _keep_outs(values: list[Values]) -> tuple[CircleZone, ...]:
-    zones = [_zone(each) for each in values]
-    return tuple(zone for zone in zones if isinstance(zone, CircleZone))
-
-
 def _fence(values: Values | None) -> FenceChanged | None:
     if values is None:
         return None
@@ -261,13 +254,11 @@ _OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("airborne", "taken", "armed_by_us"), bool),
     "targets_ne_m": _places,
     "fence": _fence,
-    "keep_outs": _keep_outs,
 }
 _OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
     "joined_m": float,
     "route_ne_m": _places,
-    "speed_limit_m_s": lambda value: math.inf if value is None else float(value),
     "flown": _segments,
     "refusal": lambda name: None if name is None else Refusal[name],
     "fallen_back": _reason,

@@ -201,10 +201,8 @@ class OrderKind(enum.Enum):
     PAUSE = "pause"
     CONTINUE = "continue"
     REPOSITION = "go to a new target"
-    SPEED = "change the speed"
     RETURN = "return"
     LAND = "land where it is"
-    KEEP_OUT = "keep out of a circle from now on, or no longer"
 
 
 @final
@@ -213,10 +211,7 @@ class Order(Event, frozen=True, kw_only=True):
 
     kind: OrderKind
     target_ne_m: tuple[float, float] | None = None
-    """Where to (REPOSITION); the centre (KEEP_OUT)."""
-    speed_m_s: float | None = None
-    radius_m: float | None = None
-    """Of a circle (KEEP_OUT); 0: those that the centre is in are lifted."""
+    """Where to (REPOSITION)."""
     sender: str = ""
     """System and component, for the journal: "255/190"."""
 

@@ -76,7 +76,6 @@ def advance_reference(state: State, event: Position) -> Flight:
             goes_on=flight.next_leg is not None,
             until_m=None if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
-            speed_limit_m_s=flight.speed_limit_m_s,
         )
     else:
         reference = follow(flight.reference, leg, here, task.limits)

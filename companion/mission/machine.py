@@ -253,8 +253,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
         state = replace(state, flight=went_back)
         commands = [*commands, StatusText(text="returning", about="phase")]
     if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:
-        speed = min(state.flight.speed_limit_m_s, state.task.limits.speed_m_s)
-        commands = [*commands, SetSpeed(speed_m_s=speed)]
+        commands = [*commands, SetSpeed(speed_m_s=state.task.limits.speed_m_s)]
     return state, commands
 
 

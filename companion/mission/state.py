@@ -3,10 +3,8 @@
 import dataclasses
 import enum
 import math
-from itertools import count
 from typing import final
 
-import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
@@ -19,7 +17,6 @@ from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.near_map import Sight
-from companion.world.threats import CircleZone
 
 
 class Phase(enum.Enum):
@@ -521,8 +518,6 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Holds for its position or another fault since the last completed leg."""
     progress_at_s: float = 0.0
     """When the reference point last moved, or the wait for a leg began."""
-    speed_limit_m_s: float = math.inf
-    """The ordered speed; the mission's own speed limits it too."""
     sent: Setpoint | None = None
     """The last setpoint."""
     sent_at_s: float = -1e9
@@ -618,10 +613,8 @@ class State(Struct, frozen=True, kw_only=True):
     fence: FenceChanged | None = None
     fence_unread_s: float | None = None
     """Since when a fence that has changed is being read; None: it is known."""
-    keep_outs: tuple[CircleZone, ...] = ()
-    """Ordered in flight."""
     task: Task
-    """The task for planning: the mission's with the vehicle's fence and the ordered keep-outs."""
+    """The task for planning: the mission's with the vehicle's fence."""
     targets_ne_m: tuple[tuple[float, float], ...]
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
@@ -635,20 +628,13 @@ class State(Struct, frozen=True, kw_only=True):
             flight=Flight(known=known),
         )
 
-    def with_rules(
-        self,
-        task: Task,
-        fence: FenceChanged | None,
-        keep_outs: tuple[CircleZone, ...] | None = None,
-    ) -> "State":
-        """The state under another fence or keep-outs (None: the same); task: the mission's.
+    def with_fence(self, task: Task, fence: FenceChanged | None) -> "State":
+        """The state within another fence; task: the mission's.
 
         Its `task` is the old one if they are equal.
         """
-        keep_outs = self.keep_outs if keep_outs is None else keep_outs
-        task = within(task, fence, keep_outs)
-        task = self.task if task == self.task else task
-        return replace(self, fence=fence, keep_outs=keep_outs, task=task)
+        task = within(task, fence)
+        return replace(self, fence=fence, task=self.task if task == self.task else task)
 
     def rebase_time(self, shift_s: float) -> "State":
         """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
@@ -665,10 +651,10 @@ class State(Struct, frozen=True, kw_only=True):
         )
 
 
-def within(task: Task, fence: FenceChanged | None, keep_outs: tuple[CircleZone, ...] = ()) -> Task:
-    """A task with a vehicle's own fence around it, and more keep-outs."""
+def within(task: Task, fence: FenceChanged | None) -> Task:
+    """A task with a vehicle's own fence around it."""
     if fence is None:
-        return dataclasses.replace(task, zones=(*task.zones, *keep_outs)) if keep_outs else task
+        return task
     limits = task.limits
     floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
     if fence.floor_amsl_m is not None:
@@ -676,18 +662,4 @@ def within(task: Task, fence: FenceChanged | None, keep_outs: tuple[CircleZone, 
     if fence.ceiling_amsl_m is not None:
         ceiling = min(ceiling, fence.ceiling_amsl_m)
     limits = dataclasses.replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
-    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones, *keep_outs))
-
-
-def with_circle(
-    keep_outs: tuple[CircleZone, ...], centre_ne_m: tuple[float, float], radius_m: float
-) -> tuple[CircleZone, ...]:
-    """The ordered keep-outs with another; a radius of 0 lifts those that its centre is in."""
-    if radius_m == 0.0:
-        where = np.array(centre_ne_m)
-        return tuple(each for each in keep_outs if each.distance_m(*where) > 0.0)
-    names = {each.name for each in keep_outs}
-    name = next(name for k in count(1) if (name := f"ordered keep-out {k}") not in names)
-    zone = CircleZone(name=name, north_m=centre_ne_m[0], east_m=centre_ne_m[1], radius_m=radius_m)
-    is_new = all(dataclasses.replace(each, name=name) != zone for each in keep_outs)
-    return (*keep_outs, zone) if is_new else keep_outs
+    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))

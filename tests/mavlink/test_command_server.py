@@ -2,7 +2,6 @@
 
 import math
 import struct
-from dataclasses import replace
 from typing import Any
 
 import pyproj
@@ -24,14 +23,13 @@ from pymavlink.dialects.v20 import all as wire
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.addressing import Reply
-from companion.mavlink.commands import CommandServer, from_float32, speed_bounds_m_s
+from companion.mavlink.commands import CommandServer
 from companion.mavlink.own_messages import OwnMessages
 from companion.mission.changes import OrderResult
 from companion.mission.events import Order, OrderKind
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
-START, PAUSE, REPOSITION, SPEED, RETURN = 300, 193, 192, 178, 20
-LAND, KEEP_OUT = 21, 5004
+START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
 REQUEST, SET_INTERVAL, GET_INTERVAL, CAPABILITIES = 512, 511, 510, 520
 LATITUDE_DEG, LONGITUDE_DEG = ORIGIN_DEG = 47.0, 8.0
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -117,13 +115,6 @@ def test_an_order_that_the_machine_refuses_is_refused() -> None:
         (START, (math.inf,)),
         (PAUSE, (2.0,)),
         (PAUSE, (math.nan,)),
-        (SPEED, (1.0, math.nan)),
-        (SPEED, (1.0, math.inf)),
-        (SPEED, (1.0, 0.0)),
-        (SPEED, (1.0, -3.0)),
-        (SPEED, (1.0, 8.01)),
-        (SPEED, (2.0, 3.0)),
-        (SPEED, (math.nan, 3.0)),
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, math.nan, 8.0, 100.0)),
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 47.0, math.nan, 100.0)),
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, math.inf, 8.0, 100.0)),
@@ -132,13 +123,6 @@ def test_an_order_that_the_machine_refuses_is_refused() -> None:
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 48.0, 8.0, 100.0)),
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, -47.0, -172.0, 100.0)),
         (LAND, (0.0, 0.0, 0.0, math.nan, 47.0, 8.0, 0.0)),
-        (KEEP_OUT, (-5.0, 0.0, 0.0, 0.0, 47.001, 8.001, 0.0)),
-        (KEEP_OUT, (math.nan, 0.0, 0.0, 0.0, 47.001, 8.001, 0.0)),
-        (KEEP_OUT, (1e6, 0.0, 0.0, 0.0, 47.001, 8.001, 0.0)),
-        (KEEP_OUT, (50.0, 0.0, 0.0, 0.0, math.nan, 8.001, 0.0)),
-        (KEEP_OUT, (50.0, 0.0, 0.0, 0.0, 48.0, 8.0, 0.0)),
-        (REPOSITION, (9.0, 0.0, 0.0, math.nan, 47.001, 8.001, 100.0)),
-        (REPOSITION, (math.inf, 0.0, 0.0, math.nan, 47.001, 8.001, 100.0)),
     ],
 )
 def test_values_that_cannot_be_are_denied_with_words(
@@ -160,7 +144,6 @@ def test_a_new_target_lies_where_the_geodesic_says(
     assert acks == [Ack(REPOSITION, ACCEPTED, PERSON)]
     assert answer.order is not None
     assert answer.order.kind is OrderKind.REPOSITION
-    assert answer.order.speed_m_s is None
     assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=0.02)
     in_floats = command_long(REPOSITION, -1.0, 0.0, 0.0, math.nan, x * 1e-7, y * 1e-7, 50.0)
     answer, acks = answered(made(), in_floats)
@@ -168,27 +151,11 @@ def test_a_new_target_lies_where_the_geodesic_says(
     assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=0.5)
 
 
-@pytest.mark.parametrize("radius_m", [55.5, 0.0])
-def test_a_keep_out_is_a_circle_about_its_place(radius_m: float) -> None:
-    x, y = place_e7(1_200.0, -700.0)
-    for message in (
-        command_int(KEEP_OUT, radius_m, x=x, y=y, frame_id=0),
-        command_long(KEEP_OUT, radius_m, 0.0, 0.0, 0.0, x * 1e-7, y * 1e-7, 0.0),
-    ):
-        answer, acks = answered(made(), message)
-        assert acks == [Ack(KEEP_OUT, ACCEPTED, PERSON)]
-        assert answer.order is not None
-        assert (answer.order.kind, answer.order.radius_m) == (OrderKind.KEEP_OUT, radius_m)
-        assert answer.order.target_ne_m == pytest.approx((1_200.0, -700.0), abs=0.5)
-
-
 @pytest.mark.parametrize("frame_id", [1, 2, 4, 7, 8, 9, 10, 11, 12, 20, 21, 255])
 def test_another_frame_is_refused_as_such(frame_id: int) -> None:
     x, y = place_e7(100.0, 100.0)
     _, acks = answered(made(), command_int(REPOSITION, x=x, y=y, frame_id=frame_id))
     assert acks == [Ack(REPOSITION, WRONG_FRAME, PERSON)]
-    _, acks = answered(made(), command_int(KEEP_OUT, 50.0, x=x, y=y, frame_id=frame_id))
-    assert acks == [Ack(KEEP_OUT, WRONG_FRAME, PERSON)]
     _, acks = answered(made(), command_int(PAUSE, frame_id=frame_id))  # it has no place
     assert acks == [Ack(PAUSE, ACCEPTED, PERSON)]
 
@@ -208,35 +175,10 @@ def test_nor_is_0_0_even_if_it_lies_on_the_map() -> None:
         assert acks == [Ack(REPOSITION, DENIED, PERSON)]
 
 
-def test_a_speed_comes_with_a_target() -> None:
-    x, y = place_e7(100.0, 100.0)
-    answer, _ = answered(made(), command_int(REPOSITION, 4.3, x=x, y=y, frame_id=6))
-    assert answer.order is not None
-    assert answer.order.speed_m_s == 4.3
-
-
-@pytest.mark.parametrize(
-    ("asked", "speed"), [(8.0, 8.0), (0.1, 0.1), (3.3, 3.3), (-2.0, 8.0), (-1.0, None)]
-)
-def test_a_speed_up_to_the_missions_own_is_passed_on(asked: float, speed: float | None) -> None:
-    answer, acks = answered(made(), command_long(SPEED, 1.0, asked, -1.0))
-    assert acks == [Ack(SPEED, ACCEPTED, PERSON)]
-    assert (answer.order and answer.order.speed_m_s) == speed
-
-
-def test_a_plane_cannot_be_told_to_stand_still() -> None:
-    plane = replace(MISSION.task.limits, speed_m_s=20.0, loiter_radius_m=80.0)
-    low, high = speed_bounds_m_s(plane)
-    assert (low, high) == (15.0, 20.0)
-    for speed, result in ((14.9, DENIED), (15.0, ACCEPTED), (20.0, ACCEPTED), (20.1, DENIED)):
-        _, acks = answered(made(limits=plane), command_long(SPEED, 0.0, speed))
-        assert acks == [Ack(SPEED, result, PERSON)]
-
-
 # --- who may, and who is meant
 
 
-@pytest.mark.parametrize("command", [START, PAUSE, RETURN, SPEED, SET_INTERVAL])
+@pytest.mark.parametrize("command", [START, PAUSE, RETURN, SET_INTERVAL])
 def test_strangers_are_denied_and_noted(command: int) -> None:
     answer, acks = answered(made(), command_long(command, 1.0, 5.0, sender=STRANGER))
     assert acks == [Ack(command, DENIED, STRANGER)]
@@ -269,7 +211,7 @@ def test_what_is_for_others_is_neither_answered_nor_obeyed(
 
 @pytest.mark.parametrize("target", [(7, 0), (0, 195), (0, 0)])
 def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int]) -> None:
-    for command in (START, PAUSE, RETURN, SPEED, REPOSITION, SET_INTERVAL, 400, 22):
+    for command in (START, PAUSE, RETURN, REPOSITION, SET_INTERVAL, 400, 22):
         answer = made().on_message(command_long(command, 0.0, 5.0, target=target), 1.0)
         assert answer == Reply()
     _, acks = answered(made(), command_long(REQUEST, 148.0, target=target))
@@ -282,7 +224,7 @@ def test_our_own_messages_sent_back_by_a_router_are_ignored() -> None:
     assert made().on_message(command_long(START, sender=OURS), 1.0) == Reply()
 
 
-@pytest.mark.parametrize("command", [22, 176, 400, 246, 2000, 0, 65_535])
+@pytest.mark.parametrize("command", [22, 176, 178, 400, 246, 2000, 5004, 0, 65_535])
 def test_what_we_cannot_do_is_unsupported(command: int) -> None:
     for sender in (PERSON, STRANGER):
         _, acks = answered(made(), command_long(command, sender=sender))
@@ -424,7 +366,7 @@ def test_an_interval_that_cannot_be_is_denied(interval_us: float) -> None:
 
 IDS = st.tuples(st.sampled_from([0, 1, 7, 8, 255]), st.sampled_from([0, 1, 190, 195]))
 COMMANDS = st.sampled_from(
-    [START, PAUSE, REPOSITION, SPEED, RETURN, REQUEST, SET_INTERVAL, GET_INTERVAL, CAPABILITIES]
+    [START, PAUSE, REPOSITION, RETURN, REQUEST, SET_INTERVAL, GET_INTERVAL, CAPABILITIES]
 ) | st.integers(0, 65_535)
 FLOATS = st.floats(width=32) | st.sampled_from([0.0, 1.0, -1.0, 148.0, 330.0, 47.0, 8.0])
 
@@ -480,16 +422,3 @@ def test_no_message_whatever_breaks_it(
     answer = made().on_message(any_message(number, payload, sender), 1.0)
     if number not in (75, 76):
         assert answer == Reply()
-
-
-@given(st.decimals(min_value="0.01", max_value="9999", places=2))
-def test_a_number_that_somebody_wrote_comes_back(number: Any) -> None:
-    [on_the_wire] = struct.unpack("<f", struct.pack("<f", float(number)))
-    if float(f"{float(number):.6g}") == float(number):
-        assert from_float32(on_the_wire) == float(number)
-
-
-@given(st.floats(width=32))
-def test_and_is_never_another_float(value: float) -> None:
-    same = struct.pack("<f", from_float32(value)) == struct.pack("<f", value)
-    assert same or math.isnan(value)

@@ -27,7 +27,6 @@ from companion.mission import changes, checkpoint
 from companion.mission.changes import OrderResult
 from companion.mission.events import (
     End,
-    FenceChanged,
     Mode,
     Order,
     OrderKind,
@@ -37,7 +36,6 @@ from companion.mission.events import (
     Rebooted,
     SetMode,
     Setpoint,
-    SetSpeed,
     StatusText,
     StopAsked,
 )
@@ -53,16 +51,8 @@ EVERY_DRIVING = pytest.mark.parametrize("traits", DRIVINGS, ids=NAME)
 
 def tell(craft: Craft, kind: OrderKind) -> OrderResult:
     """An order, as the session gives it: obeyed if it is accepted."""
-    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
-    return give(
-        craft,
-        Order(
-            time_s=craft.now_s,
-            kind=kind,
-            target_ne_m=OTHER_NE_M if placed else None,
-            radius_m=100.0 if kind is OrderKind.KEEP_OUT else None,
-        ),
-    )
+    target_ne_m = OTHER_NE_M if kind is OrderKind.REPOSITION else None
+    return give(craft, Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m))
 
 
 def give(craft: Craft, order: Order) -> OrderResult:
@@ -286,29 +276,6 @@ def test_a_pause_is_not_overruled_by_the_fallback_that_was_planned_before() -> N
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
 
 
-def test_a_new_target_is_flown_to_at_the_speed_that_was_given_with_it() -> None:
-    craft = under_way()
-    order = Order(
-        time_s=craft.now_s,
-        kind=OrderKind.REPOSITION,
-        target_ne_m=(9_000.0, 2_000.0),
-        speed_m_s=30.0,
-    )
-    assert changes.order_result(craft.state, order) is OrderResult.ACCEPTED
-    craft.obey(craft.take(order))
-    craft.fly_to(HOLDING).fly_to(Phase.FLYING).run_for(60.0)
-    assert craft.sent(SetSpeed)[-1].speed_m_s == 30.0
-    speeds = [c.velocity_nea_m_s for c in craft.commands[-100:] if isinstance(c, Setpoint)]
-    assert max(sum(v * v for v in each) ** 0.5 for each in speeds) == pytest.approx(30.0)
-
-
-def test_a_new_target_without_a_speed_leaves_the_speed_as_it_is() -> None:
-    craft = under_way()
-    craft.take(Order(time_s=craft.now_s, kind=OrderKind.SPEED, speed_m_s=40.0))
-    tell(craft, OrderKind.REPOSITION)
-    assert craft.state.flight.speed_limit_m_s == 40.0
-
-
 # --- at the target
 
 
@@ -397,9 +364,7 @@ def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
     over.take(StopAsked(time_s=over.now_s))
     shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     for craft in (over, shadow):
-        settings = (OrderKind.SPEED, OrderKind.KEEP_OUT)  # of what is planned, not flown
-        kinds = [kind for kind in OrderKind if craft is over or kind not in settings]
-        assert {tell(craft, kind) for kind in kinds} == {OrderResult.NOT_NOW}
+        assert {tell(craft, kind) for kind in OrderKind} == {OrderResult.NOT_NOW}
 
 
 @pytest.mark.parametrize("obeys", [True, False])
@@ -528,79 +493,3 @@ def test_a_landing_that_a_person_broke_off_is_a_landing_again_when_told_to_go_on
     assert craft.phase is Phase.HOLDING
     tell(craft, OrderKind.START)
     craft.run_until(lands)
-
-
-# --- keep-outs
-
-
-def keep_out(craft: Craft, place_ne_m: tuple[float, float], radius_m: float) -> OrderResult:
-    kind = OrderKind.KEEP_OUT
-    order = Order(time_s=craft.now_s, kind=kind, target_ne_m=place_ne_m, radius_m=radius_m)
-    return give(craft, order)
-
-
-@pytest.mark.parametrize(("aside_m", "stops"), [(0.0, True), (9_000.0, False)])
-def test_a_keep_out_stops_a_vehicle_only_where_it_lies_on_the_rest_of_its_path(
-    aside_m: float, stops: bool
-) -> None:
-    craft = under_way()
-    craft.run_for(5.0)
-    leg = craft.state.flight.leg
-    assert leg is not None
-    north_m, east_m, _ = leg.subpath.pose(leg.subpath.length_m).point_nea_m
-    north_m, east_m = north_m - aside_m * 0.7, east_m + aside_m * 0.7
-    assert keep_out(craft, (north_m, east_m), 100.0) is OrderResult.ACCEPTED
-    craft.run_for(0.5)
-    stop = craft.state.flight.stop
-    assert (stop is not None and stop.reason is Reason.NEW_THREAT) == stops
-    asked = len(craft.sent(Plan))
-    craft.run_until(lambda craft: len(craft.sent(Plan)) > asked)
-    assert craft.state.keep_outs[0] in craft.sent(Plan)[-1].request.task.zones
-
-
-def test_keep_outs_outlive_the_fence_the_companion_and_the_autopilot() -> None:
-    craft = under_way()
-    for radius_m in (100.0, 200.0, 100.0):  # the third is the first again
-        assert keep_out(craft, (-3_000.0, 500.0), radius_m) is OrderResult.ACCEPTED
-    zones = craft.state.keep_outs
-    assert [zone.radius_m for zone in zones] == [100.0, 200.0]
-    craft.take(FenceChanged(time_s=craft.now_s, zones=()))
-    restarted(craft)
-    craft.take(Rebooted(time_s=craft.now_s))
-    assert craft.state.keep_outs == zones
-    assert craft.state.task.zones[-2:] == zones
-
-
-def test_a_radius_of_0_lifts_the_keep_outs_that_its_place_is_in_and_no_others() -> None:
-    craft, north_m = under_way(), -3_000.0
-    for east_m in (0.0, 150.0, 300.0):
-        assert keep_out(craft, (north_m, east_m), 100.0) is OrderResult.ACCEPTED
-    last = craft.state.keep_outs[2]
-    assert keep_out(craft, (north_m, 75.0), 0.0) is OrderResult.ACCEPTED
-    assert craft.sent(StatusText)[-1].text == "lifted: ordered keep-out 1, ordered keep-out 2"
-    assert craft.state.keep_outs == craft.state.task.zones == (last,)
-    assert keep_out(craft, (north_m, 75.0), 0.0) is OrderResult.INVALID
-    refused = Order(time_s=0.0, kind=OrderKind.KEEP_OUT, target_ne_m=(north_m, 75.0), radius_m=0.0)
-    assert changes.why_not(craft.state, refused).endswith(
-        "none that was ordered in flight is there"
-    )
-    restarted(craft)
-    assert craft.state.keep_outs == (last,)
-    assert keep_out(craft, (north_m, 0.0), 100.0) is OrderResult.ACCEPTED
-    assert len({zone.name for zone in craft.state.keep_outs}) == 2
-
-
-def test_a_keep_out_over_the_target_is_kept_and_told() -> None:
-    craft = under_way()
-    [target] = craft.state.targets_ne_m
-    assert keep_out(craft, target, 100.0) is OrderResult.ACCEPTED
-    said = [each.text for each in craft.sent(StatusText) if each.warning]
-    assert any("inside keep-out" in text for text in said)
-
-
-def test_a_checkpoint_from_before_there_were_keep_outs_is_read() -> None:
-    craft = under_way()
-    values = checkpoint.values_of(craft.state)
-    del values["keep_outs"]
-    state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
-    assert state.keep_outs == ()

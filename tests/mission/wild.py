@@ -91,7 +91,6 @@ _PLANE = replace(
 _SETTINGS = PlannerSettings(
     scan_range_m=800.0, safety_distance_m=12.0, planning_time_s=1.0, scan_time_s=1.0
 )
-PLACED = (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
 _TARGETS = ((400.0, 300.0), (-500.0, 200.0), (-300.0, -600.0))
 
 
@@ -522,18 +521,8 @@ class Wild:
         rng = self.rng
         kind = list(OrderKind)[rng.integers(len(OrderKind))]
         at = tuple(float(value) for value in rng.uniform(-1100.0, 1100.0, 2))
-        speed = float(rng.choice([1.0, 5.0, 50.0]))
-        radius = float(rng.choice([0.0, 20.0, 80.0, 300.0])) if kind is OrderKind.KEEP_OUT else None
-        if (zones := self.state.keep_outs) and rng.random() < 0.3:  # one of them is lifted
-            kind, radius = OrderKind.KEEP_OUT, 0.0
-            at = zones[0].north_m + 5.0, zones[0].east_m - 5.0
-        order = Order(
-            time_s=self.now_s,
-            kind=kind,
-            target_ne_m=(at[0], at[1]) if kind in PLACED else None,
-            speed_m_s=speed if kind in (OrderKind.SPEED, OrderKind.REPOSITION) else None,
-            radius_m=radius,
-        )
+        target_ne_m = (at[0], at[1]) if kind is OrderKind.REPOSITION else None
+        order = Order(time_s=self.now_s, kind=kind, target_ne_m=target_ne_m)
         if changes.order_result(self.state, order) is changes.OrderResult.ACCEPTED:
             self.take(order)
 
