@@ -9,7 +9,6 @@ from typing import final
 from companion.mavlink.addressing import Reply
 from companion.mavlink.commands import CommandServer
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
-from companion.mavlink.obstacle_distance import VehicleSurroundings
 from companion.mavlink.own_messages import OwnMessages
 from companion.mission.changes import OrderResult
 from companion.mission.events import Order
@@ -23,8 +22,7 @@ class Component:
 
     def __init__(self, mission: Mission, system_id: int, version: str) -> None:
         ours = (system_id, COMPANION_COMPONENT)
-        self._mission = mission
-        self._presence = OwnMessages(version=version, sends_obstacles=mission.sends_obstacles)
+        self._presence = OwnMessages(version)
         self._commands = CommandServer(
             ours=ours,
             commanders=mission.commanders,
@@ -48,16 +46,7 @@ class Component:
 
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
         """The messages that are due; no heartbeat while faulted or done."""
-        here, around = state.vehicle.position_nea_m, None
-        if here is not None and self._mission.sends_obstacles:
-            around = VehicleSurroundings(
-                frame=self._mission.frame,
-                known=state.flight.known,
-                zones=state.task.zones,
-                position_nea_m=here,
-            )
-        status = None if faulted else system_status(state)
-        return self._presence.on_time(now_s, status=status, around=around)
+        return self._presence.on_time(now_s, None if faulted else system_status(state))
 
 
 def system_status(state: State) -> int:

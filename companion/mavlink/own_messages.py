@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import final
 
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.obstacle_distance import VehicleSurroundings, obstacle_distance
 
 HEARTBEAT = wire.MAVLINK_MSG_ID_HEARTBEAT
 AUTOPILOT_VERSION = wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-OBSTACLE_DISTANCE = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
 
 CAPABILITIES = wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
 """No parameters, mission, fence or rally points: those are the autopilot's; no files."""
@@ -42,7 +40,6 @@ class _Row:
 _ROWS = {
     HEARTBEAT: _Row(default_us=1_000_000, fastest_us=1_000_000, fixed=True),
     AUTOPILOT_VERSION: _Row(default_us=None, fastest_us=1_000_000),
-    OBSTACLE_DISTANCE: _Row(default_us=500_000, fastest_us=100_000),
 }
 _SLOWEST_US = 2_000_000_000  # of an int32
 
@@ -87,32 +84,27 @@ def version_number(version: str) -> int:
 class OwnMessages:
     """Schedules the companion's own messages.  Pure: time is an argument.
 
-    version: the companion's; sends_obstacles: whether OBSTACLE_DISTANCE is switched on.
+    version: the companion's.
     """
 
-    def __init__(self, *, version: str, sends_obstacles: bool) -> None:
+    def __init__(self, version: str) -> None:
         self._version = version
-        self._rows = {
-            number: row
-            for number, row in _ROWS.items()
-            if sends_obstacles or number != OBSTACLE_DISTANCE
-        }
-        self._period_us = {number: row.default_us for number, row in self._rows.items()}
+        self._period_us = {number: row.default_us for number, row in _ROWS.items()}
         self._sent_at_s: dict[int, float] = {}
         self._asked: set[int] = set()
 
     def ask(self, message_id: int) -> bool:
         """Send a message once, with the next on_time(); False if it is not one of ours."""
-        if message_id in self._rows:
+        if message_id in _ROWS:
             self._asked.add(message_id)
-        return message_id in self._rows
+        return message_id in _ROWS
 
     def set_interval(self, message_id: int, interval_us: float) -> bool:
         """Set the interval of a message: microseconds, 0: default, -1: off.
 
         False, without effect, for a message that is not ours or an unsupported interval.
         """
-        row = self._rows.get(message_id)
+        row = _ROWS.get(message_id)
         if row is None:
             return False
         slowest_us = row.fastest_us if row.fixed else _SLOWEST_US
@@ -128,26 +120,18 @@ class OwnMessages:
 
     def interval_us(self, message_id: int) -> int:
         """For MESSAGE_INTERVAL: microseconds, -1: off, 0: not one of ours."""
-        if message_id not in self._rows:
+        if message_id not in _ROWS:
             return 0
         period_us = self._period_us[message_id]
         return -1 if period_us is None else period_us
 
-    def on_time(
-        self, now_s: float, *, status: int | None, around: VehicleSurroundings | None
-    ) -> list[Message]:
-        """What is due now.
-
-        status: MAV_STATE, None while faulted (no heartbeat); around: the known surroundings, None
-        while the position is unknown (no obstacles).
-        """
+    def on_time(self, now_s: float, status: int | None) -> list[Message]:
+        """What is due now; status: MAV_STATE, None while faulted (no heartbeat)."""
         messages = list[Message]()
         if status is not None and self._is_due(HEARTBEAT, now_s):
             messages.append(heartbeat(status))
         if self._is_due(AUTOPILOT_VERSION, now_s):
             messages.append(autopilot_version(self._version))
-        if around is not None and self._is_due(OBSTACLE_DISTANCE, now_s):
-            messages.append(obstacle_distance(around, now_s))
         return messages
 
     @property

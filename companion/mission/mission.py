@@ -86,8 +86,6 @@ class Mission:
     """Whether it flies on while a changed fence is being read, instead of holding."""
     sets_parameters: bool = True
     """Whether parameters of the autopilot that are not safe are set, or only refused."""
-    sends_obstacles: bool = False
-    """Whether OBSTACLE_DISTANCE is sent."""
     rally_ne_m: tuple[tuple[float, float], ...] = ()
     """Places to return to that a plan names."""
     notes: tuple[str, ...] = ()

@@ -158,9 +158,7 @@ class BatteryTable(keys_of(Mission, "endurance_s")):  # type: ignore[misc]
     reserve_percent: Annotated[float, Field(ge=0.0, lt=100.0)] = 20.0
 
 
-class LinkTable(
-    keys_of(Mission, "sets_parameters", sends_obstacles="obstacle_distance")  # type: ignore[misc]
-):
+class LinkTable(keys_of(Mission, "sets_parameters")):  # type: ignore[misc]
     """Who may command the companion, and what it may say to the autopilot."""
 
     commanders: list[Sender] | None = None

@@ -130,7 +130,6 @@ def mission(autopilot: str, kind: str) -> Mission:
         end_action=EndAction.LAND,
         autopilot=autopilot,
         kind=kind,
-        sends_obstacles=True,
     )
 
 

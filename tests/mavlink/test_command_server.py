@@ -37,15 +37,13 @@ MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
 STRANGER = (42, 1)
 
 
-def made(
-    *, obstacles: bool = False, limits: Any = None, origin_deg: tuple[float, float] = ORIGIN_DEG
-) -> CommandServer:
+def made(*, origin_deg: tuple[float, float] = ORIGIN_DEG) -> CommandServer:
     return CommandServer(
         ours=OURS,
         commanders=((255, 0), (1, 191)),
         frame=LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1]),
-        limits=limits or MISSION.task.limits,
-        own_messages=OwnMessages(version="1.2.3", sends_obstacles=obstacles),
+        limits=MISSION.task.limits,
+        own_messages=OwnMessages("1.2.3"),
     )
 
 
@@ -331,7 +329,7 @@ def test_messages_of_ours_can_be_asked_for_by_everybody() -> None:
             server = made()
             _, acks = answered(server, message)
             assert [(one.result, one.target) for one in acks] == [(ACCEPTED, sender)]
-            [version] = presence_of(server).on_time(1.0, status=None, around=None)
+            [version] = presence_of(server).on_time(1.0, None)
             assert version.get_type() == "AUTOPILOT_VERSION"
 
 
@@ -343,23 +341,23 @@ def test_messages_that_are_not_ours_are_denied(number: float) -> None:
 
 
 def test_an_interval_is_set_and_told() -> None:
-    server = made(obstacles=True)
-    _, acks = answered(server, command_long(SET_INTERVAL, 330.0, 250_000.0))
+    server = made()
+    _, acks = answered(server, command_long(SET_INTERVAL, 148.0, 2_500_000.0))
     assert acks == [Ack(SET_INTERVAL, ACCEPTED, PERSON)]
-    answer = server.on_message(command_long(GET_INTERVAL, 330.0), 1.0)
+    answer = server.on_message(command_long(GET_INTERVAL, 148.0), 1.0)
     assert ack(answer.replies[0]) == Ack(GET_INTERVAL, ACCEPTED, PERSON)
     interval_us, number = struct.unpack("<iH", payload_of(answer.replies[1], 244, 6))
-    assert (number, interval_us) == (330, 250_000)
-    again = server.on_message(command_int(GET_INTERVAL, 330.0), 1.1)
+    assert (number, interval_us) == (148, 2_500_000)
+    again = server.on_message(command_int(GET_INTERVAL, 148.0), 1.1)
     assert len(again.replies) == 2  # a question asked again is answered again
 
 
 @pytest.mark.parametrize("interval_us", [math.nan, math.inf, 5.0, -7.0])
 def test_an_interval_that_cannot_be_is_denied(interval_us: float) -> None:
-    server = made(obstacles=True)
-    _, acks = answered(server, command_long(SET_INTERVAL, 330.0, interval_us))
+    server = made()
+    _, acks = answered(server, command_long(SET_INTERVAL, 148.0, interval_us))
     assert acks == [Ack(SET_INTERVAL, DENIED, PERSON)]
-    assert presence_of(server).interval_us(330) == 500_000
+    assert presence_of(server).interval_us(148) == -1
 
 
 # --- whatever comes
@@ -373,7 +371,7 @@ FLOATS = st.floats(width=32) | st.sampled_from([0.0, 1.0, -1.0, 148.0, 330.0, 47
 
 @given(st.data())
 def test_one_ack_answers_each_command_for_us_and_none_any_other(data: st.DataObject) -> None:
-    server = made(obstacles=True)
+    server = made()
     for _ in range(data.draw(st.integers(1, 6))):
         target, sender = data.draw(IDS), data.draw(IDS)
         command = data.draw(COMMANDS)
