@@ -73,7 +73,6 @@ class _CommandOutcome:
     text: str = ""
     order: Order | None = None
     """Without its time and sender."""
-    replies: tuple[Message, ...] = ()
 
 
 def _outcome(accepted: bool) -> _CommandOutcome:
@@ -153,7 +152,7 @@ class CommandServer:
         note = {"kind": "command", "sender": ids_text(sender), "command": message.command}
         if meaning.order is None:
             note |= {"result": meaning.result.name.lower(), "why": meaning.text}
-            replies = (_ack(message, meaning.result), *meaning.replies)
+            replies = (_ack(message, meaning.result),)
             return Reply(replies=replies, note=note, text=meaning.text)
         order = replace(meaning.order, time_s=now_s, sender=ids_text(sender))
         self._last.pop(sender, None)
@@ -168,7 +167,7 @@ class CommandServer:
         meaning = None if question is None else question(self, message)
         if meaning is None or meaning.result is not Result.ACCEPTED:
             return Reply()
-        return Reply(replies=(_ack(message, meaning.result), *meaning.replies))
+        return Reply(replies=(_ack(message, meaning.result),))
 
     def _interpret(self, message: Message, sender: Ids) -> _CommandOutcome:
         if (question := _QUERIES.get(message.command)) is not None:
@@ -189,19 +188,7 @@ class CommandServer:
     def _capabilities(self, message: Message) -> _CommandOutcome:
         return _outcome(message.param1 == 1.0 and self._presence.ask(AUTOPILOT_VERSION))
 
-    def _get_interval(self, message: Message) -> _CommandOutcome:
-        number = _whole(message.param1)
-        interval_us = 0 if number is None else self._presence.interval_us(number)
-        if number is None or interval_us == 0:
-            return _CommandOutcome(Result.DENIED)
-        reply = wire.MAVLink_message_interval_message(number, interval_us)
-        return _CommandOutcome(Result.ACCEPTED, replies=(reply,))
-
     # --- orders
-
-    def _set_interval(self, message: Message) -> _CommandOutcome:
-        number = _whole(message.param1)
-        return _outcome(number is not None and self._presence.set_interval(number, message.param2))
 
     def _start(self, message: Message) -> _CommandOutcome:
         if not (math.isnan(message.param1) or message.param1 == 0.0):
@@ -255,13 +242,11 @@ _Handler = Callable[[CommandServer, Message], _CommandOutcome]
 
 _QUERIES: Final[dict[int, _Handler]] = {
     wire.MAV_CMD_REQUEST_MESSAGE: CommandServer._request_message,
-    wire.MAV_CMD_GET_MESSAGE_INTERVAL: CommandServer._get_interval,
     wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: CommandServer._capabilities,
 }
 """Queries: from any sender, broadcasts included."""
 
 _ORDERS: Final[dict[int, _Handler]] = {
-    wire.MAV_CMD_SET_MESSAGE_INTERVAL: CommandServer._set_interval,
     wire.MAV_CMD_MISSION_START: CommandServer._start,
     wire.MAV_CMD_DO_PAUSE_CONTINUE: CommandServer._pause_or_continue,
     wire.MAV_CMD_DO_REPOSITION: CommandServer._reposition,

@@ -1,7 +1,6 @@
 """Commands as a ground station packs them, byte by byte; places against pyproj's geodesics."""
 
 import math
-import struct
 from typing import Any
 
 import pyproj
@@ -14,7 +13,6 @@ from by_hand import (
     any_message,
     command_int,
     command_long,
-    payload_of,
 )
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,7 +28,7 @@ from companion.mission.events import Order, OrderKind
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
-REQUEST, SET_INTERVAL, GET_INTERVAL, CAPABILITIES = 512, 511, 510, 520
+REQUEST, CAPABILITIES = 512, 520
 LATITUDE_DEG, LONGITUDE_DEG = ORIGIN_DEG = 47.0, 8.0
 GEOD = pyproj.Geod(ellps="WGS84")
 MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
@@ -176,7 +174,7 @@ def test_nor_is_0_0_even_if_it_lies_on_the_map() -> None:
 # --- who may, and who is meant
 
 
-@pytest.mark.parametrize("command", [START, PAUSE, RETURN, SET_INTERVAL])
+@pytest.mark.parametrize("command", [START, PAUSE, RETURN])
 def test_strangers_are_denied_and_noted(command: int) -> None:
     answer, acks = answered(made(), command_long(command, 1.0, 5.0, sender=STRANGER))
     assert acks == [Ack(command, DENIED, STRANGER)]
@@ -209,7 +207,7 @@ def test_what_is_for_others_is_neither_answered_nor_obeyed(
 
 @pytest.mark.parametrize("target", [(7, 0), (0, 195), (0, 0)])
 def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int]) -> None:
-    for command in (START, PAUSE, RETURN, REPOSITION, SET_INTERVAL, 400, 22):
+    for command in (START, PAUSE, RETURN, REPOSITION, 400, 22):
         answer = made().on_message(command_long(command, 0.0, 5.0, target=target), 1.0)
         assert answer == Reply()
     _, acks = answered(made(), command_long(REQUEST, 148.0, target=target))
@@ -222,7 +220,7 @@ def test_our_own_messages_sent_back_by_a_router_are_ignored() -> None:
     assert made().on_message(command_long(START, sender=OURS), 1.0) == Reply()
 
 
-@pytest.mark.parametrize("command", [22, 176, 178, 400, 246, 2000, 5004, 0, 65_535])
+@pytest.mark.parametrize("command", [22, 176, 178, 400, 246, 510, 511, 2000, 5004, 0, 65_535])
 def test_what_we_cannot_do_is_unsupported(command: int) -> None:
     for sender in (PERSON, STRANGER):
         _, acks = answered(made(), command_long(command, sender=sender))
@@ -335,37 +333,16 @@ def test_messages_of_ours_can_be_asked_for_by_everybody() -> None:
 
 @pytest.mark.parametrize("number", [30.0, 330.0, 148.5, -1.0, math.nan, math.inf, 1e30])
 def test_messages_that_are_not_ours_are_denied(number: float) -> None:
-    for command in (REQUEST, GET_INTERVAL):
-        _, acks = answered(made(), command_long(command, number))
-        assert acks == [Ack(command, DENIED, PERSON)]
-
-
-def test_an_interval_is_set_and_told() -> None:
-    server = made()
-    _, acks = answered(server, command_long(SET_INTERVAL, 148.0, 2_500_000.0))
-    assert acks == [Ack(SET_INTERVAL, ACCEPTED, PERSON)]
-    answer = server.on_message(command_long(GET_INTERVAL, 148.0), 1.0)
-    assert ack(answer.replies[0]) == Ack(GET_INTERVAL, ACCEPTED, PERSON)
-    interval_us, number = struct.unpack("<iH", payload_of(answer.replies[1], 244, 6))
-    assert (number, interval_us) == (148, 2_500_000)
-    again = server.on_message(command_int(GET_INTERVAL, 148.0), 1.1)
-    assert len(again.replies) == 2  # a question asked again is answered again
-
-
-@pytest.mark.parametrize("interval_us", [math.nan, math.inf, 5.0, -7.0])
-def test_an_interval_that_cannot_be_is_denied(interval_us: float) -> None:
-    server = made()
-    _, acks = answered(server, command_long(SET_INTERVAL, 148.0, interval_us))
-    assert acks == [Ack(SET_INTERVAL, DENIED, PERSON)]
-    assert presence_of(server).interval_us(148) == -1
+    _, acks = answered(made(), command_long(REQUEST, number))
+    assert acks == [Ack(REQUEST, DENIED, PERSON)]
 
 
 # --- whatever comes
 
 IDS = st.tuples(st.sampled_from([0, 1, 7, 8, 255]), st.sampled_from([0, 1, 190, 195]))
-COMMANDS = st.sampled_from(
-    [START, PAUSE, REPOSITION, RETURN, REQUEST, SET_INTERVAL, GET_INTERVAL, CAPABILITIES]
-) | st.integers(0, 65_535)
+COMMANDS = st.sampled_from([START, PAUSE, REPOSITION, RETURN, REQUEST, CAPABILITIES]) | st.integers(
+    0, 65_535
+)
 FLOATS = st.floats(width=32) | st.sampled_from([0.0, 1.0, -1.0, 148.0, 330.0, 47.0, 8.0])
 
 

@@ -1,6 +1,5 @@
 """What others read of the companion: fields by pymavlink's own parser."""
 
-import math
 from collections import Counter
 from typing import Any
 
@@ -98,42 +97,17 @@ def test_whatever_the_version_is_it_fits(version: str) -> None:
     assert 0 <= version_number(version) < 2**32
 
 
-@pytest.mark.parametrize(
-    ("number", "interval_us", "accepted", "then"),
-    [
-        (0, 1e6, True, 1_000_000),
-        (0, 0.0, True, 1_000_000),
-        (0, -1.0, False, 1_000_000),
-        (0, 5e5, False, 1_000_000),
-        (0, 2e6, False, 1_000_000),
-        (148, 0.0, True, -1),
-        (148, 5e6, True, 5_000_000),
-        (148, 5e5, False, -1),
-        (30, 1e6, False, 0),
-    ],
-)
-def test_intervals(number: int, interval_us: float, accepted: bool, then: int) -> None:
+def test_what_is_not_ours_cannot_be_asked_for() -> None:
     own_messages = made()
-    assert own_messages.set_interval(number, interval_us) == accepted
-    assert own_messages.interval_us(number) == then
+    assert not own_messages.ask(330)
+    assert counted(own_messages) == {"HEARTBEAT": 10}
 
 
-def test_a_message_comes_as_often_as_it_was_asked_to() -> None:
+def test_a_heartbeat_that_is_asked_for_comes_at_once_and_counts() -> None:
     own_messages = made()
-    own_messages.set_interval(148, 5e6)
-    assert counted(own_messages) == {
-        "HEARTBEAT": 10,
-        "AUTOPILOT_VERSION": 2,
-    }
-    own_messages.set_interval(148, 0.0)
-    assert counted(own_messages, begin_s=20.0) == {"HEARTBEAT": 10}
-
-
-@given(st.integers(-5, 70_000), st.floats())
-def test_no_interval_whatever_breaks_it(number: int, interval_us: float) -> None:
-    own_messages = made()
-    own_messages.set_interval(number, interval_us)
-    assert own_messages.interval_us(0) == 1_000_000
-    assert -1 <= own_messages.interval_us(number) < 2**31
-    assert not math.isnan(own_messages.interval_us(number))
-    assert counted(own_messages)["HEARTBEAT"] == 10
+    assert len(own_messages.on_time(0.0, ACTIVE)) == 1
+    assert own_messages.ask(0)
+    assert own_messages.due_s < 0.0
+    assert len(own_messages.on_time(0.4, ACTIVE)) == 1
+    assert own_messages.due_s == 1.4
+    assert own_messages.on_time(1.3, ACTIVE) == []
