@@ -26,7 +26,6 @@ from companion.campaign import (
     families,
     in_process,
     judge,
-    over_udp,
     truth,
 )  # fmt: skip
 from companion.campaign.drawn_files import write
@@ -51,10 +50,8 @@ _SPACING_M = 1.0
 _MOST_POINTS = 20_000
 _OF_SHAPE = ("turn radius", "climb angle", "dive angle")
 _TOUCHED = "flown: touched something"
-_MOST_GROWTH_MB = 10.0
-"""In use, from the first hour of a flight to its end."""
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
-_OF_PLACE = ("mission", "family", "family_seed", "family_index", "vehicles")
+_OF_PLACE = ("mission", "family", "family_seed", "family_index")
 _ROOT = "runs"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -134,10 +131,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
         return _planned(run, folder)
     files = _files(run, folder)
     recorded = run.keep != "none" or run.with_faults
-    if run.over == "udp":
-        flown = over_udp.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
-    else:
-        flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
+    flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
     found = _judged(flown, files, with_faults=run.with_faults)
     found |= {"timeline": files.faults or None}
     return found | ({"faults": files.drawn} if run.script is not None else {})
@@ -216,7 +210,7 @@ def _with_factors(drawn: DrawnWorld, run: Run) -> DrawnWorld:
 
 
 def _files(run: Run, folder: Path) -> FlightFiles:
-    """World and mission of a run, with its factors, as both programs read them."""
+    """World and mission of a run, with its factors, as companion and vehicle read them."""
     place = run.place
     if place.family is not None:
         autopilot: Any = (run.vehicle or "ardupilot").partition("-")[0]
@@ -240,15 +234,12 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     mission["planner"] = mission.get("planner", {}) | given
     world = with_settings(world, run.world_settings)
     mission = with_settings(mission, run.mission_settings)
-    if place.laps is not None:
-        start = {name: world["vehicle"].get(name, 0.0) for name in ("north_m", "east_m")}
-        mission["targets"] = [*mission["targets"], start] * place.laps
     name, timeline = "", run.timeline
     if run.script is not None:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
         subject = drawn_faults.Subject(
-            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"], limit_s=run.limit_s
+            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"]
         )
         name, more = drawn_faults.drawn(run.script, subject)
         timeline = "\n".join(filter(None, (timeline, more)))
@@ -338,15 +329,6 @@ def _with_faults(flown: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, A
             checked = _near(flown, times_s) | checked
     known = [*verdict.pop("violated"), *filter(None, [checked["violated"]])]
     checked["violations"] += len(known) - bool(checked["violated"])
-    if (growth := flown.growth) is not None:
-        if growth.grown_mb > _MOST_GROWTH_MB or growth.more_handles > 0:
-            known.append(f"grew by {growth.grown_mb:.1f} MB, {growth.more_handles} handles")
-            checked["violations"] += 1
-        verdict |= {
-            "memory_mb": growth.now_mb,
-            "memory_grown_mb": growth.grown_mb,
-            "handles_more": growth.more_handles,
-        }
     if verdict["ending"] == "arrived":
         verdict["reason"] = None
     return checked | verdict | {"violated": "; ".join(known) or None}

@@ -29,7 +29,7 @@ TARGET = DRAWN.targets_ne_m[-1]
 
 
 def subject(vehicle: str) -> Subject:
-    return Subject(vehicle=vehicle, speed_m_s=10.0, limit_s=1_000.0)
+    return Subject(vehicle=vehicle, speed_m_s=10.0)
 
 
 # --- draws
@@ -48,11 +48,11 @@ def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) 
     assert drawn == [drawn_faults.drawn(script, subject(vehicle)) for script in scripts]
     firmware: Any = vehicle.partition("-")[0]
     for _, timeline in drawn:
-        ours, of_programs = drawn_faults.split(timeline)
+        ours, killed = drawn_faults.split(timeline)
         Timeline.parse(ours, firmware=firmware)
-        assert len(ours.splitlines()) + len(of_programs) == len(timeline.splitlines())
+        assert len(ours.splitlines()) + len(killed) == len(timeline.splitlines())
     assert len({timeline for _, timeline in drawn}) > 50
-    assert all(each.what in drawn_faults.PROGRAM_FAULTS for each in of_programs)
+    assert all(each.what == drawn_faults.KILLED for each in killed)
 
 
 def test_singles_go_through_all_rows_and_another_seed_draws_others() -> None:
