@@ -633,7 +633,14 @@ class State(Struct, frozen=True, kw_only=True):
 
         Its `task` is the old one if they are equal.
         """
-        task = within(task, fence)
+        if fence is not None:
+            limits, (floor, ceiling) = task.limits, (fence.floor_amsl_m, fence.ceiling_amsl_m)
+            limits = dataclasses.replace(
+                limits,
+                floor_amsl_m=max(limits.floor_amsl_m, -math.inf if floor is None else floor),
+                ceiling_amsl_m=min(limits.ceiling_amsl_m, math.inf if ceiling is None else ceiling),
+            )
+            task = dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))
         return replace(self, fence=fence, task=self.task if task == self.task else task)
 
     def rebase_time(self, shift_s: float) -> "State":
@@ -649,17 +656,3 @@ class State(Struct, frozen=True, kw_only=True):
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
             ),
         )
-
-
-def within(task: Task, fence: FenceChanged | None) -> Task:
-    """A task with a vehicle's own fence around it."""
-    if fence is None:
-        return task
-    limits = task.limits
-    floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
-    if fence.floor_amsl_m is not None:
-        floor = max(floor, fence.floor_amsl_m)
-    if fence.ceiling_amsl_m is not None:
-        ceiling = min(ceiling, fence.ceiling_amsl_m)
-    limits = dataclasses.replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
-    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))
