@@ -8,7 +8,6 @@ from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
 from companion.mavlink.link import Output
 from companion.mission.state import Phase, Reason
-from companion.planner.adjustable import PARAMETERS
 from companion.replay.session_inputs import feed, session_of, start_of
 from companion.session import Session
 
@@ -82,25 +81,6 @@ def test_who_may_not_command_may_not_there_either() -> None:
     assert it.session.state.flight is before
 
 
-def test_a_value_that_is_set_is_told_to_everybody() -> None:
-    it = flying()
-    here = len(it.frames)
-    it.hear(wire.MAVLink_param_set_message(1, 195, b"PLN_SAFE_DIST", 600.0, 9), link=2)
-    for frames in (it.to_ground, it.frames[here:]):
-        [value] = of("PARAM_VALUE", frames)
-        assert value.param_value == 600.0
-
-
-def test_the_list_of_its_parameters_comes_there_and_to_everybody() -> None:
-    it = flying()
-    it.hear(wire.MAVLink_param_request_list_message(1, 0))
-    for _ in range(20):
-        it.tick()
-    for frames in (it.to_ground, it.frames):
-        names = [value.param_id for value in of("PARAM_VALUE", frames)]
-        assert names == [parameter.name for parameter in PARAMETERS]
-
-
 def test_no_word_of_a_vehicle_counts_there() -> None:
     """Whoever routes the vehicle's own messages there, or makes some up."""
     it = flying()
@@ -131,33 +111,6 @@ def test_garbage_there_is_passed_over_and_cuts_no_message_of_the_vehicle() -> No
         it.tick()
         quiet.tick()
     assert it.frames == quiet.frames
-
-
-def test_a_keep_out_on_the_way_its_lifting_and_a_landing_are_obeyed_and_told_again() -> None:
-    """The same again from what was recorded: every frame, the answers too."""
-    it = flying()
-    it.run_until(lambda it: it.session.state.flight.legs_flown == 1)
-    leg = it.session.state.flight.leg
-    assert leg is not None
-    north_m, east_m, _ = leg.subpath.pose(0.7 * leg.subpath.length_m).point_nea_m
-    latitude_deg, longitude_deg = MISSION.frame.to_geodetic_deg(north_m, east_m)
-    place = (latitude_deg, longitude_deg, 0.0)
-    for radius_m in (-1.0, 0.0, 300.0):
-        it.order(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, radius_m, 0.0, 0.0, 0.0, *place)
-    it.run_until(lambda it: it.session.state.reason is Reason.NEW_THREAT)
-    it.run_until(lambda it: it.session.state.phase is Phase.FLYING)
-    it.order(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0.0, 0.0, 0.0, 0.0, *place)
-    denied, accepted = wire.MAV_RESULT_DENIED, wire.MAV_RESULT_ACCEPTED
-    results = [ack.result for ack in of("COMMAND_ACK", it.to_ground)]
-    assert results == [denied, denied, accepted, accepted]
-    assert it.session.state.keep_outs == ()
-    it.order(wire.MAV_CMD_NAV_LAND)
-    it.run_until(lambda it: it.session.state.phase is Phase.LANDING)
-    start, *others = it.inputs
-    session = session_of(start_of(start), lambda _start: MISSION)
-    outs = [out for told in others if (out := feed(session, told)) is not None]
-    assert [frame for out in outs for frame in out.frames] == it.frames
-    assert [frame for out in outs for frame in out.to_ground] == it.to_ground
 
 
 def test_a_flight_from_before_there_were_such_links_is_told_again_as_it_was() -> None:

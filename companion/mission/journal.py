@@ -276,14 +276,6 @@ class Targets(Entry, frozen=True, tag="targets"):
 
 
 @final
-class Setting(Entry, frozen=True, tag="setting"):
-    """A planner parameter was set."""
-
-    what: str
-    """Name = value."""
-
-
-@final
 class CommandHeard(Entry, frozen=True, tag="command"):
     """A MAVLink command to the companion, and the answer."""
 
@@ -303,18 +295,12 @@ class CommandHeard(Entry, frozen=True, tag="command"):
 class OrderGiven(Entry, frozen=True, tag="order"):
     """An order to the companion that was accepted."""
 
-    order: Literal[
-        "START", "PAUSE", "CONTINUE", "REPOSITION", "SPEED", "RETURN", "LAND", "KEEP_OUT"
-    ]
+    order: Literal["START", "PAUSE", "CONTINUE", "REPOSITION", "RETURN", "LAND"]
     """The order."""
     sender: str
     """System and component id of the sender: "255/190"; or "terminal"."""
     target_ne_m: NorthEast | None
-    """Where to go (REPOSITION); the centre (KEEP_OUT)."""
-    speed_m_s: float | None
-    """How fast (SPEED)."""
-    radius_m: float | None = None
-    """Of the circle (KEEP_OUT); 0: those that the centre is in are lifted."""
+    """Where to go (REPOSITION)."""
 
 
 # --- the vehicle

@@ -123,7 +123,6 @@ class WorldTable(Table):
     radars: list[RadarTable] = []
     vehicle: WorldVehicleTable
     scanner: dict[str, Any] = {}
-    traffic: list[dict[str, Any]] = []
     trees: list[dict[str, Any]] = []
     woods: list[dict[str, Any]] = []
     buildings: list[dict[str, Any]] = []

@@ -148,8 +148,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
     if wind is not None and not 0.0 <= now_s - wind[0] < _WIND_S:
         wind = None
     left_m = way_left_m(state) if here is not None and state.targets_ne_m else None
-    cruise_m_s = min(task.limits.speed_m_s, flight.speed_limit_m_s)
-    flies = state.phase in ON_PATH and cruise_m_s > 0.0
+    flies, cruise_m_s = state.phase in ON_PATH, task.limits.speed_m_s
     leg, off_m = flight.leg, None
     if leg is not None and here is not None:
         off_m = off_path_m(flight.reference, leg, np.asarray(here))

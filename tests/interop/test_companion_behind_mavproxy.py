@@ -118,13 +118,11 @@ def vehicle(programs: Any, tmp_path: Path) -> Any:
 
 def orders_are_answered(ground: Ground) -> None:
     """By the companion, and by it alone."""
-    ground.say(wire.MAVLink_param_set_message(*COMPANION, b"PLN_SAFE_DIST", 1e5, 9))
-    assert ground.hears(COMPANION, "PARAM_ERROR", 10.0) is not None
-    ground.say(wire.MAVLink_command_long_message(*COMPANION, 178, 0, 1, 3.0, *[0.0] * 5))
-    ack = ground.hears(COMPANION, "COMMAND_ACK", 10.0, command=178)
+    ground.say(wire.MAVLink_command_long_message(*COMPANION, 512, 0, 148.0, *[0.0] * 6))
+    ack = ground.hears(COMPANION, "COMMAND_ACK", 10.0, command=512)
     assert ack is not None
     assert (ack.result, ack.target_system, ack.target_component) == (0, 255, 190)
-    answers = [m for m in ground.heard if m.get_type() == "COMMAND_ACK" and m.command == 178]
+    answers = [m for m in ground.heard if m.get_type() == "COMMAND_ACK" and m.command == 512]
     assert {sender(message) for message in answers} == {COMPANION}
 
 
@@ -162,5 +160,5 @@ def test_what_is_typed_at_a_mavproxy_behind_ground_is_for_the_companion(
     person.expect("mission sitl-px4", _READY_S)
     person.type("set target_system 1")
     person.type("set target_component 195")
-    person.ask("long DO_CHANGE_SPEED 1 3", "DO_CHANGE_SPEED: ACCEPTED")
+    person.ask("long REQUEST_MESSAGE 148", "REQUEST_MESSAGE: ACCEPTED")
     person.ask("long DO_PAUSE_CONTINUE 0", "DO_PAUSE_CONTINUE: TEMPORARILY_REJECTED")
