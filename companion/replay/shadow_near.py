@@ -136,8 +136,7 @@ class NearWatch:
 
     def _sensor(self, kind: Kind, component: int, message: Message) -> _Sensor:
         if (kind, component) not in self.sensors:
-            unit_m = 1.0 if kind == "obstacle_distance_3d" else 0.01
-            least_m, most_m = message.min_distance * unit_m, message.max_distance * unit_m
+            least_m, most_m = 0.01 * message.min_distance, 0.01 * message.max_distance
             mounted = NearSensor(
                 kind=kind,
                 component_id=component,

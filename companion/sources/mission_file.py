@@ -296,10 +296,6 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         rule = "only what can stop may fly by a sensor of near things"
         raise InputError(f"{field}.kind", kind, rule, "Use a terrain radar for a plane.")
     height_m = band.ceiling_amsl_m - band.floor_amsl_m
-    if kind != "obstacle_distance_3d" and "beam_deg" in table.model_fields_set:
-        rule = "it is of points, and sectors say how wide they are"
-        remedy = 'Remove it, or write kind = "obstacle_distance_3d".'
-        raise InputError(f"{field}.beam_deg", table.beam_deg, rule, remedy)
     if table.speaks_for_m < height_m:
         rule = f"its beams are flat, and altitude's band is {height_m:g} m high"
         remedy = f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."
@@ -315,7 +311,6 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         component_id=usual if table.component is None else table.component,
         yaw_rad=math.radians(table.yaw_deg),
         bearing_error_rad=math.radians(table.bearing_error_deg),
-        beam_rad=math.radians(table.beam_deg),
         range_m=model.planner.scan_range_m,
         **table.of(NearSensor),
     )
