@@ -270,14 +270,6 @@ def preflight_command(
     mission: MissionArgument,
     connect: ConnectOption = _CONNECT,
     system: SystemOption = None,
-    turn: Annotated[
-        bool,
-        typer.Option(
-            "--turn",
-            help="Wait until the vehicle was turned on the spot by 90 degrees, for how its lidar "
-            "is mounted.",
-        ),
-    ] = False,
     signing_key: KeyOption = None,
     profile: ProfileOption = None,
 ) -> None:
@@ -289,9 +281,6 @@ def preflight_command(
     console = plain_console(soft_wrap=True)
     chosen = _for_system(load_mission(mission, profile), system)
     _say_notes(chosen, console)
-    if turn and chosen.near is None:
-        rule = "the mission's scanner is not a sensor of near things"
-        raise InputError("--turn", turn, rule, "Leave it out, or name one in [scanner].")
     key = None if signing_key is None else SigningKey(signing_key)
     signing = None if key is None else key.signing(clock_s=_clock_s())
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
@@ -304,7 +293,6 @@ def preflight_command(
             session,
             link,
             stop_asked=lambda: bool(stop_asked),
-            turn=turn,
             on_progress=lambda text: status.update(f"waiting for {text}"),
         )
     if key is not None and signing is not None:
