@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, ground, loiter
+from companion.mission import following, ground
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
@@ -23,7 +23,6 @@ from companion.mission.events import (
     OrderKind,
     Prepared,
     Rebooted,
-    ScanDone,
     SetSpeed,
     SettingsChanged,
     StatusText,
@@ -216,7 +215,7 @@ def _with_zones(state: State, *said: Command) -> Step:
     if (inside := _inside(state)) and state.phase not in ON_PATH:
         says.append(StatusText(text=f"inside zone {inside}", warning=True))
     if not _is_touched(state):
-        return state, says, None  # `loiter` sees to the place where a plane waits
+        return state, says, None
     if state.phase not in ON_PATH:  # a path that was to be gone on with
         flight = following.at_rest(state.flight, state.flight.hover_nea_m)
         return replace(state, flight=flight), says, None
@@ -515,7 +514,6 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
 HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
     NearSeen: _with_near_things,
     GroundSeen: _on_ground_seen,
-    ScanDone: loiter.on_loiter_scan,
     FenceChanged: _with_fence,
     FenceReading: _fence_reading,
     FenceBreach: _fence_breach,
