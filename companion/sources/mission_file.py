@@ -5,6 +5,7 @@ table itself (`complete`), so that a run folder holds all that was flown.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final, get_args
@@ -23,6 +24,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.elevation import height_at_m, read_known_map
 from companion.sources.files import RawTable, path_of, plain, told_path
+from companion.sources.geojson import NoZone, Threats, read_geojson
 from companion.sources.mission_schema import (
     KnownTerrainTable,
     MissionTable,
@@ -35,8 +37,11 @@ from companion.sources.plan_defaults import with_plan
 from companion.sources.plan_file import Ground, read_plan
 from companion.sources.recognised import is_plan, refuse_other
 from companion.sources.schema import validated
-from companion.sources.threat_file import read_threats
-from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
+from companion.sources.waypoint_file import (
+    is_waypoint_list,
+    read_waypoint_fence,
+    read_waypoint_list,
+)
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
 from companion.world.traffic import CLAIM_S
@@ -76,7 +81,7 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
         asked = table["threats"]
         asked = {"file": asked} if isinstance(asked, str) else asked
         chosen = validated(ThreatsTable, asked, f"{where}: threats")
-        threats = read_threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
+        threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key in ("keep_outs", "keep_ins", "radars"):
@@ -90,6 +95,22 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
         }
     assumed = _keys(table) - _keys(given) if "plan" in names else frozenset[str]()
     return MissionFile(table=table, notes=tuple(notes), is_whole=not names, assumed=assumed)
+
+
+def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
+    """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
+    if is_waypoint_list(path):
+        plan = read_waypoint_fence(path, where)
+        notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
+        threats = Threats(
+            keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
+        )
+    else:
+        refuse_other(path, where, but_geojson=True)
+        threats = read_geojson(path, where, leave_out)
+    if not (threats.keep_outs or threats.keep_ins or threats.radars):
+        threats.notes.append(f"{path.name}: it holds no zone and no radar")
+    return threats
 
 
 def _keys(table: RawTable, above: str = "") -> frozenset[str]:

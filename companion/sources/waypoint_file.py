@@ -2,8 +2,6 @@
 
 "QGC WPL 110" has one item a line: index, current, frame, command, four parameters, latitude,
 longitude, altitude, autocontinue; line 0 of a mission is launch (mavlink.io, "File Formats").
-Older fence lists have only a latitude and a longitude a line: the return point, then the corners
-(pymavlink's mavwp.py).
 """
 
 import math
@@ -12,7 +10,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from companion.errors import InputError
-from companion.sources.files import RawTable, answer, read_text
+from companion.sources.files import answer, read_text
 from companion.sources.plan_file import Ground, Item, Items, Plan, check_place, launch_of
 
 _HEAD: Final = "QGC WPL"
@@ -117,29 +115,6 @@ def _filled(plan: Plan, rows: list[_Row], ground: Ground | None) -> Plan:
     return plan
 
 
-def read_fence_list(path: Path, where: str) -> RawTable:
-    """The keep-in polygon of an old fence list.  Raises InputError naming the line."""
-    places = []
-    for number, line in enumerate(read_text(path, where, _REMEDY).splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        label = f"{path.name}: line {number}"
-        numbers = _numbers(words, label)
-        if len(numbers) != 2:
-            rule = "a line of a fence list has a latitude and a longitude"
-            raise InputError(label, line.strip(), rule, _REMEDY)
-        check_place(numbers[0], numbers[1], label)
-        places.append(numbers)
-    corners = places[1:]  # the first is the return point
-    if len(corners) > 1 and corners[0] == corners[-1]:
-        corners.pop()
-    if len(corners) < 3:
-        rule = "a fence list has a return point and three or more corners"
-        raise InputError(f"{path.name}: lines", len(places), rule, _REMEDY)
-    return {"name": path.stem, "vertices_deg": corners}
-
-
 def _rows(text: str, name: str, where: str) -> list[_Row]:
     lines = text.splitlines()
     head = next(line for line in lines if line.strip())
@@ -152,7 +127,7 @@ def _rows(text: str, name: str, where: str) -> list[_Row]:
         if not words or words[0].startswith("#"):
             continue
         label = f"{name}: line {number}"
-        numbers = _numbers(words, label, or_not_given=True)
+        numbers = _numbers(words, label)
         whole = len(numbers) == 12 and all(numbers[at].is_integer() for at in (0, 2, 3))
         if not whole:
             rule = (
@@ -166,17 +141,13 @@ def _rows(text: str, name: str, where: str) -> list[_Row]:
     return rows
 
 
-def _numbers(words: list[str], label: str, *, or_not_given: bool = False) -> list[float]:
-    """The numbers of a line; nan for those that are not given, where these may be missing."""
+def _numbers(words: list[str], label: str) -> list[float]:
+    """The numbers of a line; nan for those that are not given."""
     try:
-        numbers = [
-            math.nan if or_not_given and _NOT_GIVEN.fullmatch(word) else _finite(word)
-            for word in words
-        ]
+        return [math.nan if _NOT_GIVEN.fullmatch(word) else _finite(word) for word in words]
     except ValueError:
         rule = "it is made of finite numbers"
         raise InputError(label, " ".join(words)[:60], rule, _REMEDY) from None
-    return numbers
 
 
 def _finite(word: str) -> float:
