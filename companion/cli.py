@@ -43,7 +43,7 @@ from companion.replay.command import ProfileName, replay_command
 from companion.replay.export_command import export
 from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.keys import SigningKey
-from companion.runtime.link import open_link, open_links
+from companion.runtime.link import open_link
 from companion.runtime.loop import fly
 from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
@@ -116,14 +116,6 @@ ConnectOption = Annotated[
         "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
     ),
 ]
-GroundOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="LINK",
-        help="Where a ground station is that cannot reach the companion through the vehicle: "
-        "an address as of --connect. May be given several times.",
-    ),
-]
 SystemOption = Annotated[
     int | None,
     typer.Option(
@@ -145,7 +137,6 @@ KeyOption = Annotated[
 def fly_command(
     mission: MissionArgument,
     connect: ConnectOption = _CONNECT,
-    ground: GroundOption = None,
     system: SystemOption = None,
     lockstep: Annotated[
         bool,
@@ -222,7 +213,6 @@ def fly_command(
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         key = None if signing_key is None else SigningKey(signing_key)
         recalled = _recalled(folder_path, chosen, shows.console) if resume else None
-        grounds = ground or []
         session = Session(
             chosen,
             seed=seed,
@@ -230,14 +220,13 @@ def fly_command(
             shadow=shadow,
             signing=key and key.signing(clock_s=_clock_s()),
             resume=recalled and recalled.resume,
-            has_ground=bool(grounds),
             go=start,
             version=version("companion"),
         )
         if view:
             asked = Asked(paths=(str(folder_path),), port=view_port, live=True)
             stack.enter_context(started_view(asked, console))
-        flown = _flown(session, connect, grounds, folder_path, mission, key, recalled, shows)
+        flown = _flown(session, connect, folder_path, mission, key, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
         if view and console.is_terminal and not stopped:
             stay(console)
@@ -479,7 +468,6 @@ def _clock_s() -> float:
 def _flown(
     session: Session,
     connect: str,
-    ground: list[str],
     folder_path: Path,
     mission: str,
     key: SigningKey | None,
@@ -498,7 +486,6 @@ def _flown(
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,
-            open_links(ground, "--ground") as grounds,
             RunFolder(
                 folder_path,
                 mission_toml=mission_text(mission),
@@ -540,7 +527,6 @@ def _flown(
                 session,
                 link,
                 folder,
-                ground=grounds,
                 lockstep=lockstep,
                 on_progress=show,
                 stop_asked=lambda: bool(stop_asked),

@@ -31,8 +31,6 @@ class Reply:
 
     replies: Sequence[Message] = ()
     """To be sent now."""
-    is_for_all: bool = False
-    """Whether to broadcast them, not only answer the sender."""
     order: Order | None = None
     """The order to carry out; `order_done` returns its ACK."""
     note: dict[str, Any] | None = None

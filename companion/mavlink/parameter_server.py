@@ -77,9 +77,9 @@ class ParameterServer:
         if address is Address.OTHERS:
             return Reply()
         if kind == "PARAM_REQUEST_READ":
-            return Reply(replies=self._on_read(message), is_for_all=True)
+            return Reply(replies=self._on_read(message))
         self._next, self._sent_at_s = 0, -math.inf
-        return Reply(replies=self.on_time(now_s), is_for_all=True)
+        return Reply(replies=self.on_time(now_s))
 
     def on_time(self, now_s: float) -> list[Message]:
         """The next value of a list that was asked for, if it is time for one."""
@@ -122,7 +122,7 @@ class ParameterServer:
         if index is None:
             unknown = _error(message, -1, wire.MAV_PARAM_ERROR_DOES_NOT_EXIST)
             text = f"{message.param_id!r}: there is no such parameter"
-            return Reply(replies=[unknown], is_for_all=True, text=text)
+            return Reply(replies=[unknown], text=text)
         parameter, value = PARAMETERS[index], from_float32(message.param_value)
         sender, error = sender_of(message), wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
         refused = changed = ""
@@ -139,7 +139,6 @@ class ParameterServer:
                 self.task = parameter.changed(self.task, value)
         return Reply(
             replies=[self._value(index), *([_error(message, index, error)] if refused else [])],
-            is_for_all=True,
             text=refused,
             changed=changed,
             task=self.task if changed else None,

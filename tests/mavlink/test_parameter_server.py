@@ -168,7 +168,6 @@ def test_what_is_set_is_taken_and_told_to_everybody(name: str, value: float) -> 
     [told] = reply.replies
     [as_float] = struct.unpack("<f", struct.pack("<f", value))
     assert param_value(told) == Value(name, as_float, 9, len(NAMES), NAMES.index(name))
-    assert reply.is_for_all
     assert not hasattr(told, "target_system")  # a broadcast
     assert (reply.changed, reply.text) == (f"{name} = {value:g}", "")
     assert reply.task is server.task
