@@ -10,7 +10,6 @@ from typing import Protocol, final
 
 from companion.mavlink.link import Output
 from companion.planner.request import Planned, PlanRequest
-from companion.runtime.latency import StreamTimes
 from companion.runtime.link import Link, is_setpoint
 from companion.runtime.recorder import WRITER, Batch, Writer
 from companion.runtime.watchdog import Clock, Gate, Watchdog, Worker
@@ -92,7 +91,6 @@ class ControlLoop:
     planning: Planning
     writer: Writer
     watchdog: Watchdog
-    times: StreamTimes
     lockstep: bool
     stop_asked: Callable[[], bool]
     clock: Clock
@@ -221,7 +219,6 @@ class ControlLoop:
         if not self.session.receive(datagram.data, datagram.at_s):
             return
         self.link.answer_to(datagram.sender)
-        self.times.heard(datagram.at_s)
         if not self.flown.heard:
             self.flown.heard, self._began_s = True, datagram.at_s
         self._heard_s = datagram.at_s
@@ -272,14 +269,8 @@ class ControlLoop:
             sent = self.gate.send(frames, None if self.lockstep else since_s)
         self._not_sent(out, sent)
         now_s = self.clock()
-        self.times.turns.add(now_s - self._turned_s)
-        kinds = {entry["kind"] for entry in out.journal}
-        if "phase" in kinds:
-            self.times.paused()
-        if not kinds.isdisjoint(_OBLIGES):
+        if any(entry["kind"] in _OBLIGES for entry in out.journal):
             self._reserve_at_s = -math.inf
-        if any(map(is_setpoint, sent)):
-            self.times.sent(now_s, self._arrived_s)
         if now_s - self._reserve_at_s >= _RESERVE_S:
             self._reserve_at_s = now_s
             self.watchdog.reserve(self.session.hold_frames())

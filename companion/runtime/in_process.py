@@ -15,7 +15,6 @@ from typing import Protocol, final
 
 from companion.planner.request import PlanRequest
 from companion.runtime.control_loop import ControlLoop
-from companion.runtime.latency import StreamTimes
 from companion.runtime.link import Link, datagrams
 from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer
 from companion.runtime.watchdog import Failure, Gate, Watchdog
@@ -217,7 +216,6 @@ def loop_in_process(
             on_failure=lambda *_: None,
             on_loss=_telling(event_queue),
         ),
-        times=StreamTimes(),
         lockstep=True,
         stop_asked=stop_asked,
         clock=clock,

@@ -19,7 +19,6 @@ from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
 from companion.runtime.compiler import Planner, load_libraries
 from companion.runtime.control_loop import ControlLoop, Nobody, Person
-from companion.runtime.latency import StreamTimes
 from companion.runtime.link import Link
 from companion.runtime.planner_process import PlannerProcess
 from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer, WriterThread
@@ -125,7 +124,6 @@ class _Flight:
         self._writer: Writer = kind(recorder, self._on_loss)
         self._reader = LinkReader(link, self._event_queue, gate, clock)
         self._planning = PlannerWorker(planner, self._event_queue, lockstep=lockstep)
-        self._times = StreamTimes()
         self._control_loop = ControlLoop(
             session=session,
             flown=self.flown,
@@ -136,7 +134,6 @@ class _Flight:
             planning=self._planning,
             writer=self._writer,
             watchdog=self._watchdog,
-            times=self._times,
             lockstep=lockstep,
             stop_asked=stop_asked,
             person=person,
@@ -172,7 +169,6 @@ class _Flight:
         self._reader.leave()
         self._planning.leave()
         self._writer.close()
-        self._folder.facts["latency"] = self._times.summary()
 
     def _on_loss(self, failure: Failure) -> None:
         self._event_queue.put(WorkerLost(failure, vital=False))
