@@ -508,11 +508,6 @@ class Session:
             self._handle(event)
         self._due_s = -math.inf
 
-    def _on_wind(self, heard: Incoming) -> None:
-        """For people to see: nothing is decided by it."""
-        if self.vehicle is not None:
-            self.vehicle.on_wind(heard.message, self.now_s)
-
     def _on_timesync(self, heard: Incoming) -> None:
         """A TIMESYNC answer, or a request: a simulator in lockstep advances once it is answered."""
         message = heard.message
@@ -829,8 +824,6 @@ _HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]]
     (Role.AUTOPILOT, _POSITION): Session._on_position,
     (Role.AUTOPILOT, _HEARTBEAT): Session._on_heartbeat,
     (Role.AUTOPILOT, _TIMESYNC): Session._on_timesync,
-    (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND): Session._on_wind,
-    (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND_COV): Session._on_wind,
     **{(Role.AUTOPILOT, number): Session._after_time_only for number in TIME_ONLY_MESSAGES},
 }
 _OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {
