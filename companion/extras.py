@@ -8,11 +8,9 @@ from importlib.util import find_spec
 from companion.errors import InputError
 
 PACKAGES = {
-    "fast": ("numba",),
     "view": ("trimesh", "viser"),
-    "campaign": ("pyarrow",),
-    "cluster": ("dask", "distributed"),
-    "rivals": ("ompl",),
+    "campaign": ("dask", "distributed", "pyarrow"),
+    "compare": ("ompl",),
 }
 """What each extra of pyproject.toml brings, by the names that are imported."""
 

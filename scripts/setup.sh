@@ -1,8 +1,15 @@
-# Sourced by the other scripts: a virtual environment in the checkout, with pinned versions.
-# usage: . scripts/setup.sh requirements.txt [uncompiled]
+#!/usr/bin/env bash
+# A virtual environment in the checkout, with pinned versions of what its user needs.
+# usage: scripts/setup.sh fly | view | campaign | compare | dev | fuzz
+# The other scripts source it:  . scripts/setup.sh fly [uncompiled]
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 python=${PYTHON:-python3}
 venv=${VENV:-.venv}
+pins=requirements/${1:-}.txt
+if [ ! -f "$pins" ] || [ "$1" = build ]; then
+    echo "error: setup for '${1:-}': there is no such set. Give one of fly, view, campaign, compare, dev, fuzz." >&2
+    exit 2
+fi
 if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
     echo "error: PYTHON = '$python': Python 3.11 or newer is needed. Install it, or set PYTHON." >&2
     exit 2
@@ -14,20 +21,22 @@ for each in (companion, vehicle_sim):
             module.name.endswith("__main__") or __import__(module.name)
 companion.runtime.compiler.load_kernel()'
 stamp="$venv/.installed-$1"
-wanted=$(cat "$1" pyproject.toml | cksum)
+wanted=$(cat "$pins" requirements/build.txt pyproject.toml | cksum)
 if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
     if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
         echo "error: this Python has no venv. On Debian or Ubuntu: sudo apt install python3-venv" >&2
         exit 2
     fi
-    echo "setting up $venv (once, about a minute) ..."
-    "$python" -m venv "$venv" &&
-        "$venv/bin/pip" install -q --no-compile --disable-pip-version-check --require-hashes -r "$1" &&
-        "$venv/bin/pip" install -q --disable-pip-version-check --no-deps --no-build-isolation -e . ||
-        exit 1
+    echo "setting up $venv for '$1' (once, about a minute) ..."
+    install() { "$venv/bin/pip" install -q --no-compile --disable-pip-version-check "$@"; }
+    # what builds the project lies beside it only while it does
+    "$python" -m venv "$venv" && install --require-hashes -r "$pins" &&
+        install --require-hashes -r requirements/build.txt --target "$venv/build" &&
+        PYTHONPATH=$(realpath "$venv/build") install --no-deps --no-build-isolation -e . &&
+        rm -r "$venv/build" || exit 1
     echo "$wanted" >"$stamp"
 fi
-if [ "$2" != uncompiled ] && [ "$(cat "$stamp-compiled" 2>/dev/null)" != "$wanted" ]; then
+if [ "${2:-}" != uncompiled ] && [ "$(cat "$stamp-compiled" 2>/dev/null)" != "$wanted" ]; then
     env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c "$compiles" || exit 1
     echo "$wanted" >"$stamp-compiled"
 fi

@@ -2,9 +2,11 @@
 
 import re
 import shlex
+import subprocess
 from collections import Counter
 from pathlib import Path
 
+import lines
 import pytest
 import typer
 from answers import answered
@@ -210,16 +212,44 @@ def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
-def test_what_a_user_reads_fits_in_15_000_words() -> None:
-    """Pages for engineers, and what was measured or decided, have folders or names of their own."""
-    for_engineers = {"architecture.md", "design.md"}
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
-    words = {
-        page.name: len(page.read_text(encoding="utf-8").split())
-        for page in pages
-        if page.name not in for_engineers
+def test_what_is_added_beyond_the_budget_fails_the_checks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a checkout of one file: at what its row allows, and one line beyond."""
+    for folder in ("docs", "companion/path"):
+        (tmp_path / folder).mkdir(parents=True)
+    rows = "| core | `companion/path` | 1,001 |\n| rest | `companion/` | 0 |\n"
+    (tmp_path / "docs" / "architecture.md").write_text(rows, encoding="utf-8")
+    added = tmp_path / "companion" / "path" / "added.py"
+    added.write_text("\n" * 1001, encoding="utf-8")
+    for command in (["init", "-q"], ["add", "-A"]):
+        subprocess.run(["git", "-C", str(tmp_path), *command], check=True)
+    monkeypatch.setattr(lines, "ROOT", tmp_path)
+    assert lines.main() == 0
+    added.write_text("\n" * 1002, encoding="utf-8")
+    assert lines.main() == 1
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("budget: core = 1,002: 1,001 are allowed")
+
+
+def test_every_file_of_the_programs_is_in_one_row_of_the_budget() -> None:
+    budget = lines.budget_of((ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"))
+    assert len(budget) == 7
+    rows = {
+        "companion/geodesy.py": "planning core",
+        "companion/planner/plan.py": "planning core",
+        "companion/session.py": "flying half",
+        "companion/views/report.html.j2": "tools half",
+        "vehicle_sim/autopilots/px4/common.parm": "simulator",
+        "tests/conftest.py": "tests",
+        "scripts/check": "scripts",
+        "docs/view.md": "pages for users",
+        "docs/design.md": None,
+        "docs/decisions/0001-dependencies.md": None,
+        "companion/environments/forest/world.toml": None,
     }
-    assert sum(words.values()) <= 15_000, words
+    assert {name: lines.row_of(name, budget) for name in rows} == rows
 
 
 def test_every_parameter_that_is_judged_is_on_the_page() -> None:

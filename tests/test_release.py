@@ -79,7 +79,7 @@ def test_the_source_distribution_has_what_the_suite_needs(built: Path, folder: P
         assert files(tree, part) == files(ROOT, part)
     missing = files(ROOT, "tests") - files(tree, "tests")
     assert not {name for name in missing if "/.unpacked/" not in name}
-    assert {"README.md", "CHANGELOG.md", "LICENSE", "requirements-dev.txt"} <= files(tree, ".")
+    assert {"README.md", "CHANGELOG.md", "LICENSE", "requirements/dev.txt"} <= files(tree, ".")
 
 
 def top_level(package: Distribution) -> set[Path]:

@@ -506,10 +506,19 @@ def flat_world(
     )
 
 
+REMOVED = {
+    "traffic": "Leave it out: nobody reads ADS-B any more.",
+}
+"""Keys and values ("table.key = value") of files for versions before, and what to do instead."""
+
+
 def _explained(problem: Any) -> InputError:
     """What pydantic found, in words."""
     location: tuple[str | int, ...] = problem["loc"]
     field = ".".join(str(part) for part in location)
+    key = ".".join(part for part in location if isinstance(part, str))
+    if remedy := REMOVED.get(key) or REMOVED.get(f"{key} = {problem['input']}"):
+        return InputError(field, problem["input"], "was removed in this version", remedy)
     if problem["type"] == "unexpected_keyword_argument":
         return _unknown_key(field, location, problem["input"])
     if problem["type"] == "missing":

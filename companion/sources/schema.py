@@ -148,6 +148,12 @@ _IN_WORDS = {
 Model = TypeVar("Model", bound=BaseModel)
 
 
+REMOVED = {
+    "traffic": "Leave it out: keep vehicles apart by fences or altitudes of their own.",
+}
+"""Keys and values ("table.key = value") of files for versions before, and what to do instead."""
+
+
 def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
     """The checked table, or the first broken rule as an InputError."""
     try:
@@ -157,6 +163,9 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
     unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
     first = (unknown or details)[0]
     field = f"{where}: {_dotted(first['loc'])}"
+    path = ".".join(step for step in first["loc"] if isinstance(step, str))
+    if remedy := REMOVED.get(path) or REMOVED.get(f"{path} = {first['input']}"):
+        raise InputError(field, _shown(first["input"]), "it was removed in this version", remedy)
     if first["type"] == "extra_forbidden":
         raise _unknown_key(model, first, field)
     if first["type"] == "missing":

@@ -15,7 +15,7 @@ from companion.campaign.rivals.problem import FloatArray, NoRoute, RouteProblem
 
 def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> FloatArray | NoRoute:
     """The best route that one of OMPL's planners has found by then, pulled straight."""
-    extras.need("rivals", "planner", planner)
+    extras.need("compare", "planner", planner)
     from ompl import base, geometric, util  # an extra, and slow to import
 
     util.noOutputHandler()
