@@ -173,7 +173,7 @@ def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_p
 
 
 @pytest.mark.parametrize("command", ["fly", "preflight"])
-@pytest.mark.parametrize("connection", ["14550", "tcpin:127.0.0.1:0", "/dev/null,57600"])
+@pytest.mark.parametrize("connection", ["14550", "tcpin:127.0.0.1:5760", "/dev/null,57600"])
 def test_a_connection_that_cannot_be(command: str, connection: str, tmp_path: Path) -> None:
     """Each that cannot be: `tests/runtime/test_link.py`, `test_stream_links.py`."""
     out = ("--out", tmp_path / "run") if command == "fly" else ()

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from companion.mission import following, ground, loiter
+from companion.mission import following, ground
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
@@ -21,7 +21,6 @@ from companion.mission.events import (
     OrderKind,
     Prepared,
     Rebooted,
-    ScanDone,
     StatusText,
     TargetsChanged,
 )
@@ -438,7 +437,6 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
 HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
     NearSeen: _with_near_things,
     GroundSeen: _on_ground_seen,
-    ScanDone: loiter.on_loiter_scan,
     FenceChanged: _with_fence,
     FenceReading: _fence_reading,
     FenceBreach: _fence_breach,

@@ -31,7 +31,6 @@ from companion.mission.events import (
 )
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
-from companion.mission.loiter import enforce_loiter_clearance
 from companion.mission.state import (
     Answered,
     Flight,
@@ -46,6 +45,7 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
+from companion.world.zone_index import index_of
 
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
@@ -54,6 +54,7 @@ _MAX_STOPS = 12  # on the way to one target, for want of a successor
 _MAX_STOPS_NEAR = 100  # where sight is short
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
+_CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 _TOLD_FORECAST, _TOLD_SHORT = 1, 2
@@ -81,7 +82,7 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
     """Advance the reference point and send it; scan at p_scan."""
-    if state.flight.leg is None and (step := enforce_loiter_clearance(state, event)) is not None:
+    if (step := circling_near_zone(state, event)) is not None:
         return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and battery_runs_low(state):
@@ -101,6 +102,21 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     else:
         state, commands, trigger = _follow(state, event, context)
     return state, [*warning, *commands], trigger
+
+
+def circling_near_zone(state: State, event: Position) -> Step | None:
+    """What is said of a plane's circle, once where it waits for a leg; None: left to the phase."""
+    flight, hover = state.flight, state.flight.hover_nea_m
+    if state.vehicle.traits.hovers or flight.leg is not None or hover is None:
+        return None
+    task, place = flight.loiter_checked or (None, None)
+    if (task is state.task and place == hover) or cannot_fly(state, event) is not None:
+        return None
+    zone, gap_m = index_of(state.task.zones).nearest(hover[0], hover[1])
+    says: list[Command] = []
+    if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
+        says.append(StatusText(text=f"circling too near to zone {zone.name}", warning=True))
+    return replace(state, flight=replace(flight, loiter_checked=(state.task, hover))), says, None
 
 
 def max_stops(context: Context) -> int:

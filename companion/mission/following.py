@@ -14,7 +14,7 @@ from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
 from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
 from companion.planner import join
-from companion.planner.loiter_search import LoiterQuery, loiter_point
+from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.procedure import (
     Leg,
     Reference,
@@ -296,11 +296,9 @@ def stop(state: State, reason: Reason) -> Step:
         pose = sent_pose(flight.reference, flight.leg, flight.next_leg, ahead_m, state.task)
         point = pose.point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
-            query = LoiterQuery(
-                here_nea_m=state.vehicle.position_nea_m or point,
-                velocity_nea_m_s=state.vehicle.velocity_nea_m_s,
-            )
-            point = loiter_point(flight.known, state.task, query, (point,)) or point
+            here = state.vehicle.position_nea_m or point
+            motion = Motion(here, state.vehicle.velocity_nea_m_s)
+            point = loiter_point(flight.known, state.task, motion, point) or point
         flight = at_rest(requeue_backtrack(flight), point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     leg = flight.leg

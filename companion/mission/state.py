@@ -405,11 +405,6 @@ class Scanning(Struct, frozen=True):
 
 
 @final
-class LoiterScan(Struct, frozen=True):
-    """A scan was requested to find a place to loiter: no plan follows."""
-
-
-@final
 class Planning(Struct, frozen=True):
     """The newest plan was requested."""
 
@@ -431,7 +426,7 @@ class Answered(Struct, frozen=True):
     """The answer is there: a successor, or this leg is flown to its end."""
 
 
-Search = Scanning | LoiterScan | Planning | Answered
+Search = Scanning | Planning | Answered
 """Progress of the search for the next leg."""
 
 
@@ -485,10 +480,8 @@ class Flight(Struct, frozen=True, kw_only=True):
     hover_nea_m: Vector | None = None
     """Where to hold while there is no leg."""
     loiter_checked: tuple[Task, Vector] | None = None
-    """Rules and hold position of the last check of a plane's loiter circle."""
+    """Rules and hold position of the last look at the zones about a plane's circle."""
     search: Search | None = None
-    loiter_scan_rules: Task | None = None
-    """The rules of the last scan for a place to loiter."""
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()

@@ -4,7 +4,7 @@ import math
 
 from msgspec.structs import replace
 
-from companion.mission import backtracking, fallback, flying, following, loiter
+from companion.mission import backtracking, fallback, flying, following
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -90,7 +90,7 @@ _LANDS_WITHIN = 1.5  # loiter radii
 def holding(state: State, event: Event, context: Context) -> Step:
     """Stop as the reason allows, and continue when it is gone."""
     if isinstance(event, Position):
-        step = fence_breached(state) or loiter.enforce_loiter_clearance(state, event)
+        step = fence_breached(state) or flying.circling_near_zone(state, event)
         if step is not None:
             return step
     hold = state.hold

@@ -5,6 +5,7 @@ table itself (`complete`), so that a run folder holds all that was flown.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final, get_args
@@ -23,6 +24,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.elevation import height_at_m, read_known_map
 from companion.sources.files import RawTable, path_of, plain, told_path
+from companion.sources.geojson import NoZone, Threats, read_geojson
 from companion.sources.mission_schema import (
     KnownTerrainTable,
     MissionTable,
@@ -35,8 +37,11 @@ from companion.sources.plan_defaults import with_plan
 from companion.sources.plan_file import Ground, read_plan
 from companion.sources.recognised import is_plan, refuse_other
 from companion.sources.schema import validated
-from companion.sources.threat_file import read_threats
-from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
+from companion.sources.waypoint_file import (
+    is_waypoint_list,
+    read_waypoint_fence,
+    read_waypoint_list,
+)
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
 
@@ -75,7 +80,7 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
         asked = table["threats"]
         asked = {"file": asked} if isinstance(asked, str) else asked
         chosen = validated(ThreatsTable, asked, f"{where}: threats")
-        threats = read_threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
+        threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key in ("keep_outs", "keep_ins", "radars"):
@@ -89,6 +94,22 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
         }
     assumed = _keys(table) - _keys(given) if "plan" in names else frozenset[str]()
     return MissionFile(table=table, notes=tuple(notes), is_whole=not names, assumed=assumed)
+
+
+def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
+    """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
+    if is_waypoint_list(path):
+        plan = read_waypoint_fence(path, where)
+        notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
+        threats = Threats(
+            keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
+        )
+    else:
+        refuse_other(path, where, but_geojson=True)
+        threats = read_geojson(path, where, leave_out)
+    if not (threats.keep_outs or threats.keep_ins or threats.radars):
+        threats.notes.append(f"{path.name}: it holds no zone and no radar")
+    return threats
 
 
 def _keys(table: RawTable, above: str = "") -> frozenset[str]:
@@ -285,10 +306,6 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         rule = "only what can stop may fly by a sensor of near things"
         raise InputError(f"{field}.kind", kind, rule, "Use a terrain radar for a plane.")
     height_m = band.ceiling_amsl_m - band.floor_amsl_m
-    if kind != "obstacle_distance_3d" and "beam_deg" in table.model_fields_set:
-        rule = "it is of points, and sectors say how wide they are"
-        remedy = 'Remove it, or write kind = "obstacle_distance_3d".'
-        raise InputError(f"{field}.beam_deg", table.beam_deg, rule, remedy)
     if table.speaks_for_m < height_m:
         rule = f"its beams are flat, and altitude's band is {height_m:g} m high"
         remedy = f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."
@@ -304,7 +321,6 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         component_id=usual if table.component is None else table.component,
         yaw_rad=math.radians(table.yaw_deg),
         bearing_error_rad=math.radians(table.bearing_error_deg),
-        beam_rad=math.radians(table.beam_deg),
         range_m=model.planner.scan_range_m,
         **table.of(NearSensor),
     )

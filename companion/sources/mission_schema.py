@@ -111,7 +111,6 @@ class ScannerTable(
     """MAVLink component that sends them; left out: the autopilot for its sectors, else 196"""
     yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
     bearing_error_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
-    beam_deg: Annotated[float, Field(ge=0.2, le=45.0)] = 2.0
 
 
 class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]

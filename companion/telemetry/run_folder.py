@@ -91,8 +91,6 @@ class RunFolder:
         """Why recording has stopped; the flight goes on."""
         self.unsaved: str | None = None
         """Why the flight's state could not be saved for a restart; what grows is still recorded."""
-        self.facts: dict[str, Any] = {}
-        """More for run.json."""
         self.epoch_us = epoch_us
         self._durable = durable
         self._starts = 0
@@ -212,7 +210,7 @@ class RunFolder:
 
     def run_json(self, values: Mapping[str, Any]) -> None:
         """What differs from run to run."""
-        text = msgspec.json.format(journal_line({**values, **self.facts}), indent=2) + b"\n"
+        text = msgspec.json.format(journal_line(values), indent=2) + b"\n"
         if self.failure is None:
             self.failure = self._replace("run.json", lambda: text)
 

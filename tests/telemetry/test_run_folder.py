@@ -455,13 +455,6 @@ def test_a_full_disk_leaves_whole_records_and_the_checkpoint_before(full: Path, 
     ]
 
 
-def test_facts_of_the_runtime_end_up_in_run_json(folder: RunFolder) -> None:
-    folder.facts["latency"] = {"gap_max_ms": math.inf}
-    folder.run_json({"plans_s": [0.5]})
-    text = (folder.path / "run.json").read_text(encoding="utf-8")
-    assert strict(text) == {"plans_s": [0.5], "latency": {"gap_max_ms": None}}
-
-
 # --- what cannot be read
 
 
