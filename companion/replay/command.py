@@ -70,9 +70,6 @@ def replay_command(
         bool,
         typer.Option("--plans/--no-plans", help="Compute each plan again and compare it too."),
     ] = True,
-    numba: Annotated[
-        bool, typer.Option("--numba/--no-numba", help="Compute plans with the compiled kernel.")
-    ] = True,
     system: Annotated[
         int | None,
         typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
@@ -108,14 +105,13 @@ def replay_command(
     elif is_log:
         _refuse_others(context, _LOG)
         seed = 1 if seed is None else seed
-        actions.same_log(flight, mission, profile, seed, system, until_s, json_file, numba=numba)
+        actions.same_log(flight, mission, profile, seed, system, until_s, json_file)
     elif settings or seed is not None or profile:
         _refuse_others(context, _WHAT_IF)
-        actions.changed(flight, settings or [], seed, profile, json_file, numba=numba)
+        actions.changed(flight, settings or [], seed, profile, json_file)
     else:
         _refuse_others(context, _RUN)
-        how = {"plans": plans, "numba": numba, "by_step": step}
-        actions.same_run(flight, span_s, speed, json_file, **how)
+        actions.same_run(flight, span_s, speed, json_file, plans=plans, by_step=step)
 
 
 _PLAYING: Final = "playing to a ground station (--connect)"
@@ -126,9 +122,9 @@ _RUN: Final = "the replay of a run folder"
 _TAKES: Final = {
     _PLAYING: ("--connect", "--from", "--until", "--speed", "--system", "--only-vehicle"),
     _SHADOW: ("--shadow", "--mission", "--system", "--json"),
-    _WHAT_IF: ("--set", "--seed", "--profile", "--numba", "--json"),
-    _LOG: ("--mission", "--seed", "--profile", "--system", "--until", "--numba", "--json"),
-    _RUN: ("--from", "--until", "--speed", "--step", "--plans", "--numba", "--json"),
+    _WHAT_IF: ("--set", "--seed", "--profile", "--json"),
+    _LOG: ("--mission", "--seed", "--profile", "--system", "--until", "--json"),
+    _RUN: ("--from", "--until", "--speed", "--step", "--plans", "--json"),
 }
 """What can be done with a flight, and the options of each."""
 

@@ -18,7 +18,8 @@ from typing import final
 from companion.mavlink.link import VEHICLE_LINK
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
-from companion.runtime.compiler import Planner, load_libraries
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_libraries
 from companion.runtime.control_loop import ControlLoop, Nobody, Person
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import GroundLinks, Link
@@ -60,7 +61,7 @@ def fly(
 ) -> FlightSummary:
     """Run a session until its mission ends; every end is a value, `FlightSummary.end`.
 
-    planner: by default the compiled one, in a process of its own unless in lockstep.
+    planner: by default `plan`, in a process of its own unless in lockstep.
     persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
     ground: links to ground stations, for a session that `has_ground`.
     person: who may say go at the terminal; None: there is none.
@@ -68,7 +69,7 @@ def fly(
     """
     load_libraries()
     if planner is None:
-        planner = Planner(lockstep=True) if lockstep else PlannerProcess()
+        planner = plan if lockstep else PlannerProcess()
     who = person or Nobody()
     flight = _Flight(
         session, link, ground, folder, lockstep, planner, persist, stop_asked, who, clock

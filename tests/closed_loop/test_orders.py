@@ -14,7 +14,7 @@ from short_flight import replayed
 from companion.config import load_mission, mission_text
 from companion.live_view.recording import Recording
 from companion.mission.state import Phase
-from companion.runtime.compiler import Planner, load_kernel
+from companion.planner.plan import plan
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.telemetry.run_folder import RunFolder
@@ -95,12 +95,11 @@ def test_a_keep_out_is_flown_around_and_told_to_land_it_lands_and_is_the_same_ag
             nearest_m = min(nearest_m, math.dist(here[:2], centre))
 
     toml, epoch_us = mission_text(MISSION), 1_700_000_000_000_000
-    planner = Planner(lockstep=True)
     with RunFolder(tmp_path / "run", mission_toml=toml, epoch_us=epoch_us, durable=False) as run:
         run.header(
             {"mission": mission.name, "seed": int(SEED), "profile": "flight", "lockstep": True}
         )
-        fly_in_process(session, vehicle, planner=planner, folder=run, on_step=look)
+        fly_in_process(session, vehicle, planner=plan, folder=run, on_step=look)
     assert todo == []
     journal = journal_of(tmp_path / "run")
     orders = [entry["order"] for entry in journal if entry.get("kind") == "order"]
@@ -116,4 +115,4 @@ def test_a_keep_out_is_flown_around_and_told_to_land_it_lands_and_is_the_same_ag
     assert phases[-3:] == [each.value for each in (Phase.HOLDING, Phase.LANDING, Phase.DONE)]
     [end] = [entry for entry in journal if entry.get("kind") == "end"]
     assert (end["outcome"], end["reason"]) == ("stopped", "landed: told to land")
-    assert replayed(tmp_path / "run", load_kernel()).is_identical
+    assert replayed(tmp_path / "run").is_identical

@@ -30,7 +30,6 @@ from companion.config import load_mission
 from companion.errors import InputError
 from companion.mavlink.dialect import codec, wire
 from companion.mission.start import Start
-from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay import actions, reproduce
 from companion.replay.differences import Recording
@@ -224,7 +223,7 @@ def resumed_dir(tmp_path_factory: pytest.TempPathFactory, run_dir: Path) -> Path
     return path
 
 
-def planned_at_once(request: PlanRequest, stop: Callable[[], bool], _: Kernel) -> PlanOutcome:
+def planned_at_once(request: PlanRequest, stop: Callable[[], bool]) -> PlanOutcome:
     """A planner that asks whether to go on, as a search does."""
     stop()
     return straight_plan(request)
@@ -249,7 +248,7 @@ def test_whatever_is_odd_in_the_inputs_nothing_is_raised_that_is_no_input_error(
         shutil.copy(resumed_dir / FILE, path / FILE)
         rewritten(path, change)
         try:
-            found = replayed(path, kernel=NUMPY)
+            found = replayed(path)
         except InputError:
             ended += 1
         else:

@@ -34,7 +34,7 @@ def report() -> ShadowReport:
     """Of 40 s about the time when it stood where no post was in reach."""
     with tempfile.TemporaryDirectory() as folder:
         records = recorded(NAME, from_s=210.0, until_s=250.0)
-        return watch(written(Path(folder) / "cut.tlog", records), None, kernel=None)
+        return watch(written(Path(folder) / "cut.tlog", records), None, plans=False)
 
 
 def test_times_of_silence_are_told_apart(report: ShadowReport) -> None:

@@ -118,7 +118,7 @@ def test_an_old_logs_time_is_the_vehicles_and_not_that_of_the_gps_week(tmp_path:
     assert told[0][0] * 1e-6 == pytest.approx(315_964_800 + gps_s - 18, abs=1e-3)
     odd = {finding.oddity for finding in log.findings}
     assert odd == {Anomaly.SUBSTITUTED}  # nothing is damaged, and no stamp disbelieved
-    report = watch(log.path, None, kernel=None)
+    report = watch(log.path, None, plans=False)
     assert report.vehicle == "ArduCopter"
     assert report.watched_from_s is not None
     assert report.length_s == pytest.approx(0.2 * (FIXES - 1), abs=0.01)
@@ -131,13 +131,13 @@ def test_every_copters_greeting_is_known(tmp_path: Path, greeting: bytes) -> Non
     log = opened(tmp_path, copter_of_3_3(greeting))
     beats = [m for _, m in messages_of(log.records()) if m.get_type() == "HEARTBEAT"]
     assert {m.type for m in beats} == {wire.MAV_TYPE_QUADROTOR}
-    assert watch(log.path, None, kernel=None).watched_from_s is not None
+    assert watch(log.path, None, plans=False).watched_from_s is not None
 
 
 def test_who_nobody_knows_is_refused_with_what_was_looked_for(tmp_path: Path) -> None:
     log = opened(tmp_path, copter_of_3_3(b"HomeBrew 1.0"))
     with pytest.raises(InputError, match=r"no HEARTBEAT: .*; no entry \(VER, MSG\) tells"):
-        watch(log.path, None, kernel=None)
+        watch(log.path, None, plans=False)
 
 
 @pytest.mark.parametrize("header_us", [DATE_US, DATE_US - 5_000_000, 0, 112_000_000])
@@ -169,4 +169,4 @@ def test_what_was_thrown_away_is_told_with_what_is_missing(tmp_path: Path) -> No
     content = px4(1_000_000, 1_000_000).replace(struct.pack("<d", 8.0), struct.pack("<d", math.nan))
     log = opened(tmp_path, content)
     with pytest.raises(InputError, match=r"no GLOBAL_POSITION_INT: .*; [\d,]+ entries that cannot"):
-        watch(log.path, None, kernel=None)
+        watch(log.path, None, plans=False)
