@@ -192,7 +192,7 @@ class PlanReady(Entry, frozen=True, tag="plan ready", omit_defaults=True):
     plan_id: int
     """Of the request."""
     kernel: str
-    """The kernel: `numba` or `numpy`, and a digest of this processor's arithmetic."""
+    """`numba` and a digest of this processor's arithmetic; `numpy` in profile `paper`."""
     evaluations: int
     """Candidates evaluated."""
     tries: int

@@ -17,7 +17,6 @@ from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import FlightFailed, InputError
 from companion.mission.mission import Mission
 from companion.mission.start import Start, terrain_of
-from companion.planner.kernels import NUMPY, Kernel
 from companion.replay.from_log import LogReplay
 from companion.replay.report import Replayed, replay_json, replay_text
 from companion.replay.reproduce import Replay
@@ -42,15 +41,15 @@ def same_run(
     json_file: Path | None,
     *,
     plans: bool,
-    numba: bool,
 ) -> None:
     """Replay a run folder and compare.  FlightFailed if any decision differs.
 
-    plans: compute each again; numba: with the compiled kernel.
+    plans: compute each again.
     """
     mission_of = flown_mission(folder)
-    kernel = kernel_for(numba=numba) if plans else None
-    _compare(Replay(folder, mission_of, kernel=kernel), folder, json_file)
+    if plans:
+        load_planner()
+    _compare(Replay(folder, mission_of, plans=plans), folder, json_file)
 
 
 def same_log(
@@ -60,19 +59,17 @@ def same_log(
     seed: int,
     system: int | None,
     json_file: Path | None,
-    *,
-    numba: bool,
 ) -> None:
     """The same of a telemetry log, which does not say how the flight was flown."""
     if mission is None:
         rule = "a log alone does not say what the mission was"
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
+    load_planner()
     replay = LogReplay(
         log,
         load_mission(mission, profile),
         seed=seed,
-        kernel=kernel_for(numba=numba),
         version=version("companion"),
         system_id=system,
     )
@@ -122,8 +119,6 @@ def changed(
     seed: int | None,
     profile: str | None,
     json_file: Path | None,
-    *,
-    numba: bool,
 ) -> None:
     """What if: each subpath under other settings."""
     console = plain_console(width=None if sys.stdout.isatty() else _TABLE_COLUMNS)
@@ -132,9 +127,9 @@ def changed(
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
     found, flown = [], flown_mission(folder)
     other = load_mission(str(folder / "mission.toml"), profile, settings)
-    kernel = kernel_for(numba=numba)
+    load_planner()
     with _bar("planning again", 0) as show:
-        for each in what_if(folder, flown, other, seed=seed, kernel=kernel):
+        for each in what_if(folder, flown, other, seed=seed):
             found.append(each)
             show(0, f"planned again: {len(found)}")
     console.print(what_if_table(found))
@@ -150,13 +145,13 @@ def shadow(
     """Run in shadow mode on a log, or on that of a run folder."""
     console, flight = plain_console(soft_wrap=True), _log(flight)
     chosen = None if mission is None else load_mission(mission)
-    kernel = None if chosen is None else kernel_for(numba=True)
+    if chosen is not None:
+        load_planner()
     with _bar("watching", flight.stat().st_size) as show:
         report = watch(
             flight,
             chosen,
             system_id=system,
-            kernel=kernel,
             on_progress=lambda done, _size: show(done, "watching"),
         )
     for each in renderables(report):
@@ -164,7 +159,7 @@ def shadow(
     _write(report.as_json(), json_file)
 
 
-# --- files, kernels, bars
+# --- files, the planner, bars
 
 
 def _log(flight: Path) -> Path:
@@ -203,12 +198,10 @@ def _other_terrain(mission_file: Path) -> InputError:
     return InputError(field, value, f"{what} has changed since the flight", remedy)
 
 
-def kernel_for(*, numba: bool) -> Kernel:
-    """The kernel that computes plans."""
-    if not numba:
-        return NUMPY
+def load_planner() -> None:
+    """Load what computes plans, and say so."""
     with plain_console(stderr=True).status(_LOADING):
-        return load_kernel()
+        load_kernel()
 
 
 def _write(values: Any, json_file: Path | None) -> None:

@@ -46,9 +46,6 @@ def replay_command(
         bool,
         typer.Option("--plans/--no-plans", help="Compute each plan again and compare it too."),
     ] = True,
-    numba: Annotated[
-        bool, typer.Option("--numba/--no-numba", help="Compute plans with the compiled kernel.")
-    ] = True,
     system: Annotated[
         int | None,
         typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
@@ -74,13 +71,13 @@ def replay_command(
     elif is_log:
         _refuse_others(context, _LOG)
         seed = 1 if seed is None else seed
-        actions.same_log(flight, mission, profile, seed, system, json_file, numba=numba)
+        actions.same_log(flight, mission, profile, seed, system, json_file)
     elif settings or seed is not None or profile:
         _refuse_others(context, _WHAT_IF)
-        actions.changed(flight, settings or [], seed, profile, json_file, numba=numba)
+        actions.changed(flight, settings or [], seed, profile, json_file)
     else:
         _refuse_others(context, _RUN)
-        actions.same_run(flight, json_file, plans=plans, numba=numba)
+        actions.same_run(flight, json_file, plans=plans)
 
 
 _SHADOW: Final = "a shadow (--shadow)"
@@ -89,9 +86,9 @@ _LOG: Final = "the replay of a log alone"
 _RUN: Final = "the replay of a run folder"
 _TAKES: Final = {
     _SHADOW: ("--shadow", "--mission", "--system", "--json"),
-    _WHAT_IF: ("--set", "--seed", "--profile", "--numba", "--json"),
-    _LOG: ("--mission", "--seed", "--profile", "--system", "--numba", "--json"),
-    _RUN: ("--plans", "--numba", "--json"),
+    _WHAT_IF: ("--set", "--seed", "--profile", "--json"),
+    _LOG: ("--mission", "--seed", "--profile", "--system", "--json"),
+    _RUN: ("--plans", "--json"),
 }
 """What can be done with a flight, and the options of each."""
 

@@ -17,7 +17,6 @@ from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
 from companion.mission.mission import Mission
-from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
 from companion.replay.differences import frames_differ
 from companion.replay.report import Replayed
@@ -41,7 +40,6 @@ class LogReplay:
         mission: Mission,
         *,
         seed: int,
-        kernel: Kernel,
         version: str,
         system_id: int | None = None,
     ) -> None:
@@ -49,7 +47,6 @@ class LogReplay:
         self.found = Replayed(starts=1)
         self.inputs: Log = open_log(path, system_id=system_id)
         self._lockstep = _was_in_lockstep(self.inputs)
-        self._kernel = kernel
         self.session = Session(
             replace(mission, system_id=self.inputs.system_id or mission.system_id),
             seed=seed,
@@ -99,7 +96,7 @@ class LogReplay:
                 return
             self.found.plans += 1
             self.found.plans_computed += 1
-            self.session.deliver(plan(out.plan, kernel=self._kernel))
+            self.session.deliver(plan(out.plan))
 
     def _compare(self) -> None:
         """Hold what was sent then and now against each other, as far as both are there."""

@@ -17,7 +17,7 @@ from msgspec import Struct
 from companion.errors import InputError
 from companion.mavlink.link import Input, Output
 from companion.mission.start import Start
-from companion.planner.kernels import Kernel
+from companion.planner import kernels
 from companion.planner.outcomes import values_of
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -57,10 +57,10 @@ class Replay:
         folder: Path,
         mission_of: MissionOf,
         *,
-        kernel: Kernel | None,
+        plans: bool = True,
         compares: bool = True,
     ) -> None:
-        """kernel: computes the plans again; None: they are taken as recorded.
+        """plans: they are computed again, too; False: they are taken as recorded.
 
         compares: False if nothing is compared.  InputError if the folder has no inputs, or of
         another version.
@@ -68,7 +68,7 @@ class Replay:
         self.found = Replayed()
         self.inputs = InputsFile(folder / inputs.FILE)
         self._recording = Recording(folder) if compares else None
-        self._mission_of, self._kernel = mission_of, kernel
+        self._mission_of, self._plans = mission_of, plans
         self._session: Session | None = None
         self._asked: dict[int, PlanRequest] = {}
         self._raised: RecordedError | None = None
@@ -193,17 +193,17 @@ class Replay:
         """Compute a plan again, only to compare it."""
         self.found.plans += 1
         request = self._asked.pop(answer.plan_id, None)
-        if request is None or self._kernel is None:
+        if request is None or not self._plans:
             return
         self.found.plans_computed += 1
         values, stopped_after = values_of(answer), getattr(answer, "stopped_after", None)
-        name = self._kernel.signature
-        kernels = str(values.get("kernel", name)), name
+        name = kernels.signature()
+        by = str(values.get("kernel", name)), name
         where: tuple[str, Any, Any] | None
         try:
-            again = values_of(computed_again(request, stopped_after, self._kernel))
+            again = values_of(computed_again(request, stopped_after))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
-            where, kernels = ("error", NOTHING, f"{type(error).__name__}: {error}"), (name, name)
+            where, by = ("error", NOTHING, f"{type(error).__name__}: {error}"), (name, name)
             words = "it cannot be computed"
         else:
             where = values_differ({**values, "kernel": None}, {**again, "kernel": None})
@@ -217,18 +217,18 @@ class Replay:
                     recorded=where[1],
                     computed=where[2],
                     words=words,
-                    kernels=kernels,
+                    kernels=by,
                 )
             )
 
 
-def computed_again(request: PlanRequest, stopped_after: int | None, kernel: Kernel) -> PlanOutcome:
+def computed_again(request: PlanRequest, stopped_after: int | None) -> PlanOutcome:
     """The answer to a request, with the search budget of the recorded one.
 
     stopped_after: how often that search was allowed to go on; None: to its end.
     """
     asked = count(1)
-    return plan(request, lambda: stopped_after is not None and next(asked) > stopped_after, kernel)
+    return plan(request, lambda: stopped_after is not None and next(asked) > stopped_after)
 
 
 def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:

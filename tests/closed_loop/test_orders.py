@@ -10,7 +10,7 @@ from short_flight import replayed
 
 from companion.config import load_mission, mission_text
 from companion.mission.state import Phase
-from companion.runtime.compiler import Planner, load_kernel
+from companion.planner.plan import plan
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.telemetry.run_folder import RunFolder
@@ -57,12 +57,11 @@ def test_told_to_land_it_lands_and_is_the_same_again(tmp_path: Path) -> None:
             vehicle.commands.append(command(wire.MAV_CMD_NAV_LAND))
 
     toml, epoch_us = mission_text(MISSION), 1_700_000_000_000_000
-    planner = Planner(lockstep=True)
     with RunFolder(tmp_path / "run", mission_toml=toml, epoch_us=epoch_us, durable=False) as run:
         run.header(
             {"mission": mission.name, "seed": int(SEED), "profile": "flight", "lockstep": True}
         )
-        fly_in_process(session, vehicle, planner=planner, folder=run, on_step=look)
+        fly_in_process(session, vehicle, planner=plan, folder=run, on_step=look)
     journal = journal_of(tmp_path / "run")
     orders = [entry["order"] for entry in journal if entry.get("kind") == "order"]
     assert orders == ["LAND"]
@@ -70,4 +69,4 @@ def test_told_to_land_it_lands_and_is_the_same_again(tmp_path: Path) -> None:
     assert phases[-3:] == [each.value for each in (Phase.HOLDING, Phase.LANDING, Phase.DONE)]
     [end] = [entry for entry in journal if entry.get("kind") == "end"]
     assert (end["outcome"], end["reason"]) == ("stopped", "landed: told to land")
-    assert replayed(tmp_path / "run", load_kernel()).is_identical
+    assert replayed(tmp_path / "run").is_identical

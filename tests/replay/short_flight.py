@@ -10,7 +10,6 @@ from test_loop import ScriptedLink
 from companion.config import load_mission, mission_text
 from companion.mission.mission import Mission
 from companion.mission.start import Start
-from companion.planner.kernels import Kernel
 from companion.replay.report import Replayed
 from companion.replay.reproduce import Replay
 from companion.runtime import loop
@@ -54,9 +53,9 @@ def fly_short(
         )
 
 
-def replayed(path: Path, kernel: Kernel | None = None) -> Replayed:
+def replayed(path: Path, **options: Any) -> Replayed:
     """What the replay of a run folder finds."""
-    replay = Replay(path, mission_of(path), kernel=kernel)
+    replay = Replay(path, mission_of(path), **options)
     for _ in replay.steps():
         pass
     return replay.found

@@ -26,7 +26,6 @@ from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.journal import VERSION
 from companion.mission.start import Start
-from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay import actions, reproduce
 from companion.replay.session_inputs import DamagedInputError, feed, session_of, start_of
@@ -174,7 +173,7 @@ def resumed_dir(tmp_path_factory: pytest.TempPathFactory, run_dir: Path) -> Path
     return path
 
 
-def planned_at_once(request: PlanRequest, stop: Callable[[], bool], _: Kernel) -> PlanOutcome:
+def planned_at_once(request: PlanRequest, stop: Callable[[], bool]) -> PlanOutcome:
     """A planner that asks whether to go on, as a search does."""
     stop()
     return straight_plan(request)
@@ -199,7 +198,7 @@ def test_whatever_is_odd_in_the_inputs_nothing_is_raised_that_is_no_input_error(
         shutil.copy(resumed_dir / FILE, path / FILE)
         rewritten(path, change)
         try:
-            found = replayed(path, kernel=NUMPY)
+            found = replayed(path)
         except InputError:
             ended += 1
         else:
