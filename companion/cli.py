@@ -25,9 +25,7 @@ from companion.errors import CompanionError, FlightFailed, FlightInterrupted, In
 from companion.live_view.command import (
     VIEW_PORT,
     Asked,
-    HostOption,
     PortOption,
-    free_udp_port,
     started_view,
     stay,
     view_command,
@@ -192,15 +190,7 @@ def fly_command(
     view: Annotated[
         bool, typer.Option("--view", help="Show the flight in the browser while it is flown.")
     ] = False,
-    view_control: Annotated[
-        bool,
-        typer.Option(
-            "--view-control",
-            help="The same, and who has the token that is printed gives orders there.",
-        ),
-    ] = False,
     view_port: PortOption = VIEW_PORT,
-    view_host: HostOption = "127.0.0.1",
 ) -> None:
     """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
 
@@ -229,12 +219,7 @@ def fly_command(
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         key = None if signing_key is None else SigningKey(signing_key)
         recalled = _recalled(folder_path, chosen, shows.console) if resume else None
-        if view_control and key is not None:
-            rule = "the page does not sign its orders"
-            remedy = "Use --view, or leave out --signing-key."
-            raise InputError("--view-control", True, rule, remedy)
-        orders = f"127.0.0.1:{free_udp_port()}" if view_control else None
-        grounds = [*(ground or ()), *([] if orders is None else [f"udpin:{orders}"])]
+        grounds = ground or []
         session = Session(
             chosen,
             seed=seed,
@@ -246,18 +231,12 @@ def fly_command(
             go=start,
             version=version("companion"),
         )
-        if view or view_control:
-            asked = Asked(
-                paths=(str(folder_path),),
-                host=view_host,
-                port=view_port,
-                live=True,
-                ground=orders and f"udpout:{orders}",
-            )
+        if view:
+            asked = Asked(paths=(str(folder_path),), port=view_port, live=True)
             stack.enter_context(started_view(asked, console))
         flown = _flown(session, connect, grounds, folder_path, mission, key, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
-        if (view or view_control) and console.is_terminal and not stopped:
+        if view and console.is_terminal and not stopped:
             stay(console)
         _exit_as_it_ended(flown, connect)
 

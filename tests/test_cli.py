@@ -109,12 +109,6 @@ def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
         assert f"--view-port = {port}" in refused("view", folder, "--view-port", str(port))
 
 
-@pytest.mark.parametrize("host", ["192.0.2.1", "no such.invalid"])
-def test_a_page_on_an_address_of_another_computer(tmp_path: Path, host: str) -> None:
-    said = refused("view", run_folder(tmp_path), "--view-host", host, "--view-port", "0")
-    assert f"--view-host = '{host}'" in said
-
-
 def kept(folder: Path, resume: str | bytes) -> Path:
     """A run folder of an interrupted flight."""
     folder.mkdir()

@@ -72,9 +72,7 @@ def run_command(
     ] = None,
     over: Annotated[
         str | None,
-        typer.Option(
-            help="*process*, *udp* (both programs, over sockets) or *planner*, as the file's."
-        ),
+        typer.Option(help="*process* or *planner*, in place of the file's."),
     ] = None,
     keep: Annotated[
         str | None, typer.Option(help="Run folders to keep: *all*, *failures* or *none*.")
@@ -104,9 +102,6 @@ def run_command(
         rule = "how many runs are flown at a time, the workers of --scheduler say"
         raise InputError("--jobs", jobs, rule, "Leave out one of them.")
     table, text, folder = file.load_campaign(campaign)
-    if over is not None and all(place.over for place in table.places):
-        rule = "each place of the campaign says itself how it is flown (over)"
-        raise InputError("--over", over, rule, "Leave it out.")
     if seeds is not None:
         table = table.model_copy(update={"seeds": seeds})
     how = cast("file.Over", _one_of("--over", over, file.Over) or table.over)

@@ -1,9 +1,8 @@
 """Fault scripts drawn at random: what goes wrong, when, how badly and for how long.
 
 A script is a function of (family, seed, index) and of the vehicle.  It is a timeline of the
-simulator's (docs/reference/faults.md), with lines that the simulator does not know, as they are of
-the programs (`split`): `companion_off` kills the companion, which is started again afterwards;
-`planner_off` kills the process that plans, `planner_stopped` stops it for a time.
+simulator's (docs/reference/faults.md), with lines that the simulator does not know (`split`):
+`companion_off` kills the companion, which is started again afterwards.
 """
 
 import re
@@ -18,18 +17,9 @@ from companion.mission.events import Mode
 
 Rng = np.random.Generator
 
-FAMILIES: Final = ("single", "combined", "steady", "programs")
-"""One thing after the other from a list; two or three of them; small ones, one every two minutes;
-those of two processes."""
-PROGRAM_FAULTS: Final = ("companion_off", "planner_off", "planner_stopped")
-ONLY_TWO_PROCESSES: Final = ("planner_off", "planner_stopped")
-_STEADY_EVERY_S: Final = 120.0
-_STEADY_LASTS_S: Final = 60.0
-_STEADY: Final = (
-    *("gps_noise", "gps_delay", "wind", "link_loss", "link_delay", "link_duplication"),
-    *("link_corruption", "radar_off", "radar_loss", "radar_delay"),
-)
-"""None that alone ends a flight."""
+FAMILIES: Final = ("single", "combined")
+"""One thing after the other from a list; two or three of them."""
+KILLED: Final = "companion_off"
 _FROM_S: Final = 35.0
 """About when vehicles are in the air."""
 _UNTIL_S: Final = {"copter": 110.0, "plane": 140.0}
@@ -59,7 +49,6 @@ class Subject:
     vehicle: str
     """`ardupilot-copter`, ..."""
     speed_m_s: float
-    limit_s: float
 
     @property
     def size(self) -> float:
@@ -97,9 +86,9 @@ def happenings(timeline: str) -> list[Happening]:
 
 
 def split(timeline: str) -> tuple[str, list[Happening]]:
-    """The simulator's part of a timeline, and what happens to the programs."""
+    """The simulator's part of a timeline, and when the companion is killed."""
     lines = timeline.splitlines()
-    ours = [line for line in lines if line.rpartition(":")[2].strip() in PROGRAM_FAULTS]
+    ours = [line for line in lines if line.rpartition(":")[2].strip() == KILLED]
     rest = "\n".join(line for line in lines if line not in ours)
     return rest, sorted(happenings("\n".join(ours)), key=lambda each: each.at_s)
 
@@ -107,27 +96,16 @@ def split(timeline: str) -> tuple[str, list[Happening]]:
 def drawn(script: FaultScript, subject: Subject) -> tuple[str, str]:
     """What it is called, and its timeline."""
     rows = {name: draw for name, draw in ROWS.items() if _applies(name, subject.vehicle)}
-    names = list(PROGRAM_ROWS if script.family == "programs" else rows)
+    names = list(rows)
     rng = np.random.default_rng((FAMILIES.index(script.family), script.seed, script.index))
-    if script.family == "steady":
-        times = np.arange(_STEADY_EVERY_S, subject.limit_s, _STEADY_EVERY_S)
-        lasts = f" for {_STEADY_LASTS_S} s: "
-        chosen = [str(rng.choice(_STEADY)) for _ in times]
-        lines = [
-            line if " for " in line else line.replace(": ", lasts, 1)
-            for name, at_s in zip(chosen, times.tolist(), strict=True)
-            for line in rows[name](rng, subject, at_s)
-        ]
-        return "small ones", "\n".join(lines)
     chosen = [names[script.index % len(names)]]
     if script.family == "combined":
         chosen = list(rng.choice(names, int(rng.integers(2, 4)), replace=False))
-    draws = {**rows, **PROGRAM_ROWS}
     until_s = _UNTIL_S[subject.vehicle.partition("-")[2]]
     lines = [
         line
         for name in chosen
-        for line in draws[name](rng, subject, round(rng.uniform(_FROM_S, until_s), 1))
+        for line in rows[name](rng, subject, round(rng.uniform(_FROM_S, until_s), 1))
     ]
     return " + ".join(chosen), "\n".join(lines)
 
@@ -275,10 +253,5 @@ ROWS: Final[dict[str, Draw]] = {
         lambda r, s: f"ground_command 178 1 {r.uniform(0.4, 1.3) * s.speed_m_s:.1f}"
     ),
     "link lost for long": _fault(lambda *_: "link_off", (30.0, 60.0)),
-    "companion killed, restarted": _fault(lambda *_: "companion_off", (0.3, 8.0)),
-}
-PROGRAM_ROWS: Final[dict[str, Draw]] = {
-    "companion killed, restarted": ROWS["companion killed, restarted"],
-    "planner killed": _fault(lambda *_: "planner_off"),
-    "plans late": _fault(lambda *_: "planner_stopped", (1.0, 12.0)),
+    "companion killed, restarted": _fault(lambda *_: KILLED, (0.3, 8.0)),
 }

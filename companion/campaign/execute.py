@@ -4,7 +4,6 @@ Both take runs and give rows as they come, in any order; a worker that is lost t
 """
 
 import os
-import signal
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -12,12 +11,11 @@ from functools import partial
 from pathlib import Path
 
 from companion.campaign.file import Run
-from companion.campaign.over_udp import end_programs
 from companion.campaign.row import Row
 from companion.campaign.run import fly_run, lost_run
 from companion.errors import FlightInterrupted, InputError
 from companion.runtime.compiler import load_kernel
-from companion.runtime.worker_pool import end_with_parent, worker_pool
+from companion.runtime.worker_pool import worker_pool
 
 _RETRIES = 3
 """How often a run may lose its worker until that is held against it."""
@@ -45,7 +43,7 @@ def _until_broken(
     ahead = jobs if lost else _AHEAD * jobs
     waiting: dict[Future[Row], Run] = {}
     # by Ctrl-C: what is being flown is flown again another time
-    with worker_pool(jobs, _begin_worker) as submit:
+    with worker_pool(jobs) as submit:
         try:
             while left or waiting:
                 while left and len(waiting) < ahead:
@@ -78,18 +76,6 @@ def _left(
         else:
             yield lost_run(run, f"its worker died {_RETRIES} times")
     return [*left, *reversed(again)]
-
-
-def _begin_worker() -> None:
-    """A worker that is told to end, or whose parent was killed, ends its programs too."""
-    signal.signal(signal.SIGTERM, lambda *_: _end_worker())
-    end_with_parent(_end_worker)
-
-
-def _end_worker() -> None:
-    """At once: the pool's loop would take an exception for the answer of a run, and go on."""
-    end_programs()
-    os._exit(1)
 
 
 def fly_on_cluster(runs: Sequence[Run], out: Path, scheduler: str) -> Iterator[Row]:

@@ -6,8 +6,8 @@ and how many seeds of every combination.
 
 import difflib
 import itertools
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, final
@@ -23,14 +23,13 @@ from companion.config import bundled
 from companion.errors import InputError
 from companion.objective.scene import PROFILES
 from companion.optimise.registry import OPTIMISERS
-from companion.planner.settings import PlannerSettings
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
 from companion.sources.mission_schema import Name
 from companion.sources.recognised import refuse_other
-from companion.sources.schema import Table, keys_of, validated
+from companion.sources.schema import Table, validated
 
-Over = Literal["process", "udp", "planner"]
+Over = Literal["process", "planner"]
 Keep = Literal["all", "failures", "none"]
 Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane"]
 
@@ -40,7 +39,6 @@ _OF_VEHICLES = ("vehicle", "sensor", "faults", "wind", "noise")
 _CHOSEN = ("sensor", "faults", "wind", "noise")
 _Index = Annotated[int, Field(ge=0, le=10_000_000)]
 _Seed = Annotated[int, Field(ge=0, le=2**31)]
-_Several = Annotated[list[Annotated[int, Field(ge=1, le=100)]], Field(min_length=1)]
 _Choices = Annotated[list[Name], Field(min_length=1)]
 
 
@@ -57,17 +55,8 @@ class PlaceTable(Table):
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     indices: Annotated[list[_Index], Field(min_length=1)] | None = None
     """In place of `first` and `count`."""
-    over: Over | None = None
-    """In place of the campaign's."""
-    vehicles: _Several | None = None
-    """So many copters in one airspace: a run for each number; left out: one, as the mission is."""
     vehicle: Vehicle | None = None
     """The only one that flies there, where there is no factor `vehicle`."""
-    laps: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    """Back and forth between targets and start, so often in place of once there."""
-
-
-_Budget = keys_of(PlannerSettings, "evaluations").model_fields["evaluations"]
 
 
 class FactorsTable(Table):
@@ -136,10 +125,7 @@ class Place:
     family: str | None = None
     family_seed: int | None = None
     family_index: int | None = None
-    over: Over | None = None
-    vehicles: int | None = None
     vehicle: str | None = None
-    laps: int | None = None
 
 
 @final
@@ -227,8 +213,6 @@ def _check_place(place: PlaceTable, field: str) -> None:
         without = dict.fromkeys(("seed", "first", "count", "indices"), rule)
     elif place.indices is not None:
         without |= dict.fromkeys(("first", "count"), "indices says which worlds are drawn")
-    if place.vehicles is not None:
-        without["laps"] = "several vehicles fly to the other side of their circles, once"
     _refuse_given(place, without, field)
 
 
@@ -254,38 +238,31 @@ def _check_choices(campaign: CampaignTable, where: str) -> None:
 
 def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
     """InputError if its factors do not go with how it is flown."""
-    ways = {place.over or over for place in campaign.places}
-    if ways == {"planner"} and "limit_s" in campaign.model_fields_set:
+    if over == "planner" and "limit_s" in campaign.model_fields_set:
         rule = "the planner alone has no vehicle, nor its time"
         raise InputError(f"{where}: limit_s", campaign.limit_s, rule, "Leave it out.")
     for k, place in enumerate(campaign.places):
         without = {}
         if campaign.factors.vehicle:
             without["vehicle"] = "the factor vehicle says which vehicles fly, at all places"
-        if (place.over or over) == "planner":
-            without = dict.fromkeys(("vehicle", "laps"), "the planner alone has no vehicle")
+        if over == "planner":
+            without["vehicle"] = "the planner alone has no vehicle"
         _refuse_given(place, without, f"{where}: places[{k}]")
-        if place.vehicles and (place.over or over) != "process":
-            rule, remedy = "several vehicles fly in one process", 'Write over = "process".'
-            raise InputError(f"{where}: places[{k}].vehicles", place.over or over, rule, remedy)
     if "elevation" in (campaign.factors.knowledge or ()) and campaign.factors.planner:
         rule, remedy = "only ours reads an elevation file", "Leave out factors.planner."
         raise InputError(f"{where}: factors.knowledge", "elevation", rule, remedy)
     for factor in _OF_VEHICLES:
         asked = getattr(campaign.factors, factor) or (factor == "faults" and campaign.faults)
-        if "planner" in ways and asked:
+        if over == "planner" and asked:
             rule = "the planner alone has no vehicle"
             remedy = 'Leave it out, or fly: over = "process".'
             raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
-    if over != "udp" and any(table.family == "programs" for table in campaign.faults):
-        rule = "faults of two processes need two"
-        raise InputError(f"{where}: faults", "programs", rule, "Fly them with --over udp.")
     for factor in ("optimiser", "profile"):
         if getattr(campaign.factors, factor) and _OURS not in (campaign.factors.planner or [_OURS]):
             rule, remedy = "rivals have none", f"Leave it out, or add {_OURS!r} to the planners."
             raise InputError(f"{where}: factors.{factor}", campaign.factors.planner, rule, remedy)
     for factor, ours in (("planner", [_OURS]), ("knowledge", ["scans"])):
-        if ways != {"planner"} and (getattr(campaign.factors, factor) or ours) != ours:
+        if over != "planner" and (getattr(campaign.factors, factor) or ours) != ours:
             rule = "rivals and full knowledge are of the planner alone"
             raise InputError(f"{where}: factors.{factor}", over, rule, 'Write over = "planner".')
 
@@ -318,17 +295,16 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
             given: dict[str, Any] = {k: str(v) if isinstance(v, FaultScript) else v
                      for k, v in zip(factors, values, strict=True) if v is not None}  # fmt: skip
             chosen = [choices[v] for k, v in given.items() if k in _CHOSEN and v in choices]
-            several = [] if place.vehicles is None else [f"{place.vehicles}-vehicles"]
             if place.vehicle is not None:
                 given.setdefault("vehicle", place.vehicle)
-            names = [place.label, *several, *map(str, given.values()), f"seed-{seed}"]
+            names = [place.label, *map(str, given.values()), f"seed-{seed}"]
             found.append(
                 Run(
                     number=len(found),
                     key="/".join(names),
                     seed=seed,
                     place=place,
-                    over=place.over or over,
+                    over=over,
                     keep=keep,
                     limit_s=campaign.limit_s,
                     timeline="\n".join(each.faults.strip() for each in chosen if each.faults),
@@ -345,28 +321,24 @@ def _joined(lists: Iterable[list[str]]) -> tuple[str, ...]:
     return tuple(itertools.chain.from_iterable(lists))
 
 
-def _places(table: PlaceTable, folder: Path) -> Iterator[Place]:
-    how: Any = {"over": table.over, "vehicle": table.vehicle, "laps": table.laps}
+def _places(table: PlaceTable, folder: Path) -> list[Place]:
     if table.family is not None:
-        found = [
+        return [
             Place(
                 label=f"{table.family}-{table.seed}/{index}",
                 world=f"{table.family}-{table.seed}-{index}",
                 family=table.family,
                 family_seed=table.seed,
                 family_index=index,
-                **how,
+                vehicle=table.vehicle,
             )
             for index in table.indices or range(table.first, table.first + table.count)
         ]
-    else:
-        world, mission = str(table.world), table.mission
-        if world not in bundled():
-            path = folder / world
-            world, mission = str(path), mission or str(path.with_name("mission.toml"))
-        if mission is not None and mission not in bundled():
-            mission = str(folder / mission)
-        label = world if world in bundled() else Path(world).parent.name or Path(world).stem
-        found = [Place(label=label, world=world, mission=mission or world, **how)]
-    for place in found:
-        yield from (replace(place, vehicles=count) for count in table.vehicles or (None,))
+    world, mission = str(table.world), table.mission
+    if world not in bundled():
+        path = folder / world
+        world, mission = str(path), mission or str(path.with_name("mission.toml"))
+    if mission is not None and mission not in bundled():
+        mission = str(folder / mission)
+    label = world if world in bundled() else Path(world).parent.name or Path(world).stem
+    return [Place(label=label, world=world, mission=mission or world, vehicle=table.vehicle)]

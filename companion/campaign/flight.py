@@ -1,7 +1,6 @@
 """One flight of a campaign: what it is flown by, and what it left.
 
-In one process (`in_process`) or by both programs (`over_udp`), it leaves the same journal and the
-same truth, and only these are looked at afterwards.
+It leaves a journal and the truth, and only these are looked at afterwards.
 """
 
 import json
@@ -12,7 +11,6 @@ from typing import Any, final
 
 import numpy as np
 
-from companion.campaign.growth import Growth
 from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 
@@ -28,7 +26,7 @@ class FlightFiles:
     world: Path
     mission: Path
     faults: str
-    """A timeline, with what happens to the programs (`drawn_faults.split`)."""
+    """A timeline, with when the companion is killed (`drawn_faults.split`)."""
     folder: Path
     drawn: str = ""
     """What the drawn faults are called."""
@@ -45,7 +43,6 @@ class Flight:
     plans_s: list[float]
     folder: Path
     """With the log of what was said, if it was recorded."""
-    growth: Growth | None = None
 
 
 def truth_of(folder: Path) -> list[dict[str, Any]]:

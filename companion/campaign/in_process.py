@@ -1,6 +1,7 @@
 """Flights in this process: a vehicle and its companion in lockstep, without sockets."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
@@ -8,7 +9,6 @@ from typing import Any, Protocol, final
 
 from companion.campaign.drawn_faults import split
 from companion.campaign.flight import Flight, FlightFiles, truth_of
-from companion.campaign.growth import Growth
 from companion.config import load_mission, mission_text
 from companion.entry_points import Parts
 from companion.errors import InputError
@@ -21,7 +21,6 @@ from companion.telemetry.run_folder import RunFolder, journal_line
 
 _EPOCH_US = 1_700_000_000_000_000
 """Stamps of logs begin here, so that a run leaves the same bytes each time."""
-_LOOK_S = 60.0
 
 
 class Vehicle(SimulatedVehicle, Protocol):
@@ -34,26 +33,20 @@ class Vehicle(SimulatedVehicle, Protocol):
 
 @final
 class _Listener:
-    """A writer that remembers journal and frames, and hands all on to one that writes."""
+    """A writer that remembers the journal, and hands all on to one that writes."""
 
-    def __init__(self, shared: frozenset[int], system: int | None) -> None:
+    def __init__(self) -> None:
         self.journal: list[dict[str, Any]] = []
-        self.said: list[bytes] = []
-        """Frames of MAVLink 2 by this system with these numbers."""
         self.inner: InlineWriter | None = None
-        self._shared, self._system = shared, system
 
     def put(self, batch: Batch) -> None:
         self.journal += [json.loads(journal_line(entry)) for entry in batch.journal]
-        if self._shared:
-            said = (frame for _, frame in batch.record if frame[5] == self._system)
-            self.said += [f for f in said if int.from_bytes(f[7:10], "little") in self._shared]
         if self.inner is not None:
             self.inner.put(batch)
 
     def heir(self) -> "_Listener":
         """One that goes on with the journal; this one hears nothing more that counts."""
-        heir = _Listener(self._shared, self._system)
+        heir = _Listener()
         heir.journal, self.journal, self.inner = self.journal, [], None
         return heir
 
@@ -88,21 +81,12 @@ def check(files: FlightFiles) -> None:
 class Flying:
     """A vehicle and its companion in this process, in lockstep, flown on turn by turn."""
 
-    def __init__(
-        self,
-        files: FlightFiles,
-        *,
-        seed: int,
-        limit_s: float,
-        recorded: bool,
-        shared: frozenset[int] = frozenset(),
-    ) -> None:
-        """shared: numbers of the messages of its own that `take_said` gives."""
+    def __init__(self, files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -> None:
         self._files, self._mission = files, load_mission(str(files.mission))
         self._vehicle = _maker()(files.world, seed=seed, faults=files.faults)
         self._seed, self._limit_s, self._recorded = seed, limit_s, recorded
         self._folder: RunFolder | None = None
-        self._listener = _Listener(shared, self._mission.system_id)
+        self._listener = _Listener()
         self.flies = True
         """Whether its mission has not ended."""
         self._begin()
@@ -162,20 +146,11 @@ class Flying:
                 text = f"the flight did not end when it was stopped after {self._limit_s:g} s"
                 raise TimeoutError(text)
 
-    def take_said(self) -> list[bytes]:
-        """The frames to share since the last call."""
-        said, self._listener.said = self._listener.said, []
-        return said
-
-    def write_truth(self) -> None:
-        """What there is of it."""
-        with (self._files.folder / "truth.jsonl").open("a", encoding="utf-8") as file:
-            file.writelines(f"{line}\n" for line in self._vehicle.take_truth())
-
     def close(self) -> None:
-        """Write what is left."""
+        """Write what is left, and the truth."""
         self.loop.writer.close()
-        self.write_truth()
+        truth = "".join(f"{line}\n" for line in self._vehicle.take_truth())
+        (self._files.folder / "truth.jsonl").write_text(truth, encoding="utf-8")
         if self._folder is not None:
             self._folder.close()
 
@@ -199,19 +174,12 @@ def fly_here(files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -
         limit_s=limit_s,
         recorded=recorded or bool(to_come),
     )
-    growth = Growth()
     try:
-        while flying.flies:
-            look_s = flying.now_s + _LOOK_S
-            if to_come and to_come[0].at_s < look_s:
-                flying.fly_on(1e6 * to_come[0].at_s)
-                happening = to_come.pop(0)
-                if flying.flies:
-                    flying.die(happening.until_s - happening.at_s)
-                continue
-            flying.fly_on(1e6 * look_s)
-            flying.write_truth()
-            growth.look(flying.now_s)
+        for happening in to_come:
+            flying.fly_on(1e6 * happening.at_s)
+            if flying.flies:
+                flying.die(happening.until_s - happening.at_s)
+        flying.fly_on(math.inf)
     finally:
         flying.close()
-    return replace(flying.flight(), growth=growth if growth.is_known else None)
+    return flying.flight()

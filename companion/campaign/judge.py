@@ -15,7 +15,7 @@ before, it could not know of it or had no say:
   inside then, or nearer than d_s, has the time to leave it once, by half the mission's speed;
 - it was given back to the companion in there, or nearer than d_s: it has the same time.
 
-Everything else counts: wind, a late or dead planner, lost frames, an autopilot that does not obey.
+Everything else counts: wind, lost frames, an autopilot that does not obey.
 So does an ending without a reason, or one that leaves the vehicle to nobody (`unexplained: ...`),
 unless no command could reach it then: a copter that hears nothing hovers.
 """
@@ -30,7 +30,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from companion.campaign import truth
-from companion.campaign.drawn_faults import Happening, happenings
+from companion.campaign.drawn_faults import KILLED, Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.flight import Flight, crash_of
 from companion.geodesy import BoolArray, FloatArray
@@ -45,7 +45,7 @@ GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})
 LANDS: Final = frozenset({"LAND", "Land", "Descend", "AUTOLAND"})
 RETURNS: Final = frozenset({"RTL", "Return", "SMARTRTL"})
-THERE: Final = ("arrived", "held and resumed")
+_THERE: Final = ("arrived", "held and resumed")
 """Endings at the target."""
 _BY_ORDER: Final = {"hold": HOLDS, "land": LANDS, "return": RETURNS}
 KNOWN_AFTER_S: Final = 10.0
@@ -97,10 +97,7 @@ class _Told:
 def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     """The columns of a row that this judge fills in; `violated` in words, empty: nothing."""
     flight, is_cut = _until_stopped(flight)
-    done, told = (
-        happenings(timeline),
-        _told(flight.folder / "flight.tlog", flight.mission.system_id),
-    )
+    done, told = happenings(timeline), _told(flight.folder / "flight.tlog")
     table = _table(flight, drawn, done, told)
     safety_m = drawn.task.settings.safety_distance_m
     terrain_m = _terrain_m(table, drawn)
@@ -108,22 +105,19 @@ def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     known, unknown = _breaches("terrain", terrain_m, safety_m, table, excuses)
     touched = _touched(flight, table)
     hit = touched if any(touched) else _crash(flight, table, excuses)
-    for each, found in zip((known, unknown), hit, strict=True):
-        each += found
+    known, unknown = known + hit[0], unknown + hit[1]
     for zone, known_s in _zones(flight, drawn, done):
         gap_m = _gap_m(table.points_nea_m, zone)
         excused = table.excuses | {
             "the zone was new": _new_excuse(gap_m, known_s, table, drawn),
             "it was given back there": _back_excuse(gap_m, table, drawn),
         }
-        for each, found in zip(
-            (known, unknown), _breaches(zone.name, gap_m, safety_m, table, excused), strict=True
-        ):
-            each += found
+        near = _breaches(zone.name, gap_m, safety_m, table, excused)
+        known, unknown = known + near[0], unknown + near[1]
     ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
     if ending.startswith("unexplained"):
         known.append(f"{ending}: {reason}")
-    elif not done and ending not in THERE:
+    elif not done and ending not in _THERE:
         known.append(f"{ending} with nothing wrong: {reason}")
     return {
         "ending": ending,
@@ -153,15 +147,13 @@ def _any(excuses: dict[str, BoolArray]) -> BoolArray:
 # --- the flight as arrays
 
 
-def _told(log: Path, system_id: int | None) -> _Told:
-    """What the companion and its vehicle said to each other; others' frames may be there too."""
+def _told(log: Path) -> _Told:
+    """What the companion and its vehicle said to each other."""
     at_us, of_s, places, sent_us = list[int](), list[float](), list[tuple[float, ...]](), []
     with Records(log) as records:
         while (record := records.take()) is not None:
             us, frame = record
-            number, (system, component) = number_of(frame), sender_of(frame)
-            if system_id not in (None, system):
-                continue
+            number, (_, component) = number_of(frame), sender_of(frame)
             from_vehicle = component == AUTOPILOT_COMPONENT
             if number == _POSITION.id and from_vehicle:
                 told = decoded(frame, _POSITION)
@@ -416,7 +408,7 @@ def _touched(flight: Flight, table: _Table) -> tuple[list[str], list[str]]:
 
 def _outages_s(done: Sequence[Happening]) -> list[tuple[float, float]]:
     """When no command could have reached the autopilot, or nobody was there to send one."""
-    ends = [(e.at_s, e.until_s) for e in done if e.what.startswith(("link_off", "companion_off"))]
+    ends = [(e.at_s, e.until_s) for e in done if e.what.startswith(("link_off", KILLED))]
     return [*ends, *((e.at_s, math.inf) for e in done if e.what == "reboot")]
 
 

@@ -249,10 +249,7 @@ def _dearness(rows: Iterable[Row]) -> list[tuple[Row, float, str]]:
 def replay_command(campaign: Campaign, row: Row) -> str:
     """The command that shows a run again: its folder replayed, or the run flown again."""
     if row.folder:
-        folder = campaign.folder / row.folder
-        if row.vehicles:
-            folder /= "vehicle-001"
-        return shlex.join(["companion", "replay", str(folder)])
+        return shlex.join(["companion", "replay", str(campaign.folder / row.folder)])
     again = f"{campaign.folder}-run-{row.run}"
     asked = ["--only", str(row.run), "--over", row.over, "--keep", "all", "--out", again]
     return shlex.join(["companion", "campaign", "run", *campaign.source, *asked])

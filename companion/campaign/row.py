@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TIMING = (
-    *("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker"),
-    *("memory_mb", "memory_grown_mb"),
-)
+TIMING = ("took_s", "cpu_s", "plan_ms_median", "plan_ms_p99", "worker")
 """Columns that differ from machine to machine; all others are a function of the run."""
 
 
@@ -34,8 +31,6 @@ class Row:
     family_seed: int | None = None
     family_index: int | None = None
     mission: str | None = None
-    vehicles: int | None = None
-    """So many in one airspace, whose figures are added up; None: one, as the mission is."""
     vehicle: str | None = None
     """`ardupilot-copter`, ...; of the planner alone: None."""
     profile: str
@@ -51,7 +46,7 @@ class Row:
     knowledge: str = "scans"
     """What the planner is told: `scans`; `elevation`, a poor file too; `full`, all of it."""
     over: str
-    """`process`, `udp` or `planner`."""
+    """`process` or `planner`."""
 
     # results
     outcome: str
@@ -75,11 +70,6 @@ class Row:
     """With faults: the largest error of the position that it was told."""
     silent_s: float | None = None
     """With faults: longest time without a command in guided mode, while somebody could send one."""
-    memory_mb: float | None = None
-    """Of a flight of hours in one process: in use at its end."""
-    memory_grown_mb: float | None = None
-    """More than after its first hour."""
-    handles_more: int | None = None
     length_m: float | None = None
     """Of what was flown."""
     straight_m: float | None = None
@@ -101,13 +91,8 @@ class Row:
     """Answers of the planner, refusals too."""
     holds: int | None = None
     """Stops on the way."""
-    vehicles_arrived: int | None = None
-    apart_least_m: float | None = None
-    """Of any two of several vehicles in the air, by where they really were."""
-    separation_kept: float | None = None
-    """The least share of the mission's separation that was, horizontally or vertically."""
     flight_s: float | None = None
-    """Vehicle time from take-off; of several, the longest."""
+    """Vehicle time from take-off."""
     folder: str | None = None
     """Of the run, within the campaign's; empty if it was not kept."""
     error: str | None = None

@@ -12,7 +12,7 @@ import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import pairwise
@@ -22,12 +22,10 @@ from typing import Any
 import numpy as np
 
 from companion.campaign import (
-    airspace,
     drawn_faults,
     families,
     in_process,
     judge,
-    over_udp,
     truth,
 )  # fmt: skip
 from companion.campaign.drawn_files import write
@@ -52,17 +50,10 @@ _SPACING_M = 1.0
 _MOST_POINTS = 20_000
 _OF_SHAPE = ("turn radius", "climb angle", "dive angle")
 _TOUCHED = "flown: touched something"
-_MOST_GROWTH_MB = 10.0
-"""In use, from the first hour of a flight to its end."""
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
-_OF_PLACE = ("mission", "family", "family_seed", "family_index", "vehicles")
+_OF_PLACE = ("mission", "family", "family_seed", "family_index")
 _ROOT = "runs"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_SUMS = (
-    *("plans", "holds", "subpaths", "subpaths_checked", "violations", "straight_m", "length_m"),
-    *("cost", "cost_length", "cost_height", "cost_radar", "radar_m"),
-)
-"""Columns that are added up over several vehicles."""
 
 
 def fly_run(run: Run, out: Path) -> Row:
@@ -140,19 +131,8 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
         return _planned(run, folder)
     files = _files(run, folder)
     recorded = run.keep != "none" or run.with_faults
-    if run.over == "udp":
-        flown = over_udp.fly_over_udp(files, seed=run.seed, limit_s=run.limit_s)
-    elif run.place.vehicles is not None:
-        several = airspace.in_fours(files, run.place.vehicles, run.seed)
-        flights = airspace.fly_together(
-            several, seed=run.seed, limit_s=run.limit_s, recorded=recorded
-        )
-    else:
-        flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
-    if run.place.vehicles is not None:
-        found = _judged_together(flights, several, with_faults=run.with_faults)
-    else:
-        found = _judged(flown, files, with_faults=run.with_faults)
+    flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
+    found = _judged(flown, files, with_faults=run.with_faults)
     found |= {"timeline": files.faults or None}
     return found | ({"faults": files.drawn} if run.script is not None else {})
 
@@ -230,7 +210,7 @@ def _with_factors(drawn: DrawnWorld, run: Run) -> DrawnWorld:
 
 
 def _files(run: Run, folder: Path) -> FlightFiles:
-    """World and mission of a run, with its factors, as both programs read them."""
+    """World and mission of a run, with its factors, as companion and vehicle read them."""
     place = run.place
     if place.family is not None:
         autopilot: Any = (run.vehicle or "ardupilot").partition("-")[0]
@@ -254,15 +234,12 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     mission["planner"] = mission.get("planner", {}) | given
     world = with_settings(world, run.world_settings)
     mission = with_settings(mission, run.mission_settings)
-    if place.laps is not None:
-        start = {name: world["vehicle"].get(name, 0.0) for name in ("north_m", "east_m")}
-        mission["targets"] = [*mission["targets"], start] * place.laps
     name, timeline = "", run.timeline
     if run.script is not None:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
         subject = drawn_faults.Subject(
-            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"], limit_s=run.limit_s
+            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"]
         )
         name, more = drawn_faults.drawn(run.script, subject)
         timeline = "\n".join(filter(None, (timeline, more)))
@@ -338,36 +315,6 @@ def _judged_way(flown: Flight, files: FlightFiles, *, with_faults: bool) -> dict
     )
 
 
-def _judged_together(
-    flights: Sequence[Flight], several: Sequence[FlightFiles], *, with_faults: bool
-) -> dict[str, Any]:
-    """Several vehicles as one row: sums, but for what has a worst, a longest or a median."""
-    pairs = zip(flights, several, strict=True)
-    rows = [_judged(*each, with_faults=with_faults) for each in pairs]
-    arrived = [row for row in rows if row["arrived"]]
-    found: dict[str, Any] = rows[0] | airspace.separation(flights)
-    found |= {"vehicles_arrived": len(arrived), "clearance_least_t_s": None}
-    if left := [row for row in rows if not row["arrived"]]:
-        reason = f"{len(arrived)} of {len(rows)} arrived: {left[0]['reason']}"
-        found |= {"arrived": False, "outcome": left[0]["outcome"], "reason": reason}
-    ways: dict[str, Callable[[list[Any]], Any]] = dict.fromkeys(_SUMS, sum)
-    ways |= {"plan_ms_median": np.median, "plan_ms_p99": max, "flight_s": max}
-    ways |= {"clearance_least_m": min, "violated": "; ".join, "excused": "; ".join}
-    ways |= {"silent_s": max, "position_off_m": max, "ending": _worst_ending}
-    for name, way in ways.items():
-        values = [row[name] for row in rows if row.get(name) is not None]
-        found[name] = way(values) if values else None
-    if found["separation_kept"] is not None and found["separation_kept"] < 1.0:
-        found["violations"] = (found["violations"] or 0) + 1
-        found["violated"] = "; ".join(filter(None, [found["violated"], "flown: separation"]))
-    return found
-
-
-def _worst_ending(endings: list[str]) -> str:
-    """One that nobody explains, else one that is no arrival, else the first."""
-    return max(endings, key=lambda each: (each.startswith("unexplained"), each not in judge.THERE))
-
-
 def _with_faults(flown: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
     """By the judge of faults; of subpaths planned in a wrong place only the shape is looked at."""
     verdict = judge.judged(flown, drawn, timeline)
@@ -382,15 +329,6 @@ def _with_faults(flown: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, A
             checked = _near(flown, times_s) | checked
     known = [*verdict.pop("violated"), *filter(None, [checked["violated"]])]
     checked["violations"] += len(known) - bool(checked["violated"])
-    if (growth := flown.growth) is not None:
-        if growth.grown_mb > _MOST_GROWTH_MB or growth.more_handles > 0:
-            known.append(f"grew by {growth.grown_mb:.1f} MB, {growth.more_handles} handles")
-            checked["violations"] += 1
-        verdict |= {
-            "memory_mb": growth.now_mb,
-            "memory_grown_mb": growth.grown_mb,
-            "handles_more": growth.more_handles,
-        }
     if verdict["ending"] == "arrived":
         verdict["reason"] = None
     return checked | verdict | {"violated": "; ".join(known) or None}

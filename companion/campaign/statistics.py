@@ -21,11 +21,11 @@ CONFIDENCE: Final = 0.95
 ALPHA: Final = 1.0 - CONFIDENCE
 FEWEST: Final = 6
 """Values for an interval: the range of five holds the median in 93.75 % of draws only."""
-TASK: Final = ("world", "family", "family_seed", "family_index", "mission", "vehicles")
+TASK: Final = ("world", "family", "family_seed", "family_index", "mission")
 """The factors that say what is to be flown; the others say how."""
 FACTORS: Final = (
     *(*TASK, "planner", "knowledge", "optimiser", "profile", "budget", "vehicle", "sensor"),
-    *("faults", "wind", "noise", "over"),
+    *("faults", "wind", "noise"),
 )
 _RESAMPLES: Final = 2000
 _AT_ONCE: Final = 1_000_000  # values that are drawn
@@ -96,7 +96,6 @@ MEASURES: Final = (
     Measure(
         "clearance_least_m", "least clearance", unit="m", digits=1, in_short=True, better="more"
     ),
-    Measure("separation_kept", "separation kept", digits=2, in_short=True, better="more"),
     Measure("plan_ms_median", "planning time", unit="ms", digits=1, in_short=True),
 )
 RATES: Final = tuple(measure for measure in MEASURES if measure.is_rate)

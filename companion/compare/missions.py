@@ -1,11 +1,9 @@
 """Missions as the paper flies them, without a vehicle, and what they cost."""
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, final
 
 from companion.compare.violations import Violations, violations
@@ -15,7 +13,7 @@ from companion.geodesy import FloatArray
 from companion.objective.scene import PAPER
 from companion.planner.offline import fly_offline
 from companion.planner.settings import Task
-from companion.runtime.worker_pool import end_with_parent, worker_pool
+from companion.runtime.worker_pool import worker_pool
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import PeakTerrain
@@ -112,14 +110,10 @@ def fly_all(
     if jobs == 1:
         return [fly(case) for case in shown(cases)]
     try:
-        with worker_pool(min(jobs, len(cases)), _begin_worker) as submit:
+        with worker_pool(min(jobs, len(cases))) as submit:
             futures = [submit(fly, case) for case in cases]
             for done in shown(as_completed(futures)):
                 done.result()
             return [future.result() for future in futures]
     except BrokenProcessPool as error:
         raise CompanionError("a worker process ended early. Try fewer --jobs.") from error
-
-
-def _begin_worker() -> None:
-    end_with_parent(partial(os._exit, 1))

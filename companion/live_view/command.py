@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import socket
 import subprocess
 import sys
 import time
@@ -25,13 +24,6 @@ VIEW_PORT = 8080
 PortOption = Annotated[
     int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")
 ]
-HostOption = Annotated[
-    str,
-    typer.Option(
-        metavar="HOST",
-        help="Address to serve on; other than loopback, the page asks for the token printed here.",
-    ),
-]
 _END_S, _POLL_S = 5.0, 0.2
 
 
@@ -41,15 +33,12 @@ class Asked:
     """What is to be served, and how."""
 
     paths: tuple[str, ...]
-    host: str = "127.0.0.1"
     port: int = VIEW_PORT
     """0: any that is free."""
     system_id: int | None = None
     """Of the vehicle, of several in a log."""
     live: bool = False
     """Whether the flight is flown now: it may not have begun to be recorded."""
-    ground: str | None = None
-    """The link to the companion by which orders are given; None: they are not."""
 
 
 def view_command(
@@ -58,7 +47,6 @@ def view_command(
         typer.Argument(metavar="RUN_DIR|LOG...", help="Run folders, or logs: .tlog, .bin, .ulg."),
     ],
     view_port: PortOption = VIEW_PORT,
-    view_host: HostOption = "127.0.0.1",
     system: Annotated[
         int | None,
         typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
@@ -71,7 +59,7 @@ def view_command(
     extras.need("view", "companion view")
     from companion.live_view.server import serve  # slow to import
 
-    asked = Asked(paths=tuple(map(str, flights)), host=view_host, port=view_port, system_id=system)
+    asked = Asked(paths=tuple(map(str, flights)), port=view_port, system_id=system)
     with stop_signals() as stop_asked:
         serve(asked, partial(_say_address, plain_console()), lambda: bool(stop_asked))
 
@@ -122,11 +110,3 @@ def _refused(error: list[Any] | None) -> InputError:
     if error is None:
         return InputError("--view", True, "it did not start", "Look above for the reason.")
     return InputError(*error)
-
-
-def free_udp_port() -> int:
-    """A port of loopback that nobody uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

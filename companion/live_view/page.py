@@ -18,9 +18,8 @@ import viser
 from viser import uplot
 
 from companion.geodesy import FloatArray
-from companion.live_view import panel, shapes
+from companion.live_view import panel
 from companion.live_view.ground import Ground, Replica, last_ground
-from companion.live_view.orders import Orders
 from companion.live_view.panel import (
     Charts,
     Moment,
@@ -107,17 +106,9 @@ class Flight:
 class Page:
     """What all browsers that are connected see."""
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        flights: Sequence[Flight],
-        *,
-        orders: Orders | None = None,
-    ) -> None:
-        """orders: may be given here by who knows the token; None: nobody may."""
+    def __init__(self, server: viser.ViserServer, flights: Sequence[Flight]) -> None:
         self._server, self._flights, self._shown = server, tuple(flights), flights[0]
         self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._orders = orders
         self._scene: Scene | None = None
         self._time_s, self._speed, self._plays = 0.0, 1.0, False
         self._newest = True  # until somebody goes elsewhere
@@ -138,7 +129,7 @@ class Page:
         server.initial_camera.near, server.initial_camera.far = _NEAR, _FAR
         position, look_at = _overview()
         server.initial_camera.position, server.initial_camera.look_at = position, look_at
-        server.on_client_connect(lambda client: self._do(lambda: self._welcome(client)))
+        server.on_client_connect(lambda client: self._do(lambda: self._view(client, "overview")))
         server.on_client_disconnect(lambda client: self._do(lambda: self._forget(client)))
 
     # --- what is on it
@@ -257,11 +248,6 @@ class Page:
         if event.client is not None:
             self._do(lambda: self._view(event.client, event.target.value))
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        self._view(client, "overview")
-        if self._orders is not None:
-            self._orders.offer(client, self.place_of)
-
     def _forget(self, client: viser.ClientHandle) -> None:
         self._views.pop(client.client_id, None)
 
@@ -280,16 +266,6 @@ class Page:
         with client.atomic():
             camera.position = position
             camera.look_at = look_at
-
-    def place_of(
-        self, origin: Sequence[float], direction: Sequence[float]
-    ) -> tuple[float, float] | None:
-        """North and east of what is under the mouse; None: nothing."""
-        if self._scene is None:
-            return None
-        return shapes.met(
-            self._scene.scale, self._scene.ground, np.array(origin), np.array(direction)
-        )
 
     # --- what is shown
 

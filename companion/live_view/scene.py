@@ -44,7 +44,7 @@ class Scene:
         self._server, self._scene, self._recording = server, server.scene, recording
         self.area = Area.of(recording)
         self.scale = Scale.of(self.area)
-        self.ground: Ground | None = None
+        self._ground: Ground | None = None
         self._tiles: dict[tuple[int, int], bytes] = {}
         self._drawn: dict[str, Any] = {}
         """What each part was drawn from last."""
@@ -90,9 +90,9 @@ class Scene:
 
     def show_ground(self, ground: Ground) -> None:
         """Draw the terrain as it is known: the pieces that differ."""
-        if ground is self.ground:
+        if ground is self._ground:
             return
-        self.ground = ground
+        self._ground = ground
         top_m = self._top_m()
         present = set()
         with self._server.atomic():

@@ -113,18 +113,6 @@ class Scale:
             axis=-1,
         )
 
-    def nea_m(self, points: FloatArray) -> FloatArray:
-        """The other way round.  (..., 3) -> (..., 3)."""
-        x, y, z = np.moveaxis(points, -1, 0)
-        return np.stack(
-            [
-                y * self.unit_m + self.centre_ne_m[0],
-                x * self.unit_m + self.centre_ne_m[1],
-                z * self.unit_m / self.stretch + self.base_amsl_m,
-            ],
-            axis=-1,
-        )
-
 
 # --- the ground
 
@@ -292,25 +280,3 @@ def dart() -> Mesh:
     vertices = [[0.6, 0, 0], [-0.4, 0.4, 0], [-0.2, 0, 0], [-0.4, -0.4, 0], [-0.2, 0, 0.22]]
     faces = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 2], [3, 2, 0]]
     return Mesh(np.array(vertices), np.array(faces, dtype=np.uint32))
-
-
-def met(
-    scale: Scale, ground: Ground | None, origin: FloatArray, direction: FloatArray
-) -> tuple[float, float] | None:
-    """North and east of where a ray first meets the ground; None: it goes by.  origin: (3,)."""
-    lengths = np.linspace(0.0, 6.0 * WIDTH, 12_000)
-    places = scale.nea_m(origin + lengths[:, None] * direction)
-    surface = np.full(len(places), scale.base_amsl_m)
-    if ground is not None:
-        row = np.floor((places[:, 0] - ground.north_min_m) / ground.cell_m).astype(np.intp)
-        column = np.floor((places[:, 1] - ground.east_min_m) / ground.cell_m).astype(np.intp)
-        rows, columns = ground.kind.shape
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        row, column = row[inside], column[inside]
-        known = ground.kind[row, column] != 0
-        surface[inside] = np.where(known, ground.height_m[row, column], scale.base_amsl_m)
-    below = np.flatnonzero(places[:, 2] <= surface)
-    if not len(below):
-        return None
-    north_m, east_m, _ = places[below[0]].tolist()
-    return north_m, east_m

@@ -70,7 +70,7 @@ def in_words(refused: Mapping[str, int]) -> Iterator[str]:
             yield f"{heading}: {', '.join(told)}"
 
 
-def is_sector(message: Message) -> bool:
+def _is_sector(message: Message) -> bool:
     """Whether a DISTANCE_SENSOR speaks for one of eight sectors.
 
     One beam does not: a rangefinder of ArduPilot that looks ahead, or what has a narrow field.
@@ -290,7 +290,7 @@ class NearSensing:
 
     def on_distance_sensor(self, message: Message, now_s: float) -> None:
         """One of ArduPilot's eight sectors; those of one stamp belong together."""
-        if not is_sector(message):
+        if not _is_sector(message):
             if message.orientation in _HORIZONTAL:
                 self._refuse("one beam does not speak for a sector")
             return

@@ -14,9 +14,7 @@ from rich.console import RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from companion.mavlink.near_sensing import in_words
 from companion.telemetry.logs import LogAnomaly, Missing
-from companion.world.near_map import Sight
 
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""
@@ -165,24 +163,6 @@ class VehicleReport(Struct, frozen=True, kw_only=True):
 
 
 @final
-class NearThings(Struct, kw_only=True):
-    """What one sensor has seen in a flight."""
-
-    sensor: str
-    """Its message and component."""
-    range_m: float
-    sweeps: int = 0
-    seconds: dict[str, float] = field(default_factory=lambda: {each.name: 0.0 for each in Sight})
-    """How long it saw something, or what its silence was, by `Sight`."""
-    free_m2: float = 0.0
-    """Area that beams have passed all over."""
-    occupied_m2: float = 0.0
-    """Area where something stood, or may have stood, as far as it was told."""
-    refused: dict[str, int] = {}
-    """How often something was not believed, or only in part, by the reason."""
-
-
-@final
 class Limitation(Struct, frozen=True, kw_only=True):
     """A limitation of shadow mode on this log."""
 
@@ -230,7 +210,6 @@ class ShadowReport(Struct, kw_only=True):
     could_not: list[Limitation] = []
     missing: tuple[Missing, ...] = ()
     log_findings: tuple[LogAnomaly, ...] = ()
-    near_things: list[NearThings] = []
     notes: list[str] = []
     left_out: Counter[str] = field(default_factory=Counter)
     """Number of dropped items of limited lists."""
@@ -458,8 +437,6 @@ def _tail(report: ShadowReport) -> list[str]:
             f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions and "
             f"{own.until_m:,.0f} m of path"
         )
-    for near in report.near_things:
-        lines += _near_words(near)
     lines += [f"could not {each}" for each in report.could_not]
     recorded_input = {each.message for each in report.could_not}
     for missing in sorted(report.missing, key=lambda each: not each.vital):
@@ -472,16 +449,6 @@ def _tail(report: ShadowReport) -> list[str]:
     heard = f"{report.heard:,} of {report.records:,} messages were of use"
     lines.append(f"{heard}; {report.times_real_time:,.0f}x real time")
     return lines
-
-
-def _near_words(near: NearThings) -> Iterator[str]:
-    times = [f"{Sight[name].value} for {s:,.0f} s" for name, s in near.seconds.items() if s]
-    yield (
-        f"near things, by {near.sensor}, up to {near.range_m:g} m, {near.sweeps:,} sweeps: "
-        f"{near.free_m2:,.0f} m2 free, {near.occupied_m2:,.0f} m2 where something stands"
-    )
-    yield f"  {'; '.join(times)}"
-    yield from (f"  {words}" for words in in_words(near.refused))
 
 
 def _where(place: Place | None) -> str:

@@ -16,8 +16,6 @@ from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of,
 from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
 from companion.planner.plan import plan
-from companion.replay import shadow_near
-from companion.replay.shadow_near import NearWatch
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import VehicleReport
 from companion.session import Session
@@ -88,7 +86,6 @@ class Watch:
         self._aboard, self._clock = aboard, VehicleClock(0.0)
         self._system = heartbeat.get_srcSystem()
         self._radar = (self._system, mission.scanner_component_id)
-        self._near = NearWatch(mission.frame, self._system, mission.near)
         self._session: Session | None = None
         self._periods: deque[float] = deque(maxlen=_PERIODS)
         self._mode = -1
@@ -112,8 +109,6 @@ class Watch:
         """The next frame of the log, of any sender; at_s: seconds after the first."""
         frame = record.frame
         sender, number = sender_of(frame), number_of(frame)
-        if number in shadow_near.MESSAGES:
-            self._near.on_frame(frame, sender, number)
         if sender == self._radar and number in _RADAR:
             self.heard_of[number] += 1
             self._feed(frame, record.time_us * 1e-6, at_s)
@@ -144,7 +139,6 @@ class Watch:
         report = self._notes.report
         if self._positions_s > 0.0:
             report.position_rate_hz = self.heard_of[POSITION] / self._positions_s
-        report.near_things = [sensor.finish() for sensor in self._near.sensors.values()]
 
     # --- time
 

@@ -19,18 +19,18 @@ def processors() -> int:
 
 
 @contextlib.contextmanager
-def worker_pool(jobs: int, begin: Callable[[], None]) -> Iterator[Callable[..., "Future[Any]"]]:
-    """Give work to so many processes, by what this yields; begin: what each does first.
+def worker_pool(jobs: int) -> Iterator[Callable[..., "Future[Any]"]]:
+    """Give work to so many processes, by what this yields; they end with this one.
 
     Ctrl-C is for this process alone, though a terminal sends it to all.  If the block ends by an
     exception, they end at once, else when their work is done.
     """
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")  # threads and fork do not mix
-    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=begin)
+    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent)
 
     def submit(work: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        # what starts meanwhile never hears of it, not even before `begin`
+        # what starts meanwhile never hears of it, from the beginning
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return pool.submit(work, *arguments)
@@ -47,13 +47,13 @@ def worker_pool(jobs: int, begin: Callable[[], None]) -> Iterator[Callable[..., 
         pool.shutdown(cancel_futures=True)
 
 
-def end_with_parent(end: Callable[[], None]) -> None:
-    """In a worker process: call this when its parent has ended, however it has."""
+def _end_with_parent() -> None:
+    """In a worker process: end at once when its parent has, however it has."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
     def follow() -> None:
         multiprocessing.connection.wait([parent.sentinel])
-        end()
+        os._exit(1)
 
     threading.Thread(target=follow, daemon=True).start()

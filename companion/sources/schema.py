@@ -163,8 +163,8 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
     unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
     first = (unknown or details)[0]
     field = f"{where}: {_dotted(first['loc'])}"
-    key = ".".join(step for step in first["loc"] if isinstance(step, str))
-    if remedy := REMOVED.get(key) or REMOVED.get(f"{key} = {first['input']}"):
+    path = ".".join(step for step in first["loc"] if isinstance(step, str))
+    if remedy := REMOVED.get(path) or REMOVED.get(f"{path} = {first['input']}"):
         raise InputError(field, _shown(first["input"]), "it was removed in this version", remedy)
     if first["type"] == "extra_forbidden":
         raise _unknown_key(model, first, field)

@@ -20,7 +20,7 @@ passed it.
 import collections
 import enum
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, final
 
 import numpy as np
@@ -36,9 +36,6 @@ Kind = Literal["obstacle_distance", "distance_sensor", "obstacle_distance_3d"]
 """What the messages of a sensor are called."""
 Window = tuple[slice, slice]
 """Rows and columns of a lattice."""
-_CELLS = (
-    *("passes", "passed_since_s", "passed_s", "met_since_s", "met_s", "sharp", "looks", "inside"),
-)
 
 
 class Sight(enum.Enum):
@@ -230,38 +227,6 @@ class NearMap:
             inside=np.zeros(lattice.shape, dtype=np.uint8),
             swept=collections.deque(),
         )
-
-    def about(self, place_ne_m: tuple[float, float]) -> "NearMap":
-        """The same map with a place in its middle; what is then outside is forgotten."""
-        lattice = self.lattice
-        shift = [
-            math.floor((at - low) / lattice.cell_m) - count // 2
-            for at, low, count in zip(
-                place_ne_m, (lattice.north_min_m, lattice.east_min_m), lattice.shape, strict=True
-            )
-        ]
-        moved = replace(
-            lattice,
-            north_min_m=lattice.north_min_m + shift[0] * lattice.cell_m,
-            east_min_m=lattice.east_min_m + shift[1] * lattice.cell_m,
-        )
-        result = NearMap.empty(moved, self.rules)
-        old, new = (
-            tuple(
-                slice(max(sign * by, 0), max(count + min(sign * by, 0), 0))
-                for by, count in zip(shift, lattice.shape, strict=True)
-            )
-            for sign in (1, -1)
-        )
-        for name in _CELLS:
-            getattr(result, name)[new] = getattr(self, name)[old]
-        for time_s, window in self.swept:
-            rows, columns = (
-                slice(*np.clip([part.start - by, part.stop - by], 0, count).tolist())
-                for part, by, count in zip(window, shift, lattice.shape, strict=True)
-            )
-            result.swept.append((time_s, (rows, columns)))
-        return result
 
     def occupied(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or stood just now."""

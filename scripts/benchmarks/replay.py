@@ -2,9 +2,9 @@
 
     scripts/bench replay [--flights 20] [--seed 1] [--json FILE]
 
-A campaign over UDP, by each autopilot and kind of vehicle: most flights in lockstep with two or
-three faults each, every fifth in real time, sped up, its companion killed and started again or what
-plans killed or stopped.  Each run folder is then replayed by `companion replay`: bar, all the same.
+A campaign by each autopilot and kind of vehicle, with two or three faults in each flight, a
+companion that is killed and started again among them.  Each run folder is then replayed by
+`companion replay`; bar: all identical.
 """
 
 import json
@@ -20,24 +20,17 @@ from tapped import BIN, ENVIRONMENT, fly_campaign
 from companion.campaign.report import read_campaign
 
 _VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
-_EVERY = 5
-"""So many faults of a vehicle's make one of them one of the programs'."""
 
 
 def campaign_text(flights: int, seed: int) -> str:
     """As many flights of each vehicle, in a short drawn world of its own."""
     each = max(round(flights / len(_VEHICLES)), 1)
-    programs = each // _EVERY
     places = "".join(
         f'[[places]]\nfamily = "short-{vehicle.partition("-")[2]}"\nvehicle = "{vehicle}"\n'
         f"seed = {seed}\nfirst = {number}\n"
         for number, vehicle in enumerate(_VEHICLES)
     )
-    faults = "".join(
-        f'[[faults]]\nfamily = "{family}"\nseed = {seed}\ncount = {count}\n'
-        for family, count in (("combined", each - programs), ("programs", programs))
-        if count
-    )
+    faults = f'[[faults]]\nfamily = "combined"\nseed = {seed}\ncount = {each}\n'
     return f"limit_s = 900.0\n{places}{faults}"
 
 
@@ -66,7 +59,7 @@ def main() -> int:
     table, found = running.figures("Once more", "flight", *headings), list[dict[str, Any]]()
     with tempfile.TemporaryDirectory() as folder:
         text = campaign_text(options.flights, options.seed)
-        flown = fly_campaign(Path(folder), text, "--over", "udp", "--keep", "all")
+        flown = fly_campaign(Path(folder), text, "--keep", "all")
         for row in read_campaign(flown).rows:
             run = flown / str(row.folder)
             same = replayed(run)

@@ -15,8 +15,10 @@ import pytest
 from companion.campaign import drawn_files, families
 from companion.campaign.flight import FlightFiles
 from companion.campaign.in_process import Flying
+from companion.mavlink.frames import number_of
 from companion.mission.mission import AutopilotName
 from companion.mission.state import Phase, Reason
+from companion.runtime.recorder import Batch, Writer
 
 BEGINS_S, GLITCH_S, WRONG_M = 75.0, 30.0, 12.0
 GIVES_IN_S = 11.0
@@ -35,6 +37,20 @@ class Seen(NamedTuple):
     setpoints: int
 
 
+class Setpoints:
+    """A writer that counts them on their way to another."""
+
+    def __init__(self, writer: Writer) -> None:
+        self.writer, self.sent = writer, 0
+
+    def put(self, batch: Batch) -> None:
+        self.sent += sum(number_of(frame) == SETPOINT for _, frame in batch.record)
+        self.writer.put(batch)
+
+    def close(self) -> None:
+        self.writer.close()
+
+
 def flown(
     autopilot: AutopilotName, kind: str, folder: Path
 ) -> tuple[list[Seen], list[dict[str, Any]], list[dict[str, Any]]]:
@@ -44,11 +60,13 @@ def flown(
     glitch = f"at {BEGINS_S:g} s for {GLITCH_S:g} s: gps_glitch 50 m north\n"
     files = FlightFiles(world=world, mission=mission, faults=glitch, folder=folder)
     until_s = BEGINS_S + GLITCH_S + GIVES_IN_S + CLEARS_S + 5.0
-    flying = Flying(files, seed=1, limit_s=until_s, recorded=False, shared=frozenset({SETPOINT}))
+    flying = Flying(files, seed=1, limit_s=until_s, recorded=False)
+    flying.loop.writer = writer = Setpoints(flying.loop.writer)
     seen = []
     while flying.flies and flying.now_s < until_s:
         flying.fly_on(1e6 * (flying.now_s + 0.1))
-        state, sent = flying.loop.session.state, len(flying.take_said())
+        state, sent = flying.loop.session.state, writer.sent
+        writer.sent = 0
         if state.vehicle.position_nea_m is not None:
             seen.append(Seen(flying.now_s, state.phase, state.vehicle.position_nea_m, sent))
     flying.close()

@@ -12,12 +12,11 @@ from flights import one_target
 
 from companion.campaign import drawn_faults, families, judge, run
 from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
-from companion.campaign.drawn_files import mission_of, write
+from companion.campaign.drawn_files import mission_of
 from companion.campaign.file import load_campaign, runs_of
 from companion.campaign.flight import Flight, FlightFiles
 from companion.campaign.run import fly_run
 from companion.config import load_mission
-from companion.mission.mission import TrafficRules
 from companion.world.threats import CircleZone
 from vehicle_sim.faults.catalogue import FAULTS
 from vehicle_sim.faults.timeline import Timeline
@@ -30,7 +29,7 @@ TARGET = DRAWN.targets_ne_m[-1]
 
 
 def subject(vehicle: str) -> Subject:
-    return Subject(vehicle=vehicle, speed_m_s=10.0, limit_s=1_000.0)
+    return Subject(vehicle=vehicle, speed_m_s=10.0)
 
 
 # --- draws
@@ -49,11 +48,11 @@ def test_a_script_can_be_flown_and_is_the_same_again(family: str, vehicle: str) 
     assert drawn == [drawn_faults.drawn(script, subject(vehicle)) for script in scripts]
     firmware: Any = vehicle.partition("-")[0]
     for _, timeline in drawn:
-        ours, of_programs = drawn_faults.split(timeline)
+        ours, killed = drawn_faults.split(timeline)
         Timeline.parse(ours, firmware=firmware)
-        assert len(ours.splitlines()) + len(of_programs) == len(timeline.splitlines())
+        assert len(ours.splitlines()) + len(killed) == len(timeline.splitlines())
     assert len({timeline for _, timeline in drawn}) > 50
-    assert all(each.what in drawn_faults.PROGRAM_FAULTS for each in of_programs)
+    assert all(each.what == drawn_faults.KILLED for each in killed)
 
 
 def test_singles_go_through_all_rows_and_another_seed_draws_others() -> None:
@@ -282,33 +281,6 @@ def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:
         row["mode"] = "LOITER"  # a pilot
     found = run._judged(touching, files, with_faults=True)
     assert (said in str(found["violated"]), said in found["excused"]) == (False, True)
-
-
-def test_of_several_vehicles_each_is_judged_by_what_it_was_told_itself(tmp_path: Path) -> None:
-    """Another's position in its log excuses nothing; the worst ending is the row's."""
-    write(DRAWN, tmp_path, "ardupilot")
-    files = FlightFiles(
-        world=tmp_path / "world.toml", mission=tmp_path / "mission.toml", faults="", folder=tmp_path
-    )
-    traffic = TrafficRules(separation_m=0.1, vertical_separation_m=0.1)
-    far = struct.pack("<Iiiii", 1000, 470_000_000, 80_000_000, 0, 0).ljust(28, b"\1")
-    other = bytearray(frame(33, 1, far))
-    other[5] = 7
-    flights = []
-    for number, end in enumerate(({}, {"kind": "say"})):
-        places = [*[beside(0.0)] * 3, TARGET] if number == 0 else [TARGET] * 4
-        (folder := tmp_path / str(number)).mkdir()
-        made = flight(folder, places, **end)
-        for row in made.truth:
-            row["altitude_amsl_m"] += 50.0 * number
-        log = (folder / "flight.tlog").read_bytes()
-        (folder / "flight.tlog").write_bytes(log + struct.pack(">Q", 10**15 + 1000) + other)
-        flights.append(replace(made, mission=replace(MISSION, system_id=1, traffic=traffic)))
-    row = run._judged_together(flights, [files, files], with_faults=True)
-    assert row["violations"] == 2
-    assert zone().name in row["violated"]
-    assert row["ending"] == "unexplained: no end"
-    assert row["excused"] is None
 
 
 # --- flown

@@ -68,9 +68,9 @@ def campaign_file(folder: Path, text: str) -> Path:
     return path
 
 
-def runs(folder: Path, text: str, over: Any = None) -> list[Run]:
+def runs(folder: Path, text: str) -> list[Run]:
     table, _, base = load_campaign(str(campaign_file(folder, text)))
-    return runs_of(table, base, over or table.over, table.keep)
+    return runs_of(table, base, table.over, table.keep)
 
 
 def same(rows: Any) -> list[dict[str, Any]]:
@@ -197,35 +197,21 @@ def flown_here(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Row
     return folder, [fly_run(run, folder) for run in runs(folder, FLOWN)]
 
 
-def test_what_arrives_is_judged_and_its_files_are_not_kept(flown_here: Any) -> None:
-    _, [arrived, failed] = flown_here
+def test_what_arrives_is_judged_and_only_files_of_what_does_not_are_kept(flown_here: Any) -> None:
+    folder, [arrived, failed] = flown_here
     assert arrived.arrived
     assert arrived.violations == 0
     assert arrived.subpaths_checked
     assert arrived.folder == ""
     assert not failed.arrived
-
-
-@pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.nightly), 1])
-def test_over_udp_it_is_what_it_is_in_one_process(
-    flown_here: Any, number: int, tmp_path: Path
-) -> None:
-    folder, here = flown_here
-    udp = fly_run(runs(folder, FLOWN, "udp")[number], tmp_path)
-    assert same({**row, "over": "process"} for row in same([udp])) == same([here[number]])
-    for out, row in ((folder, here[number]), (tmp_path, udp)):
-        names = {"journal.jsonl", "flight.tlog", "mission.toml", "world.toml", "truth.jsonl"}
-        there = {path.name for path in (out / str(row.folder)).iterdir()}
-        assert row.arrived or names <= there
-
-
-LONG = ("soak", "table-1")
+    names = {"journal.jsonl", "flight.tlog", "mission.toml", "world.toml", "truth.jsonl"}
+    assert names <= {path.name for path in (folder / failed.folder).iterdir()}
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.nightly] if name in LONG else [])
+        pytest.param(name, marks=[pytest.mark.nightly] if name == "table-1" else [])
         for name in bundled_campaigns()
     ],
 )
@@ -282,7 +268,9 @@ def test_a_full_disk_is_one_line_and_no_result(
         ('keep = "failures"', 'over = "planner"', "the planner alone has no vehicle"),
         ("[factors]", '[factors]\noptimiser = ["luck"]', "refined-de"),
         ("[factors]", "[factors]\nbudget = [1]", "budget"),
-        ("[factors]", 'over = "udp"\nvehicles = [2]\n[factors]', "in one process"),
+        ("[factors]", "vehicles = [2]\n[factors]", "places[0].vehicles"),
+        ("[factors]", 'over = "planner"\n[factors]', "places[0].over"),
+        ('keep = "failures"', 'over = "udp"', "over"),
         ("[factors]", '[factors]\nknowledge = ["elevation"]', "of the planner alone"),
         ("schema = 1", "schema = [", "not TOML"),
         ("[factors]", "seed = 3\n[factors]", "places[0].seed = 3: it is of a family"),
@@ -293,8 +281,6 @@ def test_a_full_disk_is_one_line_and_no_result(
         (WORLD_ALONE, f"{DENSE}first = 3\nindices = [1]", "places[0].first = 3: indices says"),
         (WORLD_ALONE, f"{DENSE}count = 3\nindices = [1]", "places[0].count = 3: indices says"),
         (WORLD_ALONE, f"{DENSE}indices = []", "places[0].indices"),
-        ("[factors]", "vehicles = []\n[factors]", "places[0].vehicles"),
-        ("[factors]", "vehicles = [2]\nlaps = 3\n[factors]", "places[0].laps = 3: several"),
         (
             "[factors]",
             'vehicle = "px4-copter"\n[factors]\nvehicle = ["ardupilot-copter"]',
@@ -324,10 +310,9 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(
     [
         (
             "[factors]",
-            "laps = 7\n[factors]",
-            "places[0].laps = 7: the planner alone has no vehicle",
+            'vehicle = "px4-copter"\n[factors]',
+            "places[0].vehicle = 'px4-copter': the planner alone has no vehicle",
         ),
-        ("[factors]", 'vehicle = "px4-copter"\n[factors]', "places[0].vehicle = 'px4-copter'"),
         ("seeds = 2", "limit_s = 60", "limit_s = 60.0: the planner alone has no vehicle"),
         ("[factors]", '[factors]\nplanner = ["a-star"]\noptimiser = ["pso"]', "factors.optimiser"),
     ],
@@ -346,13 +331,12 @@ def test_keys_that_the_planner_alone_has_no_use_for_are_refused(
     [
         (["--only", "0", "--most", "1"], "--most = 1: --only says which runs"),
         (["--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs = 2"),
-        (["--over", "process"], "--over = 'process': each place"),
     ],
 )
 def test_options_of_which_one_has_no_effect_are_refused(
     options: list[str], says: str, tmp_path: Path
 ) -> None:
-    path = campaign_file(tmp_path, PLANNED.replace("[factors]", 'over = "planner"\n[factors]'))
+    path = campaign_file(tmp_path, PLANNED)
     with pytest.raises(InputError, match=re.escape(says)):
         campaign_command("run", str(path), "--out", str(tmp_path / "out"), *options)
 

@@ -148,8 +148,8 @@ def test_near_a_peak_its_distance_is_that_of_the_nearest_of_many_points_of_its_s
 
 def test_the_nearest_of_peaks_and_ground_counts_and_inside_is_negative() -> None:
     peak = Peak(
-        north_m=0.0, east_m=0.0, height_amsl_m=1000.0, spread_north_m=5e3, spread_east_m=5e3
+        north_m=7e3, east_m=-4e3, height_amsl_m=1000.0, spread_north_m=5e3, spread_east_m=5e3
     )
     terrain = PeakTerrain(peaks=(peak,), ground_amsl_m=100.0)
-    points = np.array([(0.0, 0.0, 1300.0), (0.0, 0.0, 900.0), (9e4, 0.0, 350.0)])
+    points = np.array([(7e3, -4e3, 1300.0), (7e3, -4e3, 900.0), (9e4, 0.0, 350.0)])
     assert peak_distance_m(points, terrain).tolist() == pytest.approx([300.0, -100.0, 250.0])

@@ -1,10 +1,9 @@
 """The page in a real browser: what it shows of a flight, and what can be done there.
 
-One flight for all: it is led from the page while it is flown, then shown again from its folder.
+One flight for all: it is looked at while it is flown, then shown again from its folder.
 """
 
 import io
-import math
 import re
 import threading
 import time
@@ -38,7 +37,7 @@ def flight(chromium: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     """In real time, four times: a vehicle that waits is somewhere else after a look at it."""
     del chromium  # without a browser nobody looks at it
     folder = tmp_path_factory.mktemp("viewed") / "run"
-    view = ("--view-control", "--view-port", "0")
+    view = ("--view", "--view-port", "0")
     clock = ("--speedup", "4", *_ENDURING)
     flying = launch(folder, HILLS, HILLS_MISSION, *view, clock=clock)
     yield flying
@@ -47,7 +46,7 @@ def flight(chromium: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 @pytest.fixture(scope="module")
 def address(flight: Flight) -> str:
-    """Of its page, with the token."""
+    """Of its page."""
     return flight.companion.expect(r"view: (\S+)").group(1)
 
 
@@ -58,8 +57,8 @@ def errors() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def locked(chromium: Path, address: str, errors: list[str]) -> Iterator[Page]:
-    """The page of the flight, without the token.
+def page(chromium: Path, address: str, errors: list[str]) -> Iterator[Page]:
+    """The page of the flight.
 
     All tests look at one: without a graphics processor a browser draws one page, never another.
     """
@@ -69,22 +68,10 @@ def locked(chromium: Path, address: str, errors: list[str]) -> Iterator[Page]:
         page.set_default_timeout(_PATIENCE_MS)
         page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(f"{address.partition('?')[0]}?{_COARSE}")
+        page.goto(f"{address}?{_COARSE}")
+        expect(page.get_by_text("flying", exact=True)).to_be_visible()
         yield page
         browser.close()
-
-
-@pytest.fixture(scope="module")
-def page(locked: Page, address: str) -> Page:
-    """The page for who has the token."""
-    unlock(locked, address.rpartition("=")[2])
-    expect(locked.get_by_text("flying", exact=True)).to_be_visible()
-    return locked
-
-
-def unlock(page: Page, token: str) -> None:
-    page.get_by_role("textbox").first.fill(token)
-    page.get_by_role("button", name="unlock").press("Enter")
 
 
 def row(page: Page, name: str) -> str:
@@ -110,48 +97,6 @@ def drawn(page: Page) -> dict[str, float]:
     return {name: float(those.mean()) for name, those in shares.items()}
 
 
-def order(page: Page, label: str) -> str:
-    """Give an order; what the page says that came of it."""
-    page.get_by_role("button", name=label, exact=True).press("Enter")
-    return confirmed(page, label)
-
-
-def confirmed(page: Page, label: str) -> str:
-    page.get_by_role("button", name=f"yes, {label}").press("Enter")
-    told = page.get_by_role("status")
-    expect(told).to_have_text(re.compile(f"^{label}: (accepted|refused|no answer)"))
-    return told.inner_text()
-
-
-Place = tuple[float, float]
-"""In the picture of the scene: shares of its width and height."""
-
-
-def clicked(page: Page, place: Place, label: str = "new target") -> str:
-    """An order with a place, by a click on the scene; what the page says that came of it."""
-    for each in ("keep-out" if label == "new target" else "new target", label):
-        page.get_by_role("button", name=each, exact=True).press("Enter")  # the last one counts
-        expect(page.get_by_role("status")).to_have_text(f"{each}: click on the ground")
-    box = page.locator(_SCENE).bounding_box()
-    assert box is not None
-    at = [box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"]]
-    # no click of the locator: that waits until the picture stands still, half a minute here
-    free = f"at => document.elementFromPoint(...at).matches('{_SCENE}')"
-    page.wait_for_function(free, arg=at, polling=100)  # a question before may still fade
-    page.mouse.click(*at)
-    return confirmed(page, label)
-
-
-def mast_foot(page: Page) -> Place:
-    """Where in the picture the mast of a target stands: the lowest that is of its colour."""
-    red, green, blue = scene_rgb(page)
-    rows, columns = np.nonzero((red > 200.0) & (abs(green - 89.0) < 40.0) & (blue < 60.0))
-    if not len(rows):
-        return math.inf, math.inf
-    height, width = red.shape
-    return float(columns[rows.argmax()]) / width, float(rows.max()) / height
-
-
 def shows_clicked_event(page: Page) -> str:
     """An event of the list is clicked: the moment is its own; the row of its time."""
     clock = page.locator("tr", has_text=re.compile("^time"))
@@ -170,12 +115,6 @@ def shows_clicked_event(page: Page) -> str:
 # --- while it is flown
 
 
-def test_who_has_no_token_is_refused(locked: Page) -> None:
-    unlock(locked, "a guess")
-    expect(locked.get_by_role("status")).to_contain_text("this is not the token")
-    assert locked.get_by_role("button", name="hold", exact=True).count() == 0
-
-
 def test_what_is_flown_is_on_the_page_and_changes(page: Page) -> None:
     expect(page.get_by_text("newest plan")).to_be_visible()
     before = row(page, "to go")
@@ -185,49 +124,12 @@ def test_what_is_flown_is_on_the_page_and_changes(page: Page) -> None:
         assert time.monotonic() < until_s, shares
 
 
-def test_who_has_the_token_holds_and_continues(page: Page, flight: Flight) -> None:
-    assert "accepted" in order(page, "hold")
-    expect(page.get_by_text("paused by a person").first).to_be_visible()
-    assert "accepted" in order(page, "continue")
-    expect(page.get_by_text("flying", exact=True)).to_be_visible()
-    orders = [entry["order"] for entry in flight.journal if entry.get("kind") == "order"]
-    assert orders == ["PAUSE", "CONTINUE"]
-
-
-def test_a_click_sets_a_target_where_it_was_or_is_refused_with_the_reason(page: Page) -> None:
-    place, beside_the_map = (0.5, 0.6), (0.1, 0.95)
-    assert "accepted" in clicked(page, place)
-    order(page, "hold")  # it would arrive, and end
-    until_s = time.monotonic() + _PATIENCE_MS / 1e3
-    while math.dist(foot := mast_foot(page), place) > 0.03:
-        assert time.monotonic() < until_s, foot
-    assert "give a place on the mission's map" in clicked(page, beside_the_map)
-
-
-def test_a_click_sets_a_keep_out_of_the_radius_that_is_asked_for_and_another_lifts_it(
-    page: Page, flight: Flight
-) -> None:
-    radius = page.get_by_role("textbox", name="radius, m")
-    radius.fill("750")
-    radius.press("Enter")
-    assert "accepted" in clicked(page, (0.4, 0.5), "keep-out")
-    [given] = [entry for entry in flight.journal if entry.get("order") == "KEEP_OUT"]
-    assert given["radius_m"] == 750.0
-    assert "accepted" in clicked(page, (0.4, 0.5), "lift keep-out")
-
-
 def test_an_event_that_is_clicked_is_shown_where_it_happened_though_it_flies_on(
     page: Page,
 ) -> None:
     shown = shows_clicked_event(page)
     page.get_by_role("button", name="newest").press("Enter")
     expect(page.locator("tr", has_text=re.compile("^time"))).not_to_have_text(shown)
-
-
-def test_told_to_land_it_lands_where_it_is(page: Page) -> None:
-    page.get_by_role("button", name="newest").press("Enter")
-    assert "accepted" in order(page, "land")
-    expect(page.get_by_text("landing", exact=True)).to_be_visible()
 
 
 # --- again, from its folder
@@ -251,18 +153,18 @@ def served(folder: Path, port: int) -> Iterator[None]:
 def test_its_run_folder_is_shown_again_and_the_page_comes_back(
     flight: Flight, page: Page, address: str, errors: list[str]
 ) -> None:
-    if not any(entry.get("order") == "PAUSE" for entry in flight.journal):  # it is run alone
-        order(page, "hold")
-        expect(page.get_by_text("paused by a person").first).to_be_visible()
+    page.get_by_role("button", name="play", exact=True).press("Enter")
+    expect(page.get_by_role("button", name="pause", exact=True)).to_be_visible()
     assert errors == []
     flight.companion.interrupt(60.0)
     clock = page.locator("tr", has_text=re.compile("^time"))
     with served(flight.folder, int(re.findall(r":(\d+)", address)[0])):
-        expect(page.get_by_role("button", name="hold", exact=True)).to_have_count(0)
+        expect(page.get_by_role("button", name="play", exact=True)).to_be_visible()
         slider = page.get_by_role("slider")
         expect(slider).not_to_have_attribute("aria-valuenow", "0")  # it is where the flight ended
         slider.press("Home")
         expect(clock).to_have_text("time0:00")
-        page.get_by_role("button", name="next hold").click()
-        expect(page.get_by_text("paused by a person").first).to_be_visible()
+        page.get_by_role("button", name="next plan").click()
+        expect(clock).not_to_have_text("time0:00")
+        expect(page.get_by_text("newest plan")).to_be_visible()
         shows_clicked_event(page)

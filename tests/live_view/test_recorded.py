@@ -1,23 +1,16 @@
 """What the page shows of a flight that was recorded, without a browser."""
 
 import re
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import msgspec
 import numpy as np
 import pytest
 import rich
 import viser
-from programs import free_port
 from recorded import flown, mission_file, record
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
-from zstandard import ZstdDecompressor
 
 from companion.config import load_mission
 from companion.errors import InputError
@@ -27,24 +20,11 @@ from companion.live_view.page import Flight, Page
 from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
 from companion.live_view.server import serve
-from companion.live_view.shapes import Area, Scale, met
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
 
 _PIECES = 5
-_PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 _PATIENCE_S = 60.0
-_LOOKS = msgspec.msgpack.encode(
-    {
-        **dict.fromkeys(("fov", "near", "far", "image_height", "image_width"), 1),
-        "type": "ViewerCameraMessage",
-        "wxyz": (1.0, 0.0, 0.0, 0.0),
-        "position": (1.0, 0.0, 0.0),
-        "look_at": (0.0, 0.0, 0.0),
-        "up_direction": (0.0, 0.0, 1.0),
-    }
-)
-"""What a browser sends of its camera once it shows the page: it is welcomed then."""
 
 
 @pytest.fixture(scope="module")
@@ -142,19 +122,6 @@ def test_charts_tell_the_clearance_and_the_way_off_the_path(
     assert np.nanmax(charts.aside_m) < flight.recording.mission.task.limits.tracking_error_m  # type: ignore[union-attr]
 
 
-def test_a_ray_meets_the_ground_where_it_is_drawn(run_dir: tuple[Path, Session]) -> None:
-    folder, _ = run_dir
-    with Recording(folder) as recording:
-        recording.read()
-    scale = Scale.of(Area.of(recording))
-    place_nea_m = np.array([3000.0, 2000.0, scale.base_amsl_m])
-    eye = scale.scene(place_nea_m + np.array([-8000.0, 5000.0, 9000.0]))
-    ray = scale.scene(place_nea_m) - eye
-    found = met(scale, None, eye, ray / np.linalg.norm(ray))
-    assert found == pytest.approx(place_nea_m[:2], abs=2.0 * scale.unit_m)
-    assert scale.nea_m(scale.scene(place_nea_m)) == pytest.approx(place_nea_m)
-
-
 # --- the page
 
 
@@ -234,62 +201,6 @@ def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
     assert 2 <= len(sent) <= now_s / 2.0 + 2.0
     assert np.array_equal(sent[-1].kind, flight.replica.ground(-1).kind)
     assert "read until" not in page.status
-
-
-# --- who may see it
-
-
-@pytest.fixture
-def served(run_dir: tuple[Path, Session]) -> Iterator[Callable[..., str]]:
-    """Serves the flight on a host, from this process; gives the address that is printed."""
-    over, threads = threading.Event(), list[threading.Thread]()
-
-    def start(host: str, ground: str | None = None) -> str:
-        said, ready = list[str](), threading.Event()
-
-        def on_ready(address: str) -> None:
-            said.append(address)
-            ready.set()
-
-        asked = Asked(paths=(str(run_dir[0]),), host=host, port=0, ground=ground)
-        threads.append(threading.Thread(target=serve, args=(asked, on_ready, over.is_set)))
-        threads[-1].start()
-        assert ready.wait(_PATIENCE_S)
-        return said[0]
-
-    yield start
-    over.set()
-    for thread in threads:
-        thread.join()
-
-
-def test_who_comes_with_the_token_has_the_buttons_and_who_comes_without_is_asked_for_it(
-    served: Callable[..., str],
-) -> None:
-    address = served("127.0.0.1", f"udpout:127.0.0.1:{free_port()}")
-    websocket = address.partition("websocket=")[2]
-    for place, offered in ((websocket, b"lift keep-out"), (websocket.split("?")[0], b"unlock")):
-        with connect(place, subprotocols=[_PROTOCOL], max_size=None) as socket:
-            socket.send(_LOOKS)
-            got = b""
-            while not any(button in got for button in (b"lift keep-out", b"unlock")):
-                got = ZstdDecompressor().decompress(socket.recv(_PATIENCE_S)[16:])
-            assert offered in got
-
-
-def test_elsewhere_than_on_loopback_the_token_is_asked_for(served: Callable[..., str]) -> None:
-    address = served("0.0.0.0")
-    found = re.search(r":(\d+)/\?websocket=ws://.*/\?token=(\S+)", address)
-    assert found is not None
-    place = f"ws://127.0.0.1:{found[1]}/"
-    for wrong in ("", "?token=", "?token=guessed"):
-        with connect(place + wrong, subprotocols=[_PROTOCOL], max_size=None) as socket:
-            with pytest.raises(ConnectionClosed) as closed:
-                socket.recv(_PATIENCE_S)
-            assert "the address that the terminal has printed" in str(closed.value.rcvd)
-    right = f"{place}?token={found[2]}"
-    with connect(right, subprotocols=[_PROTOCOL], max_size=None) as socket:
-        assert socket.recv(_PATIENCE_S)
 
 
 def test_a_folder_without_a_flight_is_told(tmp_path: Path) -> None:

@@ -26,7 +26,6 @@ READ_FROM_LOGS_ONLY = (
     "mavlink/near_scanner.py",
     "mavlink/rangefinder.py",
     "mavlink/streams.py",
-    "replay/shadow_near.py",
 )
 
 

@@ -1,4 +1,4 @@
-"""What lidars say, message by message (a flight between real posts: replay/test_shadow_near.py)."""
+"""What lidars say, message by message (between real posts: test_recorded_lidar.py)."""
 
 import math
 from collections.abc import Callable, Iterable

@@ -244,7 +244,6 @@ def test_a_healthy_flight_is_watched_without_a_hold(name: str) -> None:
     assert report.watched_from_s is not None
     assert report.watched_from_s < 45.0  # ArduCopter's estimator takes 41.6 s
     assert report.could_not == []
-    assert report.near_things == []
 
 
 def test_what_the_vehicle_did_by_itself_stands_beside() -> None:

@@ -309,18 +309,6 @@ def test_an_echo_where_all_was_free_is_something_new_and_blocks_all_of_its_arc()
         assert not near.free()[cell]
 
 
-def test_a_map_that_moves_along_keeps_what_is_inside_and_forgets_the_rest() -> None:
-    near = NearMap.empty(LATTICE, RULES)
-    looked(near, post(6.0, 0.0, 0.5), 40)
-    moved = near.about((10.1, -5.3)).about((0.0, 0.0))
-    assert moved.lattice.shape == LATTICE.shape
-    for there in (10.0, 5.0, -5.0):
-        assert moved.free()[cell_of(there, there)] == near.free()[cell_of(there, there)]
-    assert moved.occupied()[cell_of(5.5, 0.0)]
-    assert near.free()[cell_of(-15.2, 0.0)]
-    assert not moved.free()[cell_of(-15.2, 0.0)]  # it was outside meanwhile
-
-
 def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> None:
     """A gap too narrow for a beam is closed once it was looked at for long; what is far is open."""
     posts = np.concatenate([post(4.0, -0.2, 0.1), post(4.0, 0.2, 0.1), [[100.0, 100.0]]])

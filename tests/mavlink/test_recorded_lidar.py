@@ -1,0 +1,92 @@
+"""What a lidar behind a real autopilot saw among posts of known place (recordings/README.md)."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from recordings import recording
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots.messages import position
+from companion.mavlink.frames import Receiver, number_of, sender_of
+from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT
+from companion.mavlink.near_sensing import NearSensing, Poses, Sight
+from companion.telemetry.logs import open_log
+from companion.world.near_map import NearMap, NearSensor, Rules
+from companion.world.rays import Lattice
+
+HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
+LIDAR = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0, blind_m=0.2)
+POSTS = np.array([(3 + 10 * i, 2 + 10 * j) for i in range(-10, 10) for j in range(-10, 10)])
+LATTICE = Lattice(cell_m=0.25, north_min_m=-150.0, east_min_m=-150.0, shape=(1200, 1200))
+POSITION = 33
+
+
+def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensing]]:
+    """Vehicle time, place and what the lidar says, at each position."""
+    poses, receiver = Poses(), Receiver()
+    sensing, now_s = NearSensing(LIDAR, poses), 0.0
+    for record in open_log(recording("arducopter-lidar.tlog"), system_id=1).records():
+        if sender_of(record.frame) != (1, 1):
+            continue
+        number = number_of(record.frame)
+        if number not in (POSITION, ATTITUDE, *OF_AUTOPILOT):
+            continue
+        for message in receiver.feed(record.frame):
+            if number == ATTITUDE:
+                at_s = message.time_boot_ms * 1e-3
+                poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+            elif number != POSITION:
+                sensing.on_message(message, now_s)
+            elif (told := position(message, 0.0, HOME)) is not None:
+                now_s = told.time_s
+                if now_s >= until_s:
+                    return
+                here_nea_m = told.position_nea_m
+                poses.on_position(now_s, here_nea_m, HOME.grid_north_rad(*here_nea_m[:2]))
+                yield now_s, np.array(here_nea_m[:2]), sensing
+
+
+def test_times_of_silence_are_told_apart() -> None:
+    """219.7 to 244.2 s no sector had an echo, which counts after half a second; it was well."""
+    seconds, before_s = Counter[Sight](), 210.0
+    for now_s, _, sensing in seen(250.0):
+        if now_s > before_s:
+            seconds[sensing.sight(now_s)] += now_s - before_s  # type: ignore[assignment]
+            before_s = now_s
+    assert seconds[Sight.NOTHING_THERE] == pytest.approx(24.0, abs=0.5)
+    assert seconds[Sight.SEES] == pytest.approx(16.0, abs=0.5)
+
+
+def cells_of(points: NDArray[np.float64]) -> tuple[Any, Any]:
+    low = np.array([LATTICE.north_min_m, LATTICE.east_min_m])
+    cells = np.floor((points - low) / LATTICE.cell_m).astype(int)
+    return cells[:, 0], cells[:, 1]
+
+
+@pytest.mark.parametrize("until_s", [110.0, pytest.param(220.0, marks=pytest.mark.nightly)])
+def test_at_no_time_is_any_point_of_a_post_free_and_the_space_between_them_is(
+    until_s: float,
+) -> None:
+    turn = np.linspace(0.0, math.tau, 100)  # 6 cm apart: a cell has 25
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    surfaces = (POSTS[:, None] + around).reshape(-1, 2)
+    near, share, looked_s = NearMap.empty(LATTICE, Rules()), [], 55.0
+    for now_s, here, sensing in seen(until_s):
+        for sweep in sensing.sweeps():
+            near.add(sweep)
+        if now_s < looked_s:
+            continue
+        looked_s = now_s + 2.0
+        assert not near.free()[cells_of(surfaces)].any(), now_s
+        assert not near.free()[cells_of(POSTS)].any(), now_s
+        disc = here + 4.0 * np.random.default_rng(1).uniform(-1.0, 1.0, (500, 2))
+        apart = np.hypot(*(disc[:, None] - POSTS[None]).transpose(2, 0, 1)).min(axis=1) - 1.0
+        inside = np.hypot(*(disc - here).T) < 4.0
+        share.append(near.free()[cells_of(disc[inside & (apart > 0.75)])].mean())
+    assert len(share) > 0.45 * (until_s - 55.0)
+    assert np.mean(share) > 0.85
