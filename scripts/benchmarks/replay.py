@@ -4,7 +4,7 @@
 
 A campaign by each autopilot and kind of vehicle, with two or three faults in each flight, a
 companion that is killed and started again among them.  Each run folder is then replayed by
-`companion replay`: bar, all the same.
+`companion replay`; bar: all identical.
 """
 
 import json
