@@ -66,7 +66,7 @@ _LOW_M = 20.0
 _SLOPE_M = 0.5
 """The ground's slope is that between points so far to either side."""
 _FARTHEST_DOWN_M = 655.0
-_OF_OBSTACLES = ("OBSTACLE_DISTANCE", "OBSTACLE_DISTANCE_3D", "DISTANCE_SENSOR")
+_OF_OBSTACLES = ("OBSTACLE_DISTANCE", "DISTANCE_SENSOR")
 
 
 @final

@@ -460,9 +460,6 @@ def _check_lidar(world: World, name: str, lidar: LidarTable) -> None:
     if lidar.min_m >= lidar.range_m:
         rule = f"must be less than range_m, which is {lidar.range_m:g}"
         raise InputError(f"{name}.min_m", lidar.min_m, rule, "Lessen it.")
-    if len(lidar.rows_deg) > 1 and lidar.output != "points":
-        rule, remedy = "only points have rows", f'Write {name}.output = "points", or leave it out.'
-        raise InputError(f"{name}.rows_deg", lidar.rows_deg, rule, remedy)
     if lidar.output == "autopilot" and world.vehicle.autopilot != "ardupilot":
         rule = f"{world.vehicle.autopilot} has no driver for it"
         raise InputError(f"{name}.output", lidar.output, rule, "Write driver.")

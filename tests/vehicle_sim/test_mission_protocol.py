@@ -406,6 +406,7 @@ def bow_tie() -> list[Any]:
         ([item(0, FENCE, 5001, math.nan)], mavlink.MAV_MISSION_ERROR),
         ([*polygon(3)[:2], circle(2)], mavlink.MAV_MISSION_ERROR),
         ([*polygon(3)[:2], *polygon(3, at=2, command=5002)[:1]], mavlink.MAV_MISSION_ERROR),
+        ([circle(0, math.inf)], ACCEPTED),
         ([circle(0, 0.0)], mavlink.MAV_MISSION_ERROR),
         ([circle(0, math.nan)], mavlink.MAV_MISSION_ERROR),
         ([circle(0, x=10**9)], mavlink.MAV_MISSION_INVALID),

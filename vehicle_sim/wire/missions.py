@@ -319,7 +319,7 @@ def _is_whole(items: Sequence[PlanItem]) -> bool:
     at = 0
     while at < len(items):
         command, size, number = items[at].command, items[at].parameters[0], 1
-        if command in _CIRCLES and not 0.0 < size < math.inf:
+        if command in _CIRCLES and not size > 0.0:
             return False
         if command in _POLYGONS:
             if not 3.0 <= size <= len(items) - at:
