@@ -194,7 +194,8 @@ MESSAGES: Final = telemetry.builders(
             "q": quaternion,
             "vx vy vz": velocity_ned_m_s,
             "rollspeed pitchspeed yawspeed": rates_rad_s,
-            "pose_covariance velocity_covariance": ([_NAN] * 21, [_NAN] * 21),
+            "pose_covariance": [_NAN] * 21,
+            "velocity_covariance": [_NAN] * 21,
             "estimator_type": mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
         },
         "WIND_COV": {
