@@ -18,10 +18,16 @@ from typing import Annotated, TextIO, cast, final
 import typer
 from rich.console import Console
 
-from companion import extras
 from companion.campaign.command import campaign_app
 from companion.compare.command import compare_app
-from companion.config import bundled, load_mission, load_world, mission_name, mission_text
+from companion.config import (
+    bundled,
+    load_mission,
+    load_world,
+    mission_name,
+    mission_text,
+    refuse_older,
+)
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 from companion.live_view.command import (
     VIEW_PORT,
@@ -41,10 +47,11 @@ from companion.planner.plan import plan
 from companion.printable import printable
 from companion.replay.command import ProfileName, replay_command
 from companion.replay.export_command import export
-from companion.runtime.compiler import Planner, load_kernel
+from companion.runtime.compiler import load_kernel
 from companion.runtime.keys import SigningKey
 from companion.runtime.link import open_link
 from companion.runtime.loop import fly
+from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
 from companion.runtime.terminal import Terminal
@@ -204,12 +211,10 @@ def fly_command(
             rule = "there is no flight to go on with"
             raise InputError("--resume", True, rule, "Give the run folder with --out.")
         if resume and out is not None and (out / "mission.toml").is_file():
+            refuse_older(out)
             mission = _as_begun(mission, out)
         chosen = _for_system(load_mission(mission, profile), system)
         _say_notes(chosen, shows.console)
-        if extras.missing("fast"):
-            slower = "note: numba is not installed: plans take some ten times as long."
-            console.out(f"{slower} {extras.hint('fast')}", highlight=False)
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         key = None if signing_key is None else SigningKey(signing_key)
         recalled = _recalled(folder_path, chosen, shows.console) if resume else None
@@ -305,7 +310,7 @@ def plan_command(
     blank = chosen.known or empty_map(task.cell_m, limits.north_m, limits.east_m)
     truth = true_map(place.terrain, blank)
     with console.status(_LOADING):
-        kernel = load_kernel()
+        load_kernel()
     began_s = time.perf_counter()
     flight = fly_offline(
         task,
@@ -314,7 +319,6 @@ def plan_command(
         start_nea_m=(*place.start_ne_m, chosen.task.take_off_amsl_m),
         targets_ne_m=chosen.targets_ne_m,
         seed=seed,
-        planner=partial(plan, kernel=kernel),
     )
     took_s = time.perf_counter() - began_s
     console.print(plans_table(flight.plans))
@@ -479,10 +483,13 @@ def _flown(
     recalled: what there was of the flight that is gone on with; None: it is a new one.
     """
     console, began, lockstep = shows.console, datetime.now(UTC), session.context.lockstep
-    planner = Planner(lockstep=lockstep) if lockstep else None
-    if planner is not None:  # in real time nothing waits for a compiler
-        with console.status(_LOADING):
-            planner.wait()
+    planner = plan if lockstep else PlannerProcess()
+    with console.status(_LOADING):
+        if not isinstance(planner, PlannerProcess):
+            load_kernel()
+        elif recalled is None:  # what is in flight again does not wait for a compiler
+            with contextlib.suppress(OSError, PlannerEndedError):  # it is tried again in flight
+                planner.start()
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,

@@ -3,17 +3,13 @@
 See docs/library.md.  Deterministic: the same arguments, the same flight.
 """
 
-import functools
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from typing import final
 
 import numpy as np
 
-from companion import extras
 from companion.config import load_mission, load_world
 from companion.errors import InputError
 from companion.geodesy import FloatArray
@@ -21,9 +17,7 @@ from companion.objective.scene import PROFILES
 from companion.optimise.registry import OPTIMISERS, Maker, temporarily_registered
 from companion.path.certificate import Certificate, bounds_text
 from companion.path.limits import Limits
-from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.offline import OfflineFlight, Scanner, fly_offline
-from companion.planner.plan import plan
 from companion.planner.rules import check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.runtime.compiler import load_kernel
@@ -59,8 +53,6 @@ class Flown:
     """`length`, `height` and `radar` of eq. 5, along what was flown."""
     certificates: tuple[Certificate, ...]
     """The proof of each subpath; `certificate.broken` says what was not proven (`paper`)."""
-    kernel: str
-    """What computed it: `numba`, or `numpy`, which is some thirty times slower."""
     details: OfflineFlight
     """Everything: legs, plans with the cost terms of each search, scans, the known map."""
 
@@ -82,7 +74,6 @@ def fly(
     scanner: Scanner = simulated_scan,
     optimiser: str | Maker | None = None,
     seed: int = 1,
-    compiled: bool = True,
     most_legs: int | None = None,
 ) -> Flown:
     """Fly a mission: scan, plan a subpath, fly it, and again, until the last target.
@@ -104,8 +95,6 @@ def fly(
         A name in `OPTIMISERS`, or your own: what makes one; None: the mission's.
     seed
         Of every search.
-    compiled
-        With numba, loaded once (ten seconds the first time ever); False: with numpy.
     most_legs
         After how many it gives up; None: six times as many as a straight way has, at least 60.
 
@@ -117,7 +106,7 @@ def fly(
     task, start_nea_m, targets, known = _mission(world, mission, start_nea_m, targets_ne_m, known)
     terrain = _terrain(world, task, spacing_m, corner_ne_m)
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    kernel = _kernel() if compiled else NUMPY
+    load_kernel()  # once: ten seconds the first time ever
     with _searched_with(optimiser, task) as task:
         flight = fly_offline(
             task,
@@ -126,11 +115,10 @@ def fly(
             start_nea_m=start_nea_m,
             targets_ne_m=targets,
             seed=seed,
-            planner=partial(plan, kernel=kernel),
             scanner=scanner,
             most_legs=most_legs,
         )
-    return _flown(flight, task, kernel)
+    return _flown(flight, task)
 
 
 @contextmanager
@@ -144,17 +132,6 @@ def _searched_with(optimiser: str | Maker | None, task: Task) -> Iterator[Task]:
         yield (
             task if name is None else replace(task, settings=replace(task.settings, optimiser=name))
         )
-
-
-@functools.cache
-def _kernel() -> Kernel:
-    kernel = load_kernel()
-    if kernel is NUMPY:
-        text = "numba is not there or does not work: numpy plans, some thirty times slower"
-        if extras.missing("fast"):
-            text += f". {extras.hint('fast')}"
-        warnings.warn(text, RuntimeWarning, stacklevel=3)
-    return kernel
 
 
 _Mission = tuple[Task, tuple[float, float, float], tuple[tuple[float, float], ...], KnownMap | None]
@@ -231,7 +208,7 @@ def _terrain(
     return ArrayTerrain(heights_m=world, spacing_m=spacing_m, south_m=south, west_m=west)
 
 
-def _flown(flight: OfflineFlight, task: Task, kernel: Kernel) -> Flown:
+def _flown(flight: OfflineFlight, task: Task) -> Flown:
     points = flight.route_nea_m(task.settings.scan_range_m / _SPACING)
     failure = flight.failure
     why = ""
@@ -245,7 +222,6 @@ def _flown(flight: OfflineFlight, task: Task, kernel: Kernel) -> Flown:
         length_m=sum(flight.flown_m),
         terms=route_terms(points, task),
         certificates=tuple(planned.certificate for planned in flight.plans),
-        kernel=kernel.name,
         details=flight,
     )
 

@@ -14,7 +14,6 @@ event at the first position at or after request + T, never earlier; in lockstep 
 that position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
 """
 
-import dataclasses
 import enum
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,10 +22,11 @@ from typing import Any, Final, final
 
 from msgspec.structs import replace
 
-from companion.mavlink import near_scanner, near_sensing, traffic
+from companion.mavlink import near_scanner, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
-from companion.mavlink.component import REQUESTS, Component
+from companion.mavlink.commands import MESSAGES as COMMANDS
+from companion.mavlink.component import Component
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Incoming, boot_ms_of
 from companion.mavlink.link import (
@@ -81,7 +81,6 @@ _ROUTINE: Final = (
     events.VehicleStatus,
     events.NearSeen,
     events.GroundSeen,
-    events.OthersHeard,
 )
 """Frequent events: without journal entries, and housekeeping can wait."""
 
@@ -153,7 +152,6 @@ class Session:
         self.rangefinder = Rangefinder.of(mission)
         """Reads the one that looks down, if the mission compares it with the map."""
         self._scanning = self.near or ScanClient(mission)
-        self._others = mission.traffic and traffic.Listener(mission)
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0
@@ -378,22 +376,12 @@ class Session:
         self._out.record.append((self.clock.now_s, heard.frame))
         if heard.component == COMPANION_COMPONENT:
             self._look_for_duplicates(heard)
-        if self._others is not None and number in traffic.MESSAGES and is_read:
-            self._hear_others(self._others, heard)
-        if is_read and number in REQUESTS:
+        if is_read and number in COMMANDS:
             self._serve(heard)
         if is_read and role is not None:
             handler = _HANDLERS.get((role, number)) or _OTHERS[role]
             handler(self, heard)
         return True
-
-    def _hear_others(self, others: traffic.Listener, heard: Incoming) -> None:
-        """A message that may be about others in the air."""
-        ours = self.selector.system_id
-        if ours is not None:
-            others.on_message(heard, self.now_s, ours)
-            for text in others.news():
-                self._send_text(text, warning=True)
 
     def _look_for_duplicates(self, heard: Incoming) -> None:
         """Check whether another process with our ids has sent it."""
@@ -456,8 +444,6 @@ class Session:
         if event is not None:
             if self.rangefinder is not None:
                 self._look_down(event)
-            if self._others is not None:
-                self._handle(self._others.others(event, vehicle.system_id))
             self._handle(event)
         if now_s >= plan.due_s and shadow and (answer := plan.take(now_s)) is not None:
             self._handle(answer)  # the position before may be a second old
@@ -532,7 +518,7 @@ class Session:
         self.vehicle = AutopilotClient.found(message, self.context)
         traits = None
         if self.vehicle is not None:
-            self._component = Component(self.mission, system, self.state.task, self._version)
+            self._component = Component(self.mission, system, self._version)
             traits = self.vehicle.autopilot.traits
         found: dict[str, Any] = {"system_id": system, "name": name}
         self._note("vehicle found", **found)
@@ -556,9 +542,6 @@ class Session:
                 self._handle(served.order)
             else:
                 self._send_text(changes.why_not(self.state, served.order), warning=True)
-        if served.task is not None:
-            task = dataclasses.replace(served.task, zones=self.state.given.zones)
-            self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
     def _judged(self, order: events.Order) -> changes.OrderResult:
         """The result of an order; of a go, after a look at every check."""
@@ -764,9 +747,6 @@ class Session:
             case events.RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
-            case events.ClaimWay():
-                message = traffic.claim_message(command, self.mission)
-                self._send_all([] if message is None else [message])
             case events.Setpoint():
                 pass  # goes out at once, or in shadow never
             case SetMode() | Disarm() | events.SetSpeed() | events.Arm() | events.TakeOff():

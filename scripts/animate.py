@@ -51,7 +51,7 @@ def main(run_dir: Path, to: Path) -> None:
 def grown_maps(run_dir: Path) -> Iterator[tuple[float, KnownMap]]:
     """When the known map has grown, and how it is then."""
     known: KnownMap | None = None
-    for step in Replay(run_dir, flown_mission(run_dir), kernel=None, compares=False).steps():
+    for step in Replay(run_dir, flown_mission(run_dir), plans=False, compares=False).steps():
         if step.session.state.flight.known is not known:
             known = step.session.state.flight.known
             yield step.session.now_s, known

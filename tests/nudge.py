@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planning import flying_kernel
 from renewed import replace
 
 from companion.mission import machine
@@ -59,14 +58,10 @@ def nudged_question(request: PlanRequest, seed: int) -> PlanRequest:
 
 @contextmanager
 def nudged_questions(module: Any, seed: int) -> Iterator[None]:
-    """The planner, as a module of tests knows it, is asked a little beside.
-
-    With the kernel that flies, where a test names none: `test_kernels` says that all plan alike.
-    """
+    """The planner, as a module of tests knows it, is asked a little beside."""
     exact = planning.plan
 
     def plan(request: PlanRequest, *arguments: Any, **keywords: Any) -> Any:
-        keywords.setdefault("kernel", flying_kernel())
         return exact(nudged_question(request, seed), *arguments, **keywords)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -1,23 +1,17 @@
 """What tests of curves, costs and plans begin with."""
 
-import os
 from dataclasses import replace
-from functools import cache, partial
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from companion.path.limits import Limits
-from companion.planner.kernels import Kernel
 from companion.planner.offline import OfflineFlight, fly_offline
-from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 
 FloatArray = NDArray[np.float64]
@@ -59,14 +53,6 @@ PLANE_TASK = Task(
 """Of a plane on 4 km x 4 km between 60 and 260 m."""
 
 
-@cache
-def flying_kernel() -> Kernel:
-    """The one that flies, loaded once; what tests start afterwards has its cache where it was."""
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR", ""))
-        return load_kernel()
-
-
 def limits(**changes: Any) -> Limits:
     """A copter of 15 m/s on 8 km x 8 km between 300 and 700 m, but for some changes."""
     return replace(_COPTER, **changes)
@@ -97,7 +83,7 @@ def fly(
     seed: int = 1,
     **keywords: Any,
 ) -> OfflineFlight:
-    """A flight by the compiled kernel through a world of which nothing is known at first."""
+    """A flight through a world of which nothing is known at first."""
     return fly_offline(
         task,
         blank=empty_map(truth.cell_m, task.limits.north_m, task.limits.east_m),
@@ -105,7 +91,6 @@ def fly(
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,
         seed=seed,
-        planner=partial(plan, kernel=flying_kernel()),
         **keywords,
     )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from numpy._core import _multiarray_umath as numpy_core
 
-from companion.planner.kernels import NUMPY
+from companion.planner import kernels
 
 ROOT = Path(__file__).parents[1]
 DECIDING = (
@@ -47,7 +47,7 @@ def otherwise(scratch: Path) -> dict[str, str]:
 
 def signature(environment: dict[str, str]) -> str:
     """What plans that are computed there are named by."""
-    program = "from companion.planner.kernels import NUMPY; print(NUMPY.signature)"
+    program = "from companion.planner import kernels; print(kernels.signature())"
     done = subprocess.run(
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
     )
@@ -57,7 +57,7 @@ def signature(environment: dict[str, str]) -> str:
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="of others only numba is told to")
 def test_it_is_other_arithmetic_and_plans_of_the_two_are_told_apart(tmp_path: Path) -> None:
     here = signature(dict(os.environ))
-    assert here.strip() == NUMPY.signature
+    assert here.strip() == kernels.signature()
     assert signature(otherwise(tmp_path)) != here
 
 

@@ -69,7 +69,7 @@ def test_the_wheel_has_both_packages_with_all_their_data_and_nothing_else(built:
     assert names == files(ROOT, *OURS)
     assert {"licenses/LICENSE", "licenses/THIRD-PARTY.md", "entry_points.txt"} <= about
     kinds = {Path(name).suffix for name in names}
-    assert {".toml", ".tif", ".j2", ".parm", ".boot", ".table", ".typed"} <= kinds
+    assert {".toml", ".tif", ".j2", ".parm", ".typed"} <= kinds
 
 
 def test_the_source_distribution_has_what_the_suite_needs(built: Path, folder: Path) -> None:
@@ -129,7 +129,7 @@ class OrdinaryUser:
         """What a program prints that ends well."""
         started = self.starts(program, *arguments)
         try:
-            assert started.wait(60.0) == 0, started.transcript
+            assert started.wait(300.0) == 0, started.transcript  # it may compile
         finally:
             started.end()
         return started.transcript
@@ -147,7 +147,9 @@ def test_both_programs_say_their_version(user: OrdinaryUser, program: str) -> No
 
 @pytest.mark.closed_loop
 def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
-    """With a read-only home and without numba: nothing that is said sounds like a fault."""
+    """With a read-only home: nothing that is said sounds like a fault."""
+    load = "from companion.runtime.compiler import load_kernel; load_kernel()"
+    user.runs("python", "-c", load)  # the simulator has little patience
     port = free_port()
     quick = one_target().replace("[planner]\n", "[planner]\nevaluations = 200\n")
     (user.work / "mission.toml").write_text(quick, encoding="utf-8")
@@ -160,7 +162,6 @@ def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
         assert simulator.wait(60.0) == 0, simulator.transcript
     finally:
         simulator.end()
-    assert "pip install 'companion[fast]'" in said
     said += user.runs("companion", "replay", "flight")
     said += user.runs("companion", "report", "flight")
     assert not re.search("warn|error|traceback|cache", said, re.IGNORECASE), said

@@ -238,22 +238,6 @@ class Wood:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
-class Aircraft:
-    """An aircraft that flies straight on from where it is at the start, and has ADS-B."""
-
-    icao_address: Annotated[int, Field(strict=True, ge=1, le=0xFFFFFF)]
-    callsign: Annotated[str, Field(strict=True, pattern="^[A-Z0-9]{0,8}$")] = ""
-    north_m: _Local
-    east_m: _Local
-    altitude_amsl_m: _Altitude
-    course_deg: Annotated[_Real, Field(ge=0, le=360)]
-    """From the local frame's north."""
-    speed_m_s: Annotated[_Real, Field(ge=0, le=300)]
-    climb_m_s: Annotated[_Real, Field(ge=-100, le=100)] = 0.0
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
 class World:
     """One world file."""
 
@@ -265,7 +249,6 @@ class World:
     scanner: Scanner | None = None
     """Left out: the vehicle has none."""
     radars: tuple[Threat, ...] = ()
-    traffic: tuple[Aircraft, ...] = ()
     area: AreaTable | None = None
     trees: tuple[Tree, ...] = ()
     woods: tuple[Wood, ...] = ()

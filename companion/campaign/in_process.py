@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from importlib.metadata import version
 from typing import Any, Protocol, final
 
@@ -13,7 +12,7 @@ from companion.campaign.flight import Flight, FlightFiles, truth_of
 from companion.config import load_mission, mission_text
 from companion.entry_points import Parts
 from companion.errors import InputError
-from companion.runtime.compiler import Planner
+from companion.planner.plan import plan
 from companion.runtime.in_process import SimulatedVehicle, loop_in_process
 from companion.runtime.recorder import Batch, InlineWriter, Recorder
 from companion.session import Session
@@ -72,12 +71,6 @@ def _maker() -> Callable[..., Vehicle]:
     raise InputError("companion.vehicles", None, rule, remedy)
 
 
-@cache
-def _planner() -> Planner:
-    """One for all flights of this process: it is compiled or loaded once."""
-    return Planner(lockstep=True)
-
-
 def check(files: FlightFiles) -> None:
     """Raises what is wrong with a mission, a world or faults."""
     load_mission(str(files.mission))
@@ -108,7 +101,7 @@ class Flying:
         self.loop = loop_in_process(
             session,
             self._vehicle,
-            planner=_planner(),
+            planner=plan,
             stop_asked=lambda: self.loop.clock() >= self._limit_s,
         )
         self.loop.writer = self._listener

@@ -7,7 +7,6 @@ from typing import Any, final
 
 from companion.mavlink.dialect import Message
 from companion.mission.events import Order
-from companion.planner.settings import Task
 
 Ids = tuple[int, int]
 """System and component id."""
@@ -37,9 +36,6 @@ class Reply:
     """For the journal."""
     text: str = ""
     """Reason for a refusal, as text for the operator; empty if there is none."""
-    changed: str = ""
-    """Planner setting that was changed (new settings in `task`): name = value."""
-    task: Task | None = None
 
 
 def address_of(message: Message, ours: Ids) -> Address:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, traffic
+from companion.mission import following
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -38,7 +38,6 @@ from companion.mission.state import (
     Reason,
     Scanning,
     State,
-    Traffic,
     Trigger,
 )
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
@@ -95,9 +94,6 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
         if trigger is not None:
             return state, commands, trigger
-    others = state.traffic
-    if others is not None and (step := make_way(state, others, event, context)) is not None:
-        return step
     state, warning = battery_warning(state, context)
     if state.flight.leg is None:
         state, commands, trigger = _hover(state, event, context)
@@ -121,26 +117,6 @@ def circling_near_zone(state: State, event: Position) -> Step | None:
     if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
         says.append(StatusText(text=f"circling too near to zone {zone.name}", warning=True))
     return replace(state, flight=replace(flight, loiter_checked=(state.task, hover))), says, None
-
-
-def make_way(state: State, others: Traffic, event: Position, context: Context) -> Step | None:
-    """Leave the path for others in the air: for another level; a plane loiters, or goes on to."""
-    flight, leg = state.flight, state.flight.leg
-    if others.level_m is not None:
-        at = flight.hover_nea_m or event.position_nea_m
-        if leg is not None:
-            at = leg.subpath.pose(flight.reference.length_m).point_nea_m
-        stopped = at_rest(following.requeue_backtrack(flight), at)
-        return fault(replace(state, flight=stopped), Reason.TRAFFIC)
-    if not others.waits or leg is None:
-        return None
-    if not flight.circling:
-        if flight.reference.length_m > flight.joined_m:
-            return following.stop(state, Reason.GIVING_WAY)
-        start = leg.subpath.pose(flight.joined_m).point_nea_m  # led back to it, not on it yet
-        flight = replace(flight, circling=True, hover_nea_m=start)
-    waits = replace(state, flight=replace(flight, progress_at_s=state.now_s))
-    return circle(waits, event, context)
 
 
 def max_stops(context: Context) -> int:
@@ -346,8 +322,7 @@ def on_plan(state: State, event: PlanReady) -> Step:
             commands = [*_closed(outcome), *commands]
         return state, commands, trigger
     leg, at_m = flight.leg, flight.reference.length_m
-    sent_ahead_m = following.lead_m(state, flight.reference)
-    soonest_m = at_m + max(sent_ahead_m, traffic.settled_m(state))
+    soonest_m = at_m + following.lead_m(state, flight.reference)
     if leg is not None and soonest_m > leg.successor_at_m(state.task):
         return _no_successor(state, Reason.PLAN_LATE)
     if flight.stop is not None:
@@ -424,8 +399,8 @@ def task_ahead(state: State, context: Context) -> Task:
     mission, flight = context.mission, state.flight
     task = state.task
     if not flight.homeward and state.targets_ne_m == mission.targets_ne_m:
-        task = mission.task_to(flight.target, task)
-    return traffic.plan_floor(state, task)
+        return mission.task_to(flight.target, task)
+    return task
 
 
 def _is_there(state: State, event: Position, here: Vector) -> bool:

@@ -37,10 +37,10 @@ class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The map that is resumed with (`packed_map`)."""
     go: bool = True
     """Whether somebody had said go beforehand (--start).  Older recordings asked nobody."""
-    terrain: str | None = None
+    terrain: str
     """Of the terrain that the mission knows in advance (`digest_of`); "": it knows none.
 
-    It may stand in a file outside of the run folder.  None: recorded before this was noted.
+    It may stand in a file outside of the run folder.
     """
 
     @staticmethod

@@ -1,8 +1,8 @@
-"""The objective of `flight`, one candidate at a time: what numba compiles.
+"""The objective of `flight`, one candidate at a time: plain Python that numba compiles as it is.
 
-The same sums as `scene.cost`, in plain loops; as soon as the partial sum exceeds a bound above
-which the search rejects the candidate anyway, it stops and says infinity (every term is at least
-zero).
+As soon as the partial sum exceeds a bound above which the search rejects the candidate anyway, the
+cost stops and says infinity (every term is at least zero).  One more term takes a weight, a line in
+`cost` and one in `terms`.
 """
 
 import math
@@ -119,6 +119,32 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     return math.inf if total > bound else float(total)
 
 
+TERMS = ("length", "height", "guide", "crash", "radar", "constraints", "to_go")
+
+
+def terms(x: FloatArray, pack: Pack) -> tuple[float, ...]:
+    """`TERMS` of one candidate, unweighted: f1 .. f6, and what is left to fly after the end."""
+    scene, control, points = pack.scene, pack.control, pack.points
+    each = flight.PER_SAMPLE / (len(points) - 1)
+    place_control_points(x, control, scene)
+    sample(points, control, pack.basis)
+    per_metre = 100.0 / (2.4 * scene.scan_range_m)
+    steered = steering(pack.ahead, control, pack.basis, scene)
+    outside = leaving(points, scene) + intruding(points, pack, math.inf)
+    low_m = too_low_m(points, scene.surface)
+    if scene.limits.hovers:
+        low_m += dead_man_m(points, pack.ahead, scene)
+    return (
+        points[-1, 3] * per_metre,
+        height(points, scene),
+        guide(control, scene),
+        each * flight.CRASH_SCALE / scene.safety_distance_m * low_m,
+        each * flight.RADAR_SCALE * detection(points, pack.radars),
+        each * (steered + flight.OUTSIDE_SCALE * outside),
+        remaining_m(control, scene) * per_metre,
+    )
+
+
 def place_control_points(x: FloatArray, control: FloatArray, scene: FlightScene) -> None:
     """`scene.control_points` of one candidate."""
     count, unit, ahead = len(control), scene.unit_m, scene.ahead_rad
@@ -169,7 +195,12 @@ def sample(points: FloatArray, control: FloatArray, basis: FloatArray) -> None:
 
 
 def remaining_m(control: FloatArray, scene: FlightScene) -> float:
-    """`scene._to_go_m` of one candidate."""
+    """What is left to fly, from a place straight on from the end, and the way there and down.
+
+    No less than from the end itself: straight on may be on the far side of a wall.  Where the end
+    is too low for what follows, the way about that it takes to climb; the height that what follows
+    needs is no height to come down from.
+    """
     if scene.is_final:
         return 0.0
     last = len(control) - 1
@@ -233,7 +264,11 @@ def too_low_m(points: FloatArray, surface: Surface) -> float:
 
 
 def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> float:
-    """How far points of the dead-man stretches lie too low, metres in all."""
+    """How far points of the dead-man stretches lie too low, metres in all.
+
+    Towards its end the vehicle flies no faster than it can stop there, and from a hover no faster
+    than it can have become; chords stand for the curve.
+    """
     total, limits = 0.0, scene.limits
     for j in range(1, len(points), flight.DEAD_MAN_EVERY):
         left, overrun = points[-1, 3] - points[j, 3], limits.overrun_m
@@ -346,7 +381,7 @@ def intruding(points: FloatArray, pack: Pack, most: float) -> float:
 
 
 def may_be_near(cells: NearCells | None, north: float, east: float) -> bool:
-    """`NearCells.at` of one point."""
+    """Whether zones may be near a point; yes outside of the area."""
     assert cells is not None  # a record always has some
     row = math.floor((north - cells.north_min_m) / cells.cell_m)
     column = math.floor((east - cells.east_min_m) / cells.cell_m)

@@ -14,12 +14,12 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import Weights, beyond_m, detections, off_guide_rad
+from companion.objective.scene import Weights
 from companion.path.bspline import climb_angle_rad, uniform_basis
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
-from companion.world.threats import Radar, Zone
+from companion.world.threats import Radar, Zone, detection_probability
 
 VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4
 _PAPER_SAMPLES = 10
@@ -126,7 +126,10 @@ def height(paths: Candidates, scene: Scene) -> FloatArray:
 
 def guide(paths: Candidates, scene: Scene) -> FloatArray:
     """Eq. 8: the angle at p_scan between the subpath's end and the guide direction, 100 for pi."""
-    return off_guide_rad(paths.control_nea_m, scene.scan_ne_m, scene.guide_rad) * (100.0 / math.pi)
+    offset = paths.control_nea_m[:, -1, :2] - np.asarray(scene.scan_ne_m)
+    angle = np.arctan2(offset[:, 1], offset[:, 0]) - scene.guide_rad
+    off = np.abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
+    return np.asarray(off * (100.0 / math.pi))
 
 
 def crash(paths: Candidates, scene: Scene) -> FloatArray:
@@ -144,7 +147,10 @@ def crash(paths: Candidates, scene: Scene) -> FloatArray:
 
 def radar(paths: Candidates, scene: Scene) -> FloatArray:
     """Eq. 10 with eq. 3: the detection probabilities of all samples by all radars."""
-    total = detections(paths.points_nea_m, scene.radars)
+    points = paths.points_nea_m[:, 1:]
+    total = np.zeros(len(points))
+    for each in scene.radars:
+        total += detection_probability(each.distance_m(points), each.range_m).sum(axis=1)
     return total * _per_sample(paths) * _RADAR_SCALE
 
 
@@ -169,8 +175,15 @@ def _chord_excess(paths: Candidates, scene: Scene) -> FloatArray:
 def _outside(paths: Candidates, scene: Scene) -> FloatArray:
     """f_v: how far samples lie outside the altitude band or the map."""
     limits = scene.limits
-    beyond = beyond_m(paths.points_nea_m, limits, (limits.floor_amsl_m, limits.ceiling_amsl_m))
-    return beyond * _per_sample(paths) * (_OUTSIDE_SCALE / (scene.scan_range_m / 20.0))
+    north, east, altitude = np.moveaxis(paths.points_nea_m[:, 1:], -1, 0)
+    beyond = _beyond(altitude, (limits.floor_amsl_m, limits.ceiling_amsl_m))
+    beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
+    total = np.asarray(beyond.sum(axis=1))
+    return total * _per_sample(paths) * (_OUTSIDE_SCALE / (scene.scan_range_m / 20.0))
+
+
+def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
+    return np.maximum(bounds[0] - values, 0.0) + np.maximum(values - bounds[1], 0.0)
 
 
 def _keep_out_excess(paths: Candidates, scene: Scene) -> FloatArray:

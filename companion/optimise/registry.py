@@ -5,13 +5,12 @@ Other distributions add theirs by an entry point `companion.optimisers`.
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 
 import numpy as np
 
 from companion.entry_points import Parts
 from companion.geodesy import FloatArray
-from companion.optimise import differential_evolution as de
+from companion.optimise.differential_evolution import ClassicalDE
 from companion.optimise.genetic import Genetic
 from companion.optimise.improved_de import ImprovedDE
 from companion.optimise.loop import Optimiser
@@ -20,10 +19,6 @@ from companion.optimise.refined_de import RefinedDE
 
 Maker = Callable[[int, int, np.random.Generator, FloatArray | None], Optimiser]
 """From dimensions, evaluation budget, random generator, and seeds (K, D) in the unit cube."""
-
-
-def _classical(mutation: de.Mutation) -> Maker:
-    return partial(de.ClassicalDE, settings=de.Settings(mutation=mutation))
 
 
 def _wrong_with(make: Maker) -> str | None:
@@ -43,11 +38,7 @@ def _wrong_with(make: Maker) -> str | None:
 _OWN: dict[str, Maker] = {
     "improved-de": ImprovedDE,
     "refined-de": RefinedDE,
-    "de/rand/1/bin": _classical(de.RAND_1),
-    "de/best/1": _classical(de.BEST_1),
-    "de/best/2": _classical(de.BEST_2),
-    "de/current-to-best/1": _classical(de.CURRENT_TO_BEST_1),
-    "de/rand-to-best/1": _classical(de.RAND_TO_BEST_1),
+    "de/rand/1/bin": ClassicalDE,
     "pso": ParticleSwarm,
     "ga": Genetic,
 }

@@ -1,24 +1,26 @@
-"""The kernels of a plan: compiled by numba, or plain Python and numpy.
+"""What a plan spends its time in, compiled by numba: search, costs and proof.
 
-Both make the same search with the same random numbers and the same proof; costs agree to 1e-9.
-numba is imported by `compiled()` only: that takes half a second, and flight can begin before.
+All of it is plain Python that runs as it is, too: the same search with the same random numbers,
+and the same proof; costs agree to 1e-9.  Tests take that form as their oracle.
 """
 
 import hashlib
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from inspect import isfunction
+from pathlib import Path
 from types import ModuleType
 from typing import Any, cast, final
 
 import numpy as np
 
-from companion import extras
+from companion.caches import cache_folder, is_writable
 from companion.geodesy import FloatArray, LocalFrame
-from companion.objective import kernel
-from companion.objective import scene as numpy_form
+from companion.objective import kernel as objective
+from companion.objective import scene
 from companion.objective.scene import FlightScene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
@@ -31,22 +33,22 @@ from companion.path.certificate import Prover
 class Kernel:
     """The time-consuming parts of a plan."""
 
-    name: str
-    """numba, or numpy."""
     search: Callable[[State, FlightScene, int], None]
     """Goes on with a search until so many evaluations are spent."""
     costs: Callable[[FloatArray, FlightScene], FloatArray]
     """Costs of a population, (P, D) -> (P,): for optimisers that ask and tell."""
+    terms: Callable[[FloatArray, FlightScene], dict[str, float]]
+    """The terms of a candidate, (D,), by name, unweighted."""
     prove: Prover
     """Proves a subpath (`path.certificate`)."""
 
-    @property
-    def signature(self) -> str:
-        """Its name in the journal: equal names give equal results to the last digit."""
-        return f"{self.name} {_arithmetic()}"
+
+@cache
+def signature() -> str:
+    """Names numba and the arithmetic: equal names give equal plans to the last digit."""
+    return f"numba {_arithmetic()}"
 
 
-@lru_cache(maxsize=1)
 def _arithmetic() -> str:
     """Digest of the platform's arithmetic: results of libm, numpy, OpenBLAS and PROJ."""
     x = np.linspace(0.1, 3.0, 1600)
@@ -64,56 +66,75 @@ def _arithmetic() -> str:
     return digest.hexdigest()[:8]
 
 
-def _search(state: State, scene: FlightScene, until: int) -> None:
-    while refined_de.spent(state) < until:
-        n = refined_de.ask(state)
-        state.trial_costs[:n] = numpy_form.cost(state.trial[:n], scene)
-        refined_de.tell(state, n)
+@cache
+def compiled() -> Kernel:
+    """The kernel, each part compiled, or loaded from numba's cache on disk, when first called.
 
-
-NUMPY = Kernel(name="numpy", search=_search, costs=numpy_form.cost, prove=proof.prove)
-
-
-def compiled(*, cache: str | None) -> Kernel:
-    """The numba kernel, compiled, or loaded from numba's cache on disk.
-
-    cache: the folder of that cache; None: there is none.  Raises ImportError where numba is not
-    installed.
+    `runtime.compiler.load_kernel` calls them all.
     """
-    import numba
+    import numba  # half a second
     from numba.extending import register_jitable
 
-    if cache is not None:
-        numba.config.CACHE_DIR = cache  # it may have been imported with another one
-
+    folder = cache_on_disk()
+    if folder is not None:
+        numba.config.CACHE_DIR = str(folder)  # it may have been imported with another one
     for module in SOURCES:
         for function in functions_of(module):
             register_jitable(function)
-    jit: Any = numba.njit(cache=cache is not None, nogil=True)
-    search, costs, prove = jit(_run), jit(_costs), jit(proof.prove)
-    pack = lru_cache(maxsize=1)(kernel.pack)  # a search comes in portions
+    return kernel_by(numba.njit(cache=folder is not None, nogil=True))
 
-    def search_scene(state: State, scene: FlightScene, until: int) -> None:
-        search(state, pack(scene), until)
 
-    def costs_of(x: FloatArray, scene: FlightScene) -> FloatArray:
-        return np.asarray(costs(x, pack(scene)))
+def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel:
+    """The kernel whose parts are compiled by this; tests leave them as they are."""
+    search, costs, terms = jit(_run), jit(_costs), jit(objective.terms)
+    pack = lru_cache(maxsize=1)(objective.pack)  # a search comes in portions
 
-    return Kernel(name="numba", search=search_scene, costs=costs_of, prove=prove)
+    def terms_of(x: FloatArray, scene: FlightScene) -> dict[str, float]:
+        return dict(zip(objective.TERMS, terms(x, pack(scene)), strict=True))
+
+    return Kernel(
+        search=lambda state, scene, until: search(state, pack(scene), until),
+        costs=lambda x, scene: costs(x, pack(scene)),
+        terms=terms_of,
+        prove=jit(proof.prove),
+    )
 
 
 @cache
 def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is not of the planner's kernel, compiled where numba is installed."""
-    if extras.missing("fast"):
-        return function
+    """A function that is not of the planner's kernel, compiled."""
     import numba
 
     return cast("Callable[..., Any]", numba.njit(function))
 
 
-SOURCES = (numpy_form, kernel, refined_de, proof, proof_distance, proof_shape)
+SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape)
 """The modules whose code is compiled: a cache made from others is stale."""
+
+
+def cache_on_disk() -> Path | None:
+    """Point numba at a folder of this very code's own; None if that cannot be written to.
+
+    numba looks at the entry function's file alone to see whether its cache is stale, so the
+    folder's name holds a digest of all that is compiled.  The environment's NUMBA_CACHE_DIR wins.
+    """
+    digest = hashlib.sha256()
+    try:
+        for path in (*(str(module.__file__) for module in SOURCES), __file__):
+            digest.update(Path(path).read_bytes())
+    except OSError:
+        return None  # installed without sources
+    name = f"kernel-{digest.hexdigest()[:16]}"
+    chosen = os.environ.get("NUMBA_CACHE_DIR") or cache_folder()
+    if chosen is None:
+        return None
+    folder = Path(chosen)
+    if folder.name != name:  # it is when this process, or the one that started it, has been here
+        folder /= name
+    if not is_writable(folder):
+        return None
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    return folder
 
 
 def functions_of(module: ModuleType) -> list[Callable[..., Any]]:
@@ -122,17 +143,17 @@ def functions_of(module: ModuleType) -> list[Callable[..., Any]]:
     return [each for each in every if isfunction(each) and each.__module__ == module.__name__]
 
 
-def _run(state: State, pack: kernel.Pack, until: int) -> None:
-    """`_search`, one candidate after the other."""
+def _run(state: State, pack: objective.Pack, until: int) -> None:
+    """Go on with a search, one candidate after the other."""
     while refined_de.spent(state) < until:
         n = refined_de.ask(state)
         for i in range(n):
-            state.trial_costs[i] = kernel.cost(state.trial[i], state.trial_bounds[i], pack)
+            state.trial_costs[i] = objective.cost(state.trial[i], state.trial_bounds[i], pack)
         refined_de.tell(state, n)
 
 
-def _costs(x: FloatArray, pack: kernel.Pack) -> FloatArray:
+def _costs(x: FloatArray, pack: objective.Pack) -> FloatArray:
     result = np.empty(len(x))
     for i in range(len(x)):
-        result[i] = kernel.cost(x[i], np.inf, pack)
+        result[i] = objective.cost(x[i], np.inf, pack)
     return result

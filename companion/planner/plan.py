@@ -14,18 +14,18 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray, wrap_rad
-from companion.objective.scene import SPREAD_RAD, FlightScene, control_points, cost_table, weight
+from companion.objective.scene import SPREAD_RAD, FlightScene, control_points, weight
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import certify, pack_surroundings
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.planner import kernels
 from companion.planner.backtrack import backtrack
 from companion.planner.cost_lattice import descent_m, sampled
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.escape import StartViolation, escape_path, start_violation
-from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.reachability import blocked_at
@@ -75,9 +75,7 @@ _ALL_ROUND = tuple(_SearchVariant(turn_rad=turn) for turn in (2.2, -2.2, math.pi
 _ASIDE = (*_SHORT, *_ANY_WAY, *_ALL_ROUND)
 
 
-def plan(
-    request: PlanRequest, stop: Callable[[], bool] = lambda: False, kernel: Kernel = NUMPY
-) -> PlanOutcome:
+def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> PlanOutcome:
     """Search for the next subpath until one is proven safe (profile `paper`: the first).
 
     Or the way back, if that is asked for.
@@ -85,20 +83,21 @@ def plan(
     best so far is taken, if it can be proven.
     """
     if request.flown is not None:
-        return backtrack(request.flown, request.task, request.known, kernel.prove, request.plan_id)
+        prove = kernels.compiled().prove
+        return backtrack(request.flown, request.task, request.known, prove, request.plan_id)
     if not request.task.settings.profile.verified:
-        return plan_as_published(request, kernel.prove)
+        return plan_as_published(request, kernels.compiled().prove)
     refusal = _impossible(request)
     if refusal is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
     found = start_violation(request)
     if found is not None:
-        return _escape(request, found, kernel)
+        return _escape(request, found)
     refusal = _unreachable(request)
     if refusal is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
     patience = _TimeBudget(stop)
-    outcome = _Plan(request, patience, kernel).outcome()
+    outcome = _Plan(request, patience).outcome()
     return replace(outcome, stopped_after=patience.stopped_after)
 
 
@@ -110,7 +109,7 @@ def candidates_nea_m(request: PlanRequest, most: int) -> FloatArray:
     outward, verified = request.flown is None, request.task.settings.profile.verified
     if not (outward and verified) or _impossible(request) or start_violation(request):
         return np.empty((0, 4, 3))
-    search = _Plan(request, _TimeBudget(lambda: False), NUMPY)
+    search = _Plan(request, _TimeBudget(lambda: False))
     return search.ranked_nea_m(most)
 
 
@@ -191,9 +190,10 @@ def _is_sane(request: PlanRequest) -> bool:
     return bool(np.isfinite(numbers).all() and np.isfinite(positive).all() and min(positive) > 0.0)
 
 
-def _escape(request: PlanRequest, found: StartViolation, kernel: Kernel) -> PlanOutcome:
+def _escape(request: PlanRequest, found: StartViolation) -> PlanOutcome:
     """The shortest escape path from a place where no certificate can begin."""
-    escape = escape_path(request, found, kernel.prove) if request.from_rest else None
+    prove = kernels.compiled().prove
+    escape = escape_path(request, found, prove) if request.from_rest else None
     if escape is None:
         refusal = Refusal.START_IN_KEEP_OUT if found.zones else Refusal.START_NEAR_TERRAIN
         if not found.zones and request.task.settings.is_near:
@@ -205,7 +205,7 @@ def _escape(request: PlanRequest, found: StartViolation, kernel: Kernel) -> Plan
     tangent = subpath.pose(0.0).tangent_nea
     return Planned(
         plan_id=request.plan_id,
-        kernel=kernel.signature,
+        kernel=kernels.signature(),
         subpath=subpath,
         reaches_target=False,
         cost=0.0,
@@ -224,8 +224,8 @@ def _escape(request: PlanRequest, found: StartViolation, kernel: Kernel) -> Plan
 class _Plan:
     """One plan in progress: the common data of its searches."""
 
-    def __init__(self, request: PlanRequest, stop: Callable[[], bool], kernel: Kernel) -> None:
-        self._request, self._stop, self._kernel = request, stop, kernel
+    def __init__(self, request: PlanRequest, stop: Callable[[], bool]) -> None:
+        self._request, self._stop, self._kernel = request, stop, kernels.compiled()
         self._surroundings = _surroundings(request)
         self._field = cost_to_go(
             request.around,
@@ -465,7 +465,7 @@ class _Plan:
                 costs = {name: weight(name, scene) * value for name, value in table.items()}
                 return Planned(
                     plan_id=request.plan_id,
-                    kernel=self._kernel.signature,
+                    kernel=kernels.signature(),
                     subpath=subpath,
                     reaches_target=scene.final_ne_m is not None,
                     cost=sum(costs.values()) - costs["to_go"],
@@ -490,7 +490,7 @@ class _Plan:
             guide_rad=self._scene.guide_rad,
             guide_share=self._scene.guide_share,
         )
-        return {name: float(value[0]) for name, value in cost_table(x[None], guided).items()}
+        return self._kernel.terms(x, guided)
 
 
 def _seeds(scene: FlightScene) -> FloatArray:

@@ -49,7 +49,7 @@ def _known(run_dir: Path, odd: list[str]) -> KnownMap | None:
         damage = "" if isinstance(error, FileNotFoundError) else f"known.npz: {error}"
     known: KnownMap | None = None
     try:  # a map of near things is not kept
-        replay = Replay(run_dir, flown_mission(run_dir), kernel=None, compares=False)
+        replay = Replay(run_dir, flown_mission(run_dir), plans=False, compares=False)
         for step in replay.steps():
             known = step.session.state.flight.known
     except InputError as error:

@@ -103,7 +103,7 @@ def _resume_of(start: Start, mission: Mission) -> Resume | None:
     try:
         known = None if start.known is None else unpacked_map(start.known)
         if known is not None:
-            known = known.with_what_was_given(checkpoint.blank_map(mission, start.resume))
+            known = known.with_what_was_given(checkpoint.blank_map(mission))
         resume = start.resume, known
         checkpoint.initial_state(mission, resume)
     except checkpoint.DECODE_ERRORS as error:

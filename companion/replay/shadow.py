@@ -1,6 +1,6 @@
 """Shadow mode on a log: what the companion would have done on a recorded flight.
 
-    report = watch(path, mission, kernel=kernel)
+    report = watch(path, mission)
 
 The log is read once, in bounded memory, after a scan for its vehicle and first position.
 """
@@ -9,7 +9,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Final, final
 
@@ -24,8 +23,6 @@ from companion.mavlink.frames import Receiver, number_of, sender_of
 from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
-from companion.planner.kernels import NUMPY, Kernel
-from companion.planner.plan import plan
 from companion.planner.settings import PlannerSettings, Task
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import Limitation, ShadowReport
@@ -51,7 +48,7 @@ def watch(
     path: Path,
     mission: Mission | None,
     *,
-    kernel: Kernel | None,
+    plans: bool = True,
     system_id: int | None = None,
     on_progress: Callable[[int, int], None] = lambda _read, _size: None,
     on_output: OnOutput = lambda _at_s, _out: None,
@@ -62,7 +59,7 @@ def watch(
     ----------
     path: of a .tlog, an ArduPilot .bin or a PX4 .ulg.
     mission: what to plan; None: only the vehicle's health is looked at.
-    kernel: computes the plans; None: nothing is planned.
+    plans: False: nothing is planned.
     system_id: of the vehicle, if there are several in the log; the mission's if it names one.
     on_progress: told the bytes read and their sum, now and then.
     on_output: called with each output of the session.
@@ -76,7 +73,7 @@ def watch(
     if mission is not None:
         _check_fits(mission, look)
     chosen = replace(mission or _health_alone(look), system_id=look.heartbeat.get_srcSystem())
-    plans = mission is not None and kernel is not None
+    plans = plans and mission is not None
     if not plans:
         chosen = replace(chosen, targets_ne_m=(), targets_from_vehicle=False)
     charted = chosen.known is not None and bool(chosen.known.firm.any())
@@ -97,7 +94,6 @@ def watch(
         look.heartbeat,
         look.autopilot,
         notes,
-        planner=partial(plan, kernel=kernel or NUMPY),
         aboard=log.kind != "tlog",
         on_output=on_output,
     )

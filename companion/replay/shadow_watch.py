@@ -15,7 +15,7 @@ from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
 from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
-from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planner.plan import plan
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import VehicleReport
 from companion.session import Session
@@ -77,13 +77,12 @@ class Watch:
         autopilot: Autopilot,
         notes: Notes,
         *,
-        planner: Callable[[PlanRequest], PlanOutcome],
         aboard: bool,
         on_output: OnOutput,
     ) -> None:
         """heartbeat: one of the vehicle's; aboard: the log was written there, not over a link."""
         self._mission, self._autopilot, self._notes = mission, autopilot, notes
-        self._planner, self._on_output = planner, on_output
+        self._on_output = on_output
         self._aboard, self._clock = aboard, VehicleClock(0.0)
         self._system = heartbeat.get_srcSystem()
         self._radar = (self._system, mission.scanner_component_id)
@@ -224,7 +223,7 @@ class Watch:
             if out.plan is None:
                 break
             try:
-                outcome = self._planner(out.plan)
+                outcome = plan(out.plan)
             except Exception as error:  # noqa: BLE001 - as in flight: it ends the watch, not the program
                 session.part_died("planner", f"{type(error).__name__}: {error}")
             else:

@@ -15,7 +15,6 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mission.mission import Mission
-from companion.planner.kernels import Kernel
 from companion.planner.outcomes import outcome_of
 from companion.planner.plan import plan
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest
@@ -77,7 +76,6 @@ def what_if(
     changed: Mission,
     *,
     seed: int | None,
-    kernel: Kernel,
 ) -> Iterator[WhatIf]:
     """Each subpath of a flight, planned again.
 
@@ -85,7 +83,7 @@ def what_if(
     InputError if the folder holds no inputs, or if with the settings of that moment the changed
     ones break a rule.  It ends with the recording, or where the inputs can no longer be replayed.
     """
-    replay = Replay(folder, mission_of, kernel=None, compares=False)
+    replay = Replay(folder, mission_of, plans=False, compares=False)
     asked: dict[int, tuple[float, PlanRequest]] = {}
     for step in replay.steps():
         session = step.session
@@ -104,7 +102,7 @@ def what_if(
         )
         if (error := newly_broken(request.task, other.task, (other.target_ne_m,))) is not None:
             raise error
-        again = plan(other, kernel=kernel)
+        again = plan(other)
         yield WhatIf(
             plan_id=recorded.plan_id,
             t_s=time_s,

@@ -1,6 +1,6 @@
 """A flight in one process: a session and a simulated vehicle in lockstep, without sockets.
 
-    flown = fly_in_process(session, Simulation(world, seed=1), planner=Planner(lockstep=True))
+    flown = fly_in_process(session, Simulation(world, seed=1), planner=plan)
 
 The control loop is the one that flies over UDP, here in the caller's thread: it is given the same
 datagrams, and the vehicle the same answers, so the flight is the same to the byte (decision 0026).

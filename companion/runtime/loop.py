@@ -17,7 +17,8 @@ from typing import final
 
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
-from companion.runtime.compiler import Planner, load_libraries
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_libraries
 from companion.runtime.control_loop import ControlLoop, Nobody, Person
 from companion.runtime.link import Link
 from companion.runtime.planner_process import PlannerProcess
@@ -56,14 +57,14 @@ def fly(
 ) -> FlightSummary:
     """Run a session until its mission ends; every end is a value, `FlightSummary.end`.
 
-    planner: by default the compiled one, in a process of its own unless in lockstep.
+    planner: by default `plan`, in a process of its own unless in lockstep.
     persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
     person: who may say go at the terminal; None: there is none.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
     load_libraries()
     if planner is None:
-        planner = Planner(lockstep=True) if lockstep else PlannerProcess()
+        planner = plan if lockstep else PlannerProcess()
     who = person or Nobody()
     flight = _Flight(session, link, folder, lockstep, planner, persist, stop_asked, who, clock)
     flight.flown.asks_here = person is not None

@@ -1,7 +1,7 @@
 """Planner process: no plan ever delays a setpoint, and one that hangs is killed.
 
-In the same process it would: without numba, scipy's Dijkstra holds the interpreter lock for 0.2 s
-on a desktop computer, and for a second on a small one.
+In the same process it would: numba holds the interpreter lock for seconds while it compiles, and
+scipy's Dijkstra for 0.2 s on a desktop computer, and for a second on a small one.
 
 The protocol is pickles over the child's standard input and output: requests and "enough" in,
 "ready" and answers out.  A child whose parent has died reads the end of its input, and ends.
@@ -20,8 +20,9 @@ import threading
 from collections.abc import Callable
 from typing import IO, Any, final
 
+from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.runtime.compiler import Planner, load_beside_plans, load_libraries
+from companion.runtime.compiler import load_kernel, load_libraries
 
 _LOOK_S = 0.02
 _READY = "ready"
@@ -33,7 +34,7 @@ class PlannerEndedError(Exception):
 
 @final
 class PlannerProcess:
-    """Answers plan requests as `Planner` does, from another process."""
+    """Answers plan requests as `plan` does, from another process."""
 
     def __init__(self, module: str = "companion.runtime.planner_process") -> None:
         """module: what the process runs."""
@@ -50,7 +51,9 @@ class PlannerProcess:
         return None if self._child is None else self._child.pid
 
     def start(self) -> None:
-        """Start the process and wait until it is ready; PlannerEndedError if it fails."""
+        """Start the process and wait until its kernel is loaded; PlannerEndedError if it fails."""
+        if self.is_ready:
+            return
         places = os.pathsep.join(place for place in sys.path if place)
         self._child = subprocess.Popen(
             [sys.executable, "-P", "-m", self._module],
@@ -139,23 +142,20 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, who says farewell
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # printed output must not mix with the answers
-    planner = Planner(lockstep=False, load=load_beside_plans)
-    planner.start()
-    load_libraries()
     questions: queue.SimpleQueue[PlanRequest | None] = queue.SimpleQueue()
     enough: set[int] = set()
     threading.Thread(target=_hear, args=(sys.stdin.buffer, questions, enough), daemon=True).start()
+    load_libraries()
+    load_kernel()
     with contextlib.suppress(BrokenPipeError):
         _tell(answers, _READY)
         while (request := questions.get()) is not None:
-            _tell(answers, _answer(planner, request, enough))
+            _tell(answers, _answer(request, enough))
 
 
-def _answer(
-    planner: Planner, request: PlanRequest, enough: set[int]
-) -> PlanOutcome | PlannerEndedError:
+def _answer(request: PlanRequest, enough: set[int]) -> PlanOutcome | PlannerEndedError:
     try:
-        return planner(request, lambda: request.plan_id in enough)
+        return plan(request, lambda: request.plan_id in enough)
     except Exception as error:  # noqa: BLE001 - the parent puts the vehicle on hold
         return PlannerEndedError(f"{type(error).__name__}: {error}")
 

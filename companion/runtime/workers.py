@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
+from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.runtime.compiler import Planner
 from companion.runtime.link import Link
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.watchdog import Clock, Failure, Gate, Worker
@@ -23,7 +23,7 @@ PlanFunction = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 POLL_S = 0.05
 _MAX_WAITING = 5000  # datagrams: what comes on top of them is as good as lost on the way
 _SEARCHING = 0.8  # of T: the rest is for the proof
-_PLANNER_STARTS_S = 60.0
+_PLANNER_STARTS_S = 300.0  # a slow computer may compile it first
 _PLANNER_SLACK_S = 5.0  # on top of T: the plan is late long before, and dead only now
 
 
@@ -167,9 +167,7 @@ class PlannerWorker:
             try:
                 self._planner.start()
             except OSError:  # no room for another process
-                self._planner = Planner(lockstep=False)
-        if isinstance(self._planner, Planner):
-            self._planner.start()
+                self._planner = plan
 
     def _enough(self, request: PlanRequest, number: int, began_s: float) -> Callable[[], bool]:
         """When to stop searching: before T is over in real time, or if obsolete."""

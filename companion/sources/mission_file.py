@@ -16,7 +16,7 @@ from companion.errors import InputError
 from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
-from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
+from companion.mission.mission import EndAction, Fallback, Mission
 from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
@@ -44,7 +44,6 @@ from companion.sources.waypoint_file import (
 )
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
-from companion.world.traffic import CLAIM_S
 
 _LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
 _OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
@@ -200,11 +199,9 @@ def mission_of(
     if near is not None:
         settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
         limits = replace(limits, overrun_m=settings.safety_distance_m)
-    others = model.traffic and TrafficRules(**model.traffic.of(TrafficRules))
     task = Task(
         limits=limits,
         settings=settings,
-        claim_s=0.0 if near is not None else _claim_s(others, limits),
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -237,7 +234,6 @@ def mission_of(
         fallback=Fallback(model.fallback.action),
         known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
-        traffic=others,
         rally_ne_m=tuple(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
@@ -246,13 +242,6 @@ def mission_of(
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *about_altitudes(mission, tables, where)))
-
-
-def _claim_s(others: TrafficRules | None, limits: Limits) -> float:
-    """How much earlier to plan: to claim what is planned, before it is too late to stop."""
-    if others is None or not others.claims:
-        return 0.0
-    return 2.0 * CLAIM_S + limits.stopping_m(limits.speed_m_s) / limits.speed_m_s
 
 
 # --- rules between fields

@@ -140,8 +140,7 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
     north_m_s, east_m_s, up_m_s = vehicle.velocity_nea_m_s
     speed_m_s = math.hypot(north_m_s, east_m_s)
     left_m = way_left_m(state) if here is not None and state.targets_ne_m else None
-    cruise_m_s = min(task.limits.speed_m_s, flight.speed_limit_m_s)
-    flies = state.phase in ON_PATH and cruise_m_s > 0.0
+    flies, cruise_m_s = state.phase in ON_PATH, task.limits.speed_m_s
     leg, off_m = flight.leg, None
     if leg is not None and here is not None:
         off_m = off_path_m(flight.reference, leg, np.asarray(here))

@@ -57,7 +57,7 @@ class ResumeHead(Struct, frozen=True, kw_only=True):
     epoch_us: _Count
     starts: _Count
     tlog_bytes: _Count
-    inputs_bytes: _Count = 0
+    inputs_bytes: _Count
     values: dict[str, Any]
     """Where the mission stands (`mission.checkpoint`); what they mean is not looked at here."""
 

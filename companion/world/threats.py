@@ -162,15 +162,6 @@ class NearCells:
     cell_m: float
     near: BoolArray  # (rows, columns)
 
-    def at(self, north_m: FloatArray, east_m: FloatArray) -> BoolArray:
-        """Whether zones may be near points; yes outside of the area.  (...) x2 -> (...)."""
-        row = np.floor((north_m - self.north_min_m) / self.cell_m)
-        column = np.floor((east_m - self.east_min_m) / self.cell_m)
-        rows, columns = self.near.shape
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        row, column = (np.where(inside, at, 0).astype(np.intp) for at in (row, column))
-        return ~inside | self.near[row, column]
-
 
 _MAX_CELLS = 512  # across
 

@@ -37,8 +37,8 @@ from companion.path.certificate import (
 )
 from companion.path.proof import prove
 from companion.path.subpath import Subpath
+from companion.planner import kernels
 from companion.planner import plan as planning
-from companion.runtime.compiler import load_kernel
 
 _AT_MOST = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
 _AT_LEAST = ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "lowest_amsl_m")
@@ -231,19 +231,14 @@ def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
 
 def main() -> int:
     asked, console = running.begin(__doc__, cases=10_000, seed=1)
-    kernel = load_kernel()
-    fast = None if kernel.name == "numpy" else kernel.prove
-    tally = Tally()
+    fast, tally = kernels.compiled().prove, Tally()
     for k in range(asked.cases):
-        measure(random_case(np.random.default_rng([asked.seed, k])), fast or prove, tally)
+        measure(random_case(np.random.default_rng([asked.seed, k])), fast, tally)
         if tally.cases % 1_000 == 0:
             print(f"{tally.cases} cases: {rows(tally, {})}", flush=True)
-    times = {"plain": seconds_each(prove, 1)}
-    if fast is not None:
-        times["compiled"] = seconds_each(fast, 20)
+    times = {"plain": seconds_each(prove, 1), "compiled": seconds_each(fast, 20)}
     table = rows(tally, times)
-    if fast is not None:
-        table["compiled and plain apart by"] = largest_difference(fast, prove, 200)
+    table["compiled and plain apart by"] = largest_difference(fast, prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
     rejected = 100.0 * len(tally.safe_rejected) / max(tally.safe, 1)

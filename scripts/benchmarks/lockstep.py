@@ -24,7 +24,7 @@ from tapped import end, free_port, start_companion, start_vehicle, udp_socket
 from companion.config import folder_of
 from companion.mavlink.dialect import codec
 from companion.mavlink.frames import Receiver, packed
-from companion.runtime.compiler import Planner
+from companion.runtime.compiler import load_kernel
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.world import read_world
@@ -100,9 +100,8 @@ def main() -> int:
             found["flight"][name] = max(flight(name, folder) for folder in folders)
             found["replay"][name] = max(again(folder) for folder in folders)
     overheard = Overheard(Simulation(read_world(folder_of(MISSIONS[0]) / "world.toml")))
-    planner = Planner(lockstep=True)
-    planner.wait()
-    flown(MISSIONS[0], overheard, planner)
+    load_kernel()
+    flown(MISSIONS[0], overheard)
     took_s = min(bare(overheard.ticks) for _ in range(options.repeats))
     times = overheard.now_us * 1e-6 / took_s
     table = running.figures("times real time", "", *MISSIONS)

@@ -19,8 +19,9 @@ import running
 from companion.config import folder_of, load_mission, mission_text
 from companion.mavlink.dialect import codec
 from companion.mavlink.frames import Receiver, packed
+from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.runtime.compiler import Planner
+from companion.runtime.compiler import load_kernel
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.telemetry.run_folder import RunFolder
@@ -60,14 +61,14 @@ class Overheard:
         self._vehicle.receive(link, data)
 
 
-def flown(name: str, vehicle: Overheard | Simulation, planner: Planner) -> tuple[float, float]:
+def flown(name: str, vehicle: Overheard | Simulation) -> tuple[float, float]:
     """Processor time of a recorded flight, and of its plans."""
     began_s, plans_s = time.process_time(), 0.0
 
     def planned(request: PlanRequest, is_late: Callable[[], bool]) -> PlanOutcome:
         nonlocal plans_s
         asked_s = time.process_time()
-        outcome = planner(request, is_late)
+        outcome = plan(request, is_late)
         plans_s += time.process_time() - asked_s
         return outcome
 
@@ -125,14 +126,14 @@ def main() -> int:
     wanted, console = running.begin(
         __doc__, environment=("environment-1", "a bundled one"), repeats=(3, "the fastest counts")
     )
-    name, planner = wanted.environment, Planner(lockstep=True)
-    planner.wait()
+    name = wanted.environment
+    load_kernel()
     world = read_world(folder_of(name) / "world.toml")
     overheard = Overheard(Simulation(world))
-    flown(name, overheard, planner)
+    flown(name, overheard)
     ticks, flight_s = overheard.ticks, overheard.now_us * 1e-6
     times = range(wanted.repeats)
-    whole_s, plans_s = min(flown(name, Simulation(world), planner) for _ in times)
+    whole_s, plans_s = min(flown(name, Simulation(world)) for _ in times)
     alone_s = min(told_again(Simulation(world), ticks) for _ in times)
     frames_s = min(frames_alone(ticks) for _ in times)
     table = running.figures(f"{name}: {flight_s:.0f} s in one process", "", "s", "us a tick", "x")

@@ -23,7 +23,6 @@ from companion.config import folder_of, load_mission
 from companion.geodesy import deg_e7
 from companion.mission.state import Reason
 from companion.planner.plan import plan
-from companion.runtime.compiler import load_kernel
 from companion.session import Session
 from vehicle_sim.scene import Scene, Upright
 from vehicle_sim.simulation import Simulation
@@ -54,7 +53,7 @@ class Flight:
         self.simulation = Simulation(world or open_world(name), seed=seed)
         self.setpoints: list[float] = []
         """When they were sent."""
-        self._parser, self._kernel = wire.MAVLink(None), load_kernel()
+        self._parser = wire.MAVLink(None)
         self._asked: Any = None
 
     @property
@@ -76,7 +75,7 @@ class Flight:
                     self.simulation.receive(0, sent)
                 if not out.awaits_plan:
                     break
-                self.session.deliver(plan(self._asked, lambda: False, self._kernel))
+                self.session.deliver(plan(self._asked))
                 out = self.session.run()
 
     def place(self, ahead_m: float) -> Upright:

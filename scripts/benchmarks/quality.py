@@ -32,7 +32,6 @@ from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.planner import kernels
-from companion.planner.kernels import Kernel
 
 BUDGETS = (600, 1_500, 3_000, 6_000)
 SUCCESS = 0.01
@@ -48,8 +47,8 @@ class _Spent(Exception):
 class Counted:
     """An objective with a budget; keeps the best."""
 
-    def __init__(self, problem: Problem, kernel: Kernel, budget: int) -> None:
-        self._problem, self._kernel = problem, kernel
+    def __init__(self, problem: Problem, budget: int) -> None:
+        self._problem = problem
         self.left = budget
         self.best, self.best_x = math.inf, np.zeros(problem.dimensions)
 
@@ -60,7 +59,7 @@ class Counted:
         x = np.clip(np.asarray(x, dtype=float), 0.0, 1.0)
         count = min(len(x), self.left)
         costs = np.full(len(x), math.inf)
-        costs[:count] = self._problem.costs(x[:count], self._kernel)
+        costs[:count] = self._problem.costs(x[:count])
         self.left -= count
         if costs.min() < self.best:
             self.best, self.best_x = float(costs.min()), x[costs.argmin()].copy()
@@ -148,32 +147,28 @@ _SLOW = ("CMA-ES", "scipy DE")
 OURS = "refined-de"
 
 
-def refine(
-    state: refined_de.State, problem: Problem, kernel: Kernel, budget: int
-) -> tuple[float, FloatArray]:
+def refine(state: refined_de.State, problem: Problem, budget: int) -> tuple[float, FloatArray]:
     """Our search, from its beginning until the budget is spent: the best cost, and where."""
     if isinstance(problem.scene, FlightScene):
-        kernel.search(state, problem.scene, budget)
+        kernels.compiled().search(state, problem.scene, budget)
     else:
         ask, tell = map(kernels.compiled_alone, (refined_de.ask, refined_de.tell))
         while refined_de.spent(state) < budget:
             count = ask(state)
-            state.trial_costs[:count] = problem.costs(state.trial[:count], kernel)
+            state.trial_costs[:count] = problem.costs(state.trial[:count])
             tell(state, count)
     x, costs = refined_de.ranked(state)
     return float(costs[0]), x[0]
 
 
-def solve(
-    name: str, problem: Problem, kernel: Kernel, budget: int, seed: int
-) -> tuple[float, FloatArray]:
+def solve(name: str, problem: Problem, budget: int, seed: int) -> tuple[float, FloatArray]:
     """The best cost that a search finds, and where."""
     if name == OURS:
         rng = np.random.default_rng(seed)
         how = refined_de.Settings()
         state = refined_de.begin(problem.dimensions, budget, problem.seeds, how, rng)
-        return refine(state, problem, kernel, budget)
-    cost = Counted(problem, kernel, budget)
+        return refine(state, problem, budget)
+    cost = Counted(problem, budget)
     with contextlib.suppress(_Spent):
         RIVALS[name](cost, problem, budget, seed)
     return cost.best, cost.best_x
@@ -217,7 +212,6 @@ def _interval(values: FloatArray) -> tuple[float, float]:
 def compare(
     names: Sequence[str],
     problems: Sequence[Problem],
-    kernel: Kernel,
     data: dict[str, Any],
     seeds: Callable[[str], int],
     console: Console,
@@ -229,10 +223,10 @@ def compare(
         costs = np.empty((len(problems), seeds(name)))
         for i, problem in enumerate(problems):
             for seed in range(seeds(name)):
-                costs[i, seed], x = solve(name, problem, kernel, budget, seed)
-                subpaths.keep_best(data, problem, kernel, costs[i, seed], x)
+                costs[i, seed], x = solve(name, problem, budget, seed)
+                subpaths.keep_best(data, problem, costs[i, seed], x)
         found[name, budget] = costs
-    best = np.array([subpaths.best_known(data, each, kernel) for each in problems])[:, None]
+    best = np.array([subpaths.best_known(data, each) for each in problems])[:, None]
     return {k: Figures(gaps=(v - best) / np.maximum(best, 2.0)) for k, v in found.items()}
 
 
@@ -292,7 +286,7 @@ def bars_of(figures: dict[tuple[str, int], Figures], objective: str) -> Iterator
 
 
 def search_long(
-    problems: Sequence[Problem], kernel: Kernel, data: dict[str, Any], runs: int, console: Console
+    problems: Sequence[Problem], data: dict[str, Any], runs: int, console: Console
 ) -> None:
     """Best known values by long searches with large populations, half without warm starts."""
     for problem in track(problems, "best known", console=console, transient=True):
@@ -301,7 +295,7 @@ def search_long(
             seeds = problem.seeds if run % 2 else problem.seeds[:0]
             rng = np.random.default_rng([run, 1])
             state = refined_de.begin(problem.dimensions, 30_000, seeds, how, rng)
-            subpaths.keep_best(data, problem, kernel, *refine(state, problem, kernel, 30_000))
+            subpaths.keep_best(data, problem, *refine(state, problem, 30_000))
 
 
 def main() -> int:
@@ -317,21 +311,20 @@ def main() -> int:
         record=(False, "fly the missions anew"),
         best_known=(0, "runs of long searches"),
     )
-    kernel = kernels.compiled(cache=None)
-    data = subpaths.record(kernel) if options.record else subpaths.load()
+    data = subpaths.record() if options.record else subpaths.load()
     problems = subpaths.problems(data, options.objective)
     problems = [p for p in problems if options.all or not p.for_tuning]
     if options.best_known:
-        search_long(problems, kernel, data, options.best_known, console)
+        search_long(problems, data, options.best_known, console)
         subpaths.store(data)
-    stale = [p.name for p in problems if math.isinf(subpaths.best_known(data, p, kernel))]
+    stale = [p.name for p in problems if math.isinf(subpaths.best_known(data, p))]
     if stale:
         console.print(f"{len(stale)} objectives are not those on file: add --best-known 12")
 
     def seeds(name: str) -> int:
         return options.slow_seeds if name in _SLOW else options.seeds
 
-    figures = compare(options.only, problems, kernel, data, seeds, console)
+    figures = compare(options.only, problems, data, seeds, console)
     subpaths.store(data)
     hard = needles(figures)
     easier = without(figures, hard)

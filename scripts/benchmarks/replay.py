@@ -4,8 +4,7 @@
 
 A campaign by each autopilot and kind of vehicle, with two or three faults in each flight, a
 companion that is killed and started again among them.  Each run folder is then replayed by
-`companion replay` with the compiled kernel (bar: all identical), and with numpy's, where plans may
-differ in their last bits and decisions may not.
+`companion replay`; bar: all identical.
 """
 
 import json
@@ -35,10 +34,10 @@ def campaign_text(flights: int, seed: int) -> str:
     return f"limit_s = 900.0\n{places}{faults}"
 
 
-def replayed(run: Path, *options: str) -> dict[str, Any]:
+def replayed(run: Path) -> dict[str, Any]:
     """What `companion replay` says of a run folder."""
     report = run / "replay.json"
-    command = [BIN / "companion", "replay", run, "--json", report, *options]
+    command = [BIN / "companion", "replay", run, "--json", report]
     done = subprocess.run(
         [str(part) for part in command],
         capture_output=True,
@@ -56,31 +55,24 @@ def replayed(run: Path, *options: str) -> dict[str, Any]:
 def main() -> int:
     """Fly, replay, and say how many were identical."""
     options, console = running.begin(__doc__, flights=20, seed=1)
-    headings = "ended", "identical", "times real time", "numpy: decisions", "plans that differ"
+    headings = "ended", "identical", "times real time"
     table, found = running.figures("Once more", "flight", *headings), list[dict[str, Any]]()
     with tempfile.TemporaryDirectory() as folder:
         text = campaign_text(options.flights, options.seed)
         flown = fly_campaign(Path(folder), text, "--keep", "all")
         for row in read_campaign(flown).rows:
             run = flown / str(row.folder)
-            same, numpy = replayed(run), replayed(run, "--no-numba")
-            found.append({"key": row.key, "replay": same, "numpy": numpy})
+            same = replayed(run)
+            found.append({"key": row.key, "replay": same})
             table.add_row(
                 row.key,
                 row.ending or row.outcome,
                 "yes" if same["identical"] else str(same["difference"])[:300],
                 f"{same.get('flown_s', 0.0) / (same.get('took_s') or 1.0):.0f}",
-                "same" if numpy["difference"] is None else "NOT",
-                str(len(numpy.get("plans_differ", ()))),
             )
     console.print(table)
     bars = (
         running.least("identical", sum(each["replay"]["identical"] for each in found), len(found)),
-        running.least(
-            "numpy decides the same",
-            sum(each["numpy"]["difference"] is None for each in found),
-            len(found),
-        ),
     )
     return running.ended(console, options.json, found, bars)
 

@@ -22,9 +22,8 @@ from companion.geodesy import FloatArray, wrap_rad
 from companion.objective import terms
 from companion.objective.scene import PAPER, FlightScene
 from companion.path.subpath import Pose
-from companion.planner import plan, published
+from companion.planner import kernels, plan, published
 from companion.planner.cost_to_go import cost_to_go
-from companion.planner.kernels import Kernel
 from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import empty_map
@@ -59,16 +58,16 @@ class Problem:
         """D."""
         return self.seeds.shape[1]
 
-    def costs(self, x: FloatArray, kernel: Kernel) -> FloatArray:
+    def costs(self, x: FloatArray) -> FloatArray:
         """Costs of candidates, (P, D) -> (P,)."""
         if isinstance(self.scene, FlightScene):
-            return kernel.costs(np.ascontiguousarray(x), self.scene)
+            return kernels.compiled().costs(np.ascontiguousarray(x), self.scene)
         return terms.cost(x, self.scene)
 
-    def fingerprint(self, kernel: Kernel) -> str:
+    def fingerprint(self) -> str:
         """A hash of the objective: of its values at random points, to six digits."""
         x = np.random.default_rng(0).random((_PROBES, self.dimensions))
-        values = " ".join(f"{value:.6g}" for value in self.costs(x, kernel))
+        values = " ".join(f"{value:.6g}" for value in self.costs(x))
         return hashlib.sha256(values.encode()).hexdigest()[:16]
 
 
@@ -99,7 +98,7 @@ def store(data: dict[str, Any]) -> None:
     FILE.write_text("{" + text + "}\n", encoding="utf-8")
 
 
-def record(kernel: Kernel) -> dict[str, Any]:
+def record() -> dict[str, Any]:
     """Fly every mission and keep what some of its plans were asked; no best values yet."""
     scans, plans = {}, []
     for name in WORLDS:
@@ -108,7 +107,7 @@ def record(kernel: Kernel) -> dict[str, Any]:
 
         def ask(request: PlanRequest, asked: list[PlanRequest] = asked) -> PlanOutcome:
             asked.append(request)
-            return plan.plan(request, kernel=kernel)
+            return plan.plan(request)
 
         limits = world.task.limits
         blank = empty_map(world.task.cell_m, limits.north_m, limits.east_m)
@@ -218,21 +217,19 @@ def _as_published(request: PlanRequest, world: str, *, for_tuning: bool) -> list
     return [Problem(name=name, scene=scene, seeds=np.array(seeds), for_tuning=for_tuning)]
 
 
-def best_known(data: dict[str, Any], problem: Problem, kernel: Kernel) -> float:
+def best_known(data: dict[str, Any], problem: Problem) -> float:
     """The lowest cost that was ever found for this objective; infinite if none is on file."""
     kept = data["best"].get(problem.name)
-    if kept is None or kept["objective"] != problem.fingerprint(kernel):
+    if kept is None or kept["objective"] != problem.fingerprint():
         return math.inf
     return float(kept["cost"])
 
 
-def keep_best(
-    data: dict[str, Any], problem: Problem, kernel: Kernel, cost: float, x: FloatArray
-) -> None:
+def keep_best(data: dict[str, Any], problem: Problem, cost: float, x: FloatArray) -> None:
     """Put a cost on file if none is as low."""
-    if cost < best_known(data, problem, kernel):
+    if cost < best_known(data, problem):
         data["best"][problem.name] = {
             "cost": cost,
-            "objective": problem.fingerprint(kernel),
+            "objective": problem.fingerprint(),
             "x": np.round(x, 9).tolist(),
         }

@@ -11,7 +11,7 @@ import subpaths
 from numpy.typing import NDArray
 from quality import BUDGETS, OURS, RIVALS, Counted, Figures
 
-from companion.planner.kernels import NUMPY
+from companion.planner import kernels
 
 FloatArray = NDArray[np.float64]
 
@@ -43,8 +43,8 @@ def test_every_search_spends_the_budget_and_no_more(
             return costs
 
     monkeypatch.setattr(quality, "Counted", Watched)
-    cost, x = quality.solve(name, problem, NUMPY, 300, 1)
-    assert NUMPY.costs(x[None], problem.scene)[0] == pytest.approx(cost, rel=1e-12)
+    cost, x = quality.solve(name, problem, 300, 1)
+    assert kernels.compiled().costs(x[None], problem.scene)[0] == pytest.approx(cost, rel=1e-12)
     if name == OURS:
         return  # spends by `ask`: tests/optimise
     assert sum(len(each) for each in asked) == 300
@@ -66,12 +66,12 @@ def test_the_file_holds_a_hundred_problems_half_of_them_not_used_for_tuning() ->
 def test_a_best_value_counts_for_its_own_objective_alone(problem: subpaths.Problem) -> None:
     data: dict[str, Any] = {"best": {}}
     x = np.full(problem.dimensions, 0.5)
-    assert subpaths.best_known(data, problem, NUMPY) == math.inf
+    assert subpaths.best_known(data, problem) == math.inf
     for cost in (5.0, 4.0, 4.5):
-        subpaths.keep_best(data, problem, NUMPY, cost, x)
-    assert subpaths.best_known(data, problem, NUMPY) == 4.0
+        subpaths.keep_best(data, problem, cost, x)
+    assert subpaths.best_known(data, problem) == 4.0
     data["best"][problem.name]["objective"] = "another"
-    assert subpaths.best_known(data, problem, NUMPY) == math.inf
+    assert subpaths.best_known(data, problem) == math.inf
 
 
 def test_writing_the_file_and_reading_it_changes_nothing(

@@ -12,7 +12,7 @@ from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.config import load_mission, load_world
 from companion.mission.mission import AutopilotName
-from companion.runtime.compiler import Planner
+from companion.planner.plan import plan
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.world.terrain import ArrayTerrain
@@ -63,7 +63,7 @@ def test_a_drawn_world_is_flown_from_its_files_to_its_target(
     world_path, mission_path = write(drawn, tmp_path, autopilot)
     simulation = Simulation(read_world(world_path), seed=1)
     session = Session(load_mission(str(mission_path)), seed=1, lockstep=True)
-    flown = fly_in_process(session, simulation, planner=Planner(lockstep=True))
+    flown = fly_in_process(session, simulation, planner=plan)
     assert flown.end is not None
     assert flown.end.outcome.value == "arrived", flown.end
     north_m, east_m, _ = simulation._place_nea_m()

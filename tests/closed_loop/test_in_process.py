@@ -11,7 +11,8 @@ from flights import BAD_LINK, flown_as, journal_of
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission, mission_text
-from companion.runtime.compiler import Planner
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_kernel
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -33,9 +34,8 @@ def flown_here(folder: Path, **options: Any) -> FlightSummary:
     with RunFolder(
         folder, mission_toml=mission_text(MISSION), epoch_us=EPOCH_US, durable=False
     ) as run:
-        planner = Planner(lockstep=True)
         return fly_in_process(
-            session, Simulation(world, faults=faults), planner=planner, folder=run, **options
+            session, Simulation(world, faults=faults), planner=plan, folder=run, **options
         )
 
 
@@ -85,8 +85,7 @@ def test_it_opens_no_socket_and_starts_no_thread(monkeypatch: pytest.MonkeyPatch
     def refused(*_: object, **__: object) -> None:
         raise AssertionError
 
-    planner = Planner(lockstep=True)
-    planner.wait()
+    load_kernel()
     monkeypatch.setattr(socket, "socket", refused)
     monkeypatch.setattr(threading.Thread, "start", refused)
     mission = load_mission(MISSION)
@@ -98,7 +97,7 @@ def test_it_opens_no_socket_and_starts_no_thread(monkeypatch: pytest.MonkeyPatch
     flown = fly_in_process(
         Session(mission, seed=3, lockstep=True),
         simulation,
-        planner=planner,
+        planner=plan,
         stop_asked=lambda: simulation.now_us >= 60_000_000,
         on_step=count,
     )

@@ -14,7 +14,6 @@ from flights import ENVIRONMENTS, Recorded, edited, flown_here
 from companion.config import load_mission
 from companion.mission.state import Reason
 from companion.replay.reproduce import Replay
-from companion.runtime.compiler import load_kernel
 
 pytestmark = pytest.mark.closed_loop
 
@@ -109,9 +108,7 @@ def test_a_lidar_with_noise_and_lost_echoes_leads_through_the_gap(by_lidar: Reco
 
 def test_that_flight_is_replayed_as_it_was(by_lidar: Recorded) -> None:
     path = str(by_lidar.folder.parent / "mission.toml")
-    replay = Replay(
-        by_lidar.folder, lambda start: load_mission(path, start.profile), kernel=load_kernel()
-    )
+    replay = Replay(by_lidar.folder, lambda start: load_mission(path, start.profile))
     for _ in replay.steps():
         pass
     assert replay.found.is_identical, replay.found

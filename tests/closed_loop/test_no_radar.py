@@ -9,7 +9,7 @@ from flights import NIGHTLY, Recorded
 
 from companion.config import load_mission
 from companion.mavlink.preflight import checks_of
-from companion.runtime.compiler import Planner
+from companion.planner import plan as planner
 from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.telemetry.run_folder import RunFolder
@@ -59,7 +59,7 @@ def flight_of(
         Recorded(folder=mission.parent / "run"),
     )
     with RunFolder(flight.folder, mission_toml="", epoch_us=0, durable=False) as run:
-        fly_in_process(session, vehicle, planner=Planner(lockstep=True), folder=run)
+        fly_in_process(session, vehicle, planner=planner.plan, folder=run)
     truth = "\n".join(vehicle.take_truth())
     (flight.folder / "truth.jsonl").write_text(truth, encoding="utf-8")
     return flight, session

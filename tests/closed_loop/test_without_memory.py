@@ -14,7 +14,7 @@ from flights import ENVIRONMENTS, kept, launch, run, short_mission
 from companion.config import load_mission
 from companion.mission.checkpoint import without_checkpoint
 from companion.mission.events import Order, OrderKind
-from companion.runtime.compiler import Planner
+from companion.planner.plan import plan
 from companion.runtime.in_process import loop_in_process
 from companion.session import Session
 from vehicle_sim.simulation import Simulation
@@ -86,16 +86,16 @@ def test_it_takes_over_says_so_never_arms_and_arrives(
 def test_told_to_return_it_lands_at_home_and_not_where_it_took_over(
     name: str, after_s: float
 ) -> None:
-    mission, planner = load_mission(name), Planner(lockstep=True)
+    mission = load_mission(name)
     vehicle = Simulation(read_world(ENVIRONMENTS / name / "world.toml"), seed=1)
     before = Session(mission, seed=1, lockstep=True, go=True)
-    for _ in loop_in_process(before, vehicle, planner=planner).turns():
+    for _ in loop_in_process(before, vehicle, planner=plan).turns():
         if vehicle.now_us > after_s * 1e6:
             break
     number = before.state.flight.plan_id
     lost = without_checkpoint("torn", system_id=1, time_s=before.now_s, plan_id=number)
     session = Session(mission, seed=1, lockstep=True, resume=(lost, None))
-    loop, told = loop_in_process(session, vehicle, planner=planner), False
+    loop, told = loop_in_process(session, vehicle, planner=plan), False
     for _ in loop.turns():
         if not told and session.state.flight.leg is not None:
             told = True

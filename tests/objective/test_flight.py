@@ -16,6 +16,7 @@ from scipy.integrate import quad
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
+from companion.objective import kernel
 from companion.objective.scene import (
     LONGEST_R2,
     SHORTEST_R,
@@ -23,8 +24,6 @@ from companion.objective.scene import (
     FlightScene,
     Weights,
     control_points,
-    cost,
-    cost_table,
     weight,
 )
 from companion.path.subpath import Subpath
@@ -152,17 +151,21 @@ def test_variables_at_their_middles_lead_straight_on() -> None:
 
 
 @given(seed=seeds)
-def test_one_candidate_gives_the_same_points_and_cost_alone_and_among_others(seed: int) -> None:
+def test_one_candidate_gives_the_same_points_alone_and_among_others(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, samples=12)
     x = cube(rng, scene, 6)
-    together, costs = control_points(x, scene), cost(x, scene)
+    together = control_points(x, scene)
     for k in range(len(x)):
         assert (control_points(x[k : k + 1], scene)[0] == together[k]).all()
-        assert float(cost(x[k : k + 1], scene)[0]) == pytest.approx(costs[k], rel=1e-12)
 
 
 # --- every term, slowly
+
+
+def terms(x: FloatArray, scene: FlightScene) -> dict[str, float]:
+    """Those of one candidate, (D,), by the source of what is compiled."""
+    return dict(zip(kernel.TERMS, kernel.terms(x, kernel.pack(scene)), strict=True))
 
 
 def bilinear_m(surface: Surface, north: float, east: float) -> float:
@@ -314,20 +317,19 @@ def test_each_term_is_what_a_scalar_implementation_makes_of_the_curve(seed: int)
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, samples=12)
     x = cube(rng, scene, 2)
-    table = cost_table(x, scene)
-    for row, control in enumerate(control_points(x, scene)):
-        slowly = expected(control, scene)
+    for each, control in zip(x, control_points(x, scene), strict=True):
+        table, slowly = terms(each, scene), expected(control, scene)
         assert slowly.keys() == table.keys()
         for name, value in slowly.items():
-            assert table[name][row] == pytest.approx(value, rel=1e-6, abs=1e-5), name
+            assert table[name] == pytest.approx(value, rel=1e-6, abs=1e-5), name
         by_hand = sum(weight(name, scene) * value for name, value in slowly.items())
-        assert cost(x, scene)[row] == pytest.approx(by_hand, rel=1e-6)
+        cost = kernel.cost(each, math.inf, kernel.pack(scene))
+        assert cost == pytest.approx(by_hand, rel=1e-6)
 
 
 def test_the_weights_are_those_of_equation_5_and_what_is_left_to_fly_counts_as_length() -> None:
     scene = replace(random_scene(np.random.default_rng(1)), weights=Weights())
-    table = cost_table(np.zeros((1, scene.variables)), scene)
-    found = {name: weight(name, scene) for name in table}
+    found = {name: weight(name, scene) for name in kernel.TERMS}
     paper = {"length": 0.1, "height": 0.15, "guide": 0.15, "crash": 0.3, "radar": 0.3}
     assert found == {**paper, "constraints": 1.0, "to_go": 0.1}
 
@@ -339,18 +341,17 @@ def test_f1_is_the_length_of_the_curve_in_units_of_2_4_r(seed: int) -> None:
     x = 0.25 + 0.5 * cube(rng, scene, 1)
     curve = spline(control_points(x, scene)[0])
     length_m, _ = quad(lambda u: float(np.linalg.norm(curve(u, 1))), 0.0, 1.0, limit=200)
-    assert cost_table(x, scene)["length"][0] == pytest.approx(
-        100.0 * length_m / (2.4 * R_M), rel=0.005
-    )
+    assert terms(x[0], scene)["length"] == pytest.approx(100.0 * length_m / (2.4 * R_M), rel=0.005)
 
 
 @given(seed=seeds)
 def test_no_term_is_negative_or_anything_but_a_number(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = random_scene(rng)
-    for name, column in cost_table(cube(rng, scene, 20), scene).items():
-        assert np.isfinite(column).all(), name
-        assert column.min() >= 0.0, name
+    for x in cube(rng, scene, 20):
+        for name, value in terms(x, scene).items():
+            assert math.isfinite(value), name
+            assert value >= 0.0, name
 
 
 def test_a_candidate_between_what_it_must_keep_costs_only_its_way() -> None:
@@ -368,11 +369,10 @@ def test_a_candidate_between_what_it_must_keep_costs_only_its_way() -> None:
         zones=(),
     )
     level = (316.0 - 315.0) / (785.0 - 315.0)
-    x = np.array([[0.5, 0.5, 0.7, 0.5, level, 0.5, level]])
-    table = cost_table(x, scene)
+    table = terms(np.array([0.5, 0.5, 0.7, 0.5, level, 0.5, level]), scene)
     for name in ("crash", "radar", "constraints"):
-        assert table[name] == pytest.approx([0.0]), name
-    assert table["length"] == pytest.approx([100.0 * 1_700.0 / (2.4 * R_M)])
+        assert table[name] == pytest.approx(0.0), name
+    assert table["length"] == pytest.approx(100.0 * 1_700.0 / (2.4 * R_M))
 
 
 def test_what_stands_between_two_samples_is_met_at_the_points_of_the_chords() -> None:
@@ -386,7 +386,5 @@ def test_what_stands_between_two_samples_is_met_at_the_points_of_the_chords() ->
     mast = replace(flat, vertex_m=flat.vertex_m.copy())
     mast.vertex_m[1, 1] = 5_000.0
     assert np.linalg.norm(points - points[20], axis=-1)[21] > 6.0 * 4.0
-    without, with_it = (
-        cost_table(x, replace(scene, surface=each))["crash"][0] for each in (flat, mast)
-    )
+    without, with_it = (terms(x[0], replace(scene, surface=each))["crash"] for each in (flat, mast))
     assert with_it > without + 100.0

@@ -5,7 +5,6 @@ import pytest
 from brute_force import Case, FloatArray, column_distance_m, curve, random_case
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import flying_kernel
 
 from companion.path import proof
 from companion.path.certificate import cubics_of, pack_zones
@@ -18,6 +17,7 @@ from companion.path.proof_distance import (
     zone_distance,
 )
 from companion.path.proof_shape import extremes, largest, runs_forward
+from companion.planner import kernels
 from companion.world.threats import CircleZone, PolygonZone
 
 seeds = st.integers(0, 10**6)
@@ -271,9 +271,7 @@ def test_exposure_is_the_chord_and_the_detection_that_of_the_nearest_point(miss:
 
 
 def test_compiled_and_plain_agree_to_1e_9() -> None:
-    pytest.importorskip("numba")
-    kernel = flying_kernel()
-    assert kernel.name == "numba"
+    kernel = kernels.compiled()
     for seed in range(30):
         case = a_case(seed)
         cubics, here = cubics_of(case.control_nea_m), case.surroundings()

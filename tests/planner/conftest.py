@@ -10,7 +10,6 @@ import pytest
 from nudge import nudged_questions
 from planning import limits
 
-from companion.planner.kernels import Kernel
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
@@ -73,12 +72,3 @@ def blank(task: Task) -> KnownMap:
 @pytest.fixture(scope="session")
 def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
     return true_map(terrain, blank)
-
-
-@pytest.fixture(scope="session")
-def compiled() -> Kernel:
-    """numba's kernel: compiled in half a minute, or loaded from its cache on disk."""
-    pytest.importorskip("numba")
-    kernel = planning.flying_kernel()
-    assert kernel.name == "numba"
-    return kernel

@@ -15,7 +15,7 @@ from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
-from companion.planner.kernels import NUMPY
+from companion.planner import kernels
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
@@ -213,19 +213,22 @@ def test_another_seed_plan_or_attempt_is_another_search(
 
 
 def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_found_it(
-    task: Task, truth: KnownMap
+    task: Task, truth: KnownMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Counted by the kernel, of plans that search again and keep what they had, or find nothing."""
+    kernel = kernels.compiled()
     for degrees in range(0, 360, 60):
         searched: dict[int, tuple[object, int]] = {}
 
         def search(state: State, scene: FlightScene, until: int) -> None:
-            NUMPY.search(state, scene, until)
+            kernel.search(state, scene, until)
             searched[id(state)] = state, refined_de.spent(state)  # noqa: B023 - called in this turn
 
         start = Pose(position_nea_m=np.array(START), **heading_to(degrees))
         request = ask(with_budget(task, 60), truth, start=start, from_rest=False)
-        outcome = plan(request, kernel=replace(NUMPY, search=search))
+        watched = replace(kernel, search=search)
+        monkeypatch.setattr(kernels, "compiled", lambda watched=watched: watched)
+        outcome = plan(request)
         assert outcome.evaluations == sum(spent for _, spent in searched.values())
         if isinstance(outcome, Planned):
             assert outcome.tries == len(searched)

@@ -42,7 +42,7 @@ def decisions_of(folder: Path) -> Iterator[dict[str, Any]]:
     def mission_of(start: Start) -> Mission:
         return load_mission(str(folder / "mission.toml"), start.profile)
 
-    replay = Replay(folder, mission_of, kernel=None, compares=False)
+    replay = Replay(folder, mission_of, plans=False, compares=False)
     shown_s = -math.inf
     for step in replay.steps():
         if step.output is None:

@@ -23,7 +23,6 @@ from companion.mavlink.link import Output
 from companion.mission.state import Phase
 from companion.replay.reproduce import Replay
 from companion.replay.shadow import watch
-from companion.runtime.compiler import load_kernel
 from companion.telemetry import inputs
 
 _ROOT = Path(__file__).parents[2]
@@ -92,7 +91,7 @@ def _watch(folder: Path, how: dict[str, Any]) -> None:
             told.extend(output.inputs)
 
     mission = load_mission(str(folder / "mission.toml"))
-    watch(recording(how["log"]), mission, kernel=load_kernel(), on_output=keep)
+    watch(recording(how["log"]), mission, on_output=keep)
     (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 
@@ -169,7 +168,7 @@ def _cut(run: Path, to: Path, until_s: float) -> None:
     """The inputs of a flight up to a vehicle time."""
     mission = str(run / "mission.toml")
     replay = Replay(
-        run, lambda start: load_mission(mission, start.profile), kernel=None, compares=False
+        run, lambda start: load_mission(mission, start.profile), plans=False, compares=False
     )
     told = []
     for step in replay.steps():

@@ -10,7 +10,6 @@ from test_loop import ScriptedLink
 from companion.config import load_mission, mission_text
 from companion.mission.mission import Mission
 from companion.mission.start import Start
-from companion.planner.kernels import Kernel
 from companion.replay.report import Replayed
 from companion.replay.reproduce import Replay
 from companion.runtime import loop
@@ -36,14 +35,11 @@ def fly_short(
     text: str = "",
     link: ScriptedLink | None = None,
     lockstep: bool = True,
-    booted_s: float = 0.0,
     until_s: float = 60.0,
 ) -> FlightSummary:
-    """Record a flight of the mission of a text until a vehicle that was booted so long ago was
-    watched for so long."""
+    """Record a flight of the mission of a text until its vehicle was watched for so long."""
     link = link or ScriptedLink(Vehicle(lockstep=lockstep))
     vehicle, text = link.vehicle, text or short_mission()
-    vehicle.time_ms = round(1e3 * booted_s)
     with RunFolder(path, mission_toml=text, epoch_us=EPOCH_US) as folder:
         folder.header({})
         return loop.fly(
@@ -52,14 +48,14 @@ def fly_short(
             folder,
             lockstep=lockstep,
             on_progress=lambda _: None,
-            stop_asked=lambda: vehicle.time_ms >= 1e3 * (booted_s + until_s),
+            stop_asked=lambda: vehicle.time_ms >= 1e3 * until_s,
             planner=straight_plan,
         )
 
 
-def replayed(path: Path, kernel: Kernel | None = None, **options: Any) -> Replayed:
+def replayed(path: Path, **options: Any) -> Replayed:
     """What the replay of a run folder finds."""
-    replay = Replay(path, mission_of(path), kernel=kernel, **options)
+    replay = Replay(path, mission_of(path), **options)
     for _ in replay.steps():
         pass
     return replay.found
@@ -78,7 +74,6 @@ def rewritten(path: Path, change: Callable[[list[Input]], None]) -> None:
 
 
 __all__ = [
-    "EPOCH_US",
     "ScriptedLink",
     "Vehicle",
     "fly_short",

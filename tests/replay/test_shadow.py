@@ -27,7 +27,6 @@ from companion.mavlink.link import Output
 from companion.mission.mission import Mission
 from companion.mission.state import Phase
 from companion.path.subpath import Subpath
-from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import (
     Hold,
@@ -153,7 +152,7 @@ def mission(name: str, *, evaluations: int = 100) -> Mission:
 def watched(name: str) -> tuple[ShadowReport, Sent]:
     """With its mission, and without plans."""
     sent = Sent()
-    return watch(recording(name), mission(name), kernel=None, on_output=sent), sent
+    return watch(recording(name), mission(name), plans=False, on_output=sent), sent
 
 
 def report_of(name: str) -> ShadowReport:
@@ -166,7 +165,7 @@ def planned(tmp: Path) -> tuple[ShadowReport, Sent]:
     """A minute of a flight with its GPS lost in it, with plans."""
     sent = Sent()
     log = written(tmp / "minute.tlog", recorded(PX4, from_s=40.0, until_s=100.0))
-    return watch(log, mission(PX4), kernel=NUMPY, on_output=sent), sent
+    return watch(log, mission(PX4), on_output=sent), sent
 
 
 @pytest.fixture(scope="module")
@@ -518,7 +517,7 @@ def test_who_is_not_the_vehicle_is_not_listened_to(tmp_path: Path) -> None:
     records = recorded(PX4, from_s=60.0, until_s=110.0)
     alone = (each for each in records if sender_of(each.frame) == VEHICLE)
     reports = [
-        watch(written(tmp_path / f"{name}.tlog", records), None, kernel=None).as_json()
+        watch(written(tmp_path / f"{name}.tlog", records), None, plans=False).as_json()
         for name, records in {"crowded": crowded(), "alone": alone}.items()
     ]
     assert len(reports[0]["holds"]) == 1
@@ -536,7 +535,7 @@ def test_an_autopilot_of_another_component_is_told_and_what_to_do(
     records = [Record(10**15 + 10**6 * k, bytes(beat.pack(sender))) for k in range(30)]
     path = written(tmp_path / "fifty.tlog", records)
     with pytest.raises(InputError, match=r"component 50 of system 1.*MAV_COMP_ID"):
-        watch(path, None, kernel=None, system_id=system_id)
+        watch(path, None, plans=False, system_id=system_id)
 
 
 def test_the_page_shows_the_report_as_it_is_printed() -> None:

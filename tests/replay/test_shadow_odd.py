@@ -25,7 +25,6 @@ from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import number_of
 from companion.mission.mission import Mission
-from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import Hold
 from companion.telemetry.logs import Record
@@ -288,7 +287,7 @@ def test_positions_that_stand_still_are_told(tmp_path: Path) -> None:
 
 def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="outside its \\[area\\]") as caught:
-        watch(recording(PX4), mission("copter-canberra"), kernel=None)
+        watch(recording(PX4), mission("copter-canberra"), plans=False)
     text = str(caught.value)
     assert "47.397" in text
     assert "km north" in text
@@ -306,27 +305,27 @@ def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
 )
 def test_a_mission_for_another_vehicle_is_refused(name: str, chosen: Mission) -> None:
     with pytest.raises(InputError, match=r"it is for .*; the log is of PX4"):
-        watch(recording(name), chosen, kernel=None)
+        watch(recording(name), chosen, plans=False)
 
 
 def test_with_nothing_known_of_the_ground_it_says_so_and_tells_the_rest(tmp_path: Path) -> None:
     path = written(tmp_path / "part.tlog", recorded(PX4, from_s=40.0, until_s=100.0))
     known = mission("copter-zurich")
     unknown = replace(known, known=None, scanner_component_id=100)
-    report = watch(path, unknown, kernel=NUMPY)
+    report = watch(path, unknown)
     [said] = report.could_not
     assert said.message == "TERRAIN_DATA"
     assert "[terrain]" in said.remedy
     assert not [asked for asked in report.plans if asked.outcome == "ready"]
     refused = [asked for asked in report.plans if asked.outcome == "refused"]
     assert {asked.reason for asked in refused} <= {"NOTHING_SEEN", "START_NEAR_UNKNOWN"}
-    assert times(report.holds) == times(watch(path, known, kernel=None).holds)
+    assert times(report.holds) == times(watch(path, known, plans=False).holds)
 
 
 def test_what_is_known_of_the_ground_stands_in_for_a_radar(tmp_path: Path) -> None:
     path = written(tmp_path / "part.tlog", recorded(PX4, from_s=40.0, until_s=60.0))
     chosen = replace(mission("copter-zurich", evaluations=100), scanner_component_id=100)
-    report = watch(path, chosen, kernel=NUMPY)
+    report = watch(path, chosen)
     assert "ready" in {asked.outcome for asked in report.plans}
     assert any("terrain of the mission alone" in note for note in report.notes)
 
@@ -334,7 +333,7 @@ def test_what_is_known_of_the_ground_stands_in_for_a_radar(tmp_path: Path) -> No
 def test_targets_that_only_the_vehicle_knows_are_missed(tmp_path: Path) -> None:
     path = written(tmp_path / "part.tlog", recorded(PX4, until_s=30.0))
     chosen = replace(mission("copter-zurich"), targets_ne_m=(), targets_from_vehicle=True)
-    report = watch(path, chosen, kernel=NUMPY)
+    report = watch(path, chosen)
     assert "MISSION_ITEM_INT" in {each.message for each in report.could_not}
     assert report.plans == []
 
@@ -347,7 +346,7 @@ def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
 
     monkeypatch.setattr("companion.replay.shadow.plan", broken)
     path = written(tmp_path / "part.tlog", recorded(PX4, from_s=60.0, until_s=90.0))
-    report = watch(path, mission("copter-zurich"), kernel=NUMPY)
+    report = watch(path, mission("copter-zurich"))
     assert "PLANNER_DIED" in {why.code for hold in report.holds for why in hold.why}
     assert any("gave up watching" in note for note in report.notes)
 
@@ -358,7 +357,7 @@ def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
 def test_progress_only_rises_and_comes_to_the_end(tmp_path: Path) -> None:
     shown = list[tuple[int, int]]()
     path = written(tmp_path / "part.tlog", recorded(PX4, until_s=40.0))
-    watch(path, None, kernel=None, on_progress=lambda read, size: shown.append((read, size)))
+    watch(path, None, plans=False, on_progress=lambda read, size: shown.append((read, size)))
     size = path.stat().st_size
     assert shown == sorted(shown)
     assert shown[-1] == (size, size)

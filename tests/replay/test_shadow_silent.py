@@ -22,7 +22,6 @@ from log_files import bin_of, fmt_entries
 from recordings import recording
 
 from companion.mavlink.dialect import Message, wire
-from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import Observed, ShadowReport, renderables
 from companion.telemetry.logs import Record
@@ -112,7 +111,7 @@ def test_a_mission_adds_no_holds_to_those_of_the_vehicle(tmp_path: Path, every: 
     """Positions 0.6 s and 1.2 s apart are no loss of them, whenever a plan comes."""
     records = thinned(recorded(HEALTHY, from_s=20.0, until_s=70.0), POSITION, every)
     path = written(tmp_path / "few.tlog", records)
-    report = watch(path, mission("copter-zurich", evaluations=100), kernel=NUMPY)
+    report = watch(path, mission("copter-zurich", evaluations=100))
     assert len([each for each in report.plans if each.outcome == "ready"]) > 5
     assert [each.let_go_s for each in report.holds] == [each.let_go_s for each in alone(path).holds]
     assert len(report.holds) <= 1

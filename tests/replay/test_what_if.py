@@ -13,7 +13,6 @@ from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.replay.what_if import WhatIf, what_if, with_changes
-from companion.runtime.compiler import load_kernel
 from companion.world.threats import CircleZone
 
 FLIGHT = GOLDENS / "copter-loses-gps"
@@ -27,7 +26,7 @@ def same_settings() -> list[WhatIf]:
 
 def asked(changed: Mission, seed: int | None = None) -> list[WhatIf]:
     flown = load_mission(MISSION)
-    return list(what_if(FLIGHT, lambda _start: flown, changed, seed=seed, kernel=load_kernel()))
+    return list(what_if(FLIGHT, lambda _start: flown, changed, seed=seed))
 
 
 def test_the_same_settings_give_plans_as_good_as_were_flown_on_any_processor() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from stub_session import request_of
 
-from companion.planner.kernels import NUMPY
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
@@ -42,7 +41,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> Planne
 
 def test_a_plan_is_the_same_from_another_process(planner: PlannerProcess) -> None:
     request = request_of(7)
-    expected, found = plan(request, never, NUMPY), planner(request, never)
+    expected, found = plan(request, never), planner(request, never)
     assert type(found) is type(expected)
     assert found.plan_id == 7
     if isinstance(expected, Planned):
@@ -55,11 +54,8 @@ def test_a_plan_is_the_same_from_another_process(planner: PlannerProcess) -> Non
 
 ECHO = """
 import companion.runtime.planner_process as process
-class Planner:
-    def __init__(self, *, lockstep, load): pass
-    def start(self): pass
-    def __call__(self, request, stop): return request.known
-process.Planner = Planner
+process.plan = lambda request, stop: request.known
+process.load_kernel = lambda: None
 process.main()
 """
 
@@ -85,6 +81,14 @@ def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(
 
 def test_one_process_answers_any_number_of_questions(planner: PlannerProcess) -> None:
     assert [planner(request_of(number), never).plan_id for number in (1, 2, 3)] == [1, 2, 3]
+
+
+def test_what_is_ready_before_the_flight_is_not_started_again(planner: PlannerProcess) -> None:
+    planner.start()
+    before = planner.pid
+    planner.start()
+    assert planner.pid == before
+    assert planner(request_of(1), never).plan_id == 1
 
 
 def test_a_process_that_is_killed_is_an_error_that_says_so(planner: PlannerProcess) -> None:
@@ -113,14 +117,12 @@ def test_a_plan_that_raises_is_an_error_with_its_words(
 ) -> None:
     text = """
 import companion.runtime.planner_process as process
-class Planner:
-    def __init__(self, *, lockstep, load): pass
-    def start(self): print("noise on the standard output")
-    def __call__(self, request, stop):
-        if request.plan_id == 1: raise ZeroDivisionError("made up")
-        while not stop(): pass
-        return "stopped"
-process.Planner = Planner
+def plan(request, stop):
+    if request.plan_id == 1: raise ZeroDivisionError("made up")
+    while not stop(): pass
+    return "stopped"
+process.plan = plan
+process.load_kernel = lambda: print("noise on the standard output")
 process.main()
 """
     planner = module(tmp_path, monkeypatch, text)
@@ -145,6 +147,22 @@ def test_a_process_that_does_not_come_up_is_an_error(
     with pytest.raises(PlannerEndedError, match="exit code 3"):
         planner.start()
     planner.close()
+
+
+COMPILING = """
+import threading
+import companion.runtime.planner_process as process
+process.load_kernel = threading.Event().wait
+process.main()
+"""
+
+
+def test_a_planner_that_still_compiles_does_not_outlive_its_companion() -> None:
+    command = [sys.executable, "-c", COMPILING]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdin is not None
+        child.stdin.close()
+        assert child.wait(30.0) == 0
 
 
 PARENT = """

@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import all as wire
 from tlog import recorded_frames
 
 from companion.errors import InputError
+from companion.mission.journal import VERSION
 from companion.mission.start import Resume
 from companion.telemetry.inputs import InputsFile
 from companion.telemetry.run_folder import RunFolder, resume_head, whole_records
@@ -111,7 +112,7 @@ def test_the_journal_is_a_header_and_a_line_for_each_entry(folder: RunFolder) ->
     close(folder)
     lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     head, *entries = map(strict, lines)
-    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", 3, 1)
+    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", VERSION, 1)
     assert [entry["t_s"] for entry in entries] == [0.1, 0.2, 0.3]
     assert entries[0]["text"] == 'a "quoted"\nline, é'
 

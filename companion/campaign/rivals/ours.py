@@ -11,7 +11,6 @@ from companion.campaign.rivals.flight import Knowledge, RouteFlight
 from companion.planner.offline import fly_offline
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import Truth, simulated_scan, true_map
 
@@ -21,12 +20,12 @@ _STOPS_M = 1.0  # who has flown a leg to within this of its end has stopped ther
 
 def fly(world: DrawnWorld, *, knowledge: Knowledge = "scans", seed: int = 1) -> RouteFlight:
     """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
-    plan_s, kernel, blank = list[float](), load_kernel(), _known(world, knowledge)
+    plan_s, blank = list[float](), _known(world, knowledge)
     truth = Truth.of(world.terrain, blank)
 
     def timed(request: PlanRequest) -> PlanOutcome:
         began_s = time.process_time()
-        outcome = plan(request, kernel=kernel)
+        outcome = plan(request)
         plan_s.append(time.process_time() - began_s)
         return outcome
 
