@@ -82,7 +82,7 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
     """Advance the reference point and send it; scan at p_scan."""
-    if (step := circling_near_zone(state, event)) is not None:
+    if state.flight.leg is None and (step := circling_near_zone(state, event)) is not None:
         return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and battery_runs_low(state):
