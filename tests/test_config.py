@@ -12,6 +12,8 @@ from companion.config import bundled, load_mission, load_world, mission_text
 from companion.errors import InputError
 from companion.mission.mission import EndAction, Mission
 from companion.optimise.registry import OPTIMISERS
+from companion.sources.files import toml_text
+from companion.sources.schema import REMOVED
 
 ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 TEXT = (ENVIRONMENTS / "environment-1" / "mission.toml").read_text(encoding="utf-8")
@@ -130,6 +132,27 @@ def test_the_optimiser_is_the_profiles_unless_the_mission_names_one(file: Path, 
     named = TEXT.replace("overlap_m", f'optimiser = "{name}"\noverlap_m', 1)
     assert load(file, named).task.settings.optimiser == name
     assert load(file, TEXT).task.settings.optimiser is None
+
+
+@pytest.mark.parametrize("gone", REMOVED)
+def test_a_key_or_value_that_is_gone_says_so_and_what_to_do(file: Path, gone: str) -> None:
+    path, _, value = gone.partition(" = ")
+    *tables, key = path.split(".")
+    text = (ENVIRONMENTS / "forest" / "mission.toml").read_text(encoding="utf-8")
+    table = tomllib.loads(text)
+    place = functools.reduce(lambda at, name: at.setdefault(name, {}), tables, table)
+    place[key] = value or 1.0
+    said = refused(file, toml_text(table))
+    assert said.endswith(
+        f"{path} = {place[key]!r}: it was removed in this version. {REMOVED[gone]}"
+    )
+
+
+def test_a_world_of_before_says_what_of_it_is_gone(tmp_path: Path) -> None:
+    path = tmp_path / "world.toml"
+    path.write_text(f"{WORLD_TEXT}\n[[traffic]]\nicao_address = 7\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"traffic = .*: it was removed in this version\. Leave"):
+        load_world(str(path))
 
 
 def test_an_unknown_optimiser_is_told_the_known_ones(file: Path) -> None:

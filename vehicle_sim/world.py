@@ -490,7 +490,11 @@ def flat_world(
 
 
 REMOVED = {
-    "traffic": "Leave it out: nobody reads ADS-B any more.",
+    "traffic": "Leave it out: the companion does not read ADS-B any more.",
+    "lidar.rows_deg": "Leave it out: its beams lie in one plane.",
+    "second_lidar.rows_deg": "Leave it out: its beams lie in one plane.",
+    "lidar.output = points": 'Write output = "driver".',
+    "second_lidar.output = points": 'Write output = "driver".',
 }
 """Keys and values ("table.key = value") of files for versions before, and what to do instead."""
 

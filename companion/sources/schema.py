@@ -149,6 +149,11 @@ Model = TypeVar("Model", bound=BaseModel)
 
 REMOVED = {
     "traffic": "Leave it out: keep vehicles apart by fences or altitudes of their own.",
+    "link.obstacle_distance": "Leave it out: companion view shows what the planner knows.",
+    "scanner.beam_deg": "Leave it out: sectors say how wide they are.",
+    "scanner.kind = obstacle_distance_3d": (
+        'Write kind = "obstacle_distance", and let the driver send OBSTACLE_DISTANCE.'
+    ),
 }
 """Keys and values ("table.key = value") of files for versions before, and what to do instead."""
 

@@ -1,13 +1,16 @@
 import copy
+import functools
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from vehicle_sim.cli import bundled_worlds
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.errors import InputError
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import parse_world, read_world
+from vehicle_sim.world import REMOVED, parse_world, read_world
 
 Table = dict[str, Any]
 
@@ -185,3 +188,17 @@ def test_the_drag_that_a_file_gives_is_flown(
     copter = simulation.vehicle
     assert isinstance(copter, Copter)
     assert (copter.drag_1_s, copter.drag_1_m) == (drag_1_s, 0.0)
+
+
+@pytest.mark.parametrize("gone", REMOVED)
+def test_a_key_or_value_that_is_gone_says_so_and_what_to_do(gone: str) -> None:
+    table = tomllib.loads(bundled_worlds()["forest"].read_text(encoding="utf-8"))
+    table["second_lidar"] = dict(table["lidar"])
+    path, _, value = gone.partition(" = ")
+    *tables, key = path.split(".")
+    place = functools.reduce(lambda at, name: at[name], tables, table)
+    place[key] = value or [1.0]
+    with pytest.raises(InputError) as refused:
+        parse_world(table)
+    rule = "was removed in this version"
+    assert str(refused.value) == f"{path} = {place[key]!r}: {rule}. {REMOVED[gone]}"
