@@ -20,7 +20,14 @@ from rich.console import Console
 
 from companion.campaign.command import campaign_app
 from companion.compare.command import compare_app
-from companion.config import bundled, load_mission, load_world, mission_name, mission_text
+from companion.config import (
+    bundled,
+    load_mission,
+    load_world,
+    mission_name,
+    mission_text,
+    refuse_older,
+)
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 from companion.live_view.command import (
     VIEW_PORT,
@@ -42,7 +49,7 @@ from companion.replay.command import ProfileName, replay_command
 from companion.replay.export_command import export
 from companion.runtime.compiler import load_kernel
 from companion.runtime.keys import SigningKey
-from companion.runtime.link import open_link, open_links
+from companion.runtime.link import open_link
 from companion.runtime.loop import fly
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.preflight import run_preflight
@@ -116,14 +123,6 @@ ConnectOption = Annotated[
         "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
     ),
 ]
-GroundOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="LINK",
-        help="Where a ground station is that cannot reach the companion through the vehicle: "
-        "an address as of --connect. May be given several times.",
-    ),
-]
 SystemOption = Annotated[
     int | None,
     typer.Option(
@@ -145,7 +144,6 @@ KeyOption = Annotated[
 def fly_command(
     mission: MissionArgument,
     connect: ConnectOption = _CONNECT,
-    ground: GroundOption = None,
     system: SystemOption = None,
     lockstep: Annotated[
         bool,
@@ -213,13 +211,13 @@ def fly_command(
             rule = "there is no flight to go on with"
             raise InputError("--resume", True, rule, "Give the run folder with --out.")
         if resume and out is not None and (out / "mission.toml").is_file():
+            refuse_older(out)
             mission = _as_begun(mission, out)
         chosen = _for_system(load_mission(mission, profile), system)
         _say_notes(chosen, shows.console)
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         key = None if signing_key is None else SigningKey(signing_key)
         recalled = _recalled(folder_path, chosen, shows.console) if resume else None
-        grounds = ground or []
         session = Session(
             chosen,
             seed=seed,
@@ -227,14 +225,13 @@ def fly_command(
             shadow=shadow,
             signing=key and key.signing(clock_s=_clock_s()),
             resume=recalled and recalled.resume,
-            has_ground=bool(grounds),
             go=start,
             version=version("companion"),
         )
         if view:
             asked = Asked(paths=(str(folder_path),), port=view_port, live=True)
             stack.enter_context(started_view(asked, console))
-        flown = _flown(session, connect, grounds, folder_path, mission, key, recalled, shows)
+        flown = _flown(session, connect, folder_path, mission, key, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
         if view and console.is_terminal and not stopped:
             stay(console)
@@ -246,14 +243,6 @@ def preflight_command(
     mission: MissionArgument,
     connect: ConnectOption = _CONNECT,
     system: SystemOption = None,
-    turn: Annotated[
-        bool,
-        typer.Option(
-            "--turn",
-            help="Wait until the vehicle was turned on the spot by 90 degrees, for how its lidar "
-            "is mounted.",
-        ),
-    ] = False,
     signing_key: KeyOption = None,
     profile: ProfileOption = None,
 ) -> None:
@@ -265,9 +254,6 @@ def preflight_command(
     console = plain_console(soft_wrap=True)
     chosen = _for_system(load_mission(mission, profile), system)
     _say_notes(chosen, console)
-    if turn and chosen.near is None:
-        rule = "the mission's scanner is not a sensor of near things"
-        raise InputError("--turn", turn, rule, "Leave it out, or name one in [scanner].")
     key = None if signing_key is None else SigningKey(signing_key)
     signing = None if key is None else key.signing(clock_s=_clock_s())
     session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
@@ -280,7 +266,6 @@ def preflight_command(
             session,
             link,
             stop_asked=lambda: bool(stop_asked),
-            turn=turn,
             on_progress=lambda text: status.update(f"waiting for {text}"),
         )
     if key is not None and signing is not None:
@@ -487,7 +472,6 @@ def _clock_s() -> float:
 def _flown(
     session: Session,
     connect: str,
-    ground: list[str],
     folder_path: Path,
     mission: str,
     key: SigningKey | None,
@@ -509,7 +493,6 @@ def _flown(
     with contextlib.ExitStack() as until_shown:
         with (
             open_link(connect) as link,
-            open_links(ground, "--ground") as grounds,
             RunFolder(
                 folder_path,
                 mission_toml=mission_text(mission),
@@ -551,7 +534,6 @@ def _flown(
                 session,
                 link,
                 folder,
-                ground=grounds,
                 lockstep=lockstep,
                 on_progress=show,
                 stop_asked=lambda: bool(stop_asked),

@@ -3,7 +3,9 @@
 What a mission file means is `mission_file`'s part; the tables are in `schema` and `mission_schema`.
 """
 
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple, final
@@ -25,12 +27,14 @@ from companion.sources.files import (
 from companion.sources.mission_file import MissionFile, complete, explained, mission_of
 from companion.sources.mission_schema import MissionTable
 from companion.sources.recognised import is_plan, refuse_other
-from companion.sources.schema import FileWorldTable, WorldTable, validated
+from companion.sources.schema import FileWorldTable, WorldTable, removed_key, validated
 from companion.sources.waypoint_file import is_waypoint_list
 from companion.world.terrain import Peak, PeakTerrain, Terrain
 
 _OF_MISSIONS = {"targets", "planner", "altitude", "plan", "from_vehicle"}
 """Keys that only missions have."""
+_OLDER = re.compile(rb'\{"schema":"companion-journal","version":([12])[,}]')
+_HEADER_BYTES = 100
 
 
 @final
@@ -90,6 +94,24 @@ def load_mission(
         return mission_of(model, profile, name_or_path, whole.notes)
     except InputError as error:
         raise explained(error, whole.assumed, name_or_path) from None
+
+
+def refuse_older(run_dir: Path) -> None:
+    """InputError about the run folder of an older companion, before anything of it is touched.
+
+    Whatever else may be wrong with it is found by those who read it.
+    """
+    by = ""
+    with suppress(OSError), (run_dir / "journal.jsonl").open("rb") as file:
+        found = _OLDER.match(file.readline(_HEADER_BYTES))
+        if found is not None:
+            by = f"its journal is of version {found[1].decode()}"
+    with suppress(InputError):
+        if gone := removed_key(toml_table(read_text(run_dir / "mission.toml", "RUN_DIR", ""), "")):
+            by = by or f"its mission.toml has {gone}, which was removed"
+    if by:
+        rule, remedy = f"an older companion has recorded it: {by}", "Use companion 0.2.0 for it."
+        raise InputError("RUN_DIR", str(run_dir), rule, remedy)
 
 
 def _is_plan(name_or_path: str) -> bool:

@@ -1,7 +1,6 @@
 """What a number may be by itself, said once: in the type of the field that holds it.
 
-Mission files (`sources`) and the parameters of a ground station (`planner.adjustable`) are held to
-it.  No number may be infinite, or none at all.
+Mission files (`sources`) are held to it.  No number may be infinite or none at all.
 """
 
 from typing import Annotated

@@ -14,7 +14,6 @@ event at the first position at or after request + T, never earlier; in lockstep 
 that position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
 """
 
-import dataclasses
 import enum
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,15 +22,15 @@ from typing import Any, Final, final
 
 from msgspec.structs import replace
 
-from companion.mavlink import near_scanner, near_sensing, traffic
+from companion.mavlink import near_scanner, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
-from companion.mavlink.component import REQUESTS, Component
+from companion.mavlink.commands import MESSAGES as COMMANDS
+from companion.mavlink.component import Component
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Incoming, boot_ms_of
 from companion.mavlink.link import (
     TIME_ONLY_MESSAGES,
-    VEHICLE_LINK,
     ClockReading,
     FrameEncoder,
     Inbox,
@@ -82,7 +81,6 @@ _ROUTINE: Final = (
     events.VehicleStatus,
     events.NearSeen,
     events.GroundSeen,
-    events.OthersHeard,
 )
 """Frequent events: without journal entries, and housekeeping can wait."""
 
@@ -119,11 +117,10 @@ class Session:
         shadow: bool = False,
         signing: Signing | None = None,
         resume: Resume | None = None,
-        has_ground: bool = False,
         go: bool = False,
         version: str = "0",
     ) -> None:
-        """resume: from a previous companion; has_ground: there are ground station links.
+        """resume: from a previous companion.
 
         go: take off as soon as the vehicle is ready, without being told; in lockstep always.
         """
@@ -141,13 +138,13 @@ class Session:
         self.vehicle: AutopilotClient | None = None
         """The autopilot, once it is known."""
         self._inbox = Inbox(signing, near_scanner.messages_of(mission))
-        self.receiver = self._inbox.receivers[VEHICLE_LINK]
+        self.receiver = self._inbox.receiver
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
         self.selector = VehicleSelector(mission.system_id or before)
         """Which of those that are heard is the vehicle."""
-        self._outbox = FrameEncoder(self.selector.system_id, signing, has_ground=has_ground)
+        self._outbox = FrameEncoder(self.selector.system_id, signing)
         self._out = self._outbox.out
         self._texts = StatusTexts()
         self.near = None if mission.near is None else NearScanner(mission)
@@ -155,7 +152,6 @@ class Session:
         self.rangefinder = Rangefinder.of(mission)
         """Reads the one that looks down, if the mission compares it with the map."""
         self._scanning = self.near or ScanClient(mission)
-        self._others = mission.traffic and traffic.Listener(mission)
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0
@@ -178,7 +174,7 @@ class Session:
         """Messages of sensors by number: system and component of who sends them."""
         self._silence_told_s = 0.0
         self._at_s: float | None = None
-        start = Start.of(self.context, resume, version=version, has_ground=has_ground)
+        start = Start.of(self.context, resume, version=version)
         self._out.inputs.append(("start", start.values()))
         if resume is not None:
             self._note("resumed", **checkpoint.resumed_entry(resume[0]))
@@ -196,30 +192,23 @@ class Session:
 
     @property
     def senders(self) -> list[tuple[int, int]]:
-        """System and component of all that were heard on the vehicle's link."""
+        """System and component of all that were heard."""
         return sorted(self._inbox.counted)
 
     # --- what the runtime calls
 
-    def receive(self, data: bytes, at_s: float | None = None, link: int = VEHICLE_LINK) -> bool:
-        """Receive bytes of a link; returns whether a relevant sender was heard.
+    def receive(self, data: bytes, at_s: float | None = None) -> bool:
+        """Receive bytes of the link; returns whether the autopilot was heard.
 
-        That is the autopilot; on ground station links (1 and up), any sender. at_s: time of
-        arrival, by any monotonic clock, for round trip times.
+        at_s: time of arrival, by any monotonic clock, for round trip times.
         """
         self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
-        messages = self._inbox.feed(data, at_s, link)
-        frames = b"".join(map(_frame_of, messages))
-        which = (
-            ("receive", frames, at_s) if link == VEHICLE_LINK else ("receive", frames, at_s, link)
-        )
-        self._out.inputs.append(which)
+        messages = self._inbox.feed(data, at_s)
+        self._out.inputs.append(("receive", b"".join(map(_frame_of, messages)), at_s))
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
             self.complain(complaint)
-        if link != VEHICLE_LINK:
-            return bool(messages)
         if heard := any(map(self.selector.is_ours, messages)):
             self._silence_told_s = 0.0
         return heard
@@ -322,8 +311,8 @@ class Session:
         self._out.inputs.append(("farewell",))
         self._send_all(self._holding())
         if self._end is None:
-            self._send_all_to_ground(self._texts.last("ended: the companion was stopped"))
-        self._send_all_to_ground([heartbeat(wire.MAV_STATE_POWEROFF)])
+            self._send_all(self._texts.last("ended: the companion was stopped"))
+        self._send_all([heartbeat(wire.MAV_STATE_POWEROFF)])
         self._keep(at_once=True)
         return self.take_output()
 
@@ -360,12 +349,11 @@ class Session:
     def _on_message(self, heard: Incoming) -> bool:
         """Handle one message: clock, duplicate ids, then its meaning.
 
-        On ground station links only requests to us are handled, never a vehicle's messages.  False,
-        without effect, for a position that has to wait for a plan.
+        False, without effect, for a position that has to wait for a plan.
         """
         number, role = heard.number, None
         is_read = heard.message is not None or number in TIME_ONLY_MESSAGES
-        if heard.link == VEHICLE_LINK and is_read:
+        if is_read:
             if number == _HEARTBEAT or self.selector.system_id is None:
                 self._select(heard)
             if heard.system == self.selector.system_id:
@@ -383,27 +371,17 @@ class Session:
                 is_read = self._on_time(time_s, heard, ticks=False)
             elif (clock := _CLOCKS.get(number)) is not None:
                 is_read = clock(self, heard)
-        if number in _SENSED and heard.link == VEHICLE_LINK:
+        if number in _SENSED:
             self.sensed.setdefault(number, set()).add((heard.system, heard.component))
         self._out.record.append((self.clock.now_s, heard.frame))
         if heard.component == COMPANION_COMPONENT:
             self._look_for_duplicates(heard)
-        if self._others is not None and number in traffic.MESSAGES and is_read:
-            self._hear_others(self._others, heard)
-        if is_read and number in REQUESTS:
+        if is_read and number in COMMANDS:
             self._serve(heard)
         if is_read and role is not None:
             handler = _HANDLERS.get((role, number)) or _OTHERS[role]
             handler(self, heard)
         return True
-
-    def _hear_others(self, others: traffic.Listener, heard: Incoming) -> None:
-        """A message that may be about others in the air."""
-        ours = self.selector.system_id
-        if ours is not None and heard.link == VEHICLE_LINK:
-            others.on_message(heard, self.now_s, ours)
-            for text in others.news():
-                self._send_text(text, warning=True)
 
     def _look_for_duplicates(self, heard: Incoming) -> None:
         """Check whether another process with our ids has sent it."""
@@ -466,8 +444,6 @@ class Session:
         if event is not None:
             if self.rangefinder is not None:
                 self._look_down(event)
-            if self._others is not None:
-                self._handle(self._others.others(event, vehicle.system_id))
             self._handle(event)
         if now_s >= plan.due_s and shadow and (answer := plan.take(now_s)) is not None:
             self._handle(answer)  # the position before may be a second old
@@ -518,11 +494,6 @@ class Session:
             self._handle(event)
         self._due_s = -math.inf
 
-    def _on_wind(self, heard: Incoming) -> None:
-        """For people to see: nothing is decided by it."""
-        if self.vehicle is not None:
-            self.vehicle.on_wind(heard.message, self.now_s)
-
     def _on_timesync(self, heard: Incoming) -> None:
         """A TIMESYNC answer, or a request: a simulator in lockstep advances once it is answered."""
         message = heard.message
@@ -547,7 +518,7 @@ class Session:
         self.vehicle = AutopilotClient.found(message, self.context)
         traits = None
         if self.vehicle is not None:
-            self._component = Component(self.mission, system, self.state.task, self._version)
+            self._component = Component(self.mission, system, self._version)
             traits = self.vehicle.autopilot.traits
         found: dict[str, Any] = {"system_id": system, "name": name}
         self._note("vehicle found", **found)
@@ -559,22 +530,18 @@ class Session:
             return
         self._due_s = -math.inf
         served = component.on_message(heard.message, self.now_s)
-        reply = self._send_all if heard.link == VEHICLE_LINK else self._outbox.send_to_ground
-        (self._send_all_to_ground if served.is_for_all else reply)(served.replies)
+        self._send_all(served.replies)
         if served.note is not None:
             self._note(**served.note)
         if served.text:
             self._send_text(served.text, warning=True)
         if served.order is not None:
             verdict = self._judged(served.order)
-            reply(component.order_done(served.order, verdict))
+            self._send_all(component.order_done(served.order, verdict))
             if verdict is changes.OrderResult.ACCEPTED:
                 self._handle(served.order)
             else:
                 self._send_text(changes.why_not(self.state, served.order), warning=True)
-        if served.task is not None:
-            task = dataclasses.replace(served.task, zones=self.state.given.zones)
-            self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
     def _judged(self, order: events.Order) -> changes.OrderResult:
         """The result of an order; of a go, after a look at every check."""
@@ -656,11 +623,11 @@ class Session:
                 self._send_text(self.vehicle.notes.pop(0), warning=False)
         if self._component is not None:
             faulted = self.state.phase is Phase.FAULTED or self._end is not None
-            self._send_all_to_ground(self._component.on_time(now_s, self.state, faulted=faulted))
+            self._send_all(self._component.on_time(now_s, self.state, faulted=faulted))
         elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._mode_asked_at_s = now_s  # no vehicle is known yet: only our heartbeat
-            self._send_all_to_ground([heartbeat(wire.MAV_STATE_STANDBY)])
-        self._send_all_to_ground(self._texts.due(now_s))
+            self._send_all([heartbeat(wire.MAV_STATE_STANDBY)])
+        self._send_all(self._texts.due(now_s))
         left = self._last_asked if self._end is not None and not self._settled() else ()
         if left and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             for command in left:
@@ -780,9 +747,6 @@ class Session:
             case events.RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
-            case events.ClaimWay():
-                message = traffic.claim_message(command, self.mission)
-                self._send_all([] if message is None else [message])
             case events.Setpoint():
                 pass  # goes out at once, or in shadow never
             case SetMode() | Disarm() | events.SetSpeed() | events.Arm() | events.TakeOff():
@@ -809,7 +773,7 @@ class Session:
         held = any(isinstance(each, SetMode) and each.mode is Mode.HOLD for each in told)
         text, messages = self._texts.end(end, held=held, disarmed=Disarm() in told)
         self._note("say", text=text, warning=end.outcome is not events.Outcome.ARRIVED)
-        self._send_all_to_ground(messages)
+        self._send_all(messages)
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle has done what it was told last."""
@@ -823,9 +787,6 @@ class Session:
 
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)
-
-    def _send_all_to_ground(self, messages: Iterable[Message]) -> None:
-        self._outbox.send(messages, self.now_s, to_ground=True)
 
     def _note(self, kind: str, **values: Any) -> None:
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})
@@ -843,8 +804,6 @@ _HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]]
     (Role.AUTOPILOT, _POSITION): Session._on_position,
     (Role.AUTOPILOT, _HEARTBEAT): Session._on_heartbeat,
     (Role.AUTOPILOT, _TIMESYNC): Session._on_timesync,
-    (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND): Session._on_wind,
-    (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND_COV): Session._on_wind,
     **{(Role.AUTOPILOT, number): Session._after_time_only for number in TIME_ONLY_MESSAGES},
 }
 _OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {

@@ -140,6 +140,6 @@ def test_a_clone_is_set_up_with_what_its_user_needs(wanted: str, modules: str) -
     }
     assert "pytest" in names
     setup = (ROOT / "scripts" / "setup.sh").read_text(encoding="utf-8")
-    [compiles] = re.findall(r"^compiles='(.*?)\n[^\n]*load_kernel\(\)'$", setup, re.M | re.S)
+    [compiles] = re.findall(r"^compiles='(.*?)\n[^\n]*load_proof\(\)'$", setup, re.M | re.S)
     program = WITHOUT_DEVELOPERS.format(names=names, compiles=compiles, modules=modules)
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, timeout=120)

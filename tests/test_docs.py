@@ -108,7 +108,6 @@ NOT_RUN = {
     r"companion view ": "until Ctrl-C, for a browser: live_view/",
     r"companion campaign ": "takes minutes to hours: tests of companion/campaign run small ones",
     r"companion compare ": "takes minutes: compare/ computes a part of it",
-    r"companion replay FILE --connect ": "in real time, to a ground station: replay/",
     r"companion replay (RUN_DIR|runs/)": "of a whole flight: test_release and closed_loop/",
     r"vehicle-sim": "until its client leaves: vehicle_sim/ and interop/",
     r"scripts/fly$": "sets a clone up: test_ci; its flight: closed_loop/",

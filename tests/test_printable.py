@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.errors import FlightFailed
 from companion.mavlink.frames import Receiver
+from companion.mission.journal import VERSION
 from companion.printable import printable, with_printable_texts
 from companion.sources.files import json_table, toml_table
 from companion.telemetry.journal import Journal
@@ -83,7 +84,7 @@ def test_texts_of_files_are_cleaned_where_they_are_read(text: str, tmp_path: Pat
     [(key, [value])] = json_table(tmp_path / "a.json", "file", "Mend it.").items()
     assert is_fit(key + value)
     journal = tmp_path / "journal.jsonl"
-    header = {"schema": "companion-journal", "version": 3, "mission": text, "seed": 1}
+    header = {"schema": "companion-journal", "version": VERSION, "mission": text, "seed": 1}
     header |= {"profile": "flight", "lockstep": True}
     said = {"t_s": 1.0, "kind": "vehicle says", "text": text}
     lines = [json.dumps(each, separators=(",", ":")) for each in (header, said)]

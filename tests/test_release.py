@@ -69,7 +69,7 @@ def test_the_wheel_has_both_packages_with_all_their_data_and_nothing_else(built:
     assert names == files(ROOT, *OURS)
     assert {"licenses/LICENSE", "licenses/THIRD-PARTY.md", "entry_points.txt"} <= about
     kinds = {Path(name).suffix for name in names}
-    assert {".toml", ".tif", ".j2", ".parm", ".boot", ".table", ".typed"} <= kinds
+    assert {".toml", ".tif", ".j2", ".parm", ".typed"} <= kinds
 
 
 def test_the_source_distribution_has_what_the_suite_needs(built: Path, folder: Path) -> None:

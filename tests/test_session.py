@@ -333,25 +333,6 @@ def test_a_pause_from_who_may_stops_the_vehicle_and_is_acknowledged() -> None:
     assert it.out.end.outcome is Outcome.ARRIVED
 
 
-def set_parameter(
-    it: Pair, name: str, value: float, sender: tuple[int, int] = (255, 190)
-) -> list[Any]:
-    codec = wire.MAVLink(None, srcSystem=sender[0], srcComponent=sender[1])
-    count = len(it.frames)
-    it.feed(wire.MAVLink_param_set_message(1, 195, name.encode(), value, 9).pack(codec))
-    return [m for m in messages(it.frames[count:]) if m.get_type() == "PARAM_VALUE"]
-
-
-def test_a_setting_is_answered_noted_and_counts_in_the_next_plan() -> None:
-    it = pair().run_until(lambda it: it.session.state.phase is Phase.TAKING_OFF)
-    [answer] = set_parameter(it, "PLN_SAFE_DIST", 600.0)
-    assert answer.param_value == 600.0
-    assert "setting" in kinds(it)
-    it.run_until(lambda it: it.asked is not None)
-    assert it.asked is not None
-    assert it.asked.task.settings.safety_distance_m == 600.0
-
-
 # --- a reserve for the parts that die, and for the next companion
 
 

@@ -16,7 +16,6 @@ from vehicle_sim.autopilots.factory import personality_of, with_own_ids
 from vehicle_sim.errors import InputError
 from vehicle_sim.faults.timeline import Timeline
 from vehicle_sim.links import Endpoint, Link, open_link, parse_endpoint
-from vehicle_sim.parameters import without_effect
 from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.terminal import run
@@ -51,7 +50,6 @@ _MAX_VEHICLES = 250
 _PX4_TIME_OUTS_S = {
     "COM_OF_LOSS_T": 1.0,
     "COM_DL_LOSS_T": 10.0,
-    "COM_RC_LOSS_T": 0.5,
     "COM_OBC_LOSS_T": 5.0,
 }
 _MAX_SHOWN = 12
@@ -173,8 +171,6 @@ def fly(
         ]
         used = [link.endpoint for links in opened for link in links]
         _say(_opening(worlds, used, settings))
-        for name in sorted(_names(param or []) & without_effect()):
-            _say(f"{name} is kept and can be read, but has no effect in this simulator.")
         stations = [
             Station(simulation=each, links=opened[k if port_step else 0], truth=truths[k])
             for k, each in enumerate(simulations)
@@ -324,10 +320,6 @@ def _with_parameters(world: World, assignments: list[str]) -> World:
     parameters = vehicle.parameters | added
     vehicle = with_own_ids(dataclasses.replace(vehicle, parameters=parameters))
     return dataclasses.replace(world, vehicle=vehicle)
-
-
-def _names(assignments: list[str]) -> set[str]:
-    return {text.partition("=")[0] for text in assignments}
 
 
 def _row(world: World, count: int, port_step: int) -> list[World]:

@@ -11,13 +11,11 @@ from typing import Any, final
 from vehicle_sim.autopilots import (
     Ack,
     Autopilot,
-    Event,
     Reboot,
     Reply,
     Report,
     Sender,
     SendMessage,
-    SendParameter,
     SendTelemetry,
     Text,
 )
@@ -25,7 +23,7 @@ from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
-from vehicle_sim.wire.missions import ArduPilotMissions, Px4Missions, store
+from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
 from vehicle_sim.wire.radio import Radio
@@ -41,10 +39,7 @@ _SET_MODE = 11
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
 _STREAM_PARAMETERS = {
-    1: "RAW_SENS",
     2: "EXT_STAT",
-    3: "RC_CHAN",
-    4: "RAW_CTRL",
     6: "POSITION",
     10: "EXTRA1",
     11: "EXTRA2",
@@ -80,7 +75,7 @@ class FlightController:
         self._is_px4 = is_px4 = profile.firmware == "px4"
         self._messages = (telemetry_px4 if is_px4 else telemetry_ardupilot).MESSAGES
         self._parameter_protocol = ParameterProtocol(autopilot)
-        self._mission_protocol = (Px4Missions if is_px4 else ArduPilotMissions)(autopilot)
+        self._mission_protocol = Missions(autopilot)
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
@@ -172,13 +167,6 @@ class FlightController:
                     self._send(reply.message, reply.to)
                 case SendMessage():
                     self._deliver(reply.message, reply.to)
-                case SendParameter():
-                    self._say_parameter(reply.name)
-                case Event():
-                    boot_ms = (self.now_us - self.boot_us) // 1000
-                    sequence = (self.report.event_sequence + 1) % 65536
-                    self.report.event_sequence = sequence
-                    self._radio.broadcast(messages.event(reply, sequence, boot_ms))
                 case Reboot():
                     self.wants_reboot = True
                 case None:
@@ -197,12 +185,6 @@ class FlightController:
             self._radio.broadcast(message)
         else:
             self._radio.send(message, to.link)
-
-    def _say_parameter(self, name: str) -> None:
-        """ArduPilot sends it to links on which a sender was heard."""
-        for link in self._radio.links:
-            if self._is_px4 or self._radio.router.heard(link):
-                self._radio.send(self._parameter_protocol.value(name), link)
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
@@ -236,9 +218,6 @@ class FlightController:
             case "SET_POSITION_TARGET_GLOBAL_INT" | "SET_POSITION_TARGET_LOCAL_NED":
                 setpoint = messages.setpoint(message)
                 return () if self.setpoints_ignored else autopilot.on_setpoint(setpoint)
-            case "SET_ATTITUDE_TARGET":
-                target = messages.attitude_target(message)
-                return () if self.setpoints_ignored else autopilot.on_attitude(target)
             case "TIMESYNC" if message.tc1 == 0:
                 said = messages.time_sync(since_boot_us * 1000, message.ts1, sender)
                 return (SendMessage(message=said, to=sender),)
@@ -261,12 +240,6 @@ class FlightController:
             case _ if message.get_msgId() in MISSION:
                 self.transfers = True
                 return self._mission_protocol.on_message(message, sender, self.now_us)
-            case "MANUAL_CONTROL":
-                return autopilot.on_manual_control(messages.manual_control(message, sender))
-            case "PING" if is_px4 and message.target_system == 0:
-                return (SendMessage(message=messages.pong(message, sender), to=sender),)
-            case "TERRAIN_CHECK" if not is_px4:  # there is no terrain data here either
-                return (SendMessage(message=messages.no_terrain(message), to=sender),)
             case "SETUP_SIGNING" if self._radio.signing is not None:
                 return (self._radio.signing.setup(message, armed=autopilot.armed),)
             case "FILE_TRANSFER_PROTOCOL":

@@ -1,13 +1,12 @@
 """An autopilot's parameters: a fixed table of names, types and defaults, and what is set now."""
 
 import enum
-import functools
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Literal, final
+from typing import Final, Literal, final
 
 from vehicle_sim.errors import InputError, did_you_mean
 
@@ -73,10 +72,10 @@ class Parameters:
 
     def _remedy(self, name: str) -> str:
         """What a name may stand for that is not in the table."""
-        for was, now, *note in lines_of("renamed.table", 2):
+        for was, now, note in RENAMED:
             known = re.sub(was, now, name) if re.fullmatch(was, name) else ""
             if known in self._rows:
-                return f"It is called {known} here{', ' if note else ''}{''.join(note)}."
+                return f"It is called {known} here{note and ', '}{note}."
         return did_you_mean(name, self._rows, "Leave it out.")
 
     def __getitem__(self, name: str) -> float:
@@ -125,33 +124,47 @@ class Parameters:
 
 Readable = Mapping[str, float] | Parameters
 
+RENAMED: Final = (
+    ("SYSID_THISMAV", "MAV_SYSID", ""),
+    ("SYSID_THISMAV", "MAV_SYS_ID", ""),
+    ("MAV_SYS_ID", "MAV_SYSID", ""),
+    ("MAV_SYSID", "MAV_SYS_ID", ""),
+    ("SYSID_MYGCS", "MAV_GCS_SYSID", ""),
+    ("SYSID_ENFORCE", "MAV_OPTIONS", ""),
+    (r"SR0_(\w+)", r"MAV1_\1", ""),
+    (r"SR1_(\w+)", r"MAV2_\1", ""),
+    (r"SR[2-9]_(\w+)", r"MAV2_\1", "for the second link; the others have none"),
+    ("ARSPD_FBW_MIN", "AIRSPEED_MIN", ""),
+    ("ARSPD_FBW_MAX", "AIRSPEED_MAX", ""),
+    ("TRIM_ARSPD_CM", "AIRSPEED_CRUISE", "in m/s"),
+    ("LIM_ROLL_CD", "ROLL_LIMIT_DEG", "in deg"),
+    ("ALT_HOLD_RTL", "RTL_ALTITUDE", "in m"),
+    ("FS_GCS_ENABLE", "FS_GCS_ENABL", ""),
+    ("FS_GCS_ENABL", "FS_GCS_ENABLE", ""),
+    ("ATC_ANGLE_MAX", "ANGLE_MAX", "in cdeg"),
+    ("WP_SPD", "WPNAV_SPEED", "in cm/s"),
+    ("WP_SPD_(UP|DN)", r"WPNAV_SPEED_\1", "in cm/s"),
+    ("WP_ACC", "WPNAV_ACCEL", "in cm/s2"),
+    ("WP_ACC_Z", "WPNAV_ACCEL_Z", "in cm/s2"),
+    ("WP_RADIUS_M", "WPNAV_RADIUS", "in cm"),
+    ("LAND_SPD_MS", "LAND_SPEED", "in cm/s"),
+    ("PSC_JERK_NE", "PSC_JERK_XY", ""),
+    ("PRX_TYPE", "PRX1_TYPE", ""),
+    (r"RNGFND_(\w+)", r"RNGFND1_\1", ""),
+    (r"SIM_GPS_(\w+)", r"SIM_GPS1_\1", ""),
+    ("SIM_GPS_DISABLE", "SIM_GPS1_ENABLE", ""),
+    ("COM_OBL_ACT", "COM_OBL_RC_ACT", ""),
+)
+"""Names that releases of the firmwares have or had, as patterns; the name that the simulated one
+has; a word about it.  The first that it has counts."""
+
 
 # --- the tables: *.parm, a row a line in the wire's order -----------------------------------------
 
 _KINDS = {"i8": Kind.INT8, "i16": Kind.INT16, "i32": Kind.INT32, "real": Kind.REAL32}
 
 
-def lines_of(
-    name: str,
-    splits: int | None = None,
-    *,
-    separator: str | None = None,
-    beside: str = "autopilots",
-) -> Iterator[list[str]]:
-    """The words of each line of a table in this subpackage, split so often at most."""
-    text = resources.files(f"vehicle_sim.{beside}").joinpath(name).read_text("utf-8")
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            yield line.split(separator, -1 if splits is None else splits)
-
-
-@functools.cache
-def without_effect() -> frozenset[str]:
-    """Parameters that are there to be read and written, because clients do, and do nothing."""
-    return frozenset(name for names in lines_of("without_effect.table") for name in names)
-
-
-def row_of(name: str, default: str, kind: str = "real", *limits: str) -> Parameter:
+def _row_of(name: str, default: str, kind: str = "real", *limits: str) -> Parameter:
     """The row that a line is: name, default, type (a float without one), least and most."""
     bounds = dict(zip(("least", "most"), map(float, limits), strict=False))
     return Parameter(name=name, default=float(default), kind=_KINDS[kind], **bounds)
@@ -159,5 +172,9 @@ def row_of(name: str, default: str, kind: str = "real", *limits: str) -> Paramet
 
 def table(*names: str) -> tuple[Parameter, ...]:
     """The rows of these files; a later one replaces an earlier one of its name in its place."""
-    rows = {words[0]: row_of(*words) for name in names for words in lines_of(f"{name}.parm")}
+    rows = dict[str, Parameter]()
+    for name in names:
+        text = resources.files("vehicle_sim.autopilots").joinpath(f"{name}.parm").read_text("utf-8")
+        lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
+        rows |= {words[0]: _row_of(*words) for words in lines}
     return tuple(rows.values())

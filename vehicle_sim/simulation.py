@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
+from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, Text
 from vehicle_sim.autopilots.factory import (
     ids_of,
     make_vehicle,
@@ -37,7 +37,6 @@ from vehicle_sim.sensors.lidar import Lidar, LidarTable, body_down_neu
 from vehicle_sim.sensors.terrain_radar import TerrainRadar
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire import messages
-from vehicle_sim.wire.adsb import AdsbReceiver
 from vehicle_sim.wire.lidar import LidarDriver
 from vehicle_sim.wire.proximity import RPLIDAR, Proximity, RangeSensors
 from vehicle_sim.wire.radar import RadarComponent
@@ -67,7 +66,7 @@ _LOW_M = 20.0
 _SLOPE_M = 0.5
 """The ground's slope is that between points so far to either side."""
 _FARTHEST_DOWN_M = 655.0
-_OF_OBSTACLES = ("OBSTACLE_DISTANCE", "OBSTACLE_DISTANCE_3D", "DISTANCE_SENSOR")
+_OF_OBSTACLES = ("OBSTACLE_DISTANCE", "DISTANCE_SENSOR")
 
 
 @final
@@ -137,8 +136,6 @@ class Simulation:
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
         names = ("lidar", "second lidar")
         self._lidars = [self._make_lidar(*each) for each in zip(world.lidars, names, strict=False)]
-        heard = world.traffic
-        self._adsb = AdsbReceiver(heard, self._frame, self._radio) if heard else None
         self._timeline = self._read_faults(faults)
         self._down_until_us, self._since_power_s = 0, 0.0
         self._boot(autopilot)
@@ -368,8 +365,6 @@ class Simulation:
         self._parameters[name] = value
         if self._is_down:
             return
-        if self._world.vehicle.autopilot == "px4":  # also reports changes by clients
-            self._controller.answer([SendParameter(name=name)])
         self._controller.answer(self._controller.autopilot.on_parameter(name))
 
     def _refresh(self) -> None:
@@ -475,10 +470,8 @@ class Simulation:
         return complete
 
     def _step_beside(self, complete: bool) -> None:
-        """What has its own power and its own computer: the radar, and who hears ADS-B."""
+        """What has its own power and its own computer: the radar."""
         now_us = self.now_us
-        if self._adsb is not None and now_us >= self._adsb.due_us:
-            self._adsb.step(now_us)
         if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, self._vehicle, self._conditions.radar, tick=complete)
 

@@ -238,22 +238,6 @@ class Wood:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
-class Aircraft:
-    """An aircraft that flies straight on from where it is at the start, and has ADS-B."""
-
-    icao_address: Annotated[int, Field(strict=True, ge=1, le=0xFFFFFF)]
-    callsign: Annotated[str, Field(strict=True, pattern="^[A-Z0-9]{0,8}$")] = ""
-    north_m: _Local
-    east_m: _Local
-    altitude_amsl_m: _Altitude
-    course_deg: Annotated[_Real, Field(ge=0, le=360)]
-    """From the local frame's north."""
-    speed_m_s: Annotated[_Real, Field(ge=0, le=300)]
-    climb_m_s: Annotated[_Real, Field(ge=-100, le=100)] = 0.0
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
 class World:
     """One world file."""
 
@@ -265,7 +249,6 @@ class World:
     scanner: Scanner | None = None
     """Left out: the vehicle has none."""
     radars: tuple[Threat, ...] = ()
-    traffic: tuple[Aircraft, ...] = ()
     area: AreaTable | None = None
     trees: tuple[Tree, ...] = ()
     woods: tuple[Wood, ...] = ()
@@ -477,9 +460,6 @@ def _check_lidar(world: World, name: str, lidar: LidarTable) -> None:
     if lidar.min_m >= lidar.range_m:
         rule = f"must be less than range_m, which is {lidar.range_m:g}"
         raise InputError(f"{name}.min_m", lidar.min_m, rule, "Lessen it.")
-    if len(lidar.rows_deg) > 1 and lidar.output != "points":
-        rule, remedy = "only points have rows", f'Write {name}.output = "points", or leave it out.'
-        raise InputError(f"{name}.rows_deg", lidar.rows_deg, rule, remedy)
     if lidar.output == "autopilot" and world.vehicle.autopilot != "ardupilot":
         rule = f"{world.vehicle.autopilot} has no driver for it"
         raise InputError(f"{name}.output", lidar.output, rule, "Write driver.")

@@ -7,7 +7,6 @@ from typing import Any, final
 
 from companion.mavlink.dialect import Message
 from companion.mission.events import Order
-from companion.planner.settings import Task
 
 Ids = tuple[int, int]
 """System and component id."""
@@ -31,17 +30,12 @@ class Reply:
 
     replies: Sequence[Message] = ()
     """To be sent now."""
-    is_for_all: bool = False
-    """Whether to broadcast them, not only answer the sender."""
     order: Order | None = None
     """The order to carry out; `order_done` returns its ACK."""
     note: dict[str, Any] | None = None
     """For the journal."""
     text: str = ""
     """Reason for a refusal, as text for the operator; empty if there is none."""
-    changed: str = ""
-    """Planner setting that was changed (new settings in `task`): name = value."""
-    task: Task | None = None
 
 
 def address_of(message: Message, ours: Ids) -> Address:

@@ -98,8 +98,6 @@ class AutopilotClient:
         """The same, of what is grave."""
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
-        self.wind: tuple[float, float, float] | None = None
-        """When it last told the wind, and where that blows to: true north and east, m/s."""
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: Vector | None = None
@@ -223,15 +221,6 @@ class AutopilotClient:
         if message.command == wire.MAV_CMD_NAV_TAKEOFF and accepted:
             return TakeOffTaken(time_s=now_s)
         return None
-
-    def on_wind(self, message: Message, now_s: float) -> None:
-        """WIND of ArduPilot, whose direction is where it comes from, or WIND_COV of PX4."""
-        if message.get_msgId() == wire.MAVLINK_MSG_ID_WIND_COV:
-            self.wind = now_s, message.wind_x, message.wind_y
-        else:
-            from_rad = math.radians(message.direction)
-            north, east = -math.cos(from_rad), -math.sin(from_rad)
-            self.wind = now_s, message.speed * north, message.speed * east
 
     def _on_statustext(self, message: Message, now_s: float) -> Event | None:
         self.said = now_s, message.text

@@ -9,10 +9,9 @@ those it uses must be finite and in range, else it is denied with a text.
 
 import enum
 import math
-import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 from msgspec.structs import replace
 
@@ -33,9 +32,6 @@ from companion.mission.events import Order, OrderKind
 from companion.path.limits import Limits
 
 MESSAGES: Final = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
-_SLOWEST_M_S = 0.1
-_SLOWEST_SHARE = 0.75  # of a plane's speed: its stall speed is not known here
-_LARGEST_FLOAT = 3.4e38
 _SAME_S = 5.0  # a command that comes again within this time may be the same one
 _MAX_SENDERS = 64
 _NOT_GIVEN_E7 = 2**31 - 1
@@ -77,15 +73,15 @@ class _CommandOutcome:
     text: str = ""
     order: Order | None = None
     """Without its time and sender."""
-    replies: tuple[Message, ...] = ()
 
 
 def _outcome(accepted: bool) -> _CommandOutcome:
     return _CommandOutcome(Result.ACCEPTED if accepted else Result.DENIED)
 
 
-def _order(kind: OrderKind, **values: Any) -> _CommandOutcome:
-    return _CommandOutcome(Result.ACCEPTED, order=Order(time_s=0.0, kind=kind, **values))
+def _order(kind: OrderKind, target_ne_m: tuple[float, float] | None = None) -> _CommandOutcome:
+    order = Order(time_s=0.0, kind=kind, target_ne_m=target_ne_m)
+    return _CommandOutcome(Result.ACCEPTED, order=order)
 
 
 @final
@@ -106,8 +102,8 @@ class CommandServer:
         if reply.order is not None:            # give it to the machine, then
             send(server.order_done(reply.order, result))
 
-    ours: our ids; commanders: who may give orders (0: any id); frame: the mission's; limits: its
-    own, before anybody changed them; presence: what can be asked for.
+    ours: our ids; commanders: who may give orders (0: any id); frame, limits: the mission's;
+    own_messages: what can be asked for.
     """
 
     def __init__(
@@ -156,7 +152,7 @@ class CommandServer:
         note = {"kind": "command", "sender": ids_text(sender), "command": message.command}
         if meaning.order is None:
             note |= {"result": meaning.result.name.lower(), "why": meaning.text}
-            replies = (_ack(message, meaning.result), *meaning.replies)
+            replies = (_ack(message, meaning.result),)
             return Reply(replies=replies, note=note, text=meaning.text)
         order = replace(meaning.order, time_s=now_s, sender=ids_text(sender))
         self._last.pop(sender, None)
@@ -171,7 +167,7 @@ class CommandServer:
         meaning = None if question is None else question(self, message)
         if meaning is None or meaning.result is not Result.ACCEPTED:
             return Reply()
-        return Reply(replies=(_ack(message, meaning.result), *meaning.replies))
+        return Reply(replies=(_ack(message, meaning.result),))
 
     def _interpret(self, message: Message, sender: Ids) -> _CommandOutcome:
         if (question := _QUERIES.get(message.command)) is not None:
@@ -192,19 +188,7 @@ class CommandServer:
     def _capabilities(self, message: Message) -> _CommandOutcome:
         return _outcome(message.param1 == 1.0 and self._presence.ask(AUTOPILOT_VERSION))
 
-    def _get_interval(self, message: Message) -> _CommandOutcome:
-        number = _whole(message.param1)
-        interval_us = 0 if number is None else self._presence.interval_us(number)
-        if number is None or interval_us == 0:
-            return _CommandOutcome(Result.DENIED)
-        reply = wire.MAVLink_message_interval_message(number, interval_us)
-        return _CommandOutcome(Result.ACCEPTED, replies=(reply,))
-
     # --- orders
-
-    def _set_interval(self, message: Message) -> _CommandOutcome:
-        number = _whole(message.param1)
-        return _outcome(number is not None and self._presence.set_interval(number, message.param2))
 
     def _start(self, message: Message) -> _CommandOutcome:
         if not (math.isnan(message.param1) or message.param1 == 0.0):
@@ -227,52 +211,15 @@ class CommandServer:
             return _CommandOutcome(Result.DENIED, text)
         return _order(OrderKind.LAND)
 
-    def _keep_out(self, message: Message) -> _CommandOutcome:
-        """A circle to keep out of, at any altitude; of radius 0: no longer, around its place."""
-        radius_m = from_float32(message.param1)
-        sides_m = (high - low for low, high in (self._limits.north_m, self._limits.east_m))
-        largest_m = math.hypot(*sides_m)
-        if not 0.0 <= radius_m <= largest_m:
-            text = f"keep-out: radius {radius_m:g} m: must be 0 to {largest_m:.0f}"
-            return _CommandOutcome(Result.DENIED, text)
-        return self._at_place(message, OrderKind.KEEP_OUT, radius_m=radius_m)
-
-    def _change_speed(self, message: Message) -> _CommandOutcome:
-        speed = from_float32(message.param2)
-        if message.param1 not in (wire.SPEED_TYPE_AIRSPEED, wire.SPEED_TYPE_GROUNDSPEED):
-            return _CommandOutcome(Result.DENIED, "speed: its type, param1, must be 0 or 1")
-        if speed == -1.0:  # no change
-            return _CommandOutcome(Result.ACCEPTED)
-        speed = self._limits.speed_m_s if speed == -2.0 else speed  # the default
-        if refusal := self._too_fast_or_slow(speed):
-            return _CommandOutcome(Result.DENIED, refusal)
-        return _order(OrderKind.SPEED, speed_m_s=speed)
-
     def _reposition(self, message: Message) -> _CommandOutcome:
-        """A new target; the planner chooses the altitude, so the one given is ignored."""
-        meaning, speed = self._at_place(message, OrderKind.REPOSITION), from_float32(message.param1)
-        if meaning.order is None or not speed > 0.0:  # not given: as it is
-            return meaning
-        if refusal := self._too_fast_or_slow(speed):
-            return _CommandOutcome(Result.DENIED, refusal)
-        return self._at_place(message, OrderKind.REPOSITION, speed_m_s=speed)
-
-    def _at_place(self, message: Message, kind: OrderKind, **others: float) -> _CommandOutcome:
-        """An order with a place on the map; refused without."""
-        name = kind.name.lower()
+        """A new target; altitude and speed are the mission's, so those given are ignored."""
         if message.get_type() == "COMMAND_INT" and message.frame not in _FRAMES:
-            text = f"{name}: frame {message.frame} is not one of 0, 3, 5, 6"
+            text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
             return _CommandOutcome(Result.UNSUPPORTED_MAV_FRAME, text)
         place = self._place_ne_m(message)
         if place is None:
-            return _CommandOutcome(Result.DENIED, f"{name}: give a place on the mission's map")
-        return _order(kind, target_ne_m=place, **others)
-
-    def _too_fast_or_slow(self, speed_m_s: float) -> str:
-        low, high = speed_bounds_m_s(self._limits)
-        if low <= speed_m_s <= high:
-            return ""
-        return f"speed {speed_m_s:g} m/s: must be {low:.3g} to {high:.3g}"
+            return _CommandOutcome(Result.DENIED, "reposition: give a place on the mission's map")
+        return _order(OrderKind.REPOSITION, place)
 
     def _place_ne_m(self, message: Message) -> tuple[float, float] | None:
         """The place of a command; None if it is invalid or off the map."""
@@ -295,20 +242,16 @@ _Handler = Callable[[CommandServer, Message], _CommandOutcome]
 
 _QUERIES: Final[dict[int, _Handler]] = {
     wire.MAV_CMD_REQUEST_MESSAGE: CommandServer._request_message,
-    wire.MAV_CMD_GET_MESSAGE_INTERVAL: CommandServer._get_interval,
     wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: CommandServer._capabilities,
 }
 """Queries: from any sender, broadcasts included."""
 
 _ORDERS: Final[dict[int, _Handler]] = {
-    wire.MAV_CMD_SET_MESSAGE_INTERVAL: CommandServer._set_interval,
     wire.MAV_CMD_MISSION_START: CommandServer._start,
     wire.MAV_CMD_DO_PAUSE_CONTINUE: CommandServer._pause_or_continue,
     wire.MAV_CMD_DO_REPOSITION: CommandServer._reposition,
-    wire.MAV_CMD_DO_CHANGE_SPEED: CommandServer._change_speed,
     wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: CommandServer._return,
     wire.MAV_CMD_NAV_LAND: CommandServer._land,
-    wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: CommandServer._keep_out,
 }
 """Orders: from commanders only."""
 
@@ -342,21 +285,6 @@ def _values(message: Message) -> str:
 def _ack(message: Message, result: Result) -> Message:
     """The ACK of a command, for who gave it."""
     return wire.MAVLink_command_ack_message(message.command, int(result), 0, 0, *sender_of(message))
-
-
-def speed_bounds_m_s(limits: Limits) -> tuple[float, float]:
-    """The range of speed commands: never faster than the mission's own speed."""
-    fastest = limits.speed_m_s
-    return (_SLOWEST_M_S if limits.hovers else _SLOWEST_SHARE * fastest), fastest
-
-
-def from_float32(value: float) -> float:
-    """The shortest decimal of a float32: 12.3, not 12.300000190734863."""
-    if not 0.0 < abs(value) < _LARGEST_FLOAT:  # NaN too
-        return value
-    rounded = (float(f"{value:.{digits}g}") for digits in range(6, 9))
-    exact = struct.pack("<f", value)
-    return next((short for short in rounded if struct.pack("<f", short) == exact), value)
 
 
 def _whole(value: float) -> int | None:

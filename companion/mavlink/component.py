@@ -1,4 +1,4 @@
-"""The companion as a MAVLink component: heartbeat, commands and parameters.
+"""The companion as a MAVLink component: heartbeat and commands.
 
 Sans-IO.
 """
@@ -6,36 +6,23 @@ Sans-IO.
 from collections.abc import Sequence
 from typing import final
 
-from companion.mavlink import commands
 from companion.mavlink.addressing import Reply
 from companion.mavlink.commands import CommandServer
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
-from companion.mavlink.obstacle_distance import VehicleSurroundings
 from companion.mavlink.own_messages import OwnMessages
-from companion.mavlink.parameter_server import ParameterServer
 from companion.mission.changes import OrderResult
 from companion.mission.events import Order
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, State
-from companion.planner.settings import Task
-
-REQUESTS = (
-    *commands.MESSAGES,
-    wire.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
-    wire.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
-    wire.MAVLINK_MSG_ID_PARAM_SET,
-)
-"""Messages that may be requests to the companion."""
 
 
 @final
 class Component:
-    """Commands, parameters and heartbeat of one companion."""
+    """Commands and heartbeat of one companion."""
 
-    def __init__(self, mission: Mission, system_id: int, task: Task, version: str) -> None:
+    def __init__(self, mission: Mission, system_id: int, version: str) -> None:
         ours = (system_id, COMPANION_COMPONENT)
-        self._mission = mission
-        self._presence = OwnMessages(version=version, sends_obstacles=mission.sends_obstacles)
+        self._presence = OwnMessages(version)
         self._commands = CommandServer(
             ours=ours,
             commanders=mission.commanders,
@@ -43,20 +30,10 @@ class Component:
             limits=mission.task.limits,
             own_messages=self._presence,
         )
-        self._parameters = ParameterServer(
-            mission.task,
-            ours=ours,
-            commanders=mission.commanders,
-            targets_ne_m=mission.targets_ne_m,
-        )
-        self._parameters.task = task
-        self._parameters.charted = mission.known is not None
 
     def on_message(self, message: Message, now_s: float) -> Reply:
-        """Handle one of `REQUESTS` from any sender; it may be addressed to another component."""
-        if message.get_msgId() in commands.MESSAGES:
-            return self._commands.on_message(message, now_s)
-        return self._parameters.on_message(message, now_s)
+        """Handle a command of any sender; it may be addressed to another component."""
+        return self._commands.on_message(message, now_s)
 
     def order_done(self, order: Order, verdict: OrderResult) -> Sequence[Message]:
         """The acknowledgement of an order, once its result is known."""
@@ -65,25 +42,11 @@ class Component:
     @property
     def due_s(self) -> float:
         """When `on_time` must be called next, at the latest."""
-        return min(self._presence.due_s, self._parameters.due_s)
+        return self._presence.due_s
 
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
         """The messages that are due; no heartbeat while faulted or done."""
-        changed = self._parameters.follow(state.given)
-        self._parameters.fence, self._parameters.keep_outs = state.fence, state.keep_outs
-        self._parameters.targets_ne_m = state.targets_ne_m
-        self._parameters.airborne = state.airborne
-        here, around = state.vehicle.position_nea_m, None
-        if here is not None and self._mission.sends_obstacles:
-            around = VehicleSurroundings(
-                frame=self._mission.frame,
-                known=state.flight.known,
-                zones=state.task.zones,
-                position_nea_m=here,
-            )
-        status = None if faulted else system_status(state)
-        messages = self._presence.on_time(now_s, status=status, around=around)
-        return [*messages, *changed, *self._parameters.on_time(now_s)]
+        return self._presence.on_time(now_s, None if faulted else system_status(state))
 
 
 def system_status(state: State) -> int:

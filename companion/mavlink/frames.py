@@ -130,7 +130,7 @@ _IGNORED_NAMES: Final = """
     MCU_STATUS MEMINFO NAV_CONTROLLER_OUTPUT ODOMETRY OPEN_DRONE_ID_LOCATION
     OPEN_DRONE_ID_SYSTEM POWER_STATUS RAW_IMU RC_CHANNELS RC_CHANNELS_RAW SCALED_IMU SCALED_IMU2
     SCALED_IMU3 SCALED_PRESSURE SCALED_PRESSURE2 SCALED_PRESSURE3 SENSOR_OFFSETS SERVO_OUTPUT_RAW
-    SIMSTATE SIM_STATE VFR_HUD VIBRATION
+    SIMSTATE SIM_STATE VFR_HUD VIBRATION WIND WIND_COV
 """
 IGNORED_MESSAGES: Final = frozenset(
     number for number, kind in KINDS.items() if kind.msgname in _IGNORED_NAMES.split()
@@ -154,7 +154,6 @@ class Incoming(NamedTuple):
     """None for a message that is not decoded."""
     at_s: float | None
     """Time of arrival, by the receiver's clock."""
-    link: int
 
 
 @cache
@@ -281,7 +280,6 @@ class Receiver:
         self,
         signing: Signing | None = None,
         ignored: frozenset[int] = frozenset(),
-        link: int = 0,
     ) -> None:
         """signing: None accepts any frame, signed or not.
 
@@ -295,7 +293,7 @@ class Receiver:
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
-        self._ignored, self._link = ignored, link
+        self._ignored = ignored
         self._rest = b""
         self._has_begun = False
         self._text = 0
@@ -381,7 +379,7 @@ class Receiver:
                     message = decoded(frame, kind)
                 except wire.MAVError:
                     break
-            heard.append(Incoming(frame, number, system, component, message, at_s, self._link))
+            heard.append(Incoming(frame, number, system, component, message, at_s))
             at = end + _CHECKSUM
         return at
 
@@ -409,5 +407,5 @@ class Receiver:
                 return True
             message._signed = signed and self._signing is not None
         system, component = plain[5:7] if plain[0] == V2 else plain[3:5]
-        heard.append(Incoming(plain, kind.id, system, component, message, at_s, self._link))
+        heard.append(Incoming(plain, kind.id, system, component, message, at_s))
         return True

@@ -23,8 +23,6 @@ from companion.mission.events import DuplicateId, End
 from companion.planner.request import PlanRequest
 from companion.world.known_map import KnownMap
 
-VEHICLE_LINK: Final = 0
-"""The number of the link to the vehicle; those to ground stations count on from 1."""
 TIME_ONLY_MESSAGES: Final = frozenset(
     {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 )
@@ -53,35 +51,30 @@ _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 
 @final
 class Inbox:
-    """Received messages of all links that have not been handled yet, in order."""
+    """Received messages that have not been handled yet, in order."""
 
     def __init__(self, signing: Signing | None, wanted: frozenset[int] = frozenset()) -> None:
         """wanted: numbers of messages to decode that are not by default."""
-        self.receivers = {VEHICLE_LINK: Receiver(signing, _UNDECODED - wanted)}
-        """By the number of the link."""
+        self.receiver = Receiver(signing, _UNDECODED - wanted)
         self.waiting: deque[Incoming] = deque(maxlen=_MAX_WAITING)
         self.dropped = 0
         """How many were too many."""
         self.counted: dict[tuple[int, int], tuple[int, int, int]] = {}
-        """System and component on the vehicle's link -> last sequence number, frames, gaps."""
-        self._signing = signing
+        """System and component -> last sequence number, frames, gaps."""
 
-    def feed(self, data: bytes, at_s: float | None, link: int) -> list[Incoming]:
+    def feed(self, data: bytes, at_s: float | None) -> list[Incoming]:
         """Parse these bytes and queue the messages that are complete."""
-        if link not in self.receivers:
-            self.receivers[link] = Receiver(self._signing, _UNDECODED, link)
-        heard = self.receivers[link].read(data, at_s)
+        heard = self.receiver.read(data, at_s)
         self.dropped += max(len(self.waiting) + len(heard) - _MAX_WAITING, 0)
         self.waiting.extend(heard)
-        if link == VEHICLE_LINK:
-            counted = self.counted
-            for each in heard:
-                sender, frame = (each.system, each.component), each.frame
-                number = frame[4] if frame[0] == V2 else frame[2]
-                before, frames, lost = counted.get(sender, (number - 1, 0, 0))
-                gap = (number - before - 1) & 0xFF
-                # more than half of all numbers: it is late, came twice, or its sender began again
-                counted[sender] = number, frames + 1, lost + (gap if gap < _BEGUN_AGAIN else 0)
+        counted = self.counted
+        for each in heard:
+            sender, frame = (each.system, each.component), each.frame
+            number = frame[4] if frame[0] == V2 else frame[2]
+            before, frames, lost = counted.get(sender, (number - 1, 0, 0))
+            gap = (number - before - 1) & 0xFF
+            # more than half of all numbers: it is late, came twice, or its sender began again
+            counted[sender] = number, frames + 1, lost + (gap if gap < _BEGUN_AGAIN else 0)
         return heard
 
 
@@ -358,8 +351,6 @@ class Output:
 
     frames: list[bytes] = field(default_factory=list)
     """To be sent, in order."""
-    to_ground: list[bytes] = field(default_factory=list)
-    """To be sent over every link to ground stations; not in the record."""
     record: list[Stamped] = field(default_factory=list)
     """Vehicle time and frame, both directions, for the telemetry log."""
     journal: list[Entry] = field(default_factory=list)
@@ -387,27 +378,23 @@ class Output:
 class FrameEncoder:
     """Encodes messages into frames to send; records all frames, both ways, unsigned."""
 
-    def __init__(self, system_id: int | None, signing: Signing | None, *, has_ground: bool) -> None:
-        """has_ground: whether there are links to ground stations besides the vehicle's."""
-        self._codec, self._grounds = codec(system_id or 1), codec(system_id or 1)
-        self._unsent = codec(system_id or 1)
-        self._has_ground = has_ground
+    def __init__(self, system_id: int | None, signing: Signing | None) -> None:
+        self._codec, self._unsent = codec(system_id or 1), codec(system_id or 1)
         self._signing = signing
         self.duplicates = DuplicateIdDetector()
         """Hears of other processes with our ids."""
         if signing is not None:
             signing.attach(self._codec)
-            signing.attach(self._grounds)
         self.out = Output()
         """What has come together since it was last taken."""
 
     def set_system_id(self, system_id: int) -> None:
         """Use this vehicle's system id from now on."""
-        for each in (self._codec, self._grounds, self._unsent):
+        for each in (self._codec, self._unsent):
             each.srcSystem = system_id
 
-    def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
-        """Send messages in order; to_ground: to the ground station links as well."""
+    def send(self, messages: Iterable[Message], now_s: float) -> None:
+        """Send messages in order."""
         for message in messages:
             frame = packed(message, self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
@@ -416,17 +403,6 @@ class FrameEncoder:
             self.out.record.append(
                 (now_s, frame if self._signing is None else strip_signature(frame))
             )
-            if to_ground:
-                self.send_to_ground([message])
-
-    def send_to_ground(self, messages: Iterable[Message]) -> None:
-        """Send messages to the ground station links only, which have their own sequence numbers."""
-        if self._has_ground:
-            for message in messages:
-                frame = packed(message, self._grounds)
-                self._grounds.seq = (self._grounds.seq + 1) % 256
-                self.out.to_ground.append(frame)
-                self.duplicates.sent.append(frame)  # a router may bring it to the vehicle's link
 
     def encode_unsent(self, messages: Iterable[Message]) -> list[bytes]:
         """Encode messages that may never be sent, unsigned: no sequence numbers are used up."""

@@ -12,7 +12,6 @@ import numpy as np
 from companion.geodesy import LocalFrame
 from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.mounting import MountingCheck
 from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensing, Poses
 from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
@@ -80,8 +79,6 @@ class NearScanner:
         self._before: KnownMap | None = None
         """The map of the mission before it."""
         self._sight = Sight.NEVER_HEARD
-        self.mounting: MountingCheck | None = None
-        """Told of every sweep, if somebody asks how the sensor is mounted."""
 
     @property
     def refused(self) -> dict[str, int]:
@@ -120,8 +117,6 @@ class NearScanner:
         for sweep in sweeps:
             self._changed = both(self._changed, self._near.add(sweep))
             self._swept_s = now_s
-            if self.mounting is not None and (pose := self._poses.at(sweep.time_s)) is not None:
-                self.mounting.add(sweep, pose.yaw_rad, now_s)
         if not sweeps and sight is self._sight:
             return None
         self._sight = sight

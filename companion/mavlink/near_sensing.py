@@ -1,4 +1,4 @@
-"""What lidars, depth cameras and the like say of near things, as sweeps.
+"""What lidars and the like say of near things, as sweeps.
 
 Measured on real autopilots (docs/reference/proximity.md), whose traps decide what is believed here:
 the silence of a lidar behind an autopilot means that nothing is in reach, or that it is dead; "max"
@@ -21,7 +21,6 @@ from companion.world.near_map import Kind, NearSensor, Sight, Sweep
 
 _BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
 _NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
-_NORTH_OFFSET: Final = (wire.MAV_FRAME_LOCAL_OFFSET_NED,)
 _UNKNOWN_CM: Final = 65_535
 _SECTORS: Final = 8
 HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
@@ -29,7 +28,6 @@ SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
 MESSAGES: Final[dict[Kind, int]] = {
     "obstacle_distance": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
     "distance_sensor": SECTORS,
-    "obstacle_distance_3d": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D,
 }
 """What each kind of sensor sends."""
 _SECTOR_RAD: Final = math.tau / _SECTORS
@@ -196,17 +194,6 @@ class _Look:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Points:
-    """What one set of points says; before the pose is known."""
-
-    time_s: float
-    points_m: FloatArray  # (3, N)
-    """From the sensor: ahead, right and down, or north, east and down."""
-    from_nose: bool
-
-
-@final
 class NearSensing:
     """Reads one sensor."""
 
@@ -220,9 +207,9 @@ class NearSensing:
         self._sensor, self._poses, self._ground_amsl_m = sensor, poses, ground_amsl_m
         self.refused: Counter[str] = Counter()
         """How often something was not believed, or only in part (`in_words`), by the reason."""
-        self._looks: deque[_Look | _Points] = deque(maxlen=20)
+        self._looks: deque[_Look] = deque(maxlen=20)
         self._set: list[Message] = []
-        """Messages of one stamp and frame,"""
+        """Messages of one stamp,"""
         self._set_s = -math.inf
         """and when the first of them came."""
         self._sectors: set[int] = set()
@@ -245,7 +232,10 @@ class NearSensing:
         """A message of its kind, of its component; or SYS_STATUS of the autopilot."""
         number = message.get_msgId()
         if number == MESSAGES[self._sensor.kind]:
-            _READERS[self._sensor.kind](self, message, now_s)
+            if number == SECTORS:
+                self.on_distance_sensor(message, now_s)
+            else:
+                self.on_obstacle_distance(message, now_s)
         elif number == HEALTH and self._sensor.kind == "distance_sensor":
             self.on_health(message, now_s)
 
@@ -294,52 +284,16 @@ class NearSensing:
             if message.orientation in _HORIZONTAL:
                 self._refuse("one beam does not speak for a sector")
             return
-        if self._is_over(now_s, time_boot_ms=message.time_boot_ms):
+        if self._set and (
+            message.time_boot_ms != self._set[0].time_boot_ms
+            or not 0.0 <= now_s - self._set_s <= _SET_S
+            or len(self._set) >= _SET_MOST
+        ):
             self._take_sectors()
-        self._keep(message, now_s)
-
-    def on_obstacle_distance_3d(self, message: Message, now_s: float) -> None:
-        """One point; those of one stamp belong together, as ArduPilot has it."""
-        least_m, most_m = message.min_distance, message.max_distance
-        away_m = math.hypot(message.x, message.y, message.z)
-        if not math.isfinite(away_m):
-            return self._refuse("a point is not finite")
-        if message.frame not in (*_BODY, *_NORTH_OFFSET):
-            return self._refuse("frame is neither the body's nor north's about the vehicle")
-        if not (0.0 <= least_m < most_m < math.inf):
-            return self._refuse("max_distance is no more than min_distance")
-        if not max(least_m, 0.01) <= away_m < most_m:  # drivers put 9999 where they see nothing
-            return self._refuse("a point is outside its limits")
-        self._limits_cm[0] = 100.0 * least_m, 100.0 * most_m
-        if self._is_over(now_s, time_boot_ms=message.time_boot_ms, frame=message.frame):
-            self._take_points()
-        self._keep(message, now_s)
-
-    def _is_over(self, now_s: float, **same: int) -> bool:
-        """Whether a message with these fields begins another set."""
-        if not self._set:
-            return False
-        differs = any(getattr(self._set[0], key) != value for key, value in same.items())
-        return differs or not 0.0 <= now_s - self._set_s <= _SET_S or len(self._set) >= _SET_MOST
-
-    def _keep(self, message: Message, now_s: float) -> None:
         if not self._set:
             self._set_s = now_s
         self._set.append(message)
         self._heard_s = now_s
-
-    def _take_points(self) -> None:
-        messages, self._set = self._set, []
-        time_s = self._time_of(messages[0].time_boot_ms * 1e-3, self._set_s)
-        if time_s is None:
-            return
-        self._looks.append(
-            _Points(
-                time_s=time_s,
-                points_m=np.array([(each.x, each.y, each.z) for each in messages]).T,
-                from_nose=messages[0].frame in _BODY,
-            )
-        )
 
     def _take_sectors(self) -> None:
         """A sector is told from its first echo on: one that never was has none, as at "max".
@@ -444,10 +398,7 @@ class NearSensing:
             else:
                 north, east, altitude = pose.position_nea_m
                 height_m = max(altitude - self._ground_amsl_m(north, east), 0.0)
-                if isinstance(look, _Look):
-                    result.append(_sweep(look, pose, self._sensor, height_m))
-                else:
-                    result.append(_sweep_of_points(look, pose, self._sensor, height_m))
+                result.append(_sweep(look, pose, self._sensor, height_m))
         return result
 
     def _time_of(self, stamp_s: float, now_s: float) -> float | None:
@@ -512,13 +463,6 @@ class NearSensing:
         )
 
 
-_READERS: Final[dict[Kind, Callable[[NearSensing, Message, float], None]]] = {
-    "obstacle_distance": NearSensing.on_obstacle_distance,
-    "distance_sensor": NearSensing.on_distance_sensor,
-    "obstacle_distance_3d": NearSensing.on_obstacle_distance_3d,
-}
-
-
 def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Sweep:
     """In the local frame.  The tilt of the vehicle shortens distances and turns bearings a little.
 
@@ -526,104 +470,30 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Swee
     """
     count = len(look.clear_m)
     turn_rad = pose.yaw_rad + sensor.yaw_rad if look.from_nose else -pose.grid_north_rad
-    middle = look.first_rad + (np.arange(count) + 0.5) * look.width_rad
-    along = middle + turn_rad - pose.yaw_rad
-    ahead, aside, down = _levelled(pose, np.cos(along), np.sin(along), np.zeros(count))
-    level = np.hypot(ahead, aside)
-    bent = np.abs(np.mod(np.arctan2(aside, ahead) - along + math.pi, math.tau) - math.pi)
-    stays_m = _depth_m(down, sensor, height_m) / np.maximum(np.abs(down), 1e-9) * level
-    echo_m = look.echo_m * level
-    return _seen_from(
-        pose,
-        sensor,
-        look.time_s,
-        first_rad=look.first_rad + turn_rad,
-        width_rad=look.width_rad,
-        clear_m=np.minimum(look.clear_m * level, stays_m),
-        echo_m=np.where(echo_m <= stays_m, echo_m, np.inf),
-        bent_rad=float(bent.max(initial=0.0)),
-    )
-
-
-def _sweep_of_points(look: _Points, pose: Pose, sensor: NearSensor, height_m: float) -> Sweep:
-    """Each point is the end of a ray, and nothing stands before it within the ray's beam.
-
-    Of sectors a quarter as wide as a beam a ray clears those whose middle lies within it, up to the
-    point or to where it leaves the slab; a point within the slab closes all that its beam touches.
-    What the middles leave out is an error of bearing.  Where there is no point nothing is said.
-    """
-    x, y, down = look.points_m
-    if look.from_nose:
-        cos, sin = math.cos(sensor.yaw_rad), math.sin(sensor.yaw_rad)
-        x, y, down = _levelled(pose, cos * x - sin * y, sin * x + cos * y, down)
-    turn_rad = pose.yaw_rad if look.from_nose else -pose.grid_north_rad
-    count = math.ceil(4.0 * math.tau / sensor.beam_rad)
-    width_rad = math.tau / count
-    wide = sensor.beam_rad / width_rad  # in sectors
-    low = (np.arctan2(y, x) + turn_rad) / width_rad - 0.5 * wide
-    share = _depth_m(down, sensor, height_m) / np.maximum(np.abs(down), 1e-9)
-    level_m, first = np.hypot(x, y), np.floor(low).astype(np.intp)
-    clear_m, echo_m = np.zeros(count), np.full(count, np.inf)
-    for sector in (first + k for k in range(math.floor(wide) + 2)):
-        inside = (low <= sector + 0.5) & (sector + 0.5 <= low + wide)
-        met = (sector <= low + wide) & (share >= 1.0)
-        np.maximum.at(clear_m, sector[inside] % count, (level_m * np.minimum(share, 1.0))[inside])
-        np.minimum.at(echo_m, sector[met] % count, level_m[met])
-    return _seen_from(
-        pose,
-        sensor,
-        look.time_s,
-        width_rad=width_rad,
-        clear_m=np.minimum(clear_m, echo_m),
-        echo_m=echo_m,
-        bent_rad=0.5 * width_rad,
-    )
-
-
-def _levelled(
-    pose: Pose, ahead: FloatArray, right: FloatArray, down: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """From the body's axes to level ones along its heading.  (N,) x3 -> (N,) x3."""
+    along = look.first_rad + (np.arange(count) + 0.5) * look.width_rad + turn_rad - pose.yaw_rad
     sin_r, cos_r = math.sin(pose.roll_rad), math.cos(pose.roll_rad)
     sin_p, cos_p = math.sin(pose.pitch_rad), math.cos(pose.pitch_rad)
-    under = right * sin_r + down * cos_r
-    return (
-        ahead * cos_p + under * sin_p,
-        right * cos_r - down * sin_r,
-        under * cos_p - ahead * sin_p,
-    )
-
-
-def _depth_m(down: FloatArray, sensor: NearSensor, height_m: float) -> FloatArray:
-    """How far above or below the sensor each beam speaks: not near the ground, height_m below."""
+    forward, right = np.cos(along), np.sin(along)
+    ahead, aside = forward * cos_p + right * sin_r * sin_p, right * cos_r
+    down = right * sin_r * cos_p - forward * sin_p
+    level = np.hypot(ahead, aside)
+    bent = np.abs(np.mod(np.arctan2(aside, ahead) - along + math.pi, math.tau) - math.pi)
     below_m = min(sensor.speaks_for_m, _ABOVE_GROUND * height_m)
-    return np.where(down > 0.0, below_m, sensor.speaks_for_m)
-
-
-def _seen_from(
-    pose: Pose,
-    sensor: NearSensor,
-    time_s: float,
-    *,
-    width_rad: float,
-    clear_m: FloatArray,
-    echo_m: FloatArray,
-    first_rad: float = 0.0,
-    bent_rad: float = 0.0,
-) -> Sweep:
-    """With the place of the sensor, and what may be wrong."""
+    depth_m = np.where(down > 0.0, below_m, sensor.speaks_for_m)
+    stays_m = depth_m / np.maximum(np.abs(down), 1e-9) * level
+    echo_m = look.echo_m * level
     north, east, _ = pose.position_nea_m
     cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
     return Sweep(
-        time_s=time_s,
+        time_s=look.time_s,
         sensor_ne_m=(
             north + cos * sensor.forward_m - sin * sensor.right_m,
             east + sin * sensor.forward_m + cos * sensor.right_m,
         ),
-        first_rad=first_rad,
-        width_rad=width_rad,
-        clear_m=clear_m,
-        echo_m=echo_m,
+        first_rad=look.first_rad + turn_rad,
+        width_rad=look.width_rad,
+        clear_m=np.minimum(look.clear_m * level, stays_m),
+        echo_m=np.where(echo_m <= stays_m, echo_m, np.inf),
         range_m=sensor.range_m,
         blind_m=sensor.blind_m,
         error_m=sensor.range_error_m
@@ -631,5 +501,5 @@ def _seen_from(
         + sensor.latency_error_s * pose.speed_m_s,
         bearing_error_rad=sensor.bearing_error_rad
         + sensor.latency_error_s * pose.yaw_rate_rad_s
-        + bent_rad,
+        + float(bent.max(initial=0.0)),
     )

@@ -1,29 +1,20 @@
-"""The companion's own messages: heartbeat, version and others on request.
+"""The companion's own messages: its heartbeat, and its version on request.
 
 It identifies as an onboard controller, never as autopilot or ground station, and its heartbeat
-stops when it is faulted (mavlink.md 2.1, C11).  Periodic messages and those sent on request are the
-rows of one table.
+stops when it is faulted (mavlink.md 2.1, C11).
 """
 
 import math
 import re
-from dataclasses import dataclass
 from typing import final
 
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.obstacle_distance import VehicleSurroundings, obstacle_distance
 
 HEARTBEAT = wire.MAVLINK_MSG_ID_HEARTBEAT
 AUTOPILOT_VERSION = wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-OBSTACLE_DISTANCE = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
 
-CAPABILITIES = (
-    wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-    | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    | wire.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT  # the old name of the next
-    | wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
-)
-"""No mission, fence or rally protocol: those are the autopilot's; no files; no bytewise values."""
+CAPABILITIES = wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+"""No parameters, mission, fence or rally points: those are the autopilot's; no files."""
 
 _KINDS = {
     "a": wire.FIRMWARE_VERSION_TYPE_ALPHA,
@@ -33,23 +24,7 @@ _KINDS = {
 }
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Row:
-    """How a message of ours is sent."""
-
-    default_us: int | None
-    """Its period; None: on request only."""
-    fastest_us: int
-    fixed: bool = False
-
-
-_ROWS = {
-    HEARTBEAT: _Row(default_us=1_000_000, fastest_us=1_000_000, fixed=True),
-    AUTOPILOT_VERSION: _Row(default_us=None, fastest_us=1_000_000),
-    OBSTACLE_DISTANCE: _Row(default_us=500_000, fastest_us=100_000),
-}
-_SLOWEST_US = 2_000_000_000  # of an int32
+_BEAT_S = 1.0
 
 
 def heartbeat(system_status: int) -> Message:
@@ -92,87 +67,34 @@ def version_number(version: str) -> int:
 class OwnMessages:
     """Schedules the companion's own messages.  Pure: time is an argument.
 
-    version: the companion's; sends_obstacles: whether OBSTACLE_DISTANCE is switched on.
+    version: the companion's.
     """
 
-    def __init__(self, *, version: str, sends_obstacles: bool) -> None:
+    def __init__(self, version: str) -> None:
         self._version = version
-        self._rows = {
-            number: row
-            for number, row in _ROWS.items()
-            if sends_obstacles or number != OBSTACLE_DISTANCE
-        }
-        self._period_us = {number: row.default_us for number, row in self._rows.items()}
-        self._sent_at_s: dict[int, float] = {}
+        self._beat_at_s = -math.inf
         self._asked: set[int] = set()
 
     def ask(self, message_id: int) -> bool:
         """Send a message once, with the next on_time(); False if it is not one of ours."""
-        if message_id in self._rows:
+        is_ours = message_id in (HEARTBEAT, AUTOPILOT_VERSION)
+        if is_ours:
             self._asked.add(message_id)
-        return message_id in self._rows
+        return is_ours
 
-    def set_interval(self, message_id: int, interval_us: float) -> bool:
-        """Set the interval of a message: microseconds, 0: default, -1: off.
-
-        False, without effect, for a message that is not ours or an unsupported interval.
-        """
-        row = self._rows.get(message_id)
-        if row is None:
-            return False
-        slowest_us = row.fastest_us if row.fixed else _SLOWEST_US
-        if interval_us == 0.0:
-            self._period_us[message_id] = row.default_us
-        elif interval_us == -1.0 and not row.fixed:
-            self._period_us[message_id] = None
-        elif row.fastest_us <= interval_us <= slowest_us:
-            self._period_us[message_id] = round(interval_us)
-        else:
-            return False
-        return True
-
-    def interval_us(self, message_id: int) -> int:
-        """For MESSAGE_INTERVAL: microseconds, -1: off, 0: not one of ours."""
-        if message_id not in self._rows:
-            return 0
-        period_us = self._period_us[message_id]
-        return -1 if period_us is None else period_us
-
-    def on_time(
-        self, now_s: float, *, status: int | None, around: VehicleSurroundings | None
-    ) -> list[Message]:
-        """What is due now.
-
-        status: MAV_STATE, None while faulted (no heartbeat); around: the known surroundings, None
-        while the position is unknown (no obstacles).
-        """
-        messages = list[Message]()
-        if status is not None and self._is_due(HEARTBEAT, now_s):
+    def on_time(self, now_s: float, status: int | None) -> list[Message]:
+        """What is due now; status: MAV_STATE, None while faulted (no heartbeat)."""
+        messages, asked = list[Message](), self._asked
+        is_due = not 0.0 <= now_s - self._beat_at_s < _BEAT_S
+        if status is not None and (is_due or HEARTBEAT in asked):
+            self._beat_at_s = now_s
             messages.append(heartbeat(status))
-        if self._is_due(AUTOPILOT_VERSION, now_s):
+        if AUTOPILOT_VERSION in asked:
             messages.append(autopilot_version(self._version))
-        if around is not None and self._is_due(OBSTACLE_DISTANCE, now_s):
-            messages.append(obstacle_distance(around, now_s))
+        self._asked = set() if status is not None else asked & {HEARTBEAT}
         return messages
 
     @property
     def due_s(self) -> float:
         """When something is due, at the latest."""
-        if self._asked:
-            return -math.inf
-        periods_us = self._period_us.items()
-        return min(
-            self._sent_at_s.get(number, -math.inf) + period_us * 1e-6
-            for number, period_us in periods_us
-            if period_us is not None
-        )
-
-    def _is_due(self, number: int, now_s: float) -> bool:
-        """Whether to send it now; if so, it is marked as sent."""
-        period_us, sent_at_s = self._period_us.get(number), self._sent_at_s.get(number, -math.inf)
-        by_itself = period_us is not None and not 0.0 <= now_s - sent_at_s < period_us * 1e-6
-        if not by_itself and number not in self._asked:
-            return False
-        self._asked.discard(number)
-        self._sent_at_s[number] = now_s
-        return True
+        return -math.inf if self._asked else self._beat_at_s + _BEAT_S

@@ -18,7 +18,6 @@ from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import TO_COMPONENT_1, VehicleSelector, ids_in_words
-from companion.mavlink.mounting import MountingCheck, Seen, Turning
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.near_sensing import in_words
 from companion.mavlink.parameter_checks import Severity
@@ -46,13 +45,7 @@ _NO_RADAR = (
     "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an "
     "elevation file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
 )
-_SLOWEST_SWEEPS_HZ = 5.0
 _RANGE_ROUNDED_M = 0.0101  # autopilots cut limits off to whole centimetres (proximity.md 2)
-_LATE_SWEEPS_S = 0.3  # beyond the stated latency: positions and attitudes come 20 times a second
-_UNTOLD = {
-    Turning.NOT_TURNED: "Turn it on the spot by 90 degrees while this runs with --turn.",
-    Turning.UNDECIDED: "Turn it where some things stand in reach, not all alike.",
-}
 _LOOK_AGAIN_S = 60.0
 """Between two scans of a vehicle that waits: a radar that is off is told before the flight."""
 _LISTENED_S = 5.0  # for other companions: `fly` does, before it takes over
@@ -468,8 +461,6 @@ def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check
     yield from _near_limits(session.near.limits_m, mission=session.mission)
     for words in in_words(session.near.refused):
         yield _remark("sensor", words)
-    if session.near.mounting is not None:
-        yield from _mounting(session.near.mounting, sensor)
 
 
 def _near_limits(limits_m: tuple[float, float] | None, mission: Mission) -> Iterator[Check]:
@@ -497,37 +488,6 @@ def _instead(session: PreflightInputs, numbers: tuple[int, ...], component: int 
         if senders:
             found.append(f"{wire.mavlink_map[number].msgname} of {ids_in_words(senders)}")
     return f"; heard: {'; '.join(found)}" if found else ""
-
-
-def _mounting(mounting: MountingCheck, sensor: NearSensor) -> Iterator[Check]:
-    if mounting.rate_hz is None or mounting.age_s is None:
-        return
-    slow = mounting.rate_hz < _SLOWEST_SWEEPS_HZ
-    remedy = "Have it send 10 to 20 times a second." if slow else ""
-    yield _remark("sensor", f"{mounting.rate_hz:.0f} sweeps a second", remedy)
-    late = mounting.age_s > sensor.latency_s + _LATE_SWEEPS_S
-    remedy = "Look for what delays them on the link." if late else ""
-    yield _remark("sensor", f"they are {mounting.age_s:.2f} s old when they can be used", remedy)
-    if mounting.nearest is not None:
-        remedy = "Look whether something stands there; else correct scanner.yaw_deg."
-        yield _remark("sensor", f"nearest thing: {_where(mounting.nearest)}", remedy)
-    if mounting.part is not None:
-        remedy = "If it is a part of the vehicle, raise scanner.blind_m above that distance."
-        yield _remark("sensor", f"turns with the vehicle: {_where(mounting.part)}", remedy)
-    turning = mounting.turning()
-    if turning in _UNTOLD:
-        yield _remark("sensor turn", turning.value, _UNTOLD[turning])
-    else:
-        remedy = "Correct what the driver sends."
-        yield _check("sensor turn", turning is Turning.STAYS, turning.value, remedy)
-
-
-def _where(seen: Seen) -> str:
-    """Such as: 3.2 m, 90 degrees right of the nose."""
-    off_deg = round(math.degrees(seen.off_nose_rad))
-    side = "right" if off_deg > 0 else "left"
-    where = f"{abs(off_deg)} degrees {side} of the nose" if off_deg else "straight ahead"
-    return f"{seen.distance_m:.1f} m, {where}"
 
 
 # --- signing and clock

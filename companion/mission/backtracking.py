@@ -25,7 +25,6 @@ from companion.mission.state import (
     State,
     Trigger,
 )
-from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.request import Backtrack, PlanRequest, Refusal
 from companion.planner.rules import target_refusal
@@ -75,22 +74,6 @@ def on_backtrack_plan(state: State, event: PlanReady) -> Backtracking | None:
         )
     )
     return Backtracking(legs)
-
-
-def with_looser_rules(state: State) -> tuple[State, str] | None:
-    """The state under the looser rules that the path was flown under, and a text about them.
-
-    The distances kept on the way out are kept on the way back, even if larger ones were set since;
-    map and zones count as known now.
-    """
-    if state.flown_under is None:
-        return None
-    looser = adjustable.loosest(state.given, state.flown_under)
-    changed = adjustable.differences(looser, state.given)
-    if not changed:
-        return None
-    values = ", ".join(f"{name} = {value:g}" for name, value in changed.items())
-    return state.with_rules(looser, state.fence), f"returning as it was flown: {values}"
 
 
 def start_backtrack(state: State) -> Flight | None:
@@ -173,9 +156,6 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
         if trigger is not None:
             return state, commands, trigger
-    others = state.traffic
-    if others is not None and (step := flying.make_way(state, others, event, context)) is not None:
-        return step
     if state.flight.circling and following.still_loiters(state, event):
         return flying.circle(state, event, context)
     flight = following.advance_reference(state, event)

@@ -1,14 +1,12 @@
-"""External changes during a mission: threats, settings, targets, orders."""
+"""External changes during a mission: threats, targets, orders."""
 
 import enum
-import math
 from collections.abc import Callable
 from typing import Any, Final
 
-import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, ground, loiter
+from companion.mission import following, ground
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
 from companion.mission.events import (
     Command,
@@ -23,9 +21,6 @@ from companion.mission.events import (
     OrderKind,
     Prepared,
     Rebooted,
-    ScanDone,
-    SetSpeed,
-    SettingsChanged,
     StatusText,
     TargetsChanged,
 )
@@ -53,14 +48,10 @@ from companion.mission.state import (
     TakeOver,
     Trigger,
     Vehicle,
-    with_circle,
 )
 from companion.mission.stopped import fence_breached, resumed
-from companion.planner.adjustable import loosest
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
-from companion.world.known_map import empty_map
-from companion.world.threats import CircleZone
 from companion.world.zone_index import index_of
 
 _GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
@@ -103,14 +94,6 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
             down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
             lands = state.vehicle.traits.lands or down  # then it stays there
             return OrderResult.ACCEPTED if lands else OrderResult.INVALID
-        case OrderKind.KEEP_OUT if (
-            order.target_ne_m is None
-            or order.radius_m is None
-            or (order.radius_m == 0.0 and _keep_outs(state, order) == state.keep_outs)
-        ):
-            return OrderResult.INVALID
-        case OrderKind.SPEED | OrderKind.KEEP_OUT:
-            return OrderResult.NOT_NOW if state.phase in OVER else OrderResult.ACCEPTED
 
 
 def why_not(state: State, order: Order) -> str:
@@ -121,8 +104,6 @@ def why_not(state: State, order: Order) -> str:
         why = "it has no target" if place is None else target_refusal(state.task, place)
         if order.kind is OrderKind.LAND:
             why = f"{state.vehicle.traits.name} is not told to land: send it back"
-        elif order.kind is OrderKind.KEEP_OUT and place is not None:
-            why = "none that was ordered in flight is there"
     elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
     elif order.kind is OrderKind.START and _waits_for_go(state):
@@ -167,11 +148,19 @@ def _stops(state: State) -> bool:
 # --- threats
 
 
-def _with_fence(state: State, event: FenceChanged, _context: Context) -> Step:
+def _with_fence(state: State, event: FenceChanged, context: Context) -> Step:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
-    state = state.with_rules(state.given, event)
-    return _with_zones(state, StatusText(text=f"fence: {len(event.zones)} zones", warning=known))
+    state = state.with_fence(context.mission.task, event)
+    says: list[Command] = [StatusText(text=f"fence: {len(event.zones)} zones", warning=known)]
+    if (inside := _inside(state)) and state.phase not in ON_PATH:
+        says.append(StatusText(text=f"inside zone {inside}", warning=True))
+    if not _is_touched(state):
+        return state, says, None  # `loiter` sees to the place where a plane waits
+    if state.phase not in ON_PATH:  # a path that was to be gone on with
+        flight = following.at_rest(state.flight, state.flight.hover_nea_m)
+        return replace(state, flight=flight), says, None
+    return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
 def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step:
@@ -184,43 +173,6 @@ def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step
         return state, [], None
     text = f"the fence has changed: reading {event.items:,} items"
     return state, [StatusText(text=text, warning=True)], None
-
-
-def _keep_outs(state: State, order: Order) -> tuple[CircleZone, ...]:
-    """The ordered keep-outs after an order for one."""
-    assert order.target_ne_m is not None
-    assert order.radius_m is not None
-    return with_circle(state.keep_outs, order.target_ne_m, order.radius_m)
-
-
-def _with_keep_out(state: State, order: Order) -> Step:
-    """Another keep-out from now on, or some are lifted."""
-    before, after = state.keep_outs, _keep_outs(state, order)
-    if after == before:
-        return state, [], None
-    state = state.with_rules(state.given, state.fence, after)
-    if lifted := [zone.name for zone in before if zone not in after]:
-        return _with_zones(state, StatusText(text=f"lifted: {', '.join(lifted)}"))
-    zone = after[-1]
-    says: list[Command] = [StatusText(text=f"{zone.name}: radius {zone.radius_m:.0f} m")]
-    for target in state.targets_ne_m[state.flight.target :]:
-        if float(zone.distance_m(*np.array(target))) < state.task.zone_search_clearance_m:
-            text = target_refusal(state.task, target)
-            says.append(StatusText(text=text, warning=True))
-    return _with_zones(state, *says)
-
-
-def _with_zones(state: State, *said: Command) -> Step:
-    """Zones have changed: stop if the rest of the path conflicts with them."""
-    says = list(said)
-    if (inside := _inside(state)) and state.phase not in ON_PATH:
-        says.append(StatusText(text=f"inside zone {inside}", warning=True))
-    if not _is_touched(state):
-        return state, says, None  # `loiter` sees to the place where a plane waits
-    if state.phase not in ON_PATH:  # a path that was to be gone on with
-        flight = following.at_rest(state.flight, state.flight.hover_nea_m)
-        return replace(state, flight=flight), says, None
-    return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
 def _with_near_things(state: State, event: NearSeen, context: Context) -> Step:
@@ -288,17 +240,7 @@ def _inside(state: State) -> str:
     return zone.name if zone is not None and gap_m < 0.0 else ""
 
 
-# --- settings, targets and orders
-
-
-def _with_settings(state: State, event: SettingsChanged, _context: Context) -> Step:
-    task = event.task
-    if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
-        known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-        state = replace(state, flight=replace(state.flight, known=known))
-    if state.airborne:
-        state = replace(state, flown_under=loosest(state.flown_under or state.given, task))
-    return state.with_rules(task, state.fence), [StatusText(text=f"set {event.what}")], None
+# --- targets and orders
 
 
 def _with_vehicles_targets(state: State, event: TargetsChanged, _context: Context) -> Step:
@@ -357,20 +299,13 @@ def _ordered(state: State, order: Order, context: Context) -> Step:
             return _pause(state)
         case OrderKind.REPOSITION:
             assert order.target_ne_m is not None
-            says: list[Command] = []
-            if order.speed_m_s is not None:
-                state, says, _ = _with_speed(state, order.speed_m_s)
-            return preceded(says, _with_targets(state, (order.target_ne_m,), "new target"))
-        case OrderKind.SPEED:
-            return _with_speed(state, order.speed_m_s)
+            return _with_targets(state, (order.target_ne_m,), "new target")
         case OrderKind.RETURN:
             waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
             text = "it returns once the changed fence is read, or goes on being read for too long"
             return preceded([StatusText(text=text)] if waits else [], _return(state))
         case OrderKind.LAND:
             return _land(state)
-        case OrderKind.KEEP_OUT:
-            return _with_keep_out(state, order)
 
 
 def _go_on(state: State) -> Step:
@@ -400,18 +335,6 @@ def _pause(state: State) -> Step:
         return following.stop(state, Reason.PAUSED)
     state = replace(state, flight=replace(state.flight, planning_backtrack=None))
     return with_hold_reason(state, Reason.PAUSED), [StatusText(text=Reason.PAUSED.text)], None
-
-
-def _with_speed(state: State, speed_m_s: float | None) -> Step:
-    """Set the speed, limited to the mission's speed, for which paths are proven."""
-    limit = math.inf if speed_m_s is None else speed_m_s
-    top_m_s = state.task.limits.speed_m_s
-    flight = replace(state.flight, speed_limit_m_s=limit)
-    speed = min(limit, top_m_s)
-    commands: list[Command] = [StatusText(text=f"speed {speed:.1f} m/s")]
-    if state.phase in ON_PATH:
-        commands.append(SetSpeed(speed_m_s=speed))
-    return replace(state, flight=flight), commands, None
 
 
 def _return(state: State) -> Step:
@@ -483,7 +406,6 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         plan_id=flight.plan_id,
         legs_flown=flight.legs_flown,
         flown=flight.flown,
-        speed_limit_m_s=flight.speed_limit_m_s,
         way=ReplanHome() if flight.homeward else Outward(),
         fallen_back=flight.fallen_back,
     )
@@ -515,11 +437,9 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
 HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
     NearSeen: _with_near_things,
     GroundSeen: _on_ground_seen,
-    ScanDone: loiter.on_loiter_scan,
     FenceChanged: _with_fence,
     FenceReading: _fence_reading,
     FenceBreach: _fence_breach,
-    SettingsChanged: _with_settings,
     TargetsChanged: _with_vehicles_targets,
     Order: _ordered,
     Rebooted: _rebooted,

@@ -1,7 +1,7 @@
 """Checkpoint: the state that a companion restarted in flight resumes from (design 7).
 
-Plain values, for a file: the current path, the mission's progress, the flown path, the settings
-and the vehicle's fence.  The known map is stored beside it.  If they cannot be read, a vehicle in
+Plain values, for a file: the current path, the mission's progress, the flown path and the vehicle's
+fence.  The known map is stored beside it.  If they cannot be read, a vehicle in
 the air is still taken over, without them (`without_checkpoint`).
 """
 
@@ -27,11 +27,9 @@ from companion.mission.state import (
     State,
 )
 from companion.path.subpath import Subpath
-from companion.planner import adjustable
 from companion.planner.outcomes import control_points
 from companion.planner.procedure import Leg
 from companion.planner.request import FlownSegment, Refusal
-from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
@@ -48,8 +46,6 @@ DECODE_ERRORS = (
 )
 """Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_ADDED_LATER: Final[Values] = {"set_aside": None, "refusal": None, "sank": False, "keep_outs": []}
-"""Fields that older checkpoints do not have."""
 
 
 def values_of(state: State) -> Values:
@@ -59,8 +55,6 @@ def values_of(state: State) -> Values:
         "t_s": state.now_s,
         "phase": state.phase.name,
         "sank": state.phase is Phase.LANDING and state.obeyed,
-        "settings": adjustable.values_of(state.given),
-        "flown_under": state.flown_under and adjustable.values_of(state.flown_under),
         **{name: _plain(getattr(state, name)) for name in _OF_STATE},
         "standing": _plain(state.orders.active),
         "set_aside": _plain(state.orders.suspended),
@@ -84,8 +78,6 @@ def _plain(value: Any) -> Any:
         case FenceChanged():
             limits = {name: getattr(value, name) for name in ("floor_amsl_m", "ceiling_amsl_m")}
             return {"zones": [_of_zone(zone) for zone in value.zones], **limits}
-        case CircleZone():
-            return _of_zone(value)
         case FlownSegment():
             return [value.control_nea_m.tolist(), value.from_m, value.until_m]
         case float():
@@ -99,7 +91,7 @@ def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | Non
     if resume is None:
         return State.of(mission, blank_map(mission))
     values, kept = resume
-    known = blank_map(mission, values)
+    known = blank_map(mission)
     if "lost" in values:
         state, time_s = State.of(mission, known), float(values["t_s"])
         flight = replace(state.flight, plan_id=int(values["plan_id"]))
@@ -109,20 +101,10 @@ def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | Non
     return replace(state, news=". ".join(restore_notes(values)))
 
 
-def blank_map(mission: Mission, values: Values | None = None) -> KnownMap:
-    """The known map before the first scan; with the settings of a checkpoint, if given."""
-    task = mission.task if values is None else _task(mission, values.get("settings"))
+def blank_map(mission: Mission) -> KnownMap:
+    """The known map before the first scan."""
+    task = mission.task
     return mission.known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-
-
-def _task(mission: Mission, settings: Values | None) -> Task:
-    """The mission's task with what was set in flight.  ValueError where that breaks a rule."""
-    task = adjustable.with_values(mission.task, settings or {})
-    if (error := newly_broken(mission.task, task)) is not None:
-        raise ValueError(str(error))
-    if task.limits.speed_m_s > mission.task.limits.speed_m_s:
-        raise ValueError(f"speed {task.limits.speed_m_s:g} m/s is above the mission's")
-    return task
 
 
 def without_checkpoint(
@@ -163,10 +145,8 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     The vehicle's state is not part of it: the vehicle is prepared again.
     """
     _must_be_finite(values)
-    values = _ADDED_LATER | values
-    kept, under = _read(values, _OF_STATE), values.get("flown_under")
-    given = _task(mission, values.get("settings"))
-    state = State.of(mission, known).with_rules(given, kept["fence"], kept["keep_outs"])
+    kept = _read(values, _OF_STATE)
+    state = State.of(mission, known).with_fence(mission.task, kept["fence"])
     rules = state.task
     back = tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None)
     flight = replace(
@@ -187,7 +167,6 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         since_s=time_s,
         landing=values["phase"] == Phase.LANDING.name,
         sank=bool(values["sank"]),
-        flown_under=None if under is None else _task(mission, under),
         orders=Orders(_reason(values["standing"]), _reason(values["set_aside"])),
         flight=flight,
         **kept,
@@ -238,11 +217,6 @@ def _leg(values: Values | None, rules: Task) -> Leg | None:
     )
 
 
-def _keep_outs(values: list[Values]) -> tuple[CircleZone, ...]:
-    zones = [_zone(each) for each in values]
-    return tuple(zone for zone in zones if isinstance(zone, CircleZone))
-
-
 def _fence(values: Values | None) -> FenceChanged | None:
     if values is None:
         return None
@@ -277,13 +251,11 @@ _OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("airborne", "taken", "armed_by_us"), bool),
     "targets_ne_m": _places,
     "fence": _fence,
-    "keep_outs": _keep_outs,
 }
 _OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
     "joined_m": float,
     "route_ne_m": _places,
-    "speed_limit_m_s": lambda value: math.inf if value is None else float(value),
     "flown": _segments,
     "refusal": lambda name: None if name is None else Refusal[name],
     "fallen_back": _reason,
@@ -295,7 +267,7 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
 """Fields that are stored, and their decoders from what `_plain` returns."""
 _WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
 persisted_fields: Final = attrgetter(
-    *(*_OF_STATE, "orders", "phase", "obeyed", "given", "flown_under"),
+    *(*_OF_STATE, "orders", "phase", "obeyed"),
     *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "leg", "next_leg")),
 )
 """All fields of a state in a checkpoint, except the time."""

@@ -19,7 +19,6 @@ _SAME: Final[dict[type, type[journal.Entry]]] = {
     events.StopAsked: journal.StopAsked,
     events.FenceChanged: journal.Fence,
     events.TargetsChanged: journal.Targets,
-    events.SettingsChanged: journal.Setting,
     events.Prepared: journal.Prepared,
     events.LinkDelay: journal.LinkDelay,
     events.Rebooted: journal.VehicleRebooted,

@@ -12,11 +12,9 @@ from msgspec import Struct
 
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.planner.settings import Task
 from companion.world.known_map import Scan
 from companion.world.near_map import NearMap, Sight
 from companion.world.threats import Zone
-from companion.world.traffic import Claim, Track
 
 Vector = tuple[float, float, float]
 
@@ -196,16 +194,6 @@ class TargetsChanged(Event, frozen=True, kw_only=True):
     targets_ne_m: tuple[tuple[float, float], ...]
 
 
-@final
-class SettingsChanged(Event, frozen=True, kw_only=True):
-    """Planner parameters were set: they apply from the next plan on."""
-
-    task: Task
-    """As it is now, all of it."""
-    what: str
-    """For the journal and the operator: name = value."""
-
-
 class OrderKind(enum.Enum):
     """Orders from a ground station in flight."""
 
@@ -213,10 +201,8 @@ class OrderKind(enum.Enum):
     PAUSE = "pause"
     CONTINUE = "continue"
     REPOSITION = "go to a new target"
-    SPEED = "change the speed"
     RETURN = "return"
     LAND = "land where it is"
-    KEEP_OUT = "keep out of a circle from now on, or no longer"
 
 
 @final
@@ -225,10 +211,7 @@ class Order(Event, frozen=True, kw_only=True):
 
     kind: OrderKind
     target_ne_m: tuple[float, float] | None = None
-    """Where to (REPOSITION); the centre (KEEP_OUT)."""
-    speed_m_s: float | None = None
-    radius_m: float | None = None
-    """Of a circle (KEEP_OUT); 0: those that the centre is in are lifted."""
+    """Where to (REPOSITION)."""
     sender: str = ""
     """System and component, for the journal: "255/190"."""
 
@@ -315,16 +298,6 @@ class DuplicateId(Event, frozen=True, kw_only=True):
 
 
 @final
-class OthersHeard(Event, frozen=True, kw_only=True):
-    """All that is known of others in the air, before a position."""
-
-    ours: int
-    """Our system id."""
-    tracks: tuple[Track, ...]
-    claims: tuple[Claim, ...]
-
-
-@final
 class StopAsked(Event, frozen=True, kw_only=True):
     """The operator ends the mission now."""
 
@@ -404,15 +377,6 @@ class Setpoint(Struct, frozen=True, kw_only=True):
 
 
 @final
-class ClaimWay(Struct, frozen=True, kw_only=True):
-    """Tell other vehicles of ours which straight stretch this one keeps to."""
-
-    time_s: float
-    begin_nea_m: Vector
-    end_nea_m: Vector
-
-
-@final
 class StatusText(Struct, frozen=True, kw_only=True):
     """A short text to ground stations and the terminal."""
 
@@ -441,7 +405,6 @@ Command = (
     | StartScan
     | Plan
     | Setpoint
-    | ClaimWay
     | StatusText
     | End
 )

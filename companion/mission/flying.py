@@ -5,7 +5,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, traffic
+from companion.mission import following
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -31,7 +31,6 @@ from companion.mission.events import (
 )
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
-from companion.mission.loiter import enforce_loiter_clearance
 from companion.mission.state import (
     Answered,
     Flight,
@@ -39,7 +38,6 @@ from companion.mission.state import (
     Reason,
     Scanning,
     State,
-    Traffic,
     Trigger,
 )
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
@@ -47,6 +45,7 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
+from companion.world.zone_index import index_of
 
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
@@ -55,6 +54,7 @@ _MAX_STOPS = 12  # on the way to one target, for want of a successor
 _MAX_STOPS_NEAR = 100  # where sight is short
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
+_CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 _TOLD_FORECAST, _TOLD_SHORT = 1, 2
@@ -82,7 +82,7 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
     """Advance the reference point and send it; scan at p_scan."""
-    if state.flight.leg is None and (step := enforce_loiter_clearance(state, event)) is not None:
+    if state.flight.leg is None and (step := circling_near_zone(state, event)) is not None:
         return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and battery_runs_low(state):
@@ -94,9 +94,6 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
         if trigger is not None:
             return state, commands, trigger
-    others = state.traffic
-    if others is not None and (step := make_way(state, others, event, context)) is not None:
-        return step
     state, warning = battery_warning(state, context)
     if state.flight.leg is None:
         state, commands, trigger = _hover(state, event, context)
@@ -107,24 +104,19 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     return state, [*warning, *commands], trigger
 
 
-def make_way(state: State, others: Traffic, event: Position, context: Context) -> Step | None:
-    """Leave the path for others in the air: for another level; a plane loiters, or goes on to."""
-    flight, leg = state.flight, state.flight.leg
-    if others.level_m is not None:
-        at = flight.hover_nea_m or event.position_nea_m
-        if leg is not None:
-            at = leg.subpath.pose(flight.reference.length_m).point_nea_m
-        stopped = at_rest(following.requeue_backtrack(flight), at)
-        return fault(replace(state, flight=stopped), Reason.TRAFFIC)
-    if not others.waits or leg is None:
+def circling_near_zone(state: State, event: Position) -> Step | None:
+    """What is said of a plane's circle, once where it waits for a leg; None: left to the phase."""
+    flight, hover = state.flight, state.flight.hover_nea_m
+    if state.vehicle.traits.hovers or flight.leg is not None or hover is None:
         return None
-    if not flight.circling:
-        if flight.reference.length_m > flight.joined_m:
-            return following.stop(state, Reason.GIVING_WAY)
-        start = leg.subpath.pose(flight.joined_m).point_nea_m  # led back to it, not on it yet
-        flight = replace(flight, circling=True, hover_nea_m=start)
-    waits = replace(state, flight=replace(flight, progress_at_s=state.now_s))
-    return circle(waits, event, context)
+    task, place = flight.loiter_checked or (None, None)
+    if (task is state.task and place == hover) or cannot_fly(state, event) is not None:
+        return None
+    zone, gap_m = index_of(state.task.zones).nearest(hover[0], hover[1])
+    says: list[Command] = []
+    if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
+        says.append(StatusText(text=f"circling too near to zone {zone.name}", warning=True))
+    return replace(state, flight=replace(flight, loiter_checked=(state.task, hover))), says, None
 
 
 def max_stops(context: Context) -> int:
@@ -330,8 +322,7 @@ def on_plan(state: State, event: PlanReady) -> Step:
             commands = [*_closed(outcome), *commands]
         return state, commands, trigger
     leg, at_m = flight.leg, flight.reference.length_m
-    sent_ahead_m = following.lead_m(state, flight.reference)
-    soonest_m = at_m + max(sent_ahead_m, traffic.settled_m(state))
+    soonest_m = at_m + following.lead_m(state, flight.reference)
     if leg is not None and soonest_m > leg.successor_at_m(state.task):
         return _no_successor(state, Reason.PLAN_LATE)
     if flight.stop is not None:
@@ -408,8 +399,8 @@ def task_ahead(state: State, context: Context) -> Task:
     mission, flight = context.mission, state.flight
     task = state.task
     if not flight.homeward and state.targets_ne_m == mission.targets_ne_m:
-        task = mission.task_to(flight.target, task)
-    return traffic.plan_floor(state, task)
+        return mission.task_to(flight.target, task)
+    return task
 
 
 def _is_there(state: State, event: Position, here: Vector) -> bool:

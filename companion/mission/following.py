@@ -9,12 +9,12 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import joining, traffic
+from companion.mission import joining
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
 from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
 from companion.planner import join
-from companion.planner.loiter_search import LoiterQuery, loiter_point
+from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.procedure import (
     Leg,
     Reference,
@@ -54,8 +54,6 @@ def lead_m(state: State, reference: Reference) -> float:
         return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
     lead_m = (vehicle.traits.lead_s + delay_s) * over_ground
-    if state.traffic is not None:
-        lead_m = min(lead_m, traffic.entered_m(state.traffic))
     return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
 
 
@@ -65,10 +63,6 @@ def advance_reference(state: State, event: Position) -> Flight:
     leg = flight.leg
     assert leg is not None
     here = np.asarray(event.position_nea_m)
-    until_m = None if flight.stop is None else flight.stop.at_m
-    speed_limit_m_s = flight.speed_limit_m_s
-    if state.traffic is not None:
-        until_m, speed_limit_m_s = traffic.limits(state, until_m, speed_limit_m_s)
     slows_to_m_s = None
     if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
@@ -80,14 +74,12 @@ def advance_reference(state: State, event: Position) -> Flight:
             here,
             task.limits,
             goes_on=flight.next_leg is not None,
-            until_m=until_m,
+            until_m=None if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
-            speed_limit_m_s=speed_limit_m_s,
         )
     else:
         reference = follow(flight.reference, leg, here, task.limits)
     sets_out = reference.length_m > flight.reference.length_m or flight.circling
-    sets_out = sets_out or (state.traffic is not None and traffic.is_held_back(state))
     offset = flight.offset
     if offset is not None:
         offset = join.step(offset, vehicle.position_step_s, task.limits)
@@ -304,11 +296,9 @@ def stop(state: State, reason: Reason) -> Step:
         pose = sent_pose(flight.reference, flight.leg, flight.next_leg, ahead_m, state.task)
         point = pose.point_nea_m
         if reason in (Reason.NEW_THREAT, Reason.FENCE_UNREAD):
-            query = LoiterQuery(
-                here_nea_m=state.vehicle.position_nea_m or point,
-                velocity_nea_m_s=state.vehicle.velocity_nea_m_s,
-            )
-            point = loiter_point(flight.known, state.task, query, (point,)) or point
+            here = state.vehicle.position_nea_m or point
+            motion = Motion(here, state.vehicle.velocity_nea_m_s)
+            point = loiter_point(flight.known, state.task, motion, point) or point
         flight = at_rest(requeue_backtrack(flight), point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     leg = flight.leg

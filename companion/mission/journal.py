@@ -22,7 +22,7 @@ from companion.world.threats import CircleZone, PolygonZone, Zone
 
 SCHEMA: Final = "companion-journal"
 VERSION: Final = 3
-"""The newest.  What has changed: `telemetry.journal._UPGRADES`."""
+"""The only one that is read; 1 and 2 were written by companions before 0.2.0."""
 
 if TYPE_CHECKING:
     AnyZone = Zone
@@ -84,7 +84,7 @@ class Phase(Entry, frozen=True, tag="phase"):
     reason: str | None
     """Why it holds or ends, as text; null if there is no reason."""
     code: str | None
-    """The reason's name, which stays the same if its text is improved.  Since version 2."""
+    """The reason's name, which stays the same if its text is improved."""
 
 
 @final
@@ -276,14 +276,6 @@ class Targets(Entry, frozen=True, tag="targets"):
 
 
 @final
-class Setting(Entry, frozen=True, tag="setting"):
-    """A planner parameter was set."""
-
-    what: str
-    """Name = value."""
-
-
-@final
 class CommandHeard(Entry, frozen=True, tag="command"):
     """A MAVLink command to the companion, and the answer."""
 
@@ -303,18 +295,12 @@ class CommandHeard(Entry, frozen=True, tag="command"):
 class OrderGiven(Entry, frozen=True, tag="order"):
     """An order to the companion that was accepted."""
 
-    order: Literal[
-        "START", "PAUSE", "CONTINUE", "REPOSITION", "SPEED", "RETURN", "LAND", "KEEP_OUT"
-    ]
+    order: Literal["START", "PAUSE", "CONTINUE", "REPOSITION", "RETURN", "LAND"]
     """The order."""
     sender: str
     """System and component id of the sender: "255/190"; or "terminal"."""
     target_ne_m: NorthEast | None
-    """Where to go (REPOSITION); the centre (KEEP_OUT)."""
-    speed_m_s: float | None
-    """How fast (SPEED)."""
-    radius_m: float | None = None
-    """Of the circle (KEEP_OUT); 0: those that the centre is in are lifted."""
+    """Where to go (REPOSITION)."""
 
 
 # --- the vehicle

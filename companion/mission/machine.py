@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from companion.mission import backtracking, changes, fallback, flying, following, ground, stopped
 from companion.mission import shadow as watching
-from companion.mission import traffic as others
 from companion.mission.decisions import (
     Context,
     Step,
@@ -34,7 +33,6 @@ from companion.mission.events import (
     LandedState,
     LinkDelay,
     Mode,
-    OthersHeard,
     Outcome,
     PlannerDied,
     Position,
@@ -100,14 +98,10 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
         vehicle = with_position_trust(vehicle, reason, now_s)
     airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
     state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
-    told: list[Command] = []
-    if state.traffic is not None and isinstance(event, Position) and not context.shadow:
-        state, told = others.observe(state, context)
     in_any_phase, step = _IN_ANY_PHASE.get(type(event)), None
     if in_any_phase is not None:
         step = in_any_phase(state, event, context)
     after, commands, trigger = step or IN_PHASE[state.phase](state, event, context)
-    commands = [*told, *commands] if told else commands
     if trigger is Trigger.GIVE_UP and not context.shadow:
         after, more, trigger = fallback.fall_back(after, context)
         commands = [*commands, *more]
@@ -164,8 +158,6 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             flight = following.with_echo(replace(state, now_s=now_s, vehicle=vehicle))
         case DuplicateId(certain=certain):
             state = replace(state, duplicate_id=certain, duplicate_id_at_s=now_s)
-        case OthersHeard():
-            state = others.heard(state, event)
         case Prepared(item=item, refusal="") if item not in state.prepared:
             state = replace(state, prepared=state.prepared | {item})
         case ScanDone(scan=scan) if state.phase not in ON_GROUND:  # else it was only to answer
@@ -261,8 +253,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
         state = replace(state, flight=went_back)
         commands = [*commands, StatusText(text="returning", about="phase")]
     if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:
-        speed = min(state.flight.speed_limit_m_s, state.task.limits.speed_m_s)
-        commands = [*commands, SetSpeed(speed_m_s=speed)]
+        commands = [*commands, SetSpeed(speed_m_s=state.task.limits.speed_m_s)]
     return state, commands
 
 

@@ -36,22 +36,6 @@ class Fallback(enum.Enum):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrafficRules:
-    """How others in the air are kept clear of (`mission.traffic`)."""
-
-    separation_m: Positive = 20.0
-    """Between two vehicles, horizontally, or else vertically; errors come on top."""
-    vertical_separation_m: Positive = 10.0
-    horizon_s: Annotated[float, Ge(5.0), Le(120.0)] = 30.0
-    """How far ahead tracks are looked for."""
-    claims: bool = True
-    """Whether to agree with other companions on who flies where."""
-    icao_address: Annotated[int, Ge(1), Le(0xFFFFFF)] | None = None
-    """Of its own transponder."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Mission:
     """Targets, and the task of getting there."""
 
@@ -102,10 +86,6 @@ class Mission:
     """Whether it flies on while a changed fence is being read, instead of holding."""
     sets_parameters: bool = True
     """Whether parameters of the autopilot that are not safe are set, or only refused."""
-    sends_obstacles: bool = False
-    """Whether OBSTACLE_DISTANCE is sent."""
-    traffic: TrafficRules | None = None
-    """None: others in the air are not watched."""
     rally_ne_m: tuple[tuple[float, float], ...] = ()
     """Places to return to that a plan names."""
     notes: tuple[str, ...] = ()

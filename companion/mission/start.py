@@ -35,20 +35,16 @@ class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     resume: Values | None
     known: bytes | None
     """The map that is resumed with (`packed_map`)."""
-    has_ground: bool = False
-    """Whether there were links to ground stations besides the vehicle's."""
     go: bool = True
     """Whether somebody had said go beforehand (--start).  Older recordings asked nobody."""
-    terrain: str | None = None
+    terrain: str
     """Of the terrain that the mission knows in advance (`digest_of`); "": it knows none.
 
-    It may stand in a file outside of the run folder.  None: recorded before this was noted.
+    It may stand in a file outside of the run folder.
     """
 
     @staticmethod
-    def of(
-        context: Context, resume: Resume | None, *, version: str, has_ground: bool = False
-    ) -> "Start":
+    def of(context: Context, resume: Resume | None, *, version: str) -> "Start":
         """Of a session that begins."""
         values, known = (None, None) if resume is None else resume
         mission = context.mission
@@ -60,7 +56,6 @@ class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             seed=context.seed,
             lockstep=context.lockstep,
             shadow=context.shadow,
-            has_ground=has_ground,
             go=context.go,
             resume=values,
             known=None if known is None else packed_map(known),

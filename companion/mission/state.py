@@ -3,15 +3,13 @@
 import dataclasses
 import enum
 import math
-from itertools import count
 from typing import final
 
-import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
-from companion.mission.mission import Mission, TrafficRules
+from companion.mission.mission import Mission
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
@@ -19,8 +17,6 @@ from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.near_map import Sight
-from companion.world.threats import CircleZone
-from companion.world.traffic import Claim, Track
 
 
 class Phase(enum.Enum):
@@ -305,13 +301,6 @@ class Reason(enum.Enum):
         "Bring the vehicle down.",
         ReturnOrdered,
     )
-    GIVING_WAY = ("giving way to others in the air", "It goes on by itself.", Replan, False)
-    TRAFFIC = (
-        "out of the way of others in the air",
-        "It goes on by itself, from another level.",
-        Replan,
-    )
-    NO_LEVEL = ("in the way of others, and no level is free", "Send it elsewhere.", Replan)
     PLANNER_DIED = (
         "a part of the companion stopped with an error",
         "Report the error in the journal.",
@@ -416,11 +405,6 @@ class Scanning(Struct, frozen=True):
 
 
 @final
-class LoiterScan(Struct, frozen=True):
-    """A scan was requested to find a place to loiter: no plan follows."""
-
-
-@final
 class Planning(Struct, frozen=True):
     """The newest plan was requested."""
 
@@ -442,7 +426,7 @@ class Answered(Struct, frozen=True):
     """The answer is there: a successor, or this leg is flown to its end."""
 
 
-Search = Scanning | LoiterScan | Planning | Answered
+Search = Scanning | Planning | Answered
 """Progress of the search for the next leg."""
 
 
@@ -496,10 +480,8 @@ class Flight(Struct, frozen=True, kw_only=True):
     hover_nea_m: Vector | None = None
     """Where to hold while there is no leg."""
     loiter_checked: tuple[Task, Vector] | None = None
-    """Rules and hold position of the last check of a plane's loiter circle."""
+    """Rules and hold position of the last look at the zones about a plane's circle."""
     search: Search | None = None
-    loiter_scan_rules: Task | None = None
-    """The rules of the last scan for a place to loiter."""
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
@@ -529,8 +511,6 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Holds for its position or another fault since the last completed leg."""
     progress_at_s: float = 0.0
     """When the reference point last moved, or the wait for a leg began."""
-    speed_limit_m_s: float = math.inf
-    """The ordered speed; the mission's own speed limits it too."""
     sent: Setpoint | None = None
     """The last setpoint."""
     sent_at_s: float = -1e9
@@ -561,51 +541,6 @@ class Flight(Struct, frozen=True, kw_only=True):
     def back(self) -> tuple[Leg, ...]:
         """The remaining backtrack."""
         return self.way.legs if isinstance(self.way, Backtracking) else ()
-
-
-@final
-class Traffic(Struct, frozen=True, kw_only=True):
-    """Others in the air, and what they leave this vehicle (`mission.traffic`).
-
-    Lengths are those flown along the legs since the reference point was last at rest off a leg.
-    """
-
-    rules: TrafficRules
-    ours: int = 0
-    """Our system id."""
-    tracks: tuple[Track, ...] = ()
-    claims: tuple[Claim, ...] = ()
-    legs: tuple[Leg | None, Leg | None] = (None, None)
-    """The leg and the next one, as of the last position."""
-    at_m: float = 0.0
-    """Length along the leg then."""
-    flown_m: float = 0.0
-    asked: tuple[tuple[float, float], ...] = ()
-    """Since when, and to what length, a stretch has been claimed without a break."""
-    committed_m: float = 0.0
-    """The length up to which it may be entered."""
-    taken_m: float = math.inf
-    """The length at which others' claims begin."""
-    speed_m_s: float = math.inf
-    """The fastest that keeps clear of all tracks."""
-    waits: bool = False
-    """Whether a plane has to loiter."""
-    moved_at_s: float = 0.0
-    forced_since_s: float = math.inf
-    """Since when the vehicle is in the way where it stands."""
-    level_m: float | None = None
-    """Altitude to climb or descend to, out of the way."""
-    level_since_s: float = math.inf
-    """Since when the column to it has been claimed."""
-    climbs: bool = False
-    """Whether it may be entered."""
-    floor_m: float | None = None
-    """The next leg from rest is planned no lower: the last such level."""
-    claimed_at_s: float = -1e9
-    """When a claim was last sent."""
-    told: Reason | None = None
-    told_at_s: float = -1e9
-    """When that last applied."""
 
 
 @final
@@ -668,20 +603,12 @@ class State(Struct, frozen=True, kw_only=True):
     detail: str = ""
     """Detail of the reason."""
     remedy: str = ""
-    given: Task
-    """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
     fence_unread_s: float | None = None
     """Since when a fence that has changed is being read; None: it is known."""
-    keep_outs: tuple[CircleZone, ...] = ()
-    """Ordered in flight."""
-    flown_under: Task | None = None
-    """The loosest version of `given` in the air, if it was changed there."""
     task: Task
-    """The task for planning: `given` with the vehicle's fence and the ordered keep-outs."""
+    """The task for planning: the mission's with the vehicle's fence."""
     targets_ne_m: tuple[tuple[float, float], ...]
-    traffic: Traffic | None = None
-    """None: the mission does not watch it."""
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
 
@@ -689,27 +616,25 @@ class State(Struct, frozen=True, kw_only=True):
     def of(mission: Mission, known: KnownMap) -> "State":
         """A mission that has not begun."""
         return State(
-            given=mission.task,
             task=mission.task,
             targets_ne_m=mission.targets_ne_m,
-            traffic=mission.traffic and Traffic(rules=mission.traffic),
             flight=Flight(known=known),
         )
 
-    def with_rules(
-        self,
-        given: Task,
-        fence: FenceChanged | None,
-        keep_outs: tuple[CircleZone, ...] | None = None,
-    ) -> "State":
-        """The state under another task, fence or keep-outs (None: the same).
+    def with_fence(self, task: Task, fence: FenceChanged | None) -> "State":
+        """The state within another fence; task: the mission's.
 
         Its `task` is the old one if they are equal.
         """
-        keep_outs = self.keep_outs if keep_outs is None else keep_outs
-        task = within(given, fence, keep_outs)
-        task = self.task if task == self.task else task
-        return replace(self, given=given, fence=fence, keep_outs=keep_outs, task=task)
+        if fence is not None:
+            limits, (floor, ceiling) = task.limits, (fence.floor_amsl_m, fence.ceiling_amsl_m)
+            limits = dataclasses.replace(
+                limits,
+                floor_amsl_m=max(limits.floor_amsl_m, -math.inf if floor is None else floor),
+                ceiling_amsl_m=min(limits.ceiling_amsl_m, math.inf if ceiling is None else ceiling),
+            )
+            task = dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))
+        return replace(self, fence=fence, task=self.task if task == self.task else task)
 
     def rebase_time(self, shift_s: float) -> "State":
         """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
@@ -720,36 +645,7 @@ class State(Struct, frozen=True, kw_only=True):
             asked_at_s=self.asked_at_s + shift_s,
             duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
             fence_unread_s=None if self.fence_unread_s is None else self.fence_unread_s + shift_s,
-            traffic=self.traffic and Traffic(rules=self.traffic.rules),
             vehicle=replace(
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
             ),
         )
-
-
-def within(task: Task, fence: FenceChanged | None, keep_outs: tuple[CircleZone, ...] = ()) -> Task:
-    """A task with a vehicle's own fence around it, and more keep-outs."""
-    if fence is None:
-        return dataclasses.replace(task, zones=(*task.zones, *keep_outs)) if keep_outs else task
-    limits = task.limits
-    floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
-    if fence.floor_amsl_m is not None:
-        floor = max(floor, fence.floor_amsl_m)
-    if fence.ceiling_amsl_m is not None:
-        ceiling = min(ceiling, fence.ceiling_amsl_m)
-    limits = dataclasses.replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
-    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones, *keep_outs))
-
-
-def with_circle(
-    keep_outs: tuple[CircleZone, ...], centre_ne_m: tuple[float, float], radius_m: float
-) -> tuple[CircleZone, ...]:
-    """The ordered keep-outs with another; a radius of 0 lifts those that its centre is in."""
-    if radius_m == 0.0:
-        where = np.array(centre_ne_m)
-        return tuple(each for each in keep_outs if each.distance_m(*where) > 0.0)
-    names = {each.name for each in keep_outs}
-    name = next(name for k in count(1) if (name := f"ordered keep-out {k}") not in names)
-    zone = CircleZone(name=name, north_m=centre_ne_m[0], east_m=centre_ne_m[1], radius_m=radius_m)
-    is_new = all(dataclasses.replace(each, name=name) != zone for each in keep_outs)
-    return (*keep_outs, zone) if is_new else keep_outs

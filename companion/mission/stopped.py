@@ -4,7 +4,7 @@ import math
 
 from msgspec.structs import replace
 
-from companion.mission import backtracking, fallback, flying, following, loiter, traffic
+from companion.mission import backtracking, fallback, flying, following
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -90,7 +90,7 @@ _LANDS_WITHIN = 1.5  # loiter radii
 def holding(state: State, event: Event, context: Context) -> Step:
     """Stop as the reason allows, and continue when it is gone."""
     if isinstance(event, Position):
-        step = fence_breached(state) or loiter.enforce_loiter_clearance(state, event)
+        step = fence_breached(state) or flying.circling_near_zone(state, event)
         if step is not None:
             return step
     hold = state.hold
@@ -253,11 +253,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
         low = with_hold_reason(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
         return low, [StatusText(text=f"hold: {Reason.BATTERY_LOW.text}", warning=True)], None
     state, warning = flying.battery_warning(state, context)
-    state, says = traffic.hold(state)
     flight, commands = following.hold_setpoint(state, event.time_s, context)
-    commands, state = [*warning, *says, *commands], replace(state, flight=flight)
-    if traffic.keeps_holding(state):
-        return state, commands, None
+    commands, state = [*warning, *commands], replace(state, flight=flight)
     if flight.planning_backtrack is not None:
         if state.now_s - flight.planning_backtrack.since_s > _ANSWER_S:
             return give_up(state, state.reason or Reason.NO_PLAN)
@@ -305,19 +302,13 @@ def _is_settled(state: State, event: Position) -> bool:
 
 
 def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
-    """Take the backtrack; if it failed, retry under the rules it was flown under; else give up."""
+    """Take the backtrack; if it failed, plan a path home, or give up."""
     flight, asked = state.flight, state.flight.planning_backtrack
     if asked is None or event.outcome.plan_id != flight.plan_id:
         return state, [], None
     if asked.rules is not state.task:  # it was proven under other rules
         return backtracking.request_backtrack(state, context)
     back = backtracking.on_backtrack_plan(state, event)
-    whole = back is not None and back.legs[-1].reaches_target
-    if not whole and (looser := backtracking.with_looser_rules(state)) is not None:
-        return preceded(
-            [StatusText(text=looser[1], warning=True)],
-            backtracking.request_backtrack(looser[0], context),
-        )
     if back is not None:
         after = replace(state, flight=replace(flight, way=back, planning_backtrack=None))
         if backtracking.start_backtrack(after) is not None:

@@ -1,10 +1,9 @@
-"""Searches a place where a plane can loiter if its surroundings are no longer safe."""
+"""Searches a place where a plane can loiter that has to leave its path for a new zone."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from itertools import islice
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,68 +37,56 @@ _AHEAD_RAD = 1e-6
 _STILL_M_S = 1.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoiterQuery:
-    """A query for a place to loiter."""
+class Motion(NamedTuple):
+    """Where a plane is and how it flies."""
 
     here_nea_m: Vector
-    velocity_nea_m_s: Vector = (0.0, 0.0, 0.0)
-    """Over ground; a plane turns from there towards the place (zero: straight flight)."""
-    height_amsl_m: float | None = None
-    """Of the places to look at; None: its own, within the band."""
-    stays_m: float = math.inf
-    """Its current distance to zones while loitering: no way to the new place may come nearer."""
+    velocity_nea_m_s: Vector
+    """Over ground; it turns from there towards a place (almost zero: straight flight)."""
 
 
-def loiter_point(
-    known: KnownMap, task: Task, query: LoiterQuery, preferred: Sequence[Vector] = ()
-) -> Vector | None:
-    """A point to loiter (or hover) at: its circle is clear of terrain and zones.
+def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector) -> Vector | None:
+    """A point to loiter at: its circle is clear of terrain and zones.
 
-    The first preferred point with a clear way, else the point around the vehicle with the shortest
-    way, where parts too near to zones count several times; at this height or half way to the
-    ceiling; with the required clearance about the circle, or if there is none with the vehicle's
-    errors.  Of the way there, which begins with a turn:
+    The preferred point if the way there is clear, else the point around the vehicle with the
+    shortest way, where parts too near to zones count several times; at its own height or half way
+    to the ceiling; with the required clearance about the circle, or if there is none with the
+    vehicle's errors.  Of the way there, which begins with a turn:
 
     - it clears terrain by the errors, or comes no nearer than the vehicle is; all of it counts as
       flown at the lower of its ends, as a climb takes longer than the way;
-    - it clears zones by the errors, or comes no nearer than the vehicle is, or than its present
-      circle.
+    - it clears zones by the errors, or comes no nearer than the vehicle is.
 
     Unknown ground is never clear.  None: there is no such place, or none among the best by
     approximate distances (`ZoneField`): only those are checked exactly.
     """
     reach_m = _FARTHEST * task.settings.scan_range_m
-    here = np.asarray(query.here_nea_m)
-    if not sees_anything(known, (float(here[0]), float(here[1])), reach_m):
+    here, spot = np.asarray(motion.here_nea_m), motion.here_nea_m[:2]
+    if not sees_anything(known, spot, reach_m):
         return None
     places, loiter_m = _places_ne_m(here, reach_m, preferred), task.limits.loiter_radius_m
     index = index_of(task.zones)
-    allowed_m = min(
-        task.error_m, index.nearest(float(here[0]), float(here[1]))[1] - _SLACK_M, query.stays_m
-    )
+    allowed_m = min(task.error_m, index.nearest(*spot)[1] - _SLACK_M)
     field = _field(task, index, places, here[:2])
     clear_at = field.keeps(places[:, 0], places[:, 1], task.error_m + loiter_m)
     if not clear_at.any():
         return None
     rank, nearest_m = np.full((2, len(places)), -np.inf)
-    rank[clear_at], nearest_m[clear_at] = _judged(task, query, field, places[clear_at])
+    rank[clear_at], nearest_m[clear_at] = _judged(task, motion, field, places[clear_at])
     may_be_open = (nearest_m + field.error_m >= allowed_m) | (allowed_m < -field.most_m)
     open_ = np.flatnonzero(clear_at & may_be_open)
-    clear = _clear(task, query, field, places[: len(preferred)])
-    heights = _heights_m(task, query)
-    spot = float(here[0]), float(here[1])
+    prefers = _keeps_off_zones(task, motion, field, places[0], task.required_clearance_m)
+    heights = _heights_m(task, motion)
     looks = max(_LOOKED_AT // max(len(index.near(spot, spot, task.error_m)), 1), _MIN_LOOKED_AT)
     for clearance_m in (task.required_clearance_m, task.error_m):
         keeps = field.keeps(places[open_, 0], places[open_, 1], clearance_m + loiter_m)
         points = (
             (float(places[k, 0]), float(places[k, 1]), height_m)
-            for k in _in_order(open_[keeps], rank, clear)
-            for height_m in ((preferred[k][2],) if k < len(preferred) else heights)
+            for k in _in_order(open_[keeps], rank, first=0 if prefers else None)
+            for height_m in (heights if k else (preferred[2],))
         )
-        for point in _clear_of_terrain(known, task, query, points, clearance_m):
-            if _is_open(known, task, query, field, point, allowed_m):
+        for point in _clear_of_terrain(known, task, motion, points, clearance_m):
+            if _is_open(known, task, motion, field, point, allowed_m):
                 return point
             looks -= 1
             if looks == 0:
@@ -108,36 +95,32 @@ def loiter_point(
 
 
 def _is_open(
-    known: KnownMap, task: Task, query: LoiterQuery, field: ZoneField, point: Vector, gap_m: float
+    known: KnownMap, task: Task, motion: Motion, field: ZoneField, point: Vector, gap_m: float
 ) -> bool:
     """Whether all possible ways to a point clear zones and terrain."""
     place = np.array(point[:2])
-    off_zones = _keeps_off_zones(task, query, field, place, gap_m)
-    return off_zones and _keeps_off_terrain(known, task, query, point)
+    off_zones = _keeps_off_zones(task, motion, field, place, gap_m)
+    return off_zones and _keeps_off_terrain(known, task, motion, point)
 
 
-def _places_ne_m(here: FloatArray, reach_m: float, preferred: Sequence[Vector]) -> FloatArray:
-    """The preferred ones, here, and rings about here, the nearest first.  -> (N, 2)."""
+def _places_ne_m(here: FloatArray, reach_m: float, preferred: Vector) -> FloatArray:
+    """The preferred one, here, and rings about here, the nearest first.  -> (N, 2)."""
     turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
     radii = np.linspace(0.0, reach_m, _LENGTHS + 1)[1:, None, None]
     rings = here[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    first = np.array([point[:2] for point in preferred]).reshape(-1, 2)
-    return np.concatenate([first, here[None, :2], rings.reshape(-1, 2)])
+    return np.concatenate([[preferred[:2], here[:2]], rings.reshape(-1, 2)])
 
 
-def _heights_m(task: Task, query: LoiterQuery) -> tuple[float, float]:
+def _heights_m(task: Task, motion: Motion) -> tuple[float, float]:
     low, high = task.band_amsl_m
-    wanted = query.here_nea_m[2] if query.height_amsl_m is None else query.height_amsl_m
-    level = min(max(wanted, low), high)
+    level = min(max(motion.here_nea_m[2], low), high)
     return level, 0.5 * (level + high)
 
 
-def _in_order(index: NDArray[np.intp], rank: FloatArray, clear: list[int]) -> Iterator[int]:
-    """The preferred ones whose way is clear of zones; then all, the best first."""
-    first = [k for k in clear if k in index]
-    yield from first
-    order = index[np.argsort(np.round(rank[index], 3), kind="stable")]
-    yield from (int(k) for k in order if int(k) not in first)
+def _in_order(index: NDArray[np.intp], rank: FloatArray, first: int | None) -> Iterator[int]:
+    """The first one, if it is among them; then all others, the best first."""
+    order = index[np.argsort(np.round(rank[index], 3), kind="stable")].tolist()
+    yield from sorted(order, key=lambda k: k != first)
 
 
 # --- ways, and zones
@@ -151,7 +134,7 @@ def _field(task: Task, index: ZoneIndex, places: FloatArray, here: FloatArray) -
 
 
 def _judged(
-    task: Task, query: LoiterQuery, field: ZoneField, places: FloatArray
+    task: Task, motion: Motion, field: ZoneField, places: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Of the ways to each place: how bad they are, about, and their least distance to zones, about.
 
@@ -161,7 +144,7 @@ def _judged(
     """
     length_m, intruding_m = np.zeros(len(places)), np.zeros(len(places))
     nearest_m = np.full(len(places), np.inf)
-    for ways, lengths_m, flown in _ways_ne_m(task, query, places, _ROUGHLY):
+    for ways, lengths_m, flown in _ways_ne_m(task, motion, places, _ROUGHLY):
         gaps_m = field.gaps_m(ways[..., 0], ways[..., 1])
         missing = np.maximum(1.0 - gaps_m / task.required_clearance_m, 0.0)
         into_m = missing.mean(axis=-1) * lengths_m
@@ -171,30 +154,20 @@ def _judged(
     return length_m + _INTRUDING * intruding_m, nearest_m
 
 
-def _clear(task: Task, query: LoiterQuery, field: ZoneField, places: FloatArray) -> list[int]:
-    """Which places have a way that keeps the required clearance of zones."""
-    clearance_m = task.required_clearance_m
-    return [
-        k
-        for k, place in enumerate(places)
-        if _keeps_off_zones(task, query, field, place, clearance_m)
-    ]
-
-
 def _keeps_off_zones(
-    task: Task, query: LoiterQuery, field: ZoneField, place: FloatArray, gap_m: float
+    task: Task, motion: Motion, field: ZoneField, place: FloatArray, gap_m: float
 ) -> bool:
     """Whether all that may be flown to a place keeps this distance from zones."""
-    ways = [each for each, _, _ in _ways_ne_m(task, query, place[None], _SAMPLES)]
+    ways = [each for each, _, _ in _ways_ne_m(task, motion, place[None], _SAMPLES)]
     points = np.concatenate(ways).reshape(-1, 2)
     return bool(field.keeps(points[:, 0], points[:, 1], gap_m).all())
 
 
-def _ways_ne_m(task: Task, query: LoiterQuery, places: FloatArray, samples: int) -> Iterator[Ways]:
+def _ways_ne_m(task: Task, motion: Motion, places: FloatArray, samples: int) -> Iterator[Ways]:
     """The ways to places."""
-    here, velocity = np.asarray(query.here_nea_m[:2]), query.velocity_nea_m_s
+    here, velocity = np.asarray(motion.here_nea_m[:2]), motion.velocity_nea_m_s
     away = places - here
-    if task.limits.hovers or math.hypot(*velocity[:2]) < _STILL_M_S:
+    if math.hypot(*velocity[:2]) < _STILL_M_S:
         share = np.linspace(0.0, 1.0, samples + 1)[1:, None]
         always = np.ones(len(places), dtype=bool)
         yield here + share * away[:, None], np.hypot(away[:, 0], away[:, 1]), always
@@ -239,23 +212,23 @@ def _turns_ne_m(
 
 
 def _clear_of_terrain(
-    known: KnownMap, task: Task, query: LoiterQuery, points: Iterable[Vector], clearance_m: float
+    known: KnownMap, task: Task, motion: Motion, points: Iterable[Vector], clearance_m: float
 ) -> Iterator[Vector]:
     """Those of the points whose circle keeps this distance, at the lower end of the way too."""
     circle, points = known.grown(task.limits.loiter_radius_m), iter(points)
     while some := list(islice(points, _AT_ONCE)):
         there = np.array(some)
-        there[:, 2] = np.minimum(there[:, 2], query.here_nea_m[2])
+        there[:, 2] = np.minimum(there[:, 2], motion.here_nea_m[2])
         gaps_m = distances_to_terrain_m(circle, there, clearance_m)
         yield from (some[k] for k in np.flatnonzero(gaps_m >= clearance_m))
 
 
-def _keeps_off_terrain(known: KnownMap, task: Task, query: LoiterQuery, point: Vector) -> bool:
+def _keeps_off_terrain(known: KnownMap, task: Task, motion: Motion, point: Vector) -> bool:
     """Whether the way to a point keeps off terrain by the errors, or as far as the vehicle does."""
-    lowest_m = min(point[2], query.here_nea_m[2])
-    error_m, here = task.error_m, np.asarray(query.here_nea_m)
+    lowest_m = min(point[2], motion.here_nea_m[2])
+    error_m, here = task.error_m, np.asarray(motion.here_nea_m)
     least_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
-    for ways, _, _ in _ways_ne_m(task, query, np.array([point[:2]]), _SAMPLES):
+    for ways, _, _ in _ways_ne_m(task, motion, np.array([point[:2]]), _SAMPLES):
         flown = ways.reshape(-1, 2)
         way = np.concatenate([flown, np.full((len(flown), 1), lowest_m)], axis=1)
         if (distances_to_terrain_m(known, way, error_m) < least_m).any():

@@ -150,20 +150,16 @@ def advance(
     goes_on: bool,
     until_m: float | None = None,
     slows_to_m_s: float | None = None,
-    speed_limit_m_s: float | None = None,
 ) -> Reference:
     """Move the reference point: speed up, cruise at V, slow down to stop at the end of the leg.
 
     It slows down with the mission's acceleration, harder where the path demands a lower speed;
     it gains speed the more slowly the farther behind the vehicle is, and waits if it is too far.
     goes_on: the next leg is ready, so there is no stop at the end of this one.  until_m: the length
-    at which to stop if that is before the end.  slows_to_m_s: see `Leg.slows_to_m_s`;
-    speed_limit_m_s: in place of V if that is less.
+    at which to stop if that is before the end.  slows_to_m_s: see `Leg.slows_to_m_s`.
     """
     pose = leg.subpath.pose(reference.length_m)
     allowed = allowed_speed_m_s(pose, limits)
-    if speed_limit_m_s is not None:
-        allowed = min(allowed, max(speed_limit_m_s, 0.0))
     end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
     left = max(end_m - reference.length_m, 0.0)
     if not goes_on or until_m is not None:

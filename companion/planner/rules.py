@@ -1,8 +1,7 @@
 """Rules between the numbers of a task, for all sources of settings.
 
-Mission files, planner parameters over MAVLink, targets from a ground station or from the vehicle,
-replays under other settings and resumed flights are all checked by them.  A broken
-rule is an InputError whose field is named as in mission.toml.
+Mission files, targets from a ground station or from the vehicle, and replays under other settings
+are all checked by them.  A broken rule is an InputError whose field is named as in mission.toml.
 """
 
 import math

@@ -64,8 +64,6 @@ class Task:
     zones: tuple[Zone, ...] = ()
     stated_ground_amsl_m: float | None = None
     """Upper bound of the ground for flights without a scanner; None: not stated."""
-    claim_s: float = field(default=0.0, repr=False)
-    """How much earlier the next subpath is asked for, as others in the air are told of it first."""
     _circles: FloatArray = field(init=False, repr=False, compare=False)
     """(radars, 3): north, east, range of each, so that looking for the near ones is one scan."""
 
@@ -120,7 +118,6 @@ class Task:
         """
         settings = self.settings
         time_s = settings.planning_time_s + settings.scan_time_s + 3.0 * settings.position_period_s
-        time_s += self.claim_s
         return self.limits.speed_m_s * time_s + self.limits.lead_m + self.tail_m
 
     @cached_property

@@ -11,18 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from companion.config import elevation_file, load_mission
+from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import FlightFailed, InputError
 from companion.mission.mission import Mission
 from companion.mission.start import Start, terrain_of
-from companion.replay.differences import message_of
 from companion.replay.from_log import LogReplay
-from companion.replay.playback import PlaybackSettings, play_file
 from companion.replay.report import Replayed, replay_json, replay_text
-from companion.replay.reproduce import Replay, Step
+from companion.replay.reproduce import Replay
 from companion.replay.session_inputs import DamagedInputError, MissionOf, start_of
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import renderables
@@ -39,28 +36,11 @@ _SHOWN_EVERY_S = 0.1
 _TABLE_COLUMNS = 130  # into a file
 
 
-def play(
-    flight: Path,
-    connect: str,
-    span_s: tuple[float, float],
-    speed: float | None,
-    system: int | None,
-    *,
-    only: bool,
-) -> None:
-    """Play a log, or that of a run folder, to a ground station."""
-    playing = PlaybackSettings(speed=speed or 1.0, from_s=span_s[0], until_s=span_s[1])
-    play_file(_log(flight), connect, playing, system_id=system, only_vehicle=only)
-
-
 def same_run(
     folder: Path,
-    span_s: tuple[float, float],
-    speed: float | None,
     json_file: Path | None,
     *,
     plans: bool,
-    by_step: bool,
 ) -> None:
     """Replay a run folder and compare.  FlightFailed if any decision differs.
 
@@ -69,8 +49,7 @@ def same_run(
     mission_of = flown_mission(folder)
     if plans:
         load_planner()
-    replay = Replay(folder, mission_of, plans=plans, from_s=span_s[0])
-    _compare(replay, folder, span_s, speed, json_file, by_step=by_step)
+    _compare(Replay(folder, mission_of, plans=plans), folder, json_file)
 
 
 def same_log(
@@ -79,7 +58,6 @@ def same_log(
     profile: str | None,
     seed: int,
     system: int | None,
-    until_s: float,
     json_file: Path | None,
 ) -> None:
     """The same of a telemetry log, which does not say how the flight was flown."""
@@ -95,27 +73,20 @@ def same_log(
         version=version("companion"),
         system_id=system,
     )
-    _compare(replay, log, (0.0, until_s), None, json_file, by_step=False)
+    _compare(replay, log, json_file)
 
 
 # --- the same flight
 
 
-def _compare(
-    replay: Replay | LogReplay,
-    flight: Path,
-    span_s: tuple[float, float],
-    speed: float | None,
-    json_file: Path | None,
-    *,
-    by_step: bool,
-) -> None:
-    console = plain_console(soft_wrap=True, highlight=False)
-    _run(replay, span_s[1], speed, console if by_step else None)
-    found = replay.found
+def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -> None:
+    console, found = plain_console(soft_wrap=True, highlight=False), replay.found
+    with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
+        for _ in replay.steps():
+            show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
         console.print(f"note: {finding}")
-    _refuse_if_nothing_was_compared(found, flight, span_s)
+    _refuse_if_nothing_was_compared(found, flight)
     console.print("\n".join(replay_text(found)))
     _write(replay_json(found), json_file)
     if found.damaged and found.difference is None:
@@ -124,20 +95,12 @@ def _compare(
         raise FlightFailed("the replay did not decide as the flight did", "")
 
 
-def _refuse_if_nothing_was_compared(
-    found: Replayed, flight: Path, span_s: tuple[float, float]
-) -> None:
+def _refuse_if_nothing_was_compared(found: Replayed, flight: Path) -> None:
     """Nothing is not the same as something."""
     if found.compared or found.difference is not None:
         return
     if found.damaged:
         raise _damaged(found, flight)
-    if found.flown_s < span_s[0]:
-        rule = f"the flight has {found.flown_s:,.1f} s, so nothing was compared"
-        raise InputError("--from", span_s[0], rule, "Give fewer seconds, or leave it out.")
-    if found.flown_s > span_s[1]:
-        rule = "nothing was recorded in so short a time, so nothing was compared"
-        raise InputError("--until", span_s[1], rule, "Give more seconds, or leave it out.")
     rule = "it holds nothing to compare a replay with"
     raise InputError("RUN_DIR|LOG", str(flight), rule, "Give the recording of a flight, whole.")
 
@@ -145,45 +108,6 @@ def _refuse_if_nothing_was_compared(
 def _damaged(found: Replayed, flight: Path) -> InputError:
     rule = f"what was recorded is damaged ({found.damaged})"
     return InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
-
-
-def _run(
-    replay: Replay | LogReplay, until_s: float, speed: float | None, shows: Console | None
-) -> None:
-    """Replay so many seconds of the flight, at a speed if one is given; shows: each step."""
-    began_s = time.monotonic()
-    with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
-        for each in replay.steps():
-            found = replay.found
-            if found.flown_s > until_s:
-                break
-            if speed is not None and found.flown_s > 0.0:
-                time.sleep(max(began_s + found.flown_s / speed - time.monotonic(), 0.0))
-            if shows is not None:
-                _print_step(each, shows)
-            show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
-
-
-def _print_step(step: Step, console: Console) -> None:
-    """Print an input, its output and the state after it."""
-    session, out = step.session, step.output
-    if step.recorded_input[0] == "receive":
-        return  # shown with what it leads to
-    state = session.state
-    reason = "" if state.reason is None else f" ({state.reason.name})"
-    lines = [f"t {session.now_s:.3f} s  {step.recorded_input[0]}  {state.phase.value}{reason}"]
-    if (here := state.vehicle.position_nea_m) is not None:
-        leg, along_m = state.flight.leg, state.flight.reference.length_m
-        on = "" if leg is None else f", {along_m:,.1f} m along subpath {leg.number}"
-        lines.append(f"  at {here[0]:,.1f} north, {here[1]:,.1f} east, {here[2]:,.1f} m{on}")
-    if out is not None:
-        for entry in out.journal:
-            lines.append(f"  {json.dumps(entry, default=str)[:300]}")
-        for frame in out.frames:
-            lines.append(f"  sends {message_of(frame)}")
-    console.print("\n".join(lines))
-    if sys.stdin.isatty() and console.is_terminal:
-        console.input("")
 
 
 # --- other questions
@@ -201,10 +125,8 @@ def changed(
     if not folder.is_dir():
         rule = "a log does not hold the states to plan from"
         raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
-    file = str(folder / "mission.toml")
-    other = load_mission(file, profile, settings)
-    found = []
-    flown = flown_mission(folder)
+    found, flown = [], flown_mission(folder)
+    other = load_mission(str(folder / "mission.toml"), profile, settings)
     load_planner()
     with _bar("planning again", 0) as show:
         for each in what_if(folder, flown, other, seed=seed):
@@ -249,12 +171,13 @@ def _log(flight: Path) -> Path:
 
 def flown_mission(folder: Path) -> MissionOf:
     """The mission of a run folder, as it was flown.  InputError if it is another one now."""
+    refuse_older(folder)
     file = file_of_run(folder, "mission.toml", "RUN_DIR|LOG")
     loaded = cache(partial(load_mission, str(file)))
 
     def mission_of(start: Start) -> Mission:
         mission = loaded(start.profile)
-        if start.terrain not in (None, terrain_of(mission)):
+        if start.terrain != terrain_of(mission):
             raise _other_terrain(file)
         return mission
 

@@ -1,6 +1,5 @@
 """`companion replay`: a recorded flight, through the same decisions once more."""
 
-import math
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -43,29 +42,6 @@ def replay_command(
         ProfileName | None,
         typer.Option(help="What if: plan with another profile: flight or paper."),
     ] = None,
-    connect: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Play the log to a ground station there.")
-    ] = None,
-    from_s: Annotated[
-        float, typer.Option("--from", metavar="S", help="Begin here, seconds of the flight.")
-    ] = 0.0,
-    until_s: Annotated[
-        float,
-        typer.Option(
-            "--until", metavar="S", show_default=False, help="End here, seconds of the flight."
-        ),
-    ] = math.inf,
-    speed: Annotated[
-        float | None,
-        typer.Option(
-            metavar="X",
-            help="So many times real time; by default as fast as it goes, to a ground station 1.",
-        ),
-    ] = None,
-    step: Annotated[
-        bool,
-        typer.Option("--step", help="Event by event, with the state; Enter on a terminal goes on."),
-    ] = False,
     plans: Annotated[
         bool,
         typer.Option("--plans/--no-plans", help="Compute each plan again and compare it too."),
@@ -74,57 +50,45 @@ def replay_command(
         int | None,
         typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
     ] = None,
-    only_vehicle: Annotated[
-        bool, typer.Option("--only-vehicle", help="Play only what the vehicle sent.")
-    ] = False,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the report to a JSON file.")
     ] = None,
 ) -> None:
     """Feed a recorded flight through the same decisions, and compare: 0 if identical, 1 if not.
 
-    Or run another's flight in shadow (--shadow), plan it again under other settings (--set, --seed,
-    --profile), or play it to a ground station (--connect).
+    Or run another's flight in shadow (--shadow), or plan it again under other settings (--set,
+    --seed, --profile).
     """
     if not answer(flight.exists):
         remedy = "Give a run folder, or a .tlog, .bin or .ulg."
         raise InputError("RUN_DIR|LOG", str(flight), "there is no such file or folder", remedy)
-    _check_span(from_s, until_s)
-    if speed is not None and not 0.0 < speed < math.inf:
-        raise InputError("--speed", speed, "it must be more than 0", "Leave it out to go fast.")
     is_log = not flight.is_dir() and not settings  # then it has to be said how it was flown
-    span_s = from_s, until_s
     from companion.replay import actions  # so that `companion fly` starts without it
 
-    if connect is not None:
-        _refuse_others(context, _PLAYING)
-        actions.play(flight, connect, span_s, speed, system, only=only_vehicle)
-    elif shadow:
+    if shadow:
         _refuse_others(context, _SHADOW)
         actions.shadow(flight, mission, system, json_file)
     elif is_log:
         _refuse_others(context, _LOG)
         seed = 1 if seed is None else seed
-        actions.same_log(flight, mission, profile, seed, system, until_s, json_file)
+        actions.same_log(flight, mission, profile, seed, system, json_file)
     elif settings or seed is not None or profile:
         _refuse_others(context, _WHAT_IF)
         actions.changed(flight, settings or [], seed, profile, json_file)
     else:
         _refuse_others(context, _RUN)
-        actions.same_run(flight, span_s, speed, json_file, plans=plans, by_step=step)
+        actions.same_run(flight, json_file, plans=plans)
 
 
-_PLAYING: Final = "playing to a ground station (--connect)"
 _SHADOW: Final = "a shadow (--shadow)"
 _WHAT_IF: Final = "what if (--set, --seed, --profile)"
 _LOG: Final = "the replay of a log alone"
 _RUN: Final = "the replay of a run folder"
 _TAKES: Final = {
-    _PLAYING: ("--connect", "--from", "--until", "--speed", "--system", "--only-vehicle"),
     _SHADOW: ("--shadow", "--mission", "--system", "--json"),
     _WHAT_IF: ("--set", "--seed", "--profile", "--json"),
-    _LOG: ("--mission", "--seed", "--profile", "--system", "--until", "--json"),
-    _RUN: ("--from", "--until", "--speed", "--step", "--plans", "--json"),
+    _LOG: ("--mission", "--seed", "--profile", "--system", "--json"),
+    _RUN: ("--plans", "--json"),
 }
 """What can be done with a flight, and the options of each."""
 
@@ -141,11 +105,3 @@ def _refuse_others(context: typer.Context, way: str) -> None:
             remedy = f"Leave it out. It takes {', '.join(_TAKES[way])}."
             value = context.params[each.name or ""]
             raise InputError(option, value if type(value) is bool else str(value), rule, remedy)
-
-
-def _check_span(from_s: float, until_s: float) -> None:
-    if not from_s >= 0.0:
-        raise InputError("--from", from_s, "it must not be negative", "Give seconds of the flight.")
-    if not until_s > from_s:
-        rule = f"it must be more than --from = {from_s:g}"
-        raise InputError("--until", until_s, rule, "Give a later time.")

@@ -1,7 +1,6 @@
 """Compares a replay with the recording: frames and journal entries, one by one."""
 
 import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, final
@@ -27,13 +26,8 @@ _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 """Where a frame holds its sequence number, by its first byte: not compared, nor is the checksum."""
 NOTHING: Final = "nothing"
 """Shown for a missing frame or entry."""
-_BEGUN_AGAIN_US: Final = 10_000_000
-"""A time that is earlier by this much means that the autopilot has rebooted."""
-_TIME: Final = re.compile(rb'\{"t_s":([-+.eE\d]{1,25})[,}]')
 _LONGEST_LINE: Final = 2**24
 _SHOWN_BYTES: Final = 100
-
-_Timed = tuple[int | None, bytes]
 
 
 @final
@@ -47,8 +41,6 @@ class Difference(Struct, frozen=True, kw_only=True):
     field: str
     recorded: Any
     replayed: Any
-    before: tuple[str, ...] = ()
-    """The inputs before it, oldest first."""
 
     def __str__(self) -> str:
         where = f"{self.what}.{self.field}" if self.field else self.what
@@ -76,7 +68,7 @@ class Recording:
         journal = file_of_run(folder, "journal.jsonl")
         self._log, self._journal = Records(self._path), _Lines(journal)
         self._epoch_us: int | None = None
-        self._is_passing = self._has_ended = False
+        self._has_ended = False
 
     def close(self) -> None:
         """Close the files."""
@@ -85,13 +77,10 @@ class Recording:
 
     def begin_again(self) -> None:
         """The companion was restarted: its clock may differ."""
-        if not self._is_passing:
-            self._epoch_us = None
+        self._epoch_us = None
 
     def first_difference(self, record: list[Stamped], journal: list[Entry]) -> Difference | None:
         """Compare the output of one run with the next records."""
-        if self._is_passing and (record or journal):
-            self._end_passing(record[0][0] if record else journal[0]["t_s"])
         if self._epoch_us is not None and self._log.takes(
             b"".join(log_records(record, self._epoch_us))
         ):
@@ -104,23 +93,6 @@ class Recording:
             if (difference := self._entry_differs(entry)) is not None:
                 return difference
         return None
-
-    def pass_by(self, record: list[Stamped], journal: list[Entry]) -> None:
-        """Skip the records of the times of one run's output, without comparing.
-
-        So both stay aligned even if one has more records than the other.
-        """
-        self._is_passing = True
-        for time_s, _ in record:
-            _pass_by(self._log, self._stamp_us(time_s))
-        for entry in journal:
-            _pass_by(self._journal, _us(entry["t_s"]))
-
-    def _end_passing(self, time_s: float) -> None:
-        """From now on it has to be the same."""
-        self._is_passing = False
-        _skip_before(self._log, self._stamp_us(time_s))
-        _skip_before(self._journal, _us(time_s))
 
     def pass_over(self, frames: int) -> None:
         """Skip what the watchdog sent: this many frames, and one entry."""
@@ -165,14 +137,14 @@ class Recording:
         if held is None:
             self.unrecorded += 1
             return None
-        recorded, line = held[1], journal_line(entry)
-        if recorded == line:
+        line = journal_line(entry)
+        if held == line:
             self.entries += 1
             return None
-        was, now = _entry_of(recorded), with_printable_texts(json.loads(line))
+        was, now = _entry_of(held), with_printable_texts(json.loads(line))
         time_s, kind = float(entry["t_s"]), str(entry["kind"])
         if was is None:
-            return _difference(time_s, "journal", "line", recorded[:_SHOWN_BYTES], kind)
+            return _difference(time_s, "journal", "line", held[:_SHOWN_BYTES], kind)
         if was.get("kind") != kind:
             return _difference(time_s, "journal", "kind", was.get("kind"), kind)
         if (differs := values_differ(was, now)) is None:  # written by an older companion
@@ -195,46 +167,17 @@ class _Lines:
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
-        self.head: _Timed | None = None
-        """What comes next, with its time in microseconds if that can be read."""
-        self.take()
 
-    def take(self) -> _Timed | None:
-        """What comes next, and on to what follows."""
-        taken, line = self.head, self._file.readline(_LONGEST_LINE)
+    def take(self) -> bytes | None:
+        """The next one; None at the end."""
+        line = self._file.readline(_LONGEST_LINE)
         while line.startswith(b'{"schema"') and line.endswith(b"\n"):
             line = self._file.readline(_LONGEST_LINE)
-        is_whole = line.endswith(b"\n") or len(line) == _LONGEST_LINE
-        self.head = (_time_us_of(line), line) if is_whole else None
-        return taken
+        return line if line.endswith(b"\n") or len(line) == _LONGEST_LINE else None
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def _skip_before(recorded: Records | _Lines, at_us: int) -> None:
-    """Skip records before a time, unless the clock was reset between the two."""
-    while (head := recorded.head) is not None and (
-        head[0] is None or at_us - _BEGUN_AGAIN_US < head[0] < at_us
-    ):
-        recorded.take()
-
-
-def _pass_by(recorded: Records | _Lines, at_us: int) -> None:
-    """Skip records before a time, and the next record of that time if there is one."""
-    _skip_before(recorded, at_us)
-    if (head := recorded.head) is not None and head[0] == at_us:
-        recorded.take()
-
-
-def _time_us_of(line: bytes) -> int | None:
-    """Time of an entry by its first value, without decoding the whole entry."""
-    found = _TIME.match(line)
-    try:
-        return None if found is None else _us(float(found[1]))
-    except (ValueError, OverflowError):
-        return None
 
 
 def _entry_of(line: bytes) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""`companion export`: a recorded flight for Google Earth, QGIS, spreadsheets and QGroundControl."""
+"""`companion export`: a recorded flight for Google Earth, QGIS and spreadsheets."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,8 +10,7 @@ from companion.sources.files import answer, writable
 from companion.telemetry.run_folder import RECORDED
 from companion.views.output import plain_console
 
-Format = Literal["kml", "geojson", "csv", "plan"]
-PathName = Literal["flown", "planned"]
+Format = Literal["kml", "geojson", "csv"]
 
 
 def export(
@@ -22,18 +21,13 @@ def export(
         Format,
         typer.Option(
             "--format",
-            help="*kml*: Google Earth. *geojson*: QGIS. *csv*: a row for each position. "
-            "*plan*: QGroundControl.",
+            help="*kml*: Google Earth. *geojson*: QGIS. *csv*: a row for each position.",
         ),
     ],
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="File to write; by default RUN_DIR/flight.FORMAT."),
     ] = None,
-    path: Annotated[
-        PathName,
-        typer.Option(help="Of a plan: the path as it was flown, or as it was planned."),
-    ] = "flown",
 ) -> None:
     """Write a recorded flight for other programs: track, subpaths, targets, threats, holds.
 
@@ -43,7 +37,7 @@ def export(
 
     file = out_file(out or run_dir / f"flight.{to}", run_dir)
     flight, notes = recorded(run_dir)
-    notes += write(flight, to, file, path)
+    write(flight, to, file)
     said = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
     said += f"{len(flight.moments)} holds and events: {file}"
     for line in [*(f"note: {note}" for note in notes), said]:

@@ -1,17 +1,15 @@
 """A run folder's flight, put together for export, and written in one of the formats."""
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from pathlib import Path
 
-from companion.config import elevation_file, load_mission
+from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.files import file_of_run, writing
 from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.geojson import write_geojson
 from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.plan import Source, write_plan
 from companion.telemetry.export.table import write_csv
 from companion.telemetry.export.track import Track, track_of
 from companion.telemetry.journal import Journal
@@ -40,23 +38,16 @@ def recorded(
     return builder.flight(track), (*journal.findings, *notes)
 
 
-def write(flight: RecordedFlight, to: str, file: Path, source: Source) -> tuple[str, ...]:
-    """Write a flight as kml, geojson, csv or plan; what people should know of it.
-
-    source: which path becomes a plan.  Raises InputError about the file, or the path.
-    """
-    writers: dict[str, Callable[[RecordedFlight, Path], tuple[str, ...] | None]] = {
-        "kml": write_kml,
-        "geojson": write_geojson,
-        "csv": write_csv,
-        "plan": partial(write_plan, source=source),
-    }
+def write(flight: RecordedFlight, to: str, file: Path) -> None:
+    """Write a flight as kml, geojson or csv.  Raises InputError about the file."""
+    writers = {"kml": write_kml, "geojson": write_geojson, "csv": write_csv}
     with writing("--out", file):
-        return writers[to](flight, file) or ()
+        writers[to](flight, file)
 
 
 def mission_of(run_dir: Path) -> Mission:
     """The mission as it was flown; what is known of its terrain does not matter here."""
+    refuse_older(run_dir)
     file = file_of_run(run_dir, "mission.toml")
     known = elevation_file(str(file))  # it may be on another computer
     return load_mission(str(file), settings=() if known is None else (_NOT_NEEDED,))

@@ -13,17 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
 
-from msgspec import structs
-
 from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
-from companion.mavlink.link import Input, Output
 from companion.mission.mission import Mission
 from companion.planner.plan import plan
 from companion.replay.differences import frames_differ
 from companion.replay.report import Replayed
-from companion.replay.reproduce import REMEMBERED, Step, in_words
 from companion.session import Session
 from companion.telemetry.logs import Log, open_log
 
@@ -61,17 +57,15 @@ class LogReplay:
         self._made: deque[tuple[float, bytes]] = deque()
         self._sent: deque[bytes] = deque()
 
-    def steps(self) -> Iterator[Step]:
+    def steps(self) -> Iterator[None]:
         """Replay, frame by frame, to the first difference or the end.
 
         InputError if no companion was there.
         """
         began_s, before_us, session, found = time.perf_counter(), math.inf, self.session, self.found
-        before: deque[tuple[float, Input]] = deque(maxlen=REMEMBERED)
         if not self._lockstep:
             session.silence(0.0)
         for record in self.inputs.records():
-            output, heard = None, ("receive", record.frame, record.time_us * 1e-6)
             if sender_of(record.frame)[1] == COMPANION_COMPONENT:
                 self._sent.append(record.frame)
             else:
@@ -79,13 +73,12 @@ class LogReplay:
                 if gap_s > _SILENT_S and not self._lockstep:
                     session.silence(gap_s)
                 found.inputs += 1
-                session.receive(*heard[1:])
-                output = self._run()
-                before.append((session.now_s, heard))
+                session.receive(record.frame, record.time_us * 1e-6)
+                self._run()
             self._compare()
             found.go_on_to(session.now_s)
             found.took_s = time.perf_counter() - began_s
-            yield Step(recorded_input=heard, output=output, session=session)
+            yield
             if found.difference is not None:
                 break
         else:
@@ -93,18 +86,14 @@ class LogReplay:
                 self._made += [(session.now_s, frame) for frame in session.farewell().frames]
                 self._compare()
             self._end()
-        if found.difference is not None:
-            found.difference = structs.replace(
-                found.difference, before=tuple(map(in_words, before))
-            )
 
-    def _run(self) -> Output:
+    def _run(self) -> None:
         """What follows from what the session was told; plans are computed at once."""
         while True:
             out = self.session.run()
             self._made += [(self.session.now_s, frame) for frame in out.frames]
             if out.plan is None:
-                return out
+                return
             self.found.plans += 1
             self.found.plans_computed += 1
             self.session.deliver(plan(out.plan))

@@ -10,8 +10,6 @@ from companion.replay.session_inputs import RecordedError
 
 _BEGUN_AGAIN_S: Final = 10.0  # earlier: the autopilot has rebooted, or another one was taken
 _MAX_PLANS: Final = 5
-_LATE_S: Final = 10.0
-"""A flight that begins later by the vehicle's clock has other times than seconds of the flight."""
 
 
 @final
@@ -62,22 +60,18 @@ class Replayed(Struct, kw_only=True):
     """The error that ended the flight's control loop, if any."""
     damaged: str = ""
     """What in the recording is not a valid input; nothing after it was replayed."""
-    began_s: float | None = None
-    """Vehicle time of the first input that told it."""
     now_s: float = 0.0
     flown_s: float = 0.0
     """Duration replayed, vehicle time; continues across reboots."""
     took_s: float = 0.0
-    _newest_s: float = 0.0
+    _newest_s: float | None = None
 
     def go_on_to(self, now_s: float) -> None:
         """Advance to this vehicle time."""
         self.now_s = now_s
-        if self.began_s is None:
-            if now_s <= 0.0:
-                return
-            self.began_s = self._newest_s = now_s
-        if now_s > self._newest_s:
+        if self._newest_s is None:
+            self._newest_s = now_s if now_s > 0.0 else None
+        elif now_s > self._newest_s:
             self.flown_s += now_s - self._newest_s
             self._newest_s = now_s
         elif now_s < self._newest_s - _BEGUN_AGAIN_S:
@@ -101,18 +95,13 @@ def replay_text(found: Replayed) -> list[str]:
     lines = []
     if found.difference is not None:
         lines += [f"first difference at {found.difference}"]
-        if found.difference.before:
-            lines += ["what led there:", *(f"  {line}" for line in found.difference.before)]
     counted = f"{found.frames:,} frames, {found.entries:,} journal entries"
     if found.plans_computed:
         same = found.plans_computed - len(found.plans_differ)
         counted += f", {same} of {found.plans_computed} plans computed again"
     elif found.plans:
         counted += f"; {found.plans} plans taken as recorded"
-    begun = (
-        f" from vehicle time {found.began_s:,.1f} s" if (found.began_s or 0.0) >= _LATE_S else ""
-    )
-    lines.append(f"the same: {counted} ({found.flown_s:,.1f} s of flight{begun}{speed})")
+    lines.append(f"the same: {counted} ({found.flown_s:,.1f} s of flight{speed})")
     if found.compared and not found.frames:
         lines.append("no frame was compared: flight.tlog holds none")
     if found.starts > 1:

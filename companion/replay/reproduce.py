@@ -6,25 +6,21 @@ arithmetic, it may differ, which does not count as a difference.
 """
 
 import time
-from collections import deque
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
 
 from companion.errors import InputError
-from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Input, Output
 from companion.mission.start import Start
 from companion.planner import kernels
 from companion.planner.outcomes import values_of
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.printable import printable
 from companion.replay.differences import NOTHING, Difference, Recording, values_differ
 from companion.replay.report import PlanDiffers, Replayed
 from companion.replay.session_inputs import (
@@ -41,8 +37,6 @@ from companion.replay.session_inputs import (
 from companion.session import Session
 from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
-
-REMEMBERED: Final = 12  # inputs before a difference
 
 
 @final
@@ -64,25 +58,23 @@ class Replay:
         mission_of: MissionOf,
         *,
         plans: bool = True,
-        from_s: float = 0.0,
         compares: bool = True,
     ) -> None:
         """plans: they are computed again, too; False: they are taken as recorded.
 
-        from_s: seconds of the flight before which nothing is compared; compares: False if nothing
-        is at all.  InputError if the folder has no inputs, or of another version.
+        compares: False if nothing is compared.  InputError if the folder has no inputs, or of
+        another version.
         """
         self.found = Replayed()
         self.inputs = InputsFile(folder / inputs.FILE)
         self._recording = Recording(folder) if compares else None
-        self._mission_of, self._plans, self._from_s = mission_of, plans, from_s
+        self._mission_of, self._plans = mission_of, plans
         self._session: Session | None = None
         self._asked: dict[int, PlanRequest] = {}
         self._raised: RecordedError | None = None
         """What the session has just raised, until it is known whether it did so in flight."""
         self._given: Output | None = None
         """Of the last run, until it is known what of it was sent."""
-        self._before: deque[tuple[float, Input]] = deque(maxlen=REMEMBERED)
 
     def steps(self) -> Iterator[Step]:
         """Replay, input by input, until the first difference or the end."""
@@ -131,7 +123,6 @@ class Replay:
                 output = self._tell(recorded_input)
         if self._session is None:
             raise DamagedInputError(f"{recorded_input[0]!r} before any start")
-        self._before.append((self._session.now_s, recorded_input))
         return Step(recorded_input=recorded_input, output=output, session=self._session)
 
     def _tell(self, recorded_input: Input) -> Output | None:
@@ -187,7 +178,6 @@ class Replay:
                 field="error",
                 recorded=NOTHING if ended is None else str(ended),
                 replayed=NOTHING if raised is None else str(raised),
-                before=tuple(map(in_words, self._before)),
             )
 
     def _compare_output(self) -> None:
@@ -195,14 +185,9 @@ class Replay:
         recording, found = self._recording, self.found
         if given is None or recording is None:
             return
-        if found.flown_s < self._from_s:
-            recording.pass_by(given.record, given.journal)
-            return
-        difference = recording.first_difference(given.record, given.journal)
+        found.difference = recording.first_difference(given.record, given.journal)
         found.frames, found.entries = recording.frames, recording.entries
         found.unrecorded = recording.unrecorded
-        if difference is not None:
-            found.difference = replace(difference, before=tuple(map(in_words, self._before)))
 
     def _plan_again(self, answer: PlanOutcome, now_s: float) -> None:
         """Compute a plan again, only to compare it."""
@@ -259,22 +244,3 @@ def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
     farthest_m = float(np.linalg.norm(was - now, axis=-1).max())
     apart = f"{farthest_m:,.0f}" if farthest_m >= 10.0 else f"{farthest_m:.2g}"
     return f"{costs}, control points up to {apart} m apart"
-
-
-def in_words(event: tuple[float, Input]) -> str:
-    """An input, as text."""
-    now_s, recorded_input = event
-    match recorded_input:
-        case ("receive", bytes(data), *_):
-            names = [str(message.get_type()) for message in Receiver().feed(data)]
-            what = "heard " + (", ".join(names) or "nothing")
-        case ("deliver", {"plan_id": plan_id}):
-            what = f"plan {plan_id} came"
-        case ("deliver", *_):
-            what = "a plan came"
-        case ("start", *_):
-            what = "the companion was started"
-        case _:
-            call, *arguments = recorded_input
-            what = printable(" ".join([call.replace("_", " "), *map(str, arguments)]))
-    return f"t {now_s:.3f} s  {what}"

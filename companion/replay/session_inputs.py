@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, final
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.mavlink.link import VEHICLE_LINK, Input, Output
+from companion.mavlink.link import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.start import Resume, Start, SystemId
@@ -35,7 +35,6 @@ _ARGUMENTS: Final[dict[str, Any]] = {
     "farewell": tuple[()],
 }
 """The calls of a session that are inputs."""
-_OF_GROUND_LINK: Final = tuple[bytes, _Seconds | None, Annotated[int, Meta(gt=VEHICLE_LINK)]]
 SESSION_CALLS = frozenset(_ARGUMENTS)
 MissionOf = Callable[[Start], Mission]
 """The mission that a session flew: by its profile, from wherever it is kept."""
@@ -69,7 +68,10 @@ class RecordedError(Struct, frozen=True, kw_only=True):
 def start_of(recorded_input: Input) -> Start:
     """What a session was made of, of a recorded input.  DamagedInputError: it is none."""
     try:
-        start = msgspec.convert(recorded_input[1], Start)
+        values = recorded_input[1]
+        if isinstance(values, dict) and values.get("has_ground") is False:  # of older recordings
+            values = {key: value for key, value in values.items() if key != "has_ground"}
+        start = msgspec.convert(values, Start)
         msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
     except (IndexError, msgspec.ValidationError) as error:
         raise DamagedInputError(f"a start that is none ({error})") from error
@@ -90,7 +92,6 @@ def session_of(start: Start, mission_of: MissionOf) -> Session:
         lockstep=start.lockstep,
         shadow=start.shadow,
         resume=_resume_of(start, mission),
-        has_ground=start.has_ground,
         go=start.go,
         version=start.companion,
     )
@@ -102,7 +103,7 @@ def _resume_of(start: Start, mission: Mission) -> Resume | None:
     try:
         known = None if start.known is None else unpacked_map(start.known)
         if known is not None:
-            known = known.with_what_was_given(checkpoint.blank_map(mission, start.resume))
+            known = known.with_what_was_given(checkpoint.blank_map(mission))
         resume = start.resume, known
         checkpoint.initial_state(mission, resume)
     except checkpoint.DECODE_ERRORS as error:
@@ -117,9 +118,8 @@ def feed(session: Session, recorded_input: Input) -> Output | None:
     DamagedInputError: it is not a valid input.  Errors of the session are passed on.
     """
     call, *given = recorded_input
-    with_link = call == "receive" and len(given) == 3
     try:
-        arguments = msgspec.convert(given, _OF_GROUND_LINK if with_link else _ARGUMENTS.get(call))
+        arguments = msgspec.convert(given, _ARGUMENTS.get(call))
     except msgspec.ValidationError as error:
         raise DamagedInputError(f"an input that is none ({call!r:.40})") from error
     if call == "deliver":

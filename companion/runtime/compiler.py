@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from companion.objective.scene import PAPER
 from companion.path.limits import Limits
 from companion.planner import kernels
 from companion.planner.plan import plan
@@ -41,7 +42,24 @@ def load_libraries() -> None:
         importlib.import_module(f"scipy.{name}")
 
 
+def load_proof() -> None:
+    """Compile what proves a subpath: a process beside that of `load_kernel`, on another core.
+
+    A plan of profile `paper` is proven by the same code, and searched by other code.
+    """
+    asked = _question()
+    settings = replace(asked.task.settings, profile=PAPER)
+    plan(replace(asked, task=replace(asked.task, settings=settings)))
+
+
 def _warm_up() -> None:
+    asked = _question()
+    plan(asked)
+    by_costs = replace(asked.task.settings, optimiser="pso")
+    plan(replace(asked, task=replace(asked.task, settings=by_costs)))
+
+
+def _question() -> PlanRequest:
     side_m, range_m = (-2_000.0, 2_000.0), 1_000.0
     limits = Limits(
         speed_m_s=10.0,
@@ -60,7 +78,7 @@ def _warm_up() -> None:
     )
     task = Task(limits=limits, settings=settings)
     blank, start = empty_map(task.cell_m, side_m, side_m), hover_pose((0.0, 0.0, 150.0))
-    asked = PlanRequest(
+    return PlanRequest(
         plan_id=1,
         seed=1,
         task=task,
@@ -70,6 +88,3 @@ def _warm_up() -> None:
         from_rest=True,
         target_ne_m=(1_500.0, 0.0),
     )
-    plan(asked)
-    by_costs = replace(task, settings=replace(settings, optimiser="pso"))
-    plan(replace(asked, task=by_costs))

@@ -9,11 +9,12 @@ from typing import Literal, final
 
 from companion.errors import InputError
 
+_OPTION = "--connect"
 DEFAULT_BAUD = 57_600
 _MAX_BAUD = 12_000_000
 _REMEDY = (
     "Write udpin:127.0.0.1:14540 (wait for the vehicle), udpout:HOST:PORT, tcp:HOST:PORT (call "
-    "it), tcpin:HOST:PORT or /dev/ttyACM0,57600 (serial port, baud rate)."
+    "it) or /dev/ttyACM0,57600 (serial port, baud rate)."
 )
 _WINDOWS_PORT = re.compile(r"(\\\\\.\\)?COM[0-9]{1,3}", re.IGNORECASE)
 _DEVICE = r"(?:/dev/|tty|cu\.)[^,;@?\s]*?|(?:\\\\\.\\)?COM[0-9]{1,3}"
@@ -31,7 +32,6 @@ _ADDRESS = re.compile(
 _KINDS = {
     "udpin": ("udpin", "udps", "udpserver"),
     "udpout": ("udpout", "udpc", "udpclient", "udpcl", "udpbcast", "udpb", "udp-b", "udp-pb"),
-    "tcpin": ("tcpin", "tcps", "tcp-l", "tcpserver"),
     "tcp": ("tcp", "tcpout", "tcpc", "tcpclient"),
     "udp": ("udp",),
 }
@@ -45,11 +45,9 @@ class Address:
 
     text: str
     """The original text, for error messages."""
-    kind: Literal["udpin", "udpout", "tcp", "tcpin"]
+    kind: Literal["udpin", "udpout", "tcp"]
     host: str
     port: int
-    option: str = "--connect"
-    """Command line option, for error messages."""
 
     def resolved(self) -> tuple[socket.AddressFamily, tuple[str, int]]:
         """The kind of network and the numeric address; InputError if there is no such host."""
@@ -59,7 +57,7 @@ class Address:
             found = socket.getaddrinfo(self.host, self.port, socket.AF_INET6)
             return socket.AF_INET6, (str(found[0][4][0]), self.port)
         except (OSError, UnicodeError) as error:
-            raise InputError(self.option, self.text, "no such host", _REMEDY) from error
+            raise InputError(_OPTION, self.text, "no such host", _REMEDY) from error
 
 
 @final
@@ -70,36 +68,35 @@ class Device:
     text: str
     name: str
     baud: int = DEFAULT_BAUD
-    option: str = "--connect"
 
 
-def parsed(connection: str, option: str = "--connect") -> Address | Device:
-    """Parse a connection string; InputError names the option and the rule."""
+def parsed(connection: str) -> Address | Device:
+    """Parse a connection string; InputError names the rule."""
     kind, _, rest = connection.partition(":")
-    if rest.startswith("//") and kind in ("udpin", "udpout", "tcp", "tcpin", "serial"):
+    if rest.startswith("//") and kind in ("udpin", "udpout", "tcp", "serial"):
         rest = rest[2:]  # as MAVSDK has it; its udp:// may mean either way
-    if kind in ("udp", "udpin", "udpout", "tcp", "tcpin"):
-        return _address(option, connection, kind, rest)
+    if kind in ("udp", "udpin", "udpout", "tcp"):
+        return _address(connection, kind, rest)
     if kind == "serial" and "?" in rest:
-        raise _otherwise(option, connection, "not a serial port")
+        raise _otherwise(connection, "not a serial port")
     if kind == "serial":
         mark = "," if "," in rest else ":"
         name, _, baud = rest.rpartition(mark)
         if mark == ":" and not baud.isdecimal():  # a device by its path may have colons
             name, baud = rest, str(DEFAULT_BAUD)
-        return _device(option, connection, name, baud)
+        return _device(connection, name, baud)
     name, comma, baud = connection.partition(",")
     colon = _DEVICE_AND_RATE.fullmatch(name)
     if colon is not None and colon[2] is not None:
-        raise _otherwise(option, connection)
+        raise _otherwise(connection)
     if name.startswith("/") or _WINDOWS_PORT.fullmatch(name):
-        return _device(option, connection, name, baud if comma else str(DEFAULT_BAUD))
-    raise _otherwise(option, connection, "not a connection string")
+        return _device(connection, name, baud if comma else str(DEFAULT_BAUD))
+    raise _otherwise(connection, "not a connection string")
 
 
-def _otherwise(option: str, connection: str, rule: str = "") -> InputError:
+def _otherwise(connection: str, rule: str = "") -> InputError:
     """The error about a string that others would take, with what it is here; else the rule."""
-    return InputError(option, connection, _here(connection) or rule, _REMEDY)
+    return InputError(_OPTION, connection, _here(connection) or rule, _REMEDY)
 
 
 def _here(connection: str) -> str:
@@ -130,7 +127,7 @@ def _here(connection: str) -> str:
 
 def _address_here(kind: str, host: str, port: str) -> str:
     """As `_here`, of an address."""
-    if host in ("", "0.0.0.0", "[::]") and kind in ("udp", "udpin", "tcpin"):
+    if host in ("", "0.0.0.0", "[::]") and kind in ("udp", "udpin"):
         kind, host = "udpin" if kind == "udp" else kind, host or "0.0.0.0"
     where = f"{host or 'HOST'}:{port}"
     if kind == "udp":
@@ -138,29 +135,29 @@ def _address_here(kind: str, host: str, port: str) -> str:
     return f"here that is written {kind}:{where}"
 
 
-def _address(option: str, connection: str, kind: str, rest: str) -> Address:
+def _address(connection: str, kind: str, rest: str) -> Address:
     host, colon, port = rest.rpartition(":")
     brackets = host.startswith("[") and host.endswith("]")
     if ":" in host and not brackets and host.count(":") > 1 and "/" not in host:
         rule = f"an IPv6 address stands in brackets: {kind}:[{host}]:{port}"
-        raise InputError(option, connection, rule, _REMEDY)
+        raise InputError(_OPTION, connection, rule, _REMEDY)
     if not host or not colon or "/" in rest or "@" in rest or (":" in host and not brackets):
-        raise _otherwise(option, connection, f"not {kind}:HOST:PORT")
+        raise _otherwise(connection, f"not {kind}:HOST:PORT")
     host = host.strip("[]")
     kind = "udpin" if kind == "udp" else kind
     if not _is_number(port, 1, 65535):  # 0 would be one that nobody else knows
         rule = "a port is a number from 1 to 65535"
-        raise InputError(option, connection, rule, _REMEDY)
-    return Address(text=connection, kind=kind, host=host, port=int(port), option=option)  # type: ignore[arg-type]
+        raise InputError(_OPTION, connection, rule, _REMEDY)
+    return Address(text=connection, kind=kind, host=host, port=int(port))  # type: ignore[arg-type]
 
 
-def _device(option: str, connection: str, name: str, baud: str) -> Device:
+def _device(connection: str, name: str, baud: str) -> Device:
     if not name:
-        raise InputError(option, connection, "no device is named", _REMEDY)
+        raise InputError(_OPTION, connection, "no device is named", _REMEDY)
     if not _is_number(baud, 1, _MAX_BAUD):
         rule = f"a baud rate is a number from 1 to {_MAX_BAUD}"
-        raise InputError(option, connection, rule, _REMEDY)
-    return Device(text=connection, name=name, baud=int(baud), option=option)
+        raise InputError(_OPTION, connection, rule, _REMEDY)
+    return Device(text=connection, name=name, baud=int(baud))
 
 
 def _is_number(text: str, lowest: int, highest: int) -> bool:
@@ -180,4 +177,4 @@ def refused(place: Address | Device, error: OSError) -> InputError:
     }
     rule = f"it cannot be opened ({error.strerror or error})"
     remedy = remedies.get(error.errno or 0, "Give an address or a device of this computer.")
-    return InputError(place.option, place.text, rule, remedy)
+    return InputError(_OPTION, place.text, rule, remedy)

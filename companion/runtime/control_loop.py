@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol, final
 
-from companion.mavlink.link import VEHICLE_LINK, Output
+from companion.mavlink.link import Output
 from companion.planner.request import Planned, PlanRequest
-from companion.runtime.latency import StreamTimes
-from companion.runtime.link import GroundLinks, Link, is_setpoint
+from companion.runtime.link import Link, is_setpoint
 from companion.runtime.recorder import WRITER, Batch, Writer
 from companion.runtime.watchdog import Clock, Gate, Watchdog, Worker
 from companion.runtime.workers import (
@@ -86,14 +85,12 @@ class ControlLoop:
     session: Session
     flown: FlightSummary
     link: Link
-    ground: GroundLinks
     gate: Gate
     event_queue: EventQueue
     reader: LinkReader
     planning: Planning
     writer: Writer
     watchdog: Watchdog
-    times: StreamTimes
     lockstep: bool
     stop_asked: Callable[[], bool]
     clock: Clock
@@ -217,16 +214,11 @@ class ControlLoop:
                 self.session.recording_stopped(failure.error)
 
     def _on_datagram(self, datagram: Datagram) -> None:
-        if datagram.link != VEHICLE_LINK:
-            if self.session.receive(datagram.data, datagram.at_s, datagram.link):
-                self.ground.answer_to(datagram.sender, datagram.link)
-            return
         if self._arrived_s is None:
             self._arrived_s = datagram.at_s
         if not self.session.receive(datagram.data, datagram.at_s):
             return
         self.link.answer_to(datagram.sender)
-        self.times.heard(datagram.at_s)
         if not self.flown.heard:
             self.flown.heard, self._began_s = True, datagram.at_s
         self._heard_s = datagram.at_s
@@ -272,19 +264,13 @@ class ControlLoop:
     def _send(self, frames: list[bytes], out: Output) -> None:
         """Send frames, and remove those not sent from the record."""
         sent = frames
-        if frames or out.to_ground:
+        if frames:
             since_s = self._turned_s if self._arrived_s is None else self._arrived_s
-            sent = self.gate.send(frames, out.to_ground, None if self.lockstep else since_s)
+            sent = self.gate.send(frames, None if self.lockstep else since_s)
         self._not_sent(out, sent)
         now_s = self.clock()
-        self.times.turns.add(now_s - self._turned_s)
-        kinds = {entry["kind"] for entry in out.journal}
-        if "phase" in kinds:
-            self.times.paused()
-        if not kinds.isdisjoint(_OBLIGES):
+        if any(entry["kind"] in _OBLIGES for entry in out.journal):
             self._reserve_at_s = -math.inf
-        if any(map(is_setpoint, sent)):
-            self.times.sent(now_s, self._arrived_s)
         if now_s - self._reserve_at_s >= _RESERVE_S:
             self._reserve_at_s = now_s
             self.watchdog.reserve(self.session.hold_frames())

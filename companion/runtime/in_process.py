@@ -15,8 +15,7 @@ from typing import Protocol, final
 
 from companion.planner.request import PlanRequest
 from companion.runtime.control_loop import ControlLoop
-from companion.runtime.latency import StreamTimes
-from companion.runtime.link import GroundLinks, Link, datagrams
+from companion.runtime.link import Link, datagrams
 from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer
 from companion.runtime.watchdog import Failure, Gate, Watchdog
 from companion.runtime.workers import EventQueue, LinkReader, PlanComputed, PlanFunction, WorkerLost
@@ -205,7 +204,6 @@ def loop_in_process(
         session=session,
         flown=FlightSummary(session=session),
         link=link,
-        ground=GroundLinks([]),
         gate=gate,
         event_queue=event_queue,
         reader=LinkReader(link, event_queue, gate, clock),
@@ -218,7 +216,6 @@ def loop_in_process(
             on_failure=lambda *_: None,
             on_loss=_telling(event_queue),
         ),
-        times=StreamTimes(),
         lockstep=True,
         stop_asked=stop_asked,
         clock=clock,

@@ -3,7 +3,6 @@
     udpin:HOST:PORT, udp:HOST:PORT   wait for the vehicle here, and answer where it is heard
     udpout:HOST:PORT                 call it there (a vehicle, or a router's server port)
     tcp:HOST:PORT                    connect to it there; connected again after a loss
-    tcpin:HOST:PORT                  wait for its connection here; the newest one counts
     /dev/ttyACM0, COM3,57600, serial:/dev/ttyUSB0:921600   a serial port; 57600 baud if not said
 
 A link drops what it cannot send at once, as a radio does, and never raises for temporary failures:
@@ -140,43 +139,12 @@ class Link(Protocol):
         self.close()
 
 
-def open_link(connection: str, option: str = "--connect") -> Link:
-    """The link that a connection string names; InputError, about the option, if it cannot be."""
-    place = parsed(connection, option)
+def open_link(connection: str) -> Link:
+    """The link that a connection string names; InputError, about --connect, if it cannot be."""
+    place = parsed(connection)
     if isinstance(place, Device):
         return SerialLink(place)
-    if place.kind == "tcp":
-        return TcpClient(place)
-    return TcpServer(place) if place.kind == "tcpin" else UdpLink(place)
-
-
-@contextlib.contextmanager
-def open_links(connections: Sequence[str], option: str) -> Iterator[list[Link]]:
-    """Links by their connection strings, all of them closed in the end; InputError as above."""
-    with contextlib.ExitStack() as links:
-        yield [links.enter_context(open_link(each, option)) for each in connections]
-
-
-@final
-class GroundLinks:
-    """Links to ground stations, besides the vehicle's: all are sent the same.
-
-    Answers carry target ids.  No failure of these links ends or delays a flight.
-    """
-
-    def __init__(self, links: Sequence[Link]) -> None:
-        self._links = tuple(links)
-
-    def answer_to(self, sender: object, number: int) -> None:
-        """From now on send there over one of them, counted from 1."""
-        with contextlib.suppress(Exception):
-            self._links[number - 1].answer_to(sender)
-
-    def send(self, frames: Sequence[bytes]) -> None:
-        """Send frames over each link, or lose them."""
-        for link in self._links if frames else ():
-            with contextlib.suppress(Exception):
-                link.send([*frames])
+    return TcpClient(place) if place.kind == "tcp" else UdpLink(place)
 
 
 def datagrams(frames: Sequence[bytes]) -> Iterator[bytes]:
@@ -400,7 +368,7 @@ class _StreamLink(Link, Generic[_Stream]):
         return not self._over.is_set()
 
     def _open(self, timeout_s: float) -> None:
-        """Try to open the stream, for up to a time.  A server waits for a connection."""
+        """Try to open the stream, for up to a time."""
 
     @abstractmethod
     def _read(self, stream: _Stream, timeout_s: float) -> bytes | None:
@@ -415,33 +383,8 @@ class _StreamLink(Link, Generic[_Stream]):
         """How many bytes this computer still holds of what was written; 0 if it does not tell."""
 
 
-class _TcpLink(_StreamLink[socket.socket]):
-    """Common part of TCP client and server."""
-
-    def _adopt(self, stream: socket.socket) -> None:
-        stream.setblocking(False)
-        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        if hasattr(socket, "TCP_USER_TIMEOUT"):
-            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
-        if not sys.platform.startswith("linux"):  # it would not tell how much it holds
-            stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 * _UNDER_WAY_BYTES)
-        self._drop()
-        self._stream = stream
-
-    def _read(self, stream: socket.socket, timeout_s: float) -> bytes | None:
-        return stream.recv(_PIECE_BYTES) if _readable([stream], timeout_s) else None
-
-    def _write(self, stream: socket.socket, data: bytes) -> int:
-        return stream.send(data)
-
-    def _under_way(self, stream: socket.socket) -> int:
-        if not sys.platform.startswith("linux"):
-            return 0
-        return int.from_bytes(_ioctl(stream.fileno(), _UNSENT, bytes(4)), sys.byteorder)
-
-
 @final
-class TcpClient(_TcpLink):
+class TcpClient(_StreamLink[socket.socket]):
     """tcp:HOST:PORT.  Connects again and again while the peer is absent."""
 
     def __init__(self, place: Address) -> None:
@@ -467,46 +410,32 @@ class TcpClient(_TcpLink):
             else:
                 self._adopt(calling)
 
+    def _adopt(self, stream: socket.socket) -> None:
+        stream.setblocking(False)
+        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
+        if not sys.platform.startswith("linux"):  # it would not tell how much it holds
+            stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 * _UNDER_WAY_BYTES)
+        self._drop()
+        self._stream = stream
+
+    def _read(self, stream: socket.socket, timeout_s: float) -> bytes | None:
+        return stream.recv(_PIECE_BYTES) if _readable([stream], timeout_s) else None
+
+    def _write(self, stream: socket.socket, data: bytes) -> int:
+        return stream.send(data)
+
+    def _under_way(self, stream: socket.socket) -> int:
+        if not sys.platform.startswith("linux"):
+            return 0
+        return int.from_bytes(_ioctl(stream.fileno(), _UNSENT, bytes(4)), sys.byteorder)
+
     def close(self) -> None:
         """Close the stream, or stop connecting, for good."""
         calling, self._calling = self._calling, None
         if calling is not None:
             calling.close()
-        super().close()
-
-
-@final
-class TcpServer(_TcpLink):
-    """tcpin:HOST:PORT.  The newest connection is the vehicle."""
-
-    def __init__(self, place: Address) -> None:
-        super().__init__()
-        family, address = place.resolved()
-        self._listener = socket.socket(family, socket.SOCK_STREAM)
-        self._listener.setblocking(False)
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._listener.bind(address)
-            self._listener.listen(1)
-        except OSError as error:
-            self._listener.close()
-            raise refused(place, error) from error
-
-    def receive(self, timeout_s: float) -> bytes | None:
-        """The next piece of the stream, or None if none came in time."""
-        stream = self._stream
-        if stream is not None:
-            timeout_s = min(timeout_s, self._push(stream))
-        ready = _readable([self._listener, *([] if stream is None else [stream])], timeout_s)
-        if self._listener in ready:
-            with contextlib.suppress(OSError):  # it has gone again already
-                self._adopt(self._listener.accept()[0])
-            return None
-        return super().receive(0.0) if ready else None
-
-    def close(self) -> None:
-        """Close the port and the stream."""
-        self._listener.close()
         super().close()
 
 

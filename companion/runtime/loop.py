@@ -1,6 +1,6 @@
 """Runs a session: the wall clock, the link, the threads, the run folder.
 
-    readers ─► event queue ──► control loop (the session) ──► gate ──► link, ground station links
+    readers ─► event queue ──► control loop (the session) ──► gate ──► link
     planning ───────┘               │    └──► writer ──► run folder
                                     └──► planning
 
@@ -11,24 +11,21 @@ the gate (`watchdog`).  In lockstep the control loop itself reads and writes, as
 import gc
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import final
 
-from companion.mavlink.link import VEHICLE_LINK
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
 from companion.planner.plan import plan
 from companion.runtime.compiler import load_libraries
 from companion.runtime.control_loop import ControlLoop, Nobody, Person
-from companion.runtime.latency import StreamTimes
-from companion.runtime.link import GroundLinks, Link
+from companion.runtime.link import Link
 from companion.runtime.planner_process import PlannerProcess
 from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer, WriterThread
 from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog
 from companion.runtime.workers import (
     EventQueue,
-    GroundReader,
     LinkReader,
     PlanFunction,
     PlannerWorker,
@@ -55,7 +52,6 @@ def fly(
     stop_asked: Callable[[], bool],
     planner: PlanFunction | None = None,
     persist: Callable[[], None] | None = None,
-    ground: Sequence[Link] = (),
     person: Person | None = None,
     clock: Clock = time.monotonic,
 ) -> FlightSummary:
@@ -63,7 +59,6 @@ def fly(
 
     planner: by default `plan`, in a process of its own unless in lockstep.
     persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
-    ground: links to ground stations, for a session that `has_ground`.
     person: who may say go at the terminal; None: there is none.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
@@ -71,9 +66,7 @@ def fly(
     if planner is None:
         planner = plan if lockstep else PlannerProcess()
     who = person or Nobody()
-    flight = _Flight(
-        session, link, ground, folder, lockstep, planner, persist, stop_asked, who, clock
-    )
+    flight = _Flight(session, link, folder, lockstep, planner, persist, stop_asked, who, clock)
     flight.flown.asks_here = person is not None
     with prompt_threads():
         flight.run(on_progress)
@@ -105,7 +98,6 @@ class _Flight:
         self,
         session: Session,
         link: Link,
-        ground: Sequence[Link],
         folder: RunFolder,
         lockstep: bool,
         planner: PlanFunction,
@@ -117,8 +109,7 @@ class _Flight:
         self.flown = FlightSummary(session=session)
         self._session, self._folder, self._lockstep = session, folder, lockstep
         self._event_queue = EventQueue()
-        grounds = GroundLinks(ground)
-        gate = Gate(link, clock, grounds, session.signed)
+        gate = Gate(link, clock, session.signed)
         self._watchdog = Watchdog(
             gate,
             clock=clock,
@@ -133,24 +124,17 @@ class _Flight:
         kind = InlineWriter if lockstep else WriterThread
         self._writer: Writer = kind(recorder, self._on_loss)
         self._reader = LinkReader(link, self._event_queue, gate, clock)
-        self._ground = [
-            GroundReader(each, number, self._event_queue, clock)
-            for number, each in enumerate(ground, VEHICLE_LINK + 1)
-        ]
         self._planning = PlannerWorker(planner, self._event_queue, lockstep=lockstep)
-        self._times = StreamTimes()
         self._control_loop = ControlLoop(
             session=session,
             flown=self.flown,
             link=link,
-            ground=grounds,
             gate=gate,
             event_queue=self._event_queue,
             reader=self._reader,
             planning=self._planning,
             writer=self._writer,
             watchdog=self._watchdog,
-            times=self._times,
             lockstep=lockstep,
             stop_asked=stop_asked,
             person=person,
@@ -164,8 +148,6 @@ class _Flight:
             self._watchdog.watch(self._writer.part, self._writer.run)
         if not self._lockstep:
             self._watchdog.watch(self._reader.part, self._reader.run)
-        for reader in self._ground:
-            self._watchdog.watch(reader.part, reader.run)
         self._watchdog.watch(self._control_loop.part, self._control_loop.run)
         try:
             while not self._control_loop.ended.wait(_PROGRESS_S) and self._watchdog.failure is None:
@@ -186,11 +168,8 @@ class _Flight:
         if failure is not None:
             self.flown.end, self.flown.died = _end_of(failure, self.flown.end), True
         self._reader.leave()
-        for reader in self._ground:
-            reader.leave()
         self._planning.leave()
         self._writer.close()
-        self._folder.facts["latency"] = self._times.summary()
 
     def _on_loss(self, failure: Failure) -> None:
         self._event_queue.put(WorkerLost(failure, vital=False))

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from typing import Final, final
 
-from companion.mavlink.mounting import TURN_RAD, MountingCheck
 from companion.mavlink.preflight import waiting_for
 from companion.mission.state import Phase
 from companion.runtime.link import Link
@@ -16,7 +15,6 @@ _SILENT_S: Final = 10.0
 _MIN_S: Final = 1.5  # after everything was answered: one link delay more is measured
 _MAX_S: Final = 5.0  # for rates and delays that do not come
 _SCAN_S: Final = 20.0
-_TURN: Final = "the vehicle to be turned on the spot by 90 degrees"
 
 
 def run_preflight(
@@ -24,16 +22,12 @@ def run_preflight(
     link: Link,
     *,
     stop_asked: Callable[[], bool],
-    turn: bool = False,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Run a session in shadow mode until everything was answered, or timed out.
 
-    turn: wait also until the vehicle was turned on the spot, for how its lidar is mounted.
     on_progress: called with what is waited for, as text, when that changes.
     """
-    if session.near is not None and session.mission.near is not None:
-        session.near.mounting = MountingCheck(session.mission.near)
     began_s = heard_s = time.monotonic()
     looker = _PreflightRun(session)
     said = ""
@@ -47,18 +41,12 @@ def run_preflight(
         link.send(session.run().frames)
         if now_s - heard_s > _SILENT_S or now_s - began_s > _DEADLINE_S:
             return
-        turns = turn and not _is_turned(session)
-        if session.state.phase is Phase.DONE or (looker.is_done(now_s) and not turns):
+        if session.state.phase is Phase.DONE or looker.is_done(now_s):
             return
-        waiting = waiting_for(session) or (_TURN if turns else "")
+        waiting = waiting_for(session)
         if waiting != said:
             said = waiting
             on_progress(said)
-
-
-def _is_turned(session: Session) -> bool:
-    mounting = session.near and session.near.mounting
-    return mounting is None or mounting.turned_rad >= TURN_RAD
 
 
 @final

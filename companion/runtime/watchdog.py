@@ -11,12 +11,12 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from companion.runtime.link import GroundLinks, Link, is_setpoint
+from companion.runtime.link import Link, is_setpoint
 
 Clock = Callable[[], float]
 """Seconds that only ever grow, of this computer."""
@@ -122,12 +122,10 @@ class Gate:
         self,
         link: Link,
         clock: Clock,
-        ground: GroundLinks | None = None,
         signed: Callable[[list[bytes]], list[bytes]] = list,
     ) -> None:
         """signed: signs the watchdog's frames, for a link whose peer demands it."""
-        self._link, self._clock, self._ground = link, clock, ground or GroundLinks([])
-        self._signed = signed
+        self._link, self._clock, self._signed = link, clock, signed
         self._lock = threading.Lock()
         self._is_shut = False
         self._streamed_s = -math.inf
@@ -141,12 +139,7 @@ class Gate:
         """How long a worker may stall now."""
         return STALL_S if self._clock() - self._streamed_s < STREAMING_S else IDLE_STALL_S
 
-    def send(
-        self,
-        frames: list[bytes],
-        to_ground: Sequence[bytes] = (),
-        since_s: float | None = None,
-    ) -> list[bytes]:
+    def send(self, frames: list[bytes], since_s: float | None = None) -> list[bytes]:
         """Send frames; those that were sent: none if the gate is shut, and no stale setpoint.
 
         since_s: when what they answer has arrived; None: setpoints are sent whatever their age.
@@ -157,7 +150,6 @@ class Gate:
             if since_s is not None and self._clock() - since_s > SETPOINT_AGE_S:
                 frames = [frame for frame in frames if not is_setpoint(frame)]
             self._link.send(frames)
-            self._ground.send(to_ground)
         if any(map(is_setpoint, frames)):
             self._streamed_s = self._clock()
         return frames
@@ -166,7 +158,7 @@ class Gate:
         """Shut: no frame of the session is sent from now on, except one being sent just now."""
         self._is_shut = True
 
-    def send_last(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> None:
+    def send_last(self, frames: list[bytes]) -> None:
         """Send the watchdog's own unsigned frames through the shut gate, without waiting.
 
         They are signed here: a signature that is older than the last one sent is refused, and so is
@@ -175,7 +167,6 @@ class Gate:
         locked = self._lock.acquire(timeout=_LOCK_S)
         try:
             self._link.send(self._signed(frames))
-            self._ground.send(self._signed([*to_ground]))
         finally:
             if locked:
                 self._lock.release()
@@ -320,7 +311,7 @@ class Watchdog:
             threading.Event().wait(wait_s)
             if frames or words:
                 with contextlib.suppress(Exception):  # the next attempt is not given up for it
-                    self._gate.send_last([*frames, *words], words)
+                    self._gate.send_last([*frames, *words])
             words = []  # once
 
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
-from companion.mavlink.link import VEHICLE_LINK
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime.link import Link
@@ -23,7 +22,6 @@ PlanFunction = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 
 POLL_S = 0.05
 _MAX_WAITING = 5000  # datagrams: what comes on top of them is as good as lost on the way
-_MAX_GROUND_PIECES, _MAX_GROUND_BYTES = 500, 65_536  # a second, of each ground link
 _SEARCHING = 0.8  # of T: the rest is for the proof
 _PLANNER_STARTS_S = 300.0  # a slow computer may compile it first
 _PLANNER_SLACK_S = 5.0  # on top of T: the plan is late long before, and dead only now
@@ -36,7 +34,6 @@ class Datagram(NamedTuple):
     data: bytes
     sender: object
     at_s: float
-    link: int = VEHICLE_LINK
 
 
 @final
@@ -117,36 +114,6 @@ class LinkReader:
     def leave(self) -> None:
         """End soon."""
         self._leaving.set()
-
-
-@final
-class GroundReader:
-    """Receives from a ground station link, with a limited rate."""
-
-    def __init__(self, link: Link, number: int, event_queue: EventQueue, clock: Clock) -> None:
-        """number: of the link, from 1."""
-        self.part = Worker(f"ground link {number}", vital=False)
-        self._link, self._number, self._event_queue, self._clock = link, number, event_queue, clock
-        self._leaving = threading.Event()
-        self._second = self._pieces = self._bytes = 0
-
-    def run(self) -> None:
-        """Receive until stopped; an exception of the link ends this worker only."""
-        while not self._leaving.is_set():
-            data, now_s = self._link.receive(POLL_S), self._clock()
-            if data is not None and self._is_affordable(len(data), int(now_s)):
-                self._event_queue.put(Datagram(data, self._link.sender, now_s, self._number))
-
-    def leave(self) -> None:
-        """End soon."""
-        self._leaving.set()
-
-    def _is_affordable(self, size: int, second: int) -> bool:
-        """Whether this much more may be received in this second: the rest would delay setpoints."""
-        if second != self._second:
-            self._second, self._pieces, self._bytes = second, 0, 0
-        self._pieces, self._bytes = self._pieces + 1, self._bytes + size
-        return self._pieces <= _MAX_GROUND_PIECES and self._bytes <= _MAX_GROUND_BYTES
 
 
 # --- planning

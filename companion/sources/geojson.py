@@ -16,8 +16,7 @@ from companion.sources.schema import validated
 _REMEDY = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
 _WGS84 = ("CRS84", "4326")
 _MAX_FEATURES = 100_000
-_LINES = ("LineString", "MultiLineString", "Track", "MultiTrack")
-"""Those of KML too."""
+_LINES = ("LineString", "MultiLineString")
 _ALONE = ("Polygon", "MultiPolygon", "Point", "MultiPoint", "GeometryCollection")
 
 NoZone = Literal["points", "lines", "empty"]
@@ -43,8 +42,9 @@ class Threats:
 
 
 def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> Threats:
-    """The threats of a file.  Raises InputError about it, or naming the feature in it.
+    """The threats of a file; leave_out: what a map may have beside zones.
 
+    Raises InputError about it, naming the feature in it, or counting those that are no zones.
     Polygons and multipolygons are zones; a point with the property radius_m is a circle, one of
     kind "radar" a radar with range_m and altitude_amsl_m.
     """
@@ -55,14 +55,7 @@ def read_geojson(path: Path, where: str, leave_out: Collection[NoZone] = ()) -> 
     features = found.get("features") if found.get("type") == "FeatureCollection" else [found]
     if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)
-    return threats_of(features, path.name, leave_out)
-
-
-def threats_of(features: list[Any], name: str, leave_out: Collection[NoZone] = ()) -> Threats:
-    """The threats of GeoJSON features; name: of the file, leave_out: what is there for no zone.
-
-    Raises InputError naming the feature, or counting those that are no zones.
-    """
+    name = path.name
     if len(features) > _MAX_FEATURES:
         rule = f"it has more than {_MAX_FEATURES:,}"
         remedy = "Keep those that are near the mission."

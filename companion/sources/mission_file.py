@@ -5,6 +5,7 @@ table itself (`complete`), so that a run folder holds all that was flown.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final, get_args
@@ -15,7 +16,7 @@ from companion.errors import InputError
 from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
-from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
+from companion.mission.mission import EndAction, Fallback, Mission
 from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
@@ -23,6 +24,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.elevation import height_at_m, read_known_map
 from companion.sources.files import RawTable, path_of, plain, told_path
+from companion.sources.geojson import NoZone, Threats, read_geojson
 from companion.sources.mission_schema import (
     KnownTerrainTable,
     MissionTable,
@@ -35,11 +37,13 @@ from companion.sources.plan_defaults import with_plan
 from companion.sources.plan_file import Ground, read_plan
 from companion.sources.recognised import is_plan, refuse_other
 from companion.sources.schema import validated
-from companion.sources.threat_file import read_threats
-from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
+from companion.sources.waypoint_file import (
+    is_waypoint_list,
+    read_waypoint_fence,
+    read_waypoint_list,
+)
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
-from companion.world.traffic import CLAIM_S
 
 _LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
 _OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
@@ -76,7 +80,7 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
         asked = table["threats"]
         asked = {"file": asked} if isinstance(asked, str) else asked
         chosen = validated(ThreatsTable, asked, f"{where}: threats")
-        threats = read_threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
+        threats = _threats(folder / chosen.file, f"{where}: threats", chosen.leave_out)
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key in ("keep_outs", "keep_ins", "radars"):
@@ -90,6 +94,22 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
         }
     assumed = _keys(table) - _keys(given) if "plan" in names else frozenset[str]()
     return MissionFile(table=table, notes=tuple(notes), is_whole=not names, assumed=assumed)
+
+
+def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
+    """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
+    if is_waypoint_list(path):
+        plan = read_waypoint_fence(path, where)
+        notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
+        threats = Threats(
+            keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
+        )
+    else:
+        refuse_other(path, where, but_geojson=True)
+        threats = read_geojson(path, where, leave_out)
+    if not (threats.keep_outs or threats.keep_ins or threats.radars):
+        threats.notes.append(f"{path.name}: it holds no zone and no radar")
+    return threats
 
 
 def _keys(table: RawTable, above: str = "") -> frozenset[str]:
@@ -179,11 +199,9 @@ def mission_of(
     if near is not None:
         settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
         limits = replace(limits, overrun_m=settings.safety_distance_m)
-    others = model.traffic and TrafficRules(**model.traffic.of(TrafficRules))
     task = Task(
         limits=limits,
         settings=settings,
-        claim_s=0.0 if near is not None else _claim_s(others, limits),
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -216,7 +234,6 @@ def mission_of(
         fallback=Fallback(model.fallback.action),
         known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
-        traffic=others,
         rally_ne_m=tuple(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
@@ -225,13 +242,6 @@ def mission_of(
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *about_altitudes(mission, tables, where)))
-
-
-def _claim_s(others: TrafficRules | None, limits: Limits) -> float:
-    """How much earlier to plan: to claim what is planned, before it is too late to stop."""
-    if others is None or not others.claims:
-        return 0.0
-    return 2.0 * CLAIM_S + limits.stopping_m(limits.speed_m_s) / limits.speed_m_s
 
 
 # --- rules between fields
@@ -296,10 +306,6 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         rule = "only what can stop may fly by a sensor of near things"
         raise InputError(f"{field}.kind", kind, rule, "Use a terrain radar for a plane.")
     height_m = band.ceiling_amsl_m - band.floor_amsl_m
-    if kind != "obstacle_distance_3d" and "beam_deg" in table.model_fields_set:
-        rule = "it is of points, and sectors say how wide they are"
-        remedy = 'Remove it, or write kind = "obstacle_distance_3d".'
-        raise InputError(f"{field}.beam_deg", table.beam_deg, rule, remedy)
     if table.speaks_for_m < height_m:
         rule = f"its beams are flat, and altitude's band is {height_m:g} m high"
         remedy = f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."
@@ -315,7 +321,6 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         component_id=usual if table.component is None else table.component,
         yaw_rad=math.radians(table.yaw_deg),
         bearing_error_rad=math.radians(table.bearing_error_deg),
-        beam_rad=math.radians(table.beam_deg),
         range_m=model.planner.scan_range_m,
         **table.of(NearSensor),
     )

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
+from companion.mission.mission import EndAction, Fallback, Mission
 from companion.objective.scene import Weights
 from companion.optimise.registry import OPTIMISERS
 from companion.path.limits import Limits
@@ -111,7 +111,6 @@ class ScannerTable(
     """MAVLink component that sends them; left out: the autopilot for its sectors, else 196"""
     yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
     bearing_error_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
-    beam_deg: Annotated[float, Field(ge=0.2, le=45.0)] = 2.0
 
 
 class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]
@@ -158,16 +157,10 @@ class BatteryTable(keys_of(Mission, "endurance_s")):  # type: ignore[misc]
     reserve_percent: Annotated[float, Field(ge=0.0, lt=100.0)] = 20.0
 
 
-class LinkTable(
-    keys_of(Mission, "sets_parameters", sends_obstacles="obstacle_distance")  # type: ignore[misc]
-):
+class LinkTable(keys_of(Mission, "sets_parameters")):  # type: ignore[misc]
     """Who may command the companion, and what it may say to the autopilot."""
 
     commanders: list[Sender] | None = None
-
-
-class TrafficTable(keys_of(TrafficRules, *(each.name for each in fields(TrafficRules)))):  # type: ignore[misc]
-    """How others in the air are kept clear of; left out: they are not watched."""
 
 
 class FromVehicleTable(
@@ -222,7 +215,6 @@ class MissionTable(Table):
     battery: BatteryTable = BatteryTable()
     link: LinkTable = LinkTable()
     from_vehicle: FromVehicleTable = FromVehicleTable()
-    traffic: TrafficTable | None = None
     terrain: KnownTerrainTable | None = None
     radars: list[MissionRadarTable] = Field(default_factory=list)
     keep_outs: list[ZoneTable] = Field(default_factory=list)

@@ -11,12 +11,12 @@ from companion.sources.files import answer
 _HEAD_BYTES: Final = 4096
 _MAX_BYTES: Final = 64_000_000  # as for `files.read_text`
 _BOM: Final = b"\xef\xbb\xbf"
-_ZONES: Final = 'These are zones: name the file in a mission.toml, threats = "{name}"{more}.'
+_ZONES: Final = 'These are zones: name the file in a mission.toml, threats = "{name}".'
 _LOG: Final = "Logs are for companion replay LOG --shadow and companion view LOG."
 _SAVE: Final = "Open it in QGroundControl and save it as a .plan."
 _PLAN: Final = 'Give it as the mission, or name it in a mission.toml: plan = "{name}".'
 _GEOJSON_OF: Final = " GeoJSON of it: ogr2ogr -f GeoJSON zones.geojson {name}"
-_KML: Final = f", or make{_GEOJSON_OF}"
+_FENCE: Final = "Save the fence again with Mission Planner (QGC WPL 110), or draw it as GeoJSON."
 _DRAW: Final = "Draw it in QGroundControl, and save it as a .plan."
 _TERRAIN: Final = 'Name it in a mission.toml: [terrain] file = "{name}", with vertical_datum.'
 _MISSION: Final = "Give a mission.toml, a .plan or a waypoint list."
@@ -25,7 +25,7 @@ _BINARY: Final = {
     b"\x1f\x8b": ("compressed with gzip", "Unpack it: gunzip {name}."),
     b"PK\x03\x04": (
         "a zip archive, as a .kmz is",
-        "Unzip it, and give what is in it. A KML in it holds zones: threats" + _KML + ".",
+        "Unzip it, and give what is in it.",
     ),
     b"7z\xbc\xaf": ("a 7-zip archive", "Unpack it."),
     b"ULog\x01\x12\x35": ("a log of PX4 (.ulg)", _LOG),
@@ -66,7 +66,7 @@ class Recognised(NamedTuple):
 
     what: str
     remedy: str
-    of_zones: bool
+    is_geojson: bool
 
 
 def is_plan(path: Path) -> bool:
@@ -75,13 +75,13 @@ def is_plan(path: Path) -> bool:
     return _begin(content).startswith(b"{") and _PLAN_IN_JSON.search(content) is not None
 
 
-def refuse_other(path: Path, field: str, *, but_zones: bool = False) -> None:
+def refuse_other(path: Path, field: str, *, but_geojson: bool = False) -> None:
     """Raise InputError about the field if the file is known to be of another kind than asked for.
 
-    but_zones: zones are asked for, and whoever reads them knows better what is wrong with others.
+    but_geojson: that is asked for, and whoever reads it knows better what is wrong with other JSON.
     """
     found = recognised(path)
-    if found is None or (but_zones and (found.of_zones or found.remedy == _MISSION)):
+    if found is None or (but_geojson and (found.is_geojson or found.remedy == _MISSION)):
         return
     raise InputError(field, str(path), f"it is {found.what}", found.remedy)
 
@@ -95,8 +95,7 @@ def recognised(path: Path) -> Recognised | None:
         return None
     what, remedy = found
     name = "".join(c if c.isprintable() else "?" for c in path.name)
-    told = remedy.replace("{more}", "").replace("{name}", name)
-    return Recognised(what, told, of_zones=remedy.startswith(_ZONES[:15]))
+    return Recognised(what, remedy.replace("{name}", name), is_geojson=remedy == _ZONES)
 
 
 def _content(path: Path) -> bytes:
@@ -144,7 +143,7 @@ def _of_text(content: bytes) -> tuple[str, str] | None:
         )
         return "a list of rally points", remedy
     if all(_PAIR.fullmatch(line) for line in lines):
-        return "a fence list: a latitude and a longitude a line", _ZONES
+        return "a fence list of a latitude and a longitude a line, which is not read", _FENCE
     if all(_PARAMETER.fullmatch(line) for line in lines):
         return "a list of an autopilot's parameters", "Load it with a ground station."
     if len(lines) > 1 and all(line.count(",") > 1 and "=" not in line for line in lines):
@@ -156,7 +155,7 @@ def _of_xml(head: str) -> tuple[str, str]:
     tags = [tag.lower() for tag in _TAG.findall(re.sub(r"<!--.*?-->", "", head, flags=re.DOTALL))]
     root = next(iter(tags), "")
     if root == "kml":
-        return "KML", _ZONES.replace("{more}", _KML)
+        return "KML, which is not read", f"It may hold zones: make{_GEOJSON_OF}."
     if root == "html" or head.lower().startswith("<!doctype html"):
         return "a web page", "Download the file itself (raw)."
     if root == "gpx":

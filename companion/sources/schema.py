@@ -123,7 +123,6 @@ class WorldTable(Table):
     radars: list[RadarTable] = []
     vehicle: WorldVehicleTable
     scanner: dict[str, Any] = {}
-    traffic: list[dict[str, Any]] = []
     trees: list[dict[str, Any]] = []
     woods: list[dict[str, Any]] = []
     buildings: list[dict[str, Any]] = []
@@ -152,6 +151,17 @@ REMOVED = {
     "traffic": "Leave it out: keep vehicles apart by fences or altitudes of their own.",
 }
 """Keys and values ("table.key = value") of files for versions before, and what to do instead."""
+
+
+def removed_key(table: Any, path: tuple[str, ...] = ()) -> str:
+    """The first key or value of a file that was removed; "": there is none."""
+    here = ".".join(path)
+    if here in REMOVED or f"{here} = {table}" in REMOVED:
+        return here
+    inner = [(path, each) for each in table] if isinstance(table, list) else []
+    if isinstance(table, dict):
+        inner = [((*path, key), each) for key, each in table.items()]
+    return next(filter(None, (removed_key(each, at) for at, each in inner)), "")
 
 
 def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:

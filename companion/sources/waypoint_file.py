@@ -1,62 +1,29 @@
 """Waypoint, fence and rally lists as Mission Planner, MAVProxy and QGroundControl save them.
 
-"QGC WPL 110" has one item a line: index, current, frame, command, four parameters, latitude,
-longitude, altitude, autocontinue; line 0 of a mission is launch (mavlink.io, "File Formats").
-Older fence lists have only a latitude and a longitude a line: the return point, then the corners
-(pymavlink's mavwp.py).
+"QGC WPL 110" has one item a line, which pymavlink reads; line 0 of a mission is launch
+(mavlink.io, "File Formats").
 """
 
 import math
-import re
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final
 
 from companion.errors import InputError
-from companion.sources.files import RawTable, answer, read_text
+from companion.sources.files import answer, read_text
 from companion.sources.plan_file import Ground, Item, Items, Plan, check_place, launch_of
 
 _HEAD: Final = "QGC WPL"
-_VERSION: Final = "110"
 _REMEDY: Final = "Save it again with Mission Planner, MAVProxy or QGroundControl."
-_NOT_GIVEN: Final = re.compile(r"[-+]?nan(\(.*\))?|null|[-+]?1\.#(qnan|snan|ind)\d*", re.IGNORECASE)
-"""How programs, those of Windows too, write what is no number: MAVLink's "not given"."""
 _AMSL: Final = (0, 5)  # MAV_FRAME
-_RETURN_POINT, _CORNER_IN, _CORNER_OUT, _CIRCLE_IN, _CIRCLE_OUT, _RALLY = (
-    5000,
-    5001,
-    5002,
-    5003,
-    5004,
-    5100,
-)  # MAV_CMD_NAV_FENCE_*, MAV_CMD_NAV_RALLY_POINT
-
-
-@final
-class _Row(NamedTuple):
-    """One line, as numbers."""
-
-    label: str
-    frame: int
-    command: int
-    parameters: tuple[float, ...]
-    """Seven of them: four, then latitude, longitude and altitude; nan: not given."""
-    goes_on: bool
-
-    @property
-    def is_of_zones(self) -> bool:
-        """Whether it is of a fence or a rally point, and not of a mission."""
-        return _RETURN_POINT <= self.command <= _RALLY
-
-    @property
-    def given(self) -> list[float | None]:
-        """The parameters as plans have them."""
-        return [None if math.isnan(value) else value for value in self.parameters]
-
-    @property
-    def place_deg(self) -> tuple[float, float]:
-        """Latitude and longitude; InputError naming the line if they are out of range."""
-        check_place(self.parameters[4], self.parameters[5], self.label)
-        return self.parameters[4], self.parameters[5]
+_RETURN_POINT, _RALLY = 5000, 5100
+_CORNERS: Final = {5001: True, 5002: False}
+_CIRCLES: Final = {5003: True, 5004: False}
+"""MAV_CMD_NAV_FENCE_*: whether the vehicle stays inside."""
+_MOST_CORNERS: Final = 100_000
+_Labelled = tuple[str, Item]
+"""How an item is called in errors, and the item."""
 
 
 def is_waypoint_list(path: Path) -> bool:
@@ -74,26 +41,26 @@ def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> 
 
     Raises InputError about the field (where), or naming the item that cannot be taken.
     """
-    rows = _rows(read_text(path, where, _REMEDY), path.name, where)
+    items = _items(path, where)
     remedy = "Set home before you save it. (A list of zones alone: name it as threats.)"
-    if not rows or rows[0].is_of_zones:
+    if not items or _is_of_zones(items[0][1]):
         rule = "launch, its first item, has no latitude and longitude"
         raise InputError(where, path.name, rule, remedy)
-    home = rows.pop(0)
-    latitude, longitude, altitude = launch_of(home.given[4:], f"{home.label} (launch)", remedy)
+    label, home = items.pop(0)
+    latitude, longitude, altitude = launch_of(home.params[4:], f"{label} (launch)", remedy)
     plan = _plan(path.name, (latitude, longitude), altitude)
     if home.frame not in _AMSL:
         said = f"of frame {home.frame}, is taken to be above mean sea level"
         plan.notes.append(f"launch: its altitude, {altitude:g} m {said}")
-    return _filled(plan, rows, ground)
+    return _filled(plan, items, ground)
 
 
 def read_waypoint_fence(path: Path, where: str) -> Plan:
     """The fence in such a list, which may lack a launch; InputError as above."""
-    rows = _rows(read_text(path, where, _REMEDY), path.name, where)
-    if rows and not rows[0].is_of_zones:
-        rows.pop(0)
-    return _filled(_plan(path.name, (math.nan, math.nan), math.nan), rows, None)
+    items = _items(path, where)
+    if items and not _is_of_zones(items[0][1]):
+        items.pop(0)
+    return _filled(_plan(path.name, (math.nan, math.nan), math.nan), items, None)
 
 
 def _plan(name: str, home_deg: tuple[float, float], home_amsl_m: float) -> Plan:
@@ -106,135 +73,81 @@ def _plan(name: str, home_deg: tuple[float, float], home_amsl_m: float) -> Plan:
     )
 
 
-def _filled(plan: Plan, rows: list[_Row], ground: Ground | None) -> Plan:
-    reader, fence = Items(plan, ground), _Fence(plan)
-    for row in rows:
-        if not fence.take(row):
-            item = Item(command=row.command, frame=row.frame, params=row.given)
-            reader.take(item.model_copy(update={"goes_on": row.goes_on}), row.label)
-    fence.finish()
+def _filled(plan: Plan, items: list[_Labelled], ground: Ground | None) -> Plan:
+    reader = Items(plan, ground)
+    for label, item in _not_of_zones(plan, items):
+        reader.take(item, label)
     reader.finish()
     return plan
 
 
-def read_fence_list(path: Path, where: str) -> RawTable:
-    """The keep-in polygon of an old fence list.  Raises InputError naming the line."""
-    places = []
-    for number, line in enumerate(read_text(path, where, _REMEDY).splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        label = f"{path.name}: line {number}"
-        numbers = _numbers(words, label)
-        if len(numbers) != 2:
-            rule = "a line of a fence list has a latitude and a longitude"
-            raise InputError(label, line.strip(), rule, _REMEDY)
-        check_place(numbers[0], numbers[1], label)
-        places.append(numbers)
-    corners = places[1:]  # the first is the return point
-    if len(corners) > 1 and corners[0] == corners[-1]:
-        corners.pop()
-    if len(corners) < 3:
-        rule = "a fence list has a return point and three or more corners"
-        raise InputError(f"{path.name}: lines", len(places), rule, _REMEDY)
-    return {"name": path.stem, "vertices_deg": corners}
+def _items(path: Path, where: str) -> list[_Labelled]:
+    """By pymavlink, line by line: its `load` names no line, and takes the locale's encoding."""
+    from pymavlink import mavwp  # it is not needed by most missions
+
+    head, *lines = read_text(path, where, _REMEDY).lstrip().splitlines()
+    if head.split() != [*_HEAD.split(), "110"]:
+        raise InputError(where, head.strip(), f"only {_HEAD} 110 is known", _REMEDY)
+    loader = mavwp.MAVWPLoader()
+    for number, line in enumerate(lines, start=2):
+        try:
+            loader._read_waypoints_v110([line])
+        except (mavwp.MAVWPError, ValueError) as error:
+            label = f"{path.name}: line {number}"
+            raise InputError(label, line.strip()[:60], str(error)[:100], _REMEDY) from None
+    found = []
+    for number, item in enumerate(loader.wpoints):
+        label = f"{path.name}: item {number}"
+        numbers = item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z
+        if any(map(math.isinf, numbers)):
+            raise InputError(label, [*numbers], "it is made of finite numbers", _REMEDY)
+        table = {
+            "command": item.command,
+            "frame": item.frame,
+            "params": [None if math.isnan(number) else number for number in numbers],
+            "autoContinue": item.autocontinue != 0,
+        }
+        found.append((label, Item.model_validate(table)))
+    return found
 
 
-def _rows(text: str, name: str, where: str) -> list[_Row]:
-    lines = text.splitlines()
-    head = next(line for line in lines if line.strip())
-    if head.split()[:3] != [*_HEAD.split(), _VERSION]:
-        rule = f"only {_HEAD} {_VERSION} is known"
-        raise InputError(where, head.strip(), rule, _REMEDY)
-    rows = []
-    for number, line in enumerate(lines[lines.index(head) + 1 :], start=lines.index(head) + 2):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        label = f"{name}: line {number}"
-        numbers = _numbers(words, label, or_not_given=True)
-        whole = len(numbers) == 12 and all(numbers[at].is_integer() for at in (0, 2, 3))
-        if not whole:
-            rule = (
-                "a line has index, current, frame, command, four parameters, latitude, "
-                "longitude, altitude and autocontinue"
-            )
-            raise InputError(label, f"{len(words)} numbers", rule, _REMEDY)
-        item = f"{name}: item {int(numbers[0])}"
-        goes_on = numbers[11] != 0.0
-        rows.append(_Row(item, int(numbers[2]), int(numbers[3]), tuple(numbers[4:11]), goes_on))
-    return rows
+def _is_of_zones(item: Item) -> bool:
+    """Whether it is of a fence or a rally point, and not of a mission."""
+    return _RETURN_POINT <= (item.command or 0) <= _RALLY
 
 
-def _numbers(words: list[str], label: str, *, or_not_given: bool = False) -> list[float]:
-    """The numbers of a line; nan for those that are not given, where these may be missing."""
-    try:
-        numbers = [
-            math.nan if or_not_given and _NOT_GIVEN.fullmatch(word) else _finite(word)
-            for word in words
-        ]
-    except ValueError:
-        rule = "it is made of finite numbers"
-        raise InputError(label, " ".join(words)[:60], rule, _REMEDY) from None
-    return numbers
-
-
-def _finite(word: str) -> float:
-    number = float(word)
-    if not math.isfinite(number):
-        raise ValueError(word)
-    return number
-
-
-@final
-class _Fence:
-    """Gathers the corners of polygons, which follow one another, and the circles."""
-
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        self._corners: list[list[float]] = []
-        self._first: _Row | None = None
-
-    def take(self, row: _Row) -> bool:
-        """Add the row, if it is of a fence or a rally point."""
-        plan, command = self._plan, row.command
-        if command in (_CORNER_IN, _CORNER_OUT):
-            self._add_corner(row)
-        elif command in (_CIRCLE_IN, _CIRCLE_OUT):
-            latitude, longitude = row.place_deg
-            radius_m = row.parameters[0]
-            if not radius_m > 0.0:
-                raise InputError(row.label, radius_m, "a circle has a radius above 0", _REMEDY)
-            place = {"latitude_deg": latitude, "longitude_deg": longitude}
-            shape = place | {"radius_m": radius_m}
-            name = f"fence circle {self._number()}"
-            plan.add_zone(name, shape, inside=command == _CIRCLE_IN)
+def _not_of_zones(plan: Plan, items: list[_Labelled]) -> Iterator[_Labelled]:
+    """Add circles, polygons, whose corners follow one another, and rally points; other items."""
+    rest = iter(items)
+    for label, item in rest:
+        command, size = item.command or 0, item.params[0] or 0.0
+        number = len(plan.keep_ins) + len(plan.keep_outs) + 1
+        if command in _CORNERS:
+            if not 3.0 <= size <= _MOST_CORNERS:
+                raise InputError(label, size, "a polygon has 3 corners", _REMEDY)
+            corners = [item, *(corner for _, corner in islice(rest, math.ceil(size) - 1))]
+            same = [c for c in corners if (c.command, c.params[0]) == (command, size)]
+            if len(same) != size:
+                rule = f"its polygon has {len(same)} of {size:g} corners"
+                raise InputError(label, size, rule, _REMEDY)
+            shape = {"vertices_deg": [_place_deg(corner, label) for corner in corners]}
+            plan.add_zone(f"fence polygon {number}", shape, inside=_CORNERS[command])
+        elif command in _CIRCLES:
+            latitude, longitude = _place_deg(item, label)
+            if not size > 0.0:
+                raise InputError(label, size, "a circle has a radius above 0", _REMEDY)
+            circle = {"latitude_deg": latitude, "longitude_deg": longitude, "radius_m": size}
+            plan.add_zone(f"fence circle {number}", circle, inside=_CIRCLES[command])
         elif command == _RALLY:
-            plan.add_rally_point(*row.place_deg)
-        else:
-            return command == _RETURN_POINT
-        return True
+            plan.add_rally_point(*_place_deg(item, label))
+        elif command != _RETURN_POINT:
+            yield label, item
 
-    def finish(self) -> None:
-        """Refuse a polygon that lacks corners."""
-        if self._first is not None:
-            wanted = self._first.parameters[0]
-            rule = f"its polygon has {len(self._corners)} of {wanted:g} corners"
-            raise InputError(self._first.label, wanted, rule, _REMEDY)
 
-    def _add_corner(self, row: _Row) -> None:
-        first = self._first or row
-        if (row.command, row.parameters[0]) != (first.command, first.parameters[0]):
-            self.finish()
-        if not row.parameters[0] >= 3.0:
-            raise InputError(row.label, row.parameters[0], "a polygon has 3 corners", _REMEDY)
-        self._first = first
-        self._corners.append(list(row.place_deg))
-        if len(self._corners) == first.parameters[0]:
-            name = f"fence polygon {self._number()}"
-            shape = {"vertices_deg": self._corners}
-            self._plan.add_zone(name, shape, inside=first.command == _CORNER_IN)
-            self._corners, self._first = [], None
-
-    def _number(self) -> int:
-        return len(self._plan.keep_ins) + len(self._plan.keep_outs) + 1
+def _place_deg(item: Item, label: str) -> list[float]:
+    """Latitude and longitude; InputError naming the item if they are out of range."""
+    latitude, longitude = item.params[4:6]
+    check_place(latitude, longitude, label)
+    assert latitude is not None
+    assert longitude is not None
+    return [latitude, longitude]

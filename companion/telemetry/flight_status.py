@@ -22,7 +22,6 @@ from companion.world.known_map import KnownMap
 
 _LOOKS = 0.5  # of the scan range R: what is farther away is not looked for
 _WARNED_S = 60.0  # for how long a warning or a text stands
-_WIND_S = 10.0  # for how long what the vehicle says of the wind does
 _MOVES_M_S = 0.2
 
 
@@ -96,10 +95,6 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """Distance from the path, across it; null: there is none."""
     tracking_error_m: float
     """How far off the path the mission allows for."""
-    wind_m_s: float | None
-    """As the autopilot says; null: it does not."""
-    wind_from_rad: float | None
-    """Where it comes from, clockwise from true north."""
     battery_left: float | None
     """Share, 0 to 1; null: the autopilot does not say."""
     battery_reserve: float
@@ -144,12 +139,8 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         latitude, longitude = map(float, session.mission.frame.to_geodetic_deg(*here[:2]))
     north_m_s, east_m_s, up_m_s = vehicle.velocity_nea_m_s
     speed_m_s = math.hypot(north_m_s, east_m_s)
-    wind = None if autopilot is None else autopilot.wind
-    if wind is not None and not 0.0 <= now_s - wind[0] < _WIND_S:
-        wind = None
     left_m = way_left_m(state) if here is not None and state.targets_ne_m else None
-    cruise_m_s = min(task.limits.speed_m_s, flight.speed_limit_m_s)
-    flies = state.phase in ON_PATH and cruise_m_s > 0.0
+    flies, cruise_m_s = state.phase in ON_PATH, task.limits.speed_m_s
     leg, off_m = flight.leg, None
     if leg is not None and here is not None:
         off_m = off_path_m(flight.reference, leg, np.asarray(here))
@@ -190,8 +181,6 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         climb_m_s=up_m_s,
         off_path_m=off_m,
         tracking_error_m=task.limits.tracking_error_m,
-        wind_m_s=None if wind is None else math.hypot(*wind[1:]),
-        wind_from_rad=None if wind is None else math.atan2(-wind[2], -wind[1]) % math.tau,
         battery_left=vehicle.battery,
         battery_reserve=session.mission.reserve,
         link_age_s=now_s - clock.now_s if clock.is_known else None,

@@ -4,8 +4,7 @@ A sequence of msgpack arrays: a header with schema and version, then one for eac
 session: its name, then its arguments.
 
     start         what the session was made of; one more each time that the companion was resumed
-    receive       frames without signatures, when they arrived; the number of the link, if it is
-                  one to ground stations
+    receive       frames without signatures, and when they arrived
     run           handle them; what follows from it is in flight.tlog and journal.jsonl
     deliver       the answer of the planner (`planner.outcomes`)
     silence, stop, part_died, recording_stopped, complain, farewell

@@ -1,4 +1,4 @@
-"""Reads journal.jsonl: headers and entries, checked, of every version (docs/reference/journal.md).
+"""Reads journal.jsonl: headers and entries, checked (docs/reference/journal.md).
 
     journal = Journal(run_dir / "journal.jsonl")
     for entry in journal.entries():          # streaming: a journal of days takes no more memory
@@ -13,17 +13,16 @@ where it does no harm (a kind or a field that is not known), a finding.
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn, final, get_type_hints
+from typing import Any, final, get_type_hints
 
 import msgspec
 from msgspec import ValidationError
 
 from companion.errors import InputError
 from companion.mission.journal import KINDS, SCHEMA, VERSION, Entry, Header, entry_of
-from companion.mission.state import Reason
 from companion.printable import with_printable_texts
 
 _NOT_PLAIN = re.compile(rb"\\|[^\x20-\x7e\n]").search
@@ -31,27 +30,6 @@ _NOT_PLAIN = re.compile(rb"\\|[^\x20-\x7e\n]").search
 _HEADER = b'{"schema":'
 _MAX_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
 _AS_WRITTEN = "Give the journal as the companion has written it."
-
-_Raw = dict[str, Any]
-_CODES = {reason.text: reason.name for reason in Reason}
-
-
-def _with_code(entry: _Raw) -> _Raw:
-    """Version 1 to 2: a phase names its reason, which was only there in words."""
-    if entry.get("kind") == "phase" and "code" not in entry:
-        entry["code"] = _CODES.get(str(entry.get("reason")))
-    return entry
-
-
-def _without_stops(entry: _Raw) -> _Raw:
-    """Version 2 to 3: the planner is not told how often the vehicle has stopped."""
-    if entry.get("kind") == "plan asked":
-        entry.pop("stops", None)
-    return entry
-
-
-_UPGRADES: dict[int, Callable[[_Raw], _Raw]] = {1: _with_code, 2: _without_stops}
-"""How an entry of a version becomes one of the next."""
 
 
 @final
@@ -65,7 +43,6 @@ class Journal:
         """One for each time that the companion was started; none if nothing was recorded."""
         self._unknown: Counter[str] = Counter()
         self._torn_bytes = self._read_bytes = self._read_lines = 0
-        self._read: Callable[[bytes, str], Entry | None] = self._before_any_header
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -84,7 +61,6 @@ class Journal:
         self.headers.clear()
         self._unknown.clear()
         self._read_bytes = self._read_lines = 0
-        self._read = self._before_any_header
         return self.new_lines()
 
     def new_lines(self) -> Iterator[Header | Entry]:
@@ -95,11 +71,14 @@ class Journal:
             where = f"{self.path.name} line {self._read_lines}"
             if text.startswith(_HEADER):
                 header = _header_of(raw := _decoded(text, where), where)
-                self._read = self._reader_of(header.version)
                 self._count_unknown(raw, header, "header")
                 self.headers.append(header)
                 yield header
-            elif (entry := self._read(text, where)) is not None:
+            elif not self.headers:
+                rule = f'a journal begins with a header, {{"schema":"{SCHEMA}",...}}'
+                shown = text[:80].decode(errors="replace")
+                raise InputError(where, shown, rule, _AS_WRITTEN)
+            elif (entry := self._entry(text, where)) is not None:
                 yield entry
 
     def _whole_lines(self) -> Iterator[bytes]:
@@ -121,30 +100,19 @@ class Journal:
 
     # --- lines
 
-    def _before_any_header(self, text: bytes, where: str) -> NoReturn:
-        rule = f'a journal begins with a header, {{"schema":"{SCHEMA}",...}}'
-        raise InputError(where, text[:80].decode(errors="replace"), rule, _AS_WRITTEN)
-
-    def _reader_of(self, version: int) -> Callable[[bytes, str], Entry | None]:
-        """What reads the entries of a version; older ones are brought up step by step."""
-        steps = [_UPGRADES[each] for each in range(version, VERSION)]
-
-        def read(text: bytes, where: str) -> Entry | None:
-            raw = _decoded(text, where)
-            for step in steps if isinstance(raw, dict) else ():
-                raw = step(raw)
-            try:
-                entry = entry_of(raw)
-            except (ValidationError, LookupError, TypeError) as error:
-                kind = raw.get("kind") if isinstance(raw, dict) else None
-                if isinstance(kind, str) and kind not in KINDS:
-                    self._unknown[f"kind {kind!r}, which is not known"] += 1
-                    return None
-                raise _refused(raw, error, where) from None
-            self._count_unknown(raw, entry, raw["kind"])
-            return entry
-
-        return read
+    def _entry(self, text: bytes, where: str) -> Entry | None:
+        """The entry in a line; None if its kind is not known."""
+        raw = _decoded(text, where)
+        try:
+            entry = entry_of(raw)
+        except (ValidationError, LookupError, TypeError) as error:
+            kind = raw.get("kind") if isinstance(raw, dict) else None
+            if isinstance(kind, str) and kind not in KINDS:
+                self._unknown[f"kind {kind!r}, which is not known"] += 1
+                return None
+            raise _refused(raw, error, where) from None
+        self._count_unknown(raw, entry, raw["kind"])
+        return entry
 
     def _count_unknown(self, raw: Any, value: Any, name: str) -> None:
         """Count the fields of an object, and of those in it, that it is not declared with."""
@@ -168,15 +136,14 @@ def _fields_of(declared: type) -> frozenset[str]:
 
 
 def _header_of(raw: Any, where: str) -> Header:
-    """The header in a line, of a version that can be read."""
+    """The header in a line."""
     if raw["schema"] != SCHEMA:
         rule = f"only {SCHEMA!r} can be read"
         raise InputError(f"{where}: schema", raw["schema"], rule, _AS_WRITTEN)
-    version = raw.get("version")
-    if type(version) is not int or not 1 <= version <= VERSION:
-        rule = f"versions 1 to {VERSION} can be read"
-        remedy = "Read it with a companion as new as the one that has written it."
-        raise InputError(f"{where}: version", version, rule, remedy)
+    if raw.get("version") != VERSION:
+        rule = f"only {VERSION} can be read"
+        remedy = "Read it with the companion that has written it."
+        raise InputError(f"{where}: version", raw.get("version"), rule, remedy)
     try:
         return msgspec.convert(raw, Header)
     except ValidationError as error:

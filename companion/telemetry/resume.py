@@ -54,7 +54,7 @@ def load_resume_data(folder: Path, mission: Mission) -> ResumeData:
         return ResumeData(resume=(values, None))
     try:
         known = known_map(folder)
-        blank = checkpoint.blank_map(mission, values)
+        blank = checkpoint.blank_map(mission)
         _must_fit(known, blank)
     except (OSError, ValueError) as error:
         values = checkpoint.without_map(values, f"{_MAP}: {_why(error)}")

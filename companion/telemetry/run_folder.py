@@ -57,7 +57,7 @@ class ResumeHead(Struct, frozen=True, kw_only=True):
     epoch_us: _Count
     starts: _Count
     tlog_bytes: _Count
-    inputs_bytes: _Count = 0
+    inputs_bytes: _Count
     values: dict[str, Any]
     """Where the mission stands (`mission.checkpoint`); what they mean is not looked at here."""
 
@@ -91,8 +91,6 @@ class RunFolder:
         """Why recording has stopped; the flight goes on."""
         self.unsaved: str | None = None
         """Why the flight's state could not be saved for a restart; what grows is still recorded."""
-        self.facts: dict[str, Any] = {}
-        """More for run.json."""
         self.epoch_us = epoch_us
         self._durable = durable
         self._starts = 0
@@ -212,7 +210,7 @@ class RunFolder:
 
     def run_json(self, values: Mapping[str, Any]) -> None:
         """What differs from run to run."""
-        text = msgspec.json.format(journal_line({**values, **self.facts}), indent=2) + b"\n"
+        text = msgspec.json.format(journal_line(values), indent=2) + b"\n"
         if self.failure is None:
             self.failure = self._replace("run.json", lambda: text)
 

@@ -231,8 +231,6 @@ def _values(status: FlightStatus, lost: float) -> Iterator[_Value]:
         yield "proof", f"{_proof(status)} to terrain", _SEVERE if status.plan_broken else ""
     pace = status.times_real_time
     yield "time", f"{status.t_s:.0f} s{'' if pace is None else f', {pace:.0f}x real time'}", ""
-    if status.wind_m_s is not None and status.wind_from_rad is not None:
-        yield "wind", f"{status.wind_m_s:.1f} m/s from {_bearing(status.wind_from_rad)}", ""
 
 
 def _notes(status: FlightStatus) -> Iterator[Text]:

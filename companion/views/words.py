@@ -18,7 +18,6 @@ _WORDS: Final[dict[type[Entry], str]] = {
     noted.PlanReady: "plan {0.plan_id}: {0.length_m:,.0f} m, {0.evaluations:,} candidates",
     noted.PlanRefused: "plan {0.plan_id} refused: {0.reason}",
     noted.PlanLate: "plan {0.plan_id} was not ready in time",
-    noted.Setting: "setting: {0.what}",
     noted.CommandHeard: "{0.sender} sends command {0.command}",
     noted.OrderGiven: "order of {0.sender}: {0.order}",
     noted.VehicleFound: "found {0.name}, system {0.system_id}",

@@ -32,7 +32,7 @@ from companion.world.rays import IntArray, Lattice
 
 _NO_GAP_RAD = 1e-6
 """What is left of a turn that sectors go all round."""
-Kind = Literal["obstacle_distance", "distance_sensor", "obstacle_distance_3d"]
+Kind = Literal["obstacle_distance", "distance_sensor"]
 """What the messages of a sensor are called."""
 Window = tuple[slice, slice]
 """Rows and columns of a lattice."""
@@ -142,8 +142,6 @@ class NearSensor:
     """How wrong a distance may be."""
     bearing_error_rad: NotNegative = 0.02
     """How wrong a direction may be, beside the width of a beam."""
-    beam_rad: Positive = 0.035
-    """Of a sensor that sends points: so wide a beam about each point has nothing nearer in it."""
     position_error_m: NotNegative = 0.1
     """How wrong the vehicle's position may be from one second to the next."""
     drift_m_s: Positive = 0.02

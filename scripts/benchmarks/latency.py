@@ -10,7 +10,6 @@ same size.  What the companion itself measured, from the datagram's arrival to t
 departure, stands in its run.json.
 """
 
-import json
 import multiprocessing
 import select
 import socket
@@ -118,13 +117,11 @@ def measure(
             asker.link.close()
     if code != 0:
         raise SystemExit(f"the companion did not arrive ({code}):\n{pair.said()}")
-    facts = json.loads((pair.run / "run.json").read_text(encoding="utf-8"))
     return {
         "rate_hz": rate_hz,
         "waits_s": clock.waits_s,
         "gaps_s": np.diff(clock.out_s).tolist(),
         "echo_s": asker.waits_s,
-        "inside": facts.get("latency"),
     }
 
 
@@ -162,8 +159,6 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as folder:
             rows.append(measure(options.autopilot, rate_hz, Path(folder), loaded=not options.idle))
     console.print(table_of(rows))
-    for row in rows:
-        console.print(f"inside the companion, {row['rate_hz']:g} Hz: {json.dumps(row['inside'])}")
     bars = []
     for row in (row for row in rows if row["rate_hz"] == _BARS_HZ):
         wait_ms, gap_ms = (1e3 * np.quantile(row[key], share) for key, share in _BARS)

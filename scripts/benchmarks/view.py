@@ -1,38 +1,25 @@
-"""What it takes to look at a flight: for who looks, and for the flight.
+"""What it takes to look at a flight.
 
-    scripts/bench view [--speedup 4] [--seconds 60]
+    scripts/bench view
 
-First an hour's run folder is opened by `companion view` in chromium, without a graphics processor,
-and its slider is dragged there and back.  Then the gaps between setpoints with 0, 1 and 5 readers.
-
-Real processes: the simulator, `companion fly --view`, and readers of its page that take all that a
-browser is sent (without drawing it, which is another computer's work), at last one that never
-reads.  One flight each; the gaps are those that `companion fly` notes itself, in run.json.
+An hour's run folder is opened by `companion view` in chromium, without a graphics processor, and
+its slider is dragged there and back.
 """
 
-import json
 import os
-import re
 import shutil
-import signal
-import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from argparse import Namespace
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 import rich
 import running
 import viser
 from playwright.sync_api import Page, sync_playwright
-from tapped import BIN, ROOT, end, free_port, start_vehicle
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from tapped import BIN
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "telemetry"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "runtime"))
@@ -43,16 +30,6 @@ from companion.config import load_mission, mission_text
 from companion.session import Session
 from companion.telemetry.inputs import HEADER, packed
 
-_HILLS = ROOT / "tests" / "closed_loop" / "hills"
-_READERS = (
-    ("no view", None, 0),
-    ("0", 0, 0),
-    ("1", 1, 0),
-    ("5", 5, 0),
-    ("1 that never reads", 0, 1),
-)
-_PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
-_STALLED_BYTES = 4096
 _BACK_AND_FORTH = "".join(
     f"\n[[targets]]\nnorth_m = {there}\neast_m = {there}\n" for there in (0.0, 1e5, 0.0)
 )
@@ -80,21 +57,10 @@ _COUNT = """() => {
 
 
 def main() -> int:
-    """A row for each number of readers."""
-    seconds = (60.0, "of the wall clock, a flight")
-    options, console = running.begin(__doc__, speedup=4.0, seconds=seconds)
+    """Open it, and drag."""
+    options, console = running.begin(__doc__)
     with tempfile.TemporaryDirectory() as folder:
         opened_s = _look_at(_hour(Path(folder)))
-    headings = "setpoints", "gap p99.9, ms", "longest, ms", "position to setpoint p99, ms"
-    table = running.figures("", "browsers", *headings)
-    for name, readers, stalled in _READERS:
-        with tempfile.TemporaryDirectory() as folder:
-            facts = _flown(Path(folder) / "run", readers, stalled, options)
-        keys = ("gap_p99_9_ms", "gap_max_ms", "position_to_setpoint_p99_ms")
-        # a flight of a second or two sends no setpoints
-        timing = ["none" if facts[key] is None else f"{facts[key]:.1f}" for key in keys]
-        table.add_row(name, f"{facts['setpoints']:,}", *timing)
-    console.print(table)
     bar = running.most("a flight of an hour is shown after, s", opened_s, 5.0)
     return running.ended(console, options.json, None, [bar])
 
@@ -183,63 +149,6 @@ def _watched(page: Page, *, is_dragged: bool) -> tuple[float, float]:
     page.mouse.up()
     shown = page.evaluate("[window.frames_drawn, window.times_shown.size - 1]")
     return shown[0] / passed_s, shown[1] / passed_s
-
-
-def _flown(folder: Path, readers: int | None, stalled: int, options: Namespace) -> dict[str, float]:
-    """What a flight says of its times."""
-    port = free_port()
-    view = () if readers is None else ("--view", "--view-port", "0")
-    with ExitStack() as stack:
-        speedup = ("--speedup", str(options.speedup))
-        stack.callback(end, start_vehicle(_HILLS / "world.toml", port, *speedup))
-        fly = [BIN / "companion", "fly", _HILLS / "mission.toml", "--start", "--out", folder, *view]
-        fly += ["--connect", f"udpin:127.0.0.1:{port}"]
-        flight = stack.enter_context(subprocess.Popen(fly, stdout=subprocess.PIPE, text=True))
-        assert flight.stdout is not None
-        if readers is not None:
-            found = re.search(r"view: http://(\S+?)/", flight.stdout.readline())
-            assert found is not None
-            for _ in range(readers):
-                reader = threading.Thread(target=_read, args=(found[1],), daemon=True)
-                reader.start()
-            for _ in range(stalled):
-                stack.enter_context(_stalled(found[1]))
-        flight.stdout.readline()  # it has begun: stopped before, it leaves no run.json
-        with suppress(subprocess.TimeoutExpired):
-            flight.wait(options.seconds)
-        flight.send_signal(signal.SIGINT)
-        flight.wait()
-        latency: dict[str, float] = json.loads((folder / "run.json").read_bytes())["latency"]
-        return latency
-
-
-def _read(place: str) -> None:
-    """Take all that a browser is sent."""
-    with (
-        suppress(ConnectionClosed),
-        connect(f"ws://{place}/", subprotocols=[_PROTOCOL], max_size=None) as page,
-    ):
-        for _ in page:
-            pass
-
-
-def _stalled(place: str) -> socket.socket:
-    """A browser that connects, and then reads nothing."""
-    host, _, port = place.partition(":")
-    link = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _STALLED_BYTES)
-    link.connect((host, int(port)))
-    lines = (
-        "GET / HTTP/1.1",
-        f"Host: {place}",
-        "Upgrade: websocket",
-        "Connection: Upgrade",
-        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
-        "Sec-WebSocket-Version: 13",
-        f"Sec-WebSocket-Protocol: {_PROTOCOL}",
-    )
-    link.sendall("\r\n".join([*lines, "", ""]).encode())
-    return link
 
 
 if __name__ == "__main__":

@@ -39,14 +39,9 @@ the fields of that kind. What is sent many times a second, setpoints above all, 
 
 ## Versions
 
-A reader of this version reads all older ones. New kinds, and new fields that may be left out, make
-no new version: readers pass over what they do not know, and say so. Everything else does.
-
-| version | what is new | in a journal of an older version |
-|---|---|---|
-| 1 | | |
-| 2 | `phase` has `code` | looked up by the words of `reason`, null if these have changed since |
-| 3 | `plan asked` has `rest` in place of `stops` | null |
+New kinds, and new fields that may be left out, make no new version: readers pass over what they do
+not know, and say so. Everything else does, and a companion reads one version only. 1 and 2 were
+written by companions before 0.2.0, which reads them.
 """
 
 _FLY_JSON = f"""# The lines of `companion fly --json`

@@ -73,7 +73,7 @@ Made from `companion/mission/state.py` by `scripts/docs`; do not edit.
 
 `companion preflight MISSION --connect ADDRESS` names what is wrong before a flight. In flight each
 reason to hold or to end is sent as a STATUSTEXT, and stands in `journal.jsonl`;
-`companion replay RUN_DIR` shows what led to it.
+`companion report RUN_DIR` shows what led to it.
 
 `ready: waits for go` is no trouble: [somebody says go](connecting.md#in-flight).
 """

@@ -52,9 +52,9 @@ latency_s = 0.06
 AREA = "north_min_m = -10.0\nnorth_max_m = {}\neast_min_m = {}\neast_max_m = {}"
 
 
-def garden(folder: Path, *, of_lidar: str = "") -> Path:
+def garden(folder: Path) -> Path:
     """The world."""
-    parts = [WORLD, of_lidar]
+    parts = [WORLD]
     parts += [
         f"[[trees]]\nnorth_m = {north}\neast_m = {east}\nradius_m = {TREE_M}\nheight_m = 15.0\n"
         for north, east in TREES_NE_M
@@ -193,23 +193,3 @@ def test_ground_that_is_higher_than_stated_stops_it_until_it_is_given_up(tmp_pat
     assert all(math.hypot(*velocity_m_s(row)) < 0.3 for row in stands)
     assert flight.outcome == "failed"
     assert Reason.GROUND_NEARER.text in flight.end["reason"]
-
-
-CAMERA = (
-    ('kind = "obstacle_distance"', 'kind = "obstacle_distance_3d"\nbeam_deg = 4.0\nblind_m = 1.2'),
-    ("speed_m_s = 3.0", "speed_m_s = 1.5"),
-    ("acceleration_m_s2 = 2.5", "acceleration_m_s2 = 2.0"),
-)
-"""It does not see where it starts: the mission states that 1.2 m are clear there."""
-ROWS = "kind = 'sectors'\noutput = 'points'\nwidth_deg = 96.0\n"
-ROWS += f"rows_deg = {[-3.0 * k for k in range(10)]}\n"
-
-
-@pytest.mark.nightly  # without a flight: `tests/mavlink/test_near_points.py`
-def test_the_points_of_a_depth_camera_lead_through_the_gap(tmp_path: Path) -> None:
-    """Where they end on the ground, it sees what is free: there are no points in the open."""
-    mission(tmp_path, *CAMERA)
-    world = garden(tmp_path, of_lidar=ROWS)
-    farther = ("range_m = 16.0", "range_m = 20.0"), ("step_deg = 2.5", "step_deg = 3.0")
-    flight = flown_through(tmp_path, edited(world, world, *farther))
-    arrived_clear(flight)

@@ -21,8 +21,6 @@ from programs import free_port
 from pymavlink.dialects.v20 import all as wire
 from pyproj import Geod
 
-from companion.config import load_mission
-
 pytestmark = pytest.mark.closed_loop
 
 COMPANION = 195
@@ -71,8 +69,6 @@ class Killed:
 
     flight: Flight
     killed_at_s: list[float] = field(default_factory=list)
-    keep_outs: list[int] = field(default_factory=list)
-    """How many were kept when it was killed."""
 
 
 @final
@@ -93,18 +89,6 @@ class Person:
         command = wire.MAV_CMD_DO_PAUSE_CONTINUE
         message = wire.MAVLink_command_long_message(
             1, COMPANION, command, 0, float(goes_on), 0, 0, 0, 0, 0, 0
-        )
-        self._socket.sendto(message.pack(self._codec), self._address)
-
-    def keeps_it_out(self, mission: Path) -> None:
-        """The companion to keep out of a circle in a corner of its map."""
-        of = load_mission(str(mission))
-        limits = of.task.limits
-        place = of.frame.to_geodetic_deg(limits.north_m[0] + 10.0, limits.east_m[0] + 10.0)
-        message = wire.MAVLink_command_int_message(
-            *(1, COMPANION, 0, wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0, 0, 5.0, 0, 0, 0),
-            *(round(degrees * 1e7) for degrees in place),
-            0,
         )
         self._socket.sendto(message.pack(self._codec), self._address)
 
@@ -132,12 +116,8 @@ def killed(folder: Path, name: str) -> Killed:
 
         for what, is_now in MOMENTS.get(name, PLANE_MOMENTS):
             values = until(is_now, False if what is PAUSED else None)
-            if what == "in a leg":
-                person.keeps_it_out(mission)
-                values = until(lambda now: bool(now["keep_outs"]))
             flight.companion.kill()
             it.killed_at_s.append(values["t_s"])
-            it.keep_outs.append(len(values["keep_outs"]))
             flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
             if what is PAUSED:  # it goes on when it is told to, and not by itself
                 until(lambda now: now["phase"] == "FLYING", True)
@@ -161,13 +141,6 @@ def test_it_arrives_however_often_it_was_killed(flown: Any, name: str) -> None:
     assert it.killed_at_s == sorted(it.killed_at_s)
     texts = [entry.get("text") for entry in it.flight.journal]
     assert texts.count("target reached") >= 2
-
-
-@ALL
-def test_a_keep_out_that_was_ordered_is_kept_by_all_lives_after(flown: Any, name: str) -> None:
-    it = flown(name, by=killed)
-    before = [what for what, _ in MOMENTS.get(name, PLANE_MOMENTS)].index("in a leg")
-    assert it.keep_outs == [0] * before + [1] * (len(it.killed_at_s) - before)
 
 
 @ALL

@@ -6,7 +6,7 @@ The .bin has the formats of ArduPilot 4.5 (AP_Logger's LogStructure.h), packed h
 import math
 import random
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 
@@ -47,12 +47,9 @@ FORMATS = {
 }
 
 
-Formats = Mapping[str, tuple[int, str, str]]
-
-
-def entry(name: str, *values: float | bytes, formats: Formats = FORMATS) -> bytes:
+def entry(name: str, *values: float | bytes) -> bytes:
     """One entry, as ArduPilot packs it: scaled columns in their own units."""
-    number, letters, _ = formats[name]
+    number, letters, _ = FORMATS[name]
     form = "<" + "".join(_LETTERS.get(letter, letter) for letter in letters)
     scaled = [
         round(value * 100) if letter in "cCeE" and not isinstance(value, bytes) else value
@@ -66,10 +63,9 @@ def fill(boot_us: int) -> bytes:
     return entry("FILL", boot_us, b"", b"", b"")
 
 
-def fmt_entries(names: Iterable[str] = FORMATS, formats: Formats = FORMATS) -> bytes:
-    """The FMT entries of these, and of FMT itself."""
-    rows = {"FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns")}
-    rows |= {name: formats[name] for name in names}
+def fmt_entries() -> bytes:
+    """The FMT entries of all, and of FMT itself."""
+    rows = {"FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"), **FORMATS}
     out = b""
     for name, (number, letters, columns) in rows.items():
         form = "<" + "".join(_LETTERS.get(letter, letter) for letter in letters)

@@ -12,7 +12,7 @@ from companion.mavlink.dialect import Message, codec
 
 OURS = (7, 195)
 PERSON = (255, 190)
-_EXTRA = {20: 214, 21: 159, 22: 220, 23: 168, 75: 158, 76: 152, 77: 143, 244: 95, 253: 83, 330: 23}
+_EXTRA = {75: 158, 76: 152, 77: 143, 253: 83}
 
 
 def crc(data: bytes) -> int:
@@ -69,33 +69,6 @@ def command_int(
     return parsed(frame(75, payload, sender))
 
 
-def param_list(*, target: tuple[int, int] = OURS, sender: tuple[int, int] = PERSON) -> Message:
-    return parsed(frame(21, struct.pack("<BB", *target), sender))
-
-
-def param_read(
-    name: str = "",
-    index: int = -1,
-    *,
-    target: tuple[int, int] = OURS,
-    sender: tuple[int, int] = PERSON,
-) -> Message:
-    payload = struct.pack("<hBB16s", index, *target, name.encode())
-    return parsed(frame(20, payload, sender))
-
-
-def param_set(
-    name: str,
-    value: float,
-    *,
-    kind: int = 9,
-    target: tuple[int, int] = OURS,
-    sender: tuple[int, int] = PERSON,
-) -> Message:
-    payload = struct.pack("<fBB16sB", value, *target, name.encode(), kind)
-    return parsed(frame(23, payload, sender))
-
-
 def payload_of(message: Message, number: int, length: int) -> bytes:
     """The payload of a message as it leaves the companion, with the zeros that were left off."""
     data = message.pack(codec(OURS[0]))
@@ -121,22 +94,6 @@ class Ack:
 def ack(message: Message) -> Ack:
     command, result, _, _, system, component = struct.unpack("<HBBiBB", payload_of(message, 77, 10))
     return Ack(command, result, (system, component))
-
-
-@dataclass(frozen=True)
-class Value:
-    """PARAM_VALUE (22)."""
-
-    name: str
-    value: float
-    kind: int
-    count: int
-    index: int
-
-
-def param_value(message: Message) -> Value:
-    value, count, index, name, kind = struct.unpack("<fHH16sB", payload_of(message, 22, 25))
-    return Value(name.rstrip(b"\0").decode(), value, kind, count, index)
 
 
 @dataclass(frozen=True)

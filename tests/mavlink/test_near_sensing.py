@@ -265,6 +265,15 @@ def test_sectors_whose_stamp_stands_still_go_on_to_be_taken() -> None:
     assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx([7.0, 5.0])
 
 
+def test_a_flood_of_sectors_in_one_moment_is_worked_off_in_parts() -> None:
+    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+    for _ in range(12_000):
+        beam = wire.MAVLink_distance_sensor_message(9950, 20, 1600, 700, 0, 10, 0, 0)
+        sensing.on_distance_sensor(beam, NOW_S)
+    assert len(sensing.sweeps()) == 1
+    assert sensing.refused == {"more than 30 sweeps a second": 1}
+
+
 def sectors_over(
     seconds: float, told: Callable[[int], Iterable[int]], component: int = 1
 ) -> list[float]:

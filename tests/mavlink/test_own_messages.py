@@ -1,6 +1,5 @@
 """What others read of the companion: fields by pymavlink's own parser."""
 
-import math
 from collections import Counter
 from typing import Any
 
@@ -10,19 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.dialect import codec
-from companion.mavlink.obstacle_distance import VehicleSurroundings
 from companion.mavlink.own_messages import OwnMessages, heartbeat, version_number
-from companion.world.known_map import empty_map
 
 ACTIVE = wire.MAV_STATE_ACTIVE
-AROUND = VehicleSurroundings(
-    frame=LocalFrame(latitude_deg=47.0, longitude_deg=8.0),
-    known=empty_map(50.0, (-2e3, 2e3), (-2e3, 2e3)),
-    zones=(),
-    position_nea_m=(0.0, 0.0, 500.0),
-)
 
 
 def over_the_wire(message: Any) -> Any:
@@ -30,14 +20,14 @@ def over_the_wire(message: Any) -> Any:
     return parsed
 
 
-def made(*, obstacles: bool = False) -> OwnMessages:
-    return OwnMessages(version="1.2.3", sends_obstacles=obstacles)
+def made() -> OwnMessages:
+    return OwnMessages("1.2.3")
 
 
 def counted(own_messages: OwnMessages, begin_s: float = 0.0, seconds: float = 10.0) -> Counter[str]:
     """What is sent in a time, asked at 20 Hz."""
     times = begin_s + np.arange(0.0, seconds, 0.05)
-    sent = [own_messages.on_time(float(t), status=ACTIVE, around=AROUND) for t in times]
+    sent = [own_messages.on_time(float(t), ACTIVE) for t in times]
     return Counter(message.get_type() for messages in sent for message in messages)
 
 
@@ -57,8 +47,8 @@ def test_it_beats_once_a_second_and_nothing_else_comes_unasked() -> None:
 def test_it_does_not_beat_while_faulted() -> None:
     own_messages = made()
     for tenth in range(100):
-        assert own_messages.on_time(0.1 * tenth, status=None, around=None) == []
-    assert len(own_messages.on_time(10.0, status=ACTIVE, around=None)) == 1
+        assert own_messages.on_time(0.1 * tenth, None) == []
+    assert len(own_messages.on_time(10.0, ACTIVE)) == 1
 
 
 def test_it_goes_on_when_the_clock_begins_again() -> None:
@@ -70,13 +60,13 @@ def test_it_goes_on_when_the_clock_begins_again() -> None:
 def test_the_version_is_told_when_it_is_asked_for() -> None:
     own_messages = made()
     assert own_messages.ask(148)
-    _, version = own_messages.on_time(0.0, status=ACTIVE, around=None)
+    _, version = own_messages.on_time(0.0, ACTIVE)
     read = over_the_wire(version)
     assert read.flight_sw_version == 1 << 24 | 2 << 16 | 3 << 8 | 255
     can = read.capabilities
     assert can & wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     assert can & wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    assert can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+    assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
     assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     assert not can & wire.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
     assert counted(own_messages, begin_s=1.0) == {"HEARTBEAT": 10}
@@ -107,60 +97,17 @@ def test_whatever_the_version_is_it_fits(version: str) -> None:
     assert 0 <= version_number(version) < 2**32
 
 
-def test_obstacles_are_sent_only_if_switched_on_and_somewhere() -> None:
-    assert counted(made(obstacles=True)) == {"HEARTBEAT": 10, "OBSTACLE_DISTANCE": 20}
-    own_messages = made(obstacles=True)
-    assert own_messages.ask(330)
-    nowhere = own_messages.on_time(0.0, status=ACTIVE, around=None)
-    assert [message.get_type() for message in nowhere] == ["HEARTBEAT"]
-    here = own_messages.on_time(0.1, status=ACTIVE, around=AROUND)
-    assert [message.get_type() for message in here] == ["OBSTACLE_DISTANCE"]
-    assert not made().ask(330)
+def test_what_is_not_ours_cannot_be_asked_for() -> None:
+    own_messages = made()
+    assert not own_messages.ask(330)
+    assert counted(own_messages) == {"HEARTBEAT": 10}
 
 
-@pytest.mark.parametrize(
-    ("number", "interval_us", "accepted", "then"),
-    [
-        (0, 1e6, True, 1_000_000),
-        (0, 0.0, True, 1_000_000),
-        (0, -1.0, False, 1_000_000),
-        (0, 5e5, False, 1_000_000),
-        (0, 2e6, False, 1_000_000),
-        (148, 0.0, True, -1),
-        (148, 5e6, True, 5_000_000),
-        (148, 5e5, False, -1),
-        (330, 1e5, True, 100_000),
-        (330, 9e4, False, 500_000),
-        (330, -1.0, True, -1),
-        (330, 3e9, False, 500_000),
-        (30, 1e6, False, 0),
-    ],
-)
-def test_intervals(number: int, interval_us: float, accepted: bool, then: int) -> None:
-    own_messages = made(obstacles=True)
-    assert own_messages.set_interval(number, interval_us) == accepted
-    assert own_messages.interval_us(number) == then
-
-
-def test_a_message_comes_as_often_as_it_was_asked_to() -> None:
-    own_messages = made(obstacles=True)
-    own_messages.set_interval(330, 2e6)
-    own_messages.set_interval(148, 5e6)
-    assert counted(own_messages) == {
-        "HEARTBEAT": 10,
-        "OBSTACLE_DISTANCE": 5,
-        "AUTOPILOT_VERSION": 2,
-    }
-    own_messages.set_interval(330, -1.0)
-    own_messages.set_interval(148, 0.0)
-    assert counted(own_messages, begin_s=20.0) == {"HEARTBEAT": 10}
-
-
-@given(st.integers(-5, 70_000), st.floats())
-def test_no_interval_whatever_breaks_it(number: int, interval_us: float) -> None:
-    own_messages = made(obstacles=True)
-    own_messages.set_interval(number, interval_us)
-    assert own_messages.interval_us(0) == 1_000_000
-    assert -1 <= own_messages.interval_us(number) < 2**31
-    assert not math.isnan(own_messages.interval_us(number))
-    assert counted(own_messages)["HEARTBEAT"] == 10
+def test_a_heartbeat_that_is_asked_for_comes_at_once_and_counts() -> None:
+    own_messages = made()
+    assert len(own_messages.on_time(0.0, ACTIVE)) == 1
+    assert own_messages.ask(0)
+    assert own_messages.due_s < 0.0
+    assert len(own_messages.on_time(0.4, ACTIVE)) == 1
+    assert own_messages.due_s == 1.4
+    assert own_messages.on_time(1.3, ACTIVE) == []

@@ -436,13 +436,6 @@ def test_what_px4_may_do_by_itself(name: str, value: float, severity: Severity |
     assert of(PX4_MULTICOPTER_RULES, PX4, name, value, mission())[0] is severity
 
 
-def test_obstacles_that_are_sent_may_wake_its_own_avoidance() -> None:
-    sends = dataclasses.replace(mission(), sends_obstacles=True)
-    assert of(ARDUCOPTER_RULES, ARDUCOPTER, "AVOID_ENABLE", 3.0, sends)[0] is NOTE
-    assert of(ARDUCOPTER_RULES, ARDUCOPTER, "AVOID_ENABLE", 1.0, sends)[0] is None
-    assert of(ARDUCOPTER_RULES, ARDUCOPTER, "AVOID_ENABLE", 3.0, mission())[0] is None
-
-
 @pytest.mark.parametrize("kind", get_args(sensor_kind))
 def test_a_lidar_on_the_autopilot_may_wake_its_own_avoidance(kind: sensor_kind) -> None:
     by_lidar = dataclasses.replace(

@@ -471,12 +471,5 @@ def landing() -> Craft:
 
 def order_of(craft: Craft, kind: OrderKind) -> Order:
     """An order by a ground station, with a place if it is one that needs it."""
-    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
-    return Order(
-        time_s=craft.now_s,
-        kind=kind,
-        target_ne_m=(6_000.0, 2_000.0) if placed else None,
-        speed_m_s=50.0 if kind is OrderKind.SPEED else None,
-        radius_m=300.0 if kind is OrderKind.KEEP_OUT else None,
-        sender="255/190",
-    )
+    target_ne_m = (6_000.0, 2_000.0) if kind is OrderKind.REPOSITION else None
+    return Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m, sender="255/190")

@@ -6,7 +6,6 @@ import math
 import pytest
 from made_up import (
     MISSION,
-    SPEED_M_S,
     TICK_S,
     Craft,
     arrived,
@@ -42,7 +41,6 @@ from companion.mission.events import (
     SetMode,
     Setpoint,
     SetSpeed,
-    SettingsChanged,
     StartScan,
     StatusText,
     StopAsked,
@@ -74,8 +72,6 @@ TAKEN = {
     OrderKind.RETURN: {"flying", "no plan", "no fix", "arrived", *GOING_UP},
     OrderKind.REPOSITION: {"flying", "no plan", "taken", "no fix", "arrived"},
     OrderKind.LAND: {"flying", "no plan", "no fix", "arrived", "landing", *GOING_UP},
-    OrderKind.KEEP_OUT: set(AT_ONCE),
-    OrderKind.SPEED: set(AT_ONCE),
     OrderKind.START: set(AT_ONCE) - {"landing", "preparing"},
     OrderKind.CONTINUE: set(AT_ONCE) - {"landing", "preparing", "ready"},
 }
@@ -85,14 +81,8 @@ ON_THE_WAY_UP = (OrderKind.PAUSE, OrderKind.RETURN, OrderKind.LAND)
 
 
 def order(kind: OrderKind, craft: Craft) -> Order:
-    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
-    return Order(
-        time_s=craft.now_s,
-        kind=kind,
-        target_ne_m=(6_000.0, 2_000.0) if placed else None,
-        speed_m_s=50.0 if kind is OrderKind.SPEED else None,
-        radius_m=300.0 if kind is OrderKind.KEEP_OUT else None,
-    )
+    target_ne_m = (6_000.0, 2_000.0) if kind is OrderKind.REPOSITION else None
+    return Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m)
 
 
 @pytest.mark.parametrize("state", AT_ONCE)
@@ -119,11 +109,6 @@ def carried_out(kind: OrderKind, craft: Craft) -> bool:
         case OrderKind.LAND:
             craft.run_for(60.0)
             return SetMode(mode=Mode.LAND) in craft.sent(SetMode)
-        case OrderKind.KEEP_OUT:
-            zone = craft.state.task.zones[-1]
-            return isinstance(zone, CircleZone) and zone.radius_m == 300.0
-        case OrderKind.SPEED:
-            return craft.state.flight.speed_limit_m_s == 50.0
         case OrderKind.START | OrderKind.CONTINUE:
             return craft.phase not in (Phase.DONE, Phase.FAULTED)
 
@@ -168,18 +153,6 @@ def test_a_start_asks_for_guided_mode_of_a_vehicle_that_somebody_had_taken() -> 
     craft.run_for(3.0)
     assert SetMode(mode=Mode.GUIDED) in craft.commands[count:]
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-
-
-def test_a_lower_speed_is_flown_and_a_higher_one_is_cut_to_the_missions() -> None:
-    craft = flying(two_legs_away())
-    slow = craft.take(Order(time_s=craft.now_s, kind=OrderKind.SPEED, speed_m_s=40.0))
-    assert SetSpeed(speed_m_s=40.0) in slow
-    craft.run_for(40.0)
-    assert math.hypot(*craft.velocity) == pytest.approx(40.0, abs=1e-6)
-    fast = craft.take(Order(time_s=craft.now_s, kind=OrderKind.SPEED, speed_m_s=500.0))
-    assert SetSpeed(speed_m_s=SPEED_M_S) in fast
-    craft.run_for(40.0)
-    assert math.hypot(*craft.velocity) <= SPEED_M_S + 1e-6
 
 
 @pytest.mark.parametrize("target_ne_m", [(1e6, 0.0), (math.nan, 0.0), None], ids=str)
@@ -272,7 +245,7 @@ def on_its_way_out() -> tuple[Craft, FenceChanged]:
     """On a leg that was proven with a zone around its start, and leads out of that."""
     craft = flying()
     around = fence(craft, *craft.here[:2], 200.0)
-    state = craft.state.with_rules(craft.state.given, around)
+    state = craft.state.with_fence(craft.context.mission.task, around)
     assert state.flight.leg is not None
     leg = replace(state.flight.leg, rules=state.task)
     craft.state = replace(state, flight=replace(state.flight, leg=leg))
@@ -308,18 +281,6 @@ def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
     assert craft.state.task.limits.ceiling_amsl_m == 4_000.0
     craft.take(FenceChanged(time_s=craft.now_s, zones=()))
     assert craft.state.task.limits == MISSION.task.limits
-
-
-def test_settings_count_from_the_next_plan_on_within_the_fence() -> None:
-    craft = flying()
-    craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
-    settings = replace(MISSION.task.settings, safety_distance_m=600.0)
-    task = replace(craft.state.given, settings=settings)
-    craft.take(SettingsChanged(time_s=craft.now_s, task=task, what="PLN_SAFE_DIST = 600"))
-    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
-    asked = craft.sent(Plan)[-1].request.task
-    assert asked.settings.safety_distance_m == 600.0
-    assert "drawn" in {zone.name for zone in asked.zones}
 
 
 # --- the vehicle itself

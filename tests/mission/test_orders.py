@@ -27,7 +27,6 @@ from companion.mission import changes, checkpoint
 from companion.mission.changes import OrderResult
 from companion.mission.events import (
     End,
-    FenceChanged,
     Mode,
     Order,
     OrderKind,
@@ -37,8 +36,6 @@ from companion.mission.events import (
     Rebooted,
     SetMode,
     Setpoint,
-    SetSpeed,
-    SettingsChanged,
     StatusText,
     StopAsked,
 )
@@ -54,16 +51,8 @@ EVERY_DRIVING = pytest.mark.parametrize("traits", DRIVINGS, ids=NAME)
 
 def tell(craft: Craft, kind: OrderKind) -> OrderResult:
     """An order, as the session gives it: obeyed if it is accepted."""
-    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
-    return give(
-        craft,
-        Order(
-            time_s=craft.now_s,
-            kind=kind,
-            target_ne_m=OTHER_NE_M if placed else None,
-            radius_m=100.0 if kind is OrderKind.KEEP_OUT else None,
-        ),
-    )
+    target_ne_m = OTHER_NE_M if kind is OrderKind.REPOSITION else None
+    return give(craft, Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m))
 
 
 def give(craft: Craft, order: Order) -> OrderResult:
@@ -287,29 +276,6 @@ def test_a_pause_is_not_overruled_by_the_fallback_that_was_planned_before() -> N
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
 
 
-def test_a_new_target_is_flown_to_at_the_speed_that_was_given_with_it() -> None:
-    craft = under_way()
-    order = Order(
-        time_s=craft.now_s,
-        kind=OrderKind.REPOSITION,
-        target_ne_m=(9_000.0, 2_000.0),
-        speed_m_s=30.0,
-    )
-    assert changes.order_result(craft.state, order) is OrderResult.ACCEPTED
-    craft.obey(craft.take(order))
-    craft.fly_to(HOLDING).fly_to(Phase.FLYING).run_for(60.0)
-    assert craft.sent(SetSpeed)[-1].speed_m_s == 30.0
-    speeds = [c.velocity_nea_m_s for c in craft.commands[-100:] if isinstance(c, Setpoint)]
-    assert max(sum(v * v for v in each) ** 0.5 for each in speeds) == pytest.approx(30.0)
-
-
-def test_a_new_target_without_a_speed_leaves_the_speed_as_it_is() -> None:
-    craft = under_way()
-    craft.take(Order(time_s=craft.now_s, kind=OrderKind.SPEED, speed_m_s=40.0))
-    tell(craft, OrderKind.REPOSITION)
-    assert craft.state.flight.speed_limit_m_s == 40.0
-
-
 # --- at the target
 
 
@@ -323,12 +289,6 @@ def no_way_back(request: PlanRequest) -> PlanOutcome:
     if request.flown is None:
         return not_planned(request) if is_home(request) else planned(request)
     return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
-
-
-def set_in_flight(craft: Craft, safety_distance_m: float) -> None:
-    settings = replace(craft.state.given.settings, safety_distance_m=safety_distance_m)
-    task = replace(craft.state.given, settings=settings)
-    craft.take(SettingsChanged(time_s=craft.now_s, task=task, what="PLN_SAFE_DIST"))
 
 
 def ended(craft: Craft) -> bool:
@@ -381,40 +341,6 @@ def test_a_vehicle_that_is_not_where_it_believes_to_be_lands_and_is_not_sent_hom
     assert Mode.RETURN not in asked
 
 
-def test_under_stricter_rules_the_way_back_is_the_one_that_was_flown_by_the_old_ones() -> None:
-    """What is proven by d_s = 300 m only, flown by that, while more is asked for since."""
-    flown_m, asked_m = MISSION.task.settings.safety_distance_m, 700.0
-    allowed_m: list[float] = []
-
-    def by_the_old_rules(request: PlanRequest) -> PlanOutcome:
-        allowed_m.append(request.task.settings.safety_distance_m)
-        provable = request.flown is None or allowed_m[-1] <= flown_m
-        return home_or_on(request) if provable else no_way_back(request)
-
-    craft = flying(two_legs_away(), plan=by_the_old_rules)
-    craft.run_for(20.0)
-    set_in_flight(craft, asked_m)
-    restarted_task = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-    again = checkpoint.restored(craft.context.mission, craft.state.flight.known, restarted_task)
-    assert again.given.settings == craft.state.given.settings
-    assert again.flown_under == craft.state.flown_under
-    tell(craft, OrderKind.RETURN)
-    craft.run_until(lambda craft: craft.phase is Phase.RETURNING)
-    assert allowed_m[-2:] == [asked_m, flown_m]
-    assert craft.state.task.settings.safety_distance_m == flown_m
-    said = f"returning as it was flown: PLN_SAFE_DIST = {flown_m:g}"
-    assert StatusText(text=said, warning=True) in craft.commands
-
-
-def test_settings_of_a_checkpoint_that_no_mission_may_have_are_none() -> None:
-    craft = under_way()
-    values = checkpoint.values_of(craft.state)
-    for name, value in (("PLN_SAFE_DIST", 1e5), ("PLN_SPEED", 500.0), ("PLN_EVALS", 1.0)):
-        wrong = {**values, "settings": {**values["settings"], name: value}}
-        with pytest.raises(checkpoint.DECODE_ERRORS):
-            checkpoint.restored(craft.context.mission, craft.state.flight.known, wrong)
-
-
 def test_told_to_return_twice_it_is_accepted_twice() -> None:
     craft = asking_for_the_way_back()
     assert tell(craft, OrderKind.RETURN) is OrderResult.ACCEPTED
@@ -438,9 +364,7 @@ def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
     over.take(StopAsked(time_s=over.now_s))
     shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     for craft in (over, shadow):
-        settings = (OrderKind.SPEED, OrderKind.KEEP_OUT)  # of what is planned, not flown
-        kinds = [kind for kind in OrderKind if craft is over or kind not in settings]
-        assert {tell(craft, kind) for kind in kinds} == {OrderResult.NOT_NOW}
+        assert {tell(craft, kind) for kind in OrderKind} == {OrderResult.NOT_NOW}
 
 
 @pytest.mark.parametrize("obeys", [True, False])
@@ -569,80 +493,3 @@ def test_a_landing_that_a_person_broke_off_is_a_landing_again_when_told_to_go_on
     assert craft.phase is Phase.HOLDING
     tell(craft, OrderKind.START)
     craft.run_until(lands)
-
-
-# --- keep-outs
-
-
-def keep_out(craft: Craft, place_ne_m: tuple[float, float], radius_m: float) -> OrderResult:
-    kind = OrderKind.KEEP_OUT
-    order = Order(time_s=craft.now_s, kind=kind, target_ne_m=place_ne_m, radius_m=radius_m)
-    return give(craft, order)
-
-
-@pytest.mark.parametrize(("aside_m", "stops"), [(0.0, True), (9_000.0, False)])
-def test_a_keep_out_stops_a_vehicle_only_where_it_lies_on_the_rest_of_its_path(
-    aside_m: float, stops: bool
-) -> None:
-    craft = under_way()
-    craft.run_for(5.0)
-    leg = craft.state.flight.leg
-    assert leg is not None
-    north_m, east_m, _ = leg.subpath.pose(leg.subpath.length_m).point_nea_m
-    north_m, east_m = north_m - aside_m * 0.7, east_m + aside_m * 0.7
-    assert keep_out(craft, (north_m, east_m), 100.0) is OrderResult.ACCEPTED
-    craft.run_for(0.5)
-    stop = craft.state.flight.stop
-    assert (stop is not None and stop.reason is Reason.NEW_THREAT) == stops
-    asked = len(craft.sent(Plan))
-    craft.run_until(lambda craft: len(craft.sent(Plan)) > asked)
-    assert craft.state.keep_outs[0] in craft.sent(Plan)[-1].request.task.zones
-
-
-def test_keep_outs_outlive_the_fence_the_settings_the_companion_and_the_autopilot() -> None:
-    craft = under_way()
-    for radius_m in (100.0, 200.0, 100.0):  # the third is the first again
-        assert keep_out(craft, (-3_000.0, 500.0), radius_m) is OrderResult.ACCEPTED
-    zones = craft.state.keep_outs
-    assert [zone.radius_m for zone in zones] == [100.0, 200.0]
-    craft.take(FenceChanged(time_s=craft.now_s, zones=()))
-    set_in_flight(craft, 31.0)
-    restarted(craft)
-    craft.take(Rebooted(time_s=craft.now_s))
-    assert craft.state.keep_outs == zones
-    assert craft.state.task.zones[-2:] == zones
-
-
-def test_a_radius_of_0_lifts_the_keep_outs_that_its_place_is_in_and_no_others() -> None:
-    craft, north_m = under_way(), -3_000.0
-    for east_m in (0.0, 150.0, 300.0):
-        assert keep_out(craft, (north_m, east_m), 100.0) is OrderResult.ACCEPTED
-    last = craft.state.keep_outs[2]
-    assert keep_out(craft, (north_m, 75.0), 0.0) is OrderResult.ACCEPTED
-    assert craft.sent(StatusText)[-1].text == "lifted: ordered keep-out 1, ordered keep-out 2"
-    assert craft.state.keep_outs == craft.state.task.zones == (last,)
-    assert keep_out(craft, (north_m, 75.0), 0.0) is OrderResult.INVALID
-    refused = Order(time_s=0.0, kind=OrderKind.KEEP_OUT, target_ne_m=(north_m, 75.0), radius_m=0.0)
-    assert changes.why_not(craft.state, refused).endswith(
-        "none that was ordered in flight is there"
-    )
-    restarted(craft)
-    assert craft.state.keep_outs == (last,)
-    assert keep_out(craft, (north_m, 0.0), 100.0) is OrderResult.ACCEPTED
-    assert len({zone.name for zone in craft.state.keep_outs}) == 2
-
-
-def test_a_keep_out_over_the_target_is_kept_and_told() -> None:
-    craft = under_way()
-    [target] = craft.state.targets_ne_m
-    assert keep_out(craft, target, 100.0) is OrderResult.ACCEPTED
-    said = [each.text for each in craft.sent(StatusText) if each.warning]
-    assert any("inside keep-out" in text for text in said)
-
-
-def test_a_checkpoint_from_before_there_were_keep_outs_is_read() -> None:
-    craft = under_way()
-    values = checkpoint.values_of(craft.state)
-    del values["keep_outs"]
-    state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
-    assert state.keep_outs == ()

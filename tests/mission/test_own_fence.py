@@ -99,7 +99,7 @@ def test_px4_tells_a_companion_of_no_fence_but_is_in_it_and_in_a_failsafe(
 def test_a_fence_that_it_knew_is_the_reason_from_the_beginning(traits: VehicleTraits) -> None:
     craft = aloft(traits)
     fence = around(craft)
-    craft.state = craft.state.with_rules(craft.state.given, fence)
+    craft.state = craft.state.with_fence(craft.context.mission.task, fence)
     craft.take(failsafe(craft))
     assert reason(craft) is Reason.FENCE_BREACHED
 
@@ -109,7 +109,7 @@ def test_a_lost_stream_away_from_any_fence_is_a_lost_stream(traits: VehicleTrait
     craft = aloft(traits)
     far = CircleZone(name="far", north_m=5_000.0, east_m=-5_000.0, radius_m=50.0)
     fence = FenceChanged(time_s=craft.now_s, zones=(far,))
-    craft.state = craft.state.with_rules(craft.state.given, fence)
+    craft.state = craft.state.with_fence(craft.context.mission.task, fence)
     craft.take(failsafe(craft))
     craft.take(position(craft.now_s + 0.1, craft.here))
     assert reason(craft) is Reason.STREAM_LOST
@@ -118,7 +118,7 @@ def test_a_lost_stream_away_from_any_fence_is_a_lost_stream(traits: VehicleTrait
 @ALL_FOUR
 def test_a_person_who_takes_over_inside_a_fence_is_a_person(traits: VehicleTraits) -> None:
     craft = aloft(traits)
-    craft.state = craft.state.with_rules(craft.state.given, around(craft))
+    craft.state = craft.state.with_fence(craft.context.mission.task, around(craft))
     craft.take(status(craft.now_s, Mode.HOLD))
     assert reason(craft) is Reason.MODE_TAKEN
     craft = aloft(traits)
@@ -153,7 +153,7 @@ def test_what_px4_misreads_of_its_fence_is_the_reason_where_no_zone_is(
     craft = aloft(traits)
     far = CircleZone(name="far", north_m=5_000.0, east_m=-5_000.0, radius_m=50.0)
     fence = FenceChanged(time_s=craft.now_s, zones=(far,), misread=misread)
-    craft.state = craft.state.with_rules(craft.state.given, fence)
+    craft.state = craft.state.with_fence(craft.context.mission.task, fence)
     craft.mode, craft.failsafe = Mode.HOLD, True
     craft.run_for(10.0)
     assert reason(craft) is (Reason.FENCE_BREACHED if misread else Reason.STREAM_LOST)

@@ -390,8 +390,6 @@ class Watch:
                 return 90.0
             case Phase.LANDING:
                 return 60.0
-            case Phase.FLYING | Phase.RETURNING if state.traffic is not None:
-                return math.inf  # others may be in the way for as long as they like
             case Phase.FLYING | Phase.RETURNING:
                 turns_s = 3.0 * 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
                 return turns_s + settings.scan_time_s + settings.planning_time_s + 60.0

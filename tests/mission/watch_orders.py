@@ -1,9 +1,8 @@
 """Laws about what people order and what the battery leaves, checked at each step as in `watch`.
 
 A pause is kept until a word ends it, or the battery; told to return, it flies to no target any
-more, told to land, nowhere; what was planned before an order is not flown after it; with a
-battery below its reserve it leads to no target, whatever it is told; and the keep-outs that were
-ordered and not lifted, no others, are in force.
+more, told to land, nowhere; what was planned before an order is not flown after it; and with
+a battery below its reserve it leads to no target, whatever it is told.
 """
 
 import math
@@ -42,8 +41,6 @@ class WatchOrders:
     def forgotten(self) -> None:
         """A companion that knows nothing of it goes on."""
         self.paused = self.returns = self.lands = False
-        self.keep_outs: set[tuple[tuple[float, float], float]] = set()
-        """Centres and radii."""
         self.orders = self.orders_when_asked = 0
         self.short_at_s, self.battery_at_s = math.inf, 0.0
 
@@ -57,10 +54,6 @@ class WatchOrders:
         if after.orders.active is Reason.BATTERY_LOW:
             self.paused = False
         self.kept += self.paused or self.returns or self.lands or self._low_s > SHORT_S
-        circles = [((each.north_m, each.east_m), each.radius_m) for each in after.keep_outs]
-        assert len(circles) == len(self.keep_outs), "a keep-out too many, or one lost"
-        assert set(circles) == self.keep_outs, "other keep-outs than were ordered"
-        assert set(after.keep_outs) <= set(after.task.zones), "an ordered keep-out is not in force"
         target = after.targets_ne_m[after.flight.target] if after.targets_ne_m else None
         if after.phase is not before.phase and after.phase in SETS_OUT:
             assert not self.paused, f"set out in a pause: {before.reason} -> {after.phase}"
@@ -116,11 +109,5 @@ class WatchOrders:
                 self.lands = False
             case Order(kind=OrderKind.LAND) if before.phase is not Phase.LANDING:
                 self.paused, self.lands = False, True
-            case Order(kind=OrderKind.KEEP_OUT, target_ne_m=(_, _) as place, radius_m=0.0):
-                lifted = {each for each in self.keep_outs if math.dist(each[0], place) <= each[1]}
-                assert lifted, "there was none to lift"
-                self.keep_outs -= lifted
-            case Order(kind=OrderKind.KEEP_OUT, target_ne_m=(_, _) as place, radius_m=float(r_m)):
-                self.keep_outs.add((place, r_m))
             case _:
                 pass

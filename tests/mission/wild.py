@@ -49,7 +49,6 @@ from companion.mission.events import (
     ScanDone,
     SetMode,
     Setpoint,
-    SettingsChanged,
     StartScan,
     StopAsked,
     TakeOff,
@@ -92,7 +91,6 @@ _PLANE = replace(
 _SETTINGS = PlannerSettings(
     scan_range_m=800.0, safety_distance_m=12.0, planning_time_s=1.0, scan_time_s=1.0
 )
-PLACED = (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
 _TARGETS = ((400.0, 300.0), (-500.0, 200.0), (-300.0, -600.0))
 
 
@@ -523,18 +521,8 @@ class Wild:
         rng = self.rng
         kind = list(OrderKind)[rng.integers(len(OrderKind))]
         at = tuple(float(value) for value in rng.uniform(-1100.0, 1100.0, 2))
-        speed = float(rng.choice([1.0, 5.0, 50.0]))
-        radius = float(rng.choice([0.0, 20.0, 80.0, 300.0])) if kind is OrderKind.KEEP_OUT else None
-        if (zones := self.state.keep_outs) and rng.random() < 0.3:  # one of them is lifted
-            kind, radius = OrderKind.KEEP_OUT, 0.0
-            at = zones[0].north_m + 5.0, zones[0].east_m - 5.0
-        order = Order(
-            time_s=self.now_s,
-            kind=kind,
-            target_ne_m=(at[0], at[1]) if kind in PLACED else None,
-            speed_m_s=speed if kind in (OrderKind.SPEED, OrderKind.REPOSITION) else None,
-            radius_m=radius,
-        )
+        target_ne_m = (at[0], at[1]) if kind is OrderKind.REPOSITION else None
+        order = Order(time_s=self.now_s, kind=kind, target_ne_m=target_ne_m)
         if changes.order_result(self.state, order) is changes.OrderResult.ACCEPTED:
             self.take(order)
 
@@ -570,11 +558,6 @@ class Wild:
         at = self.rng.uniform(-900.0, 900.0, (count, 2))
         targets = tuple((float(north), float(east)) for north, east in at)
         self.take(TargetsChanged(time_s=self.now_s, targets_ne_m=targets))
-
-    def _settings(self) -> None:
-        settings = replace(_SETTINGS, planning_time_s=float(self.rng.choice([1.0, 2.0])))
-        task = replace(self.state.given, settings=settings)
-        self.take(SettingsChanged(time_s=self.now_s, task=task, what="made up"))
 
     def _reboot(self) -> None:
         """As the session does it: the clock begins again."""
@@ -652,7 +635,6 @@ _CHANCES = {
     "silence": 1.5,
     "teleport": 0.7,
     "targets": 1.5,
-    "settings": 1.0,
     "reboot": 0.6,
     "restart": 2.0,
     "namesake": 1.0,

@@ -12,7 +12,7 @@ from planning import ask, column_distance_m, fly, spline
 
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
-from companion.planner.loiter_search import LoiterQuery, loiter_point
+from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.procedure import (
@@ -282,19 +282,21 @@ def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
 
 # --- somewhere to circle
 
+STILL = (0.0, 0.0, 0.0)
 
-def test_a_refuge_is_the_first_preferred_place_that_is_clear(truth: KnownMap) -> None:
-    here = (1_000.0, 4_500.0, 450.0)
+
+def test_a_refuge_is_the_preferred_place_if_that_is_clear(truth: KnownMap) -> None:
+    here = Motion((1_000.0, 4_500.0, 450.0), STILL)
     in_zone, clear = (3_300.0, 4_300.0, 450.0), (1_200.0, 4_600.0, 450.0)
-    assert loiter_point(truth, TASK, LoiterQuery(here_nea_m=here), (in_zone, clear)) == clear
-    assert loiter_point(truth, TASK, LoiterQuery(here_nea_m=here)) == pytest.approx(here)
+    assert loiter_point(truth, TASK, here, clear) == clear
+    assert loiter_point(truth, TASK, here, in_zone) == pytest.approx(here.here_nea_m)
 
 
 def test_a_refuge_from_a_zone_that_appears_is_near_and_clear_of_it(truth: KnownMap) -> None:
     zone = CircleZone(name="new", north_m=1_300.0, east_m=4_500.0, radius_m=250.0)
     task = replace(TASK, zones=(*ZONES, zone))
     for here in ((900.0, 4_500.0, 450.0), (1_200.0, 4_500.0, 450.0)):
-        point = loiter_point(truth, task, LoiterQuery(here_nea_m=here))
+        point = loiter_point(truth, task, Motion(here, STILL), here)
         assert point is not None
         assert math.dist(point[:2], (1_300.0, 4_500.0)) >= 250.0 + LOITER + REQUIRED_M
         assert math.dist(point[:2], here[:2]) < 700.0
@@ -303,4 +305,5 @@ def test_a_refuge_from_a_zone_that_appears_is_near_and_clear_of_it(truth: KnownM
 
 def test_there_is_no_refuge_in_a_pit(blank: KnownMap) -> None:
     pit = replace(blank, upper_m=np.full_like(blank.upper_m, 5_000.0), seen=~blank.seen)
-    assert loiter_point(pit, TASK, LoiterQuery(here_nea_m=(1_000.0, 4_500.0, 450.0))) is None
+    here = (1_000.0, 4_500.0, 450.0)
+    assert loiter_point(pit, TASK, Motion(here, STILL), here) is None

@@ -276,18 +276,6 @@ def test_the_reference_point_stops_where_it_is_told_to_if_that_is_before_the_end
     assert is_at_end(reference, leg) == at_end
 
 
-@pytest.mark.parametrize("limit_m_s", [3.0, 8.0, 40.0])
-def test_a_speed_limit_holds_where_it_is_below_that_of_the_mission(limit_m_s: float) -> None:
-    leg, reference, fastest = leg_to(2_000.0, 0.0, 0.0), Reference(), 0.0
-    for _ in range(200):
-        here = leg.subpath.pose(reference.length_m).position_nea_m
-        reference = advance(
-            reference, leg, 0.1, here, LIMITS, goes_on=False, speed_limit_m_s=limit_m_s
-        )
-        fastest = max(fastest, reference.speed_m_s)
-    assert fastest == pytest.approx(min(limit_m_s, V))
-
-
 def test_a_leg_of_the_way_back_is_left_at_its_very_end() -> None:
     leg = replace(leg_to(900.0, 0.0, 0.0), through=True)
     assert leg.successor_at_m(TASK) == leg.subpath.length_m

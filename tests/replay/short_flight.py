@@ -35,14 +35,11 @@ def fly_short(
     text: str = "",
     link: ScriptedLink | None = None,
     lockstep: bool = True,
-    booted_s: float = 0.0,
     until_s: float = 60.0,
 ) -> FlightSummary:
-    """Record a flight of the mission of a text until a vehicle that was booted so long ago was
-    watched for so long."""
+    """Record a flight of the mission of a text until its vehicle was watched for so long."""
     link = link or ScriptedLink(Vehicle(lockstep=lockstep))
     vehicle, text = link.vehicle, text or short_mission()
-    vehicle.time_ms = round(1e3 * booted_s)
     with RunFolder(path, mission_toml=text, epoch_us=EPOCH_US) as folder:
         folder.header({})
         return loop.fly(
@@ -51,7 +48,7 @@ def fly_short(
             folder,
             lockstep=lockstep,
             on_progress=lambda _: None,
-            stop_asked=lambda: vehicle.time_ms >= 1e3 * (booted_s + until_s),
+            stop_asked=lambda: vehicle.time_ms >= 1e3 * until_s,
             planner=straight_plan,
         )
 
@@ -77,7 +74,6 @@ def rewritten(path: Path, change: Callable[[list[Input]], None]) -> None:
 
 
 __all__ = [
-    "EPOCH_US",
     "ScriptedLink",
     "Vehicle",
     "fly_short",

@@ -10,7 +10,7 @@ import pytest
 from recorded import run_folder
 
 from companion.errors import InputError
-from companion.replay.export_command import Format, PathName, export
+from companion.replay.export_command import Format, export
 from companion.replay.exporting import recorded, write
 
 ALL = pytest.mark.parametrize("to", get_args(Format))
@@ -51,15 +51,6 @@ def test_it_writes_where_it_is_told_to_and_nothing_else(copy: Path, tmp_path: Pa
     export(copy, "kml", tmp_path / "my flight.kml")
     assert (tmp_path / "my flight.kml").is_file()
     assert {file: file.read_bytes() for file in copy.iterdir()} == before
-
-
-def test_a_plan_says_how_near_it_is_and_what_it_lacks(
-    copy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    export(copy, "plan", None, "planned")
-    said = capsys.readouterr().out
-    assert "waypoints, at most 2 m off the planned path" in said
-    assert "x radar (a plan has none)" in said
 
 
 # --- what is wrong
@@ -108,14 +99,6 @@ def test_a_disk_that_is_full_is_said(copy: Path, to: Format) -> None:
     assert words.startswith("--out = '/dev/full': not written (No space left on device)")
 
 
-@pytest.mark.parametrize("path", get_args(PathName))
-def test_a_flight_that_never_left_the_ground_has_no_path(copy: Path, path: PathName) -> None:
-    lines = (copy / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    kept = [line for line in lines if b'"phase":"flying"' not in line and b'"leg"' not in line]
-    (copy / "journal.jsonl").write_bytes(b"".join(kept[:9]))
-    assert "--path" in refused(copy, "plan", None, path)
-
-
 # --- what is not whole
 
 
@@ -135,11 +118,8 @@ def test_a_flight_that_was_cut_off_anywhere_is_exported_as_far_as_it_goes(
         flight, notes = recorded(copy)
         assert len(flight.track) <= len(whole.track)
         assert not notes or all("\n" not in note for note in notes)
-        if to == "plan" and not any(phase == "flying" for phase, _ in flight.segments()):
-            assert "--path" in refused(copy, to)  # a plan needs a path
-        else:
-            write(flight, to, copy / f"flight.{to}", "flown")
-            assert (copy / f"flight.{to}").is_file()
+        write(flight, to, copy / f"flight.{to}")
+        assert (copy / f"flight.{to}").is_file()
         if share > 0.5:
             assert len(flight.track) > 0.3 * len(whole.track)
             torn = any("last line is not whole" in note for note in notes)

@@ -1,12 +1,10 @@
 """What a replay was not asked properly, or not given whole, it says in one line: never a traceback,
 and never that nothing is the same as something."""
 
-import contextlib
 import copy
 import json
 import random
 import shutil
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,34 +15,27 @@ import rasterio
 from answers import answered
 from rasterio.transform import Affine
 from short_flight import (
-    EPOCH_US,
     fly_short,
     replayed,
     rewritten,
     short_mission,
     straight_plan,
 )
-from tlog import recorded_frames
 
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.mavlink.dialect import codec, wire
+from companion.mission.journal import VERSION
 from companion.mission.start import Start
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay import actions, reproduce
-from companion.replay.differences import Recording
 from companion.replay.session_inputs import DamagedInputError, feed, session_of, start_of
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
-
-BOOTED_S, BEGAN_S, FLOWN_S = 3600.0, 3603.0, 33.0
-"""It is known when the vehicle was booted once its clock has been heard some times."""
 
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a vehicle that was booted an hour before."""
     path = tmp_path_factory.mktemp("refused") / "run"
-    fly_short(path, booted_s=BOOTED_S, until_s=FLOWN_S)
+    fly_short(path, until_s=33.0)
     return path
 
 
@@ -60,45 +51,7 @@ def replays(*arguments: object) -> tuple[int, str, list[str]]:
     return code, out, [line for line in said.splitlines() if "error:" in line]
 
 
-def flown_s(stamp_us: int) -> float:
-    return (stamp_us - EPOCH_US) * 1e-6 - BEGAN_S
-
-
-# --- from and until
-
-
-def test_until_is_seconds_of_the_flight(run_dir: Path, tmp_path: Path) -> None:
-    report = tmp_path / "report.json"
-    code, out, _ = replays(run_dir, "--until", 10, "--json", report)
-    found = json.loads(report.read_text("utf-8"))
-    assert code == 0
-    assert found["flown_s"] == pytest.approx(10.0, abs=0.5)
-    assert found["frames"] > 100
-    assert f"of flight from vehicle time {BEGAN_S:,.1f} s" in out
-
-
-def test_so_is_from(run_dir: Path) -> None:
-    whole, later = replayed(run_dir), replayed(run_dir, from_s=20.0)
-    assert whole.is_identical
-    assert later.is_identical
-    assert 0 < later.frames < 0.6 * whole.frames
-
-
-@pytest.mark.parametrize(
-    ("option", "words"),
-    [
-        (("--from", 1e6), "--from = 1000000.0: the flight has "),
-        (("--from", 20.02, "--until", 20.05), "--until = 20.05: nothing was recorded in so short"),
-    ],
-)
-def test_a_span_in_which_nothing_was_compared_is_refused(
-    run_dir: Path, option: tuple[object, ...], words: str
-) -> None:
-    code, out, [error] = replays(run_dir, *option)
-    assert code == 2
-    assert words in error
-    assert "seconds, or leave it out." in error
-    assert "identical" not in out
+# --- nothing to compare
 
 
 def test_a_recording_with_nothing_in_it_is_refused(run: Path) -> None:
@@ -116,49 +69,46 @@ def test_that_no_frame_was_compared_is_said(run: Path) -> None:
     assert "no frame was compared: flight.tlog holds none" in out
 
 
-def test_what_came_before_from_may_be_more_or_less_than_was_recorded(run: Path) -> None:
-    log = recorded_frames(run / "flight.tlog")
-    early = [n for n, (at_us, _) in enumerate(log) if 5.0 < flown_s(at_us) < 15.0]
-    spoiled = list(log)
-    del spoiled[early[3]], spoiled[early[40]]
-    spoiled.insert(early[60], spoiled[early[60]])
-    data = b"".join(struct.pack(">Q", at_us) + frame for at_us, frame in spoiled)
-    (run / "flight.tlog").write_bytes(data)
+# --- another version
+
+
+def of_an_older_journal(run: Path) -> str:
     path = run / "journal.jsonl"
-    lines = path.read_bytes().splitlines(keepends=True)
-    path.write_bytes(b"".join([*lines[:3], b"garbage\n", *lines[4:6], lines[5], *lines[6:]]))
-    assert not replayed(run).is_identical
-    found = replayed(run, from_s=20.0)
-    assert found.is_identical, found.difference
-    assert found.frames > 100
+    head, rest = path.read_bytes().split(b"\n", 1)
+    older = json.dumps({**json.loads(head), "version": VERSION - 1}, separators=(",", ":"))
+    path.write_bytes(older.encode() + b"\n" + rest)
+    return "its journal is of version 2"
 
 
-def test_what_differs_after_from_is_found_at_its_place(run: Path) -> None:
-    log = recorded_frames(run / "flight.tlog")
-    early = next(n for n, (at_us, _) in enumerate(log) if flown_s(at_us) > 5.0)
-    late = next(n for n, (at_us, _) in enumerate(log) if flown_s(at_us) > 25.0)
-    late_s = BEGAN_S + flown_s(log[late][0])
-    del log[late], log[early]
-    data = b"".join(struct.pack(">Q", at_us) + frame for at_us, frame in log)
-    (run / "flight.tlog").write_bytes(data)
-    difference = replayed(run, from_s=20.0).difference
-    assert difference.t_s == pytest.approx(late_s, abs=0.2)
+def with_a_key_that_is_gone(run: Path) -> str:
+    with (run / "mission.toml").open("a", encoding="utf-8") as file:
+        file.write("[traffic]\nspacing_m = 100.0\n")
+    return "its mission.toml has traffic, which was removed"
 
 
-def test_a_frame_that_differs_before_from_moves_nothing_after_it(tmp_path: Path) -> None:
-    beats = [
-        (float(t), wire.MAVLink_heartbeat_message(18, 8, 0, t, 4, 3).pack(codec(1)))
-        for t in range(1, 9)
-    ]
-    (tmp_path / "journal.jsonl").write_text("", encoding="utf-8")
-    data = b"".join(struct.pack(">Q", round(t * 1e6)) + frame for t, frame in beats)
-    (tmp_path / "flight.tlog").write_bytes(data)
-    mine = list(beats)
-    mine[1] = (2.0, beats[7][1])
-    with contextlib.closing(Recording(tmp_path)) as recording:
-        recording.pass_by(mine[:4], [])
-        assert recording.first_difference(mine[4:], []) is None
-        assert recording.frames == 4
+@pytest.mark.parametrize("change", [of_an_older_journal, with_a_key_that_is_gone])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("replay", "RUN"),
+        ("replay", "RUN", "--seed", 3),
+        ("report", "RUN"),
+        ("export", "RUN", "--format", "csv"),
+        ("view", "RUN", "--view-port", 0),
+        ("fly", "environment-1", "--out", "RUN", "--resume"),
+    ],
+    ids=lambda command: " ".join(map(str, command)),
+)
+def test_a_run_folder_of_an_older_version_is_told_who_reads_it_and_left_as_it_is(
+    run: Path, command: tuple[object, ...], change: Callable[[Path], str]
+) -> None:
+    why = change(run)
+    before = {file: file.read_bytes() for file in run.iterdir()}
+    code, _, said = answered(*(run if word == "RUN" else word for word in command))
+    assert code == 2
+    rule = f"an older companion has recorded it: {why}. Use companion 0.2.0 for it."
+    assert said == f"error: RUN_DIR = '{run}': {rule}\n"
+    assert {file: file.read_bytes() for file in run.iterdir()} == before
 
 
 # --- what is damaged
@@ -373,19 +323,3 @@ def test_an_elevation_file_that_has_changed_is_said_in_one_line(
         assert f"terrain.file = '{file}': the elevation file has changed since the flight" in error
         assert "Put the file of the flight there, or name it in " in error
         assert "first difference" not in out
-
-
-def test_a_flight_that_was_recorded_without_a_word_of_its_terrain_is_still_replayed(
-    flown_with_elevations: tuple[Path, Path],
-) -> None:
-    path, file = flown_with_elevations
-
-    def change(told: list[Input]) -> None:
-        name, values = told[0]
-        assert len(values.pop("terrain")) == 64
-        told[0] = (name, values)
-
-    rewritten(path, change)
-    assert replays(path)[0] == 0
-    elevations(file, higher_m=10)
-    assert replays(path)[0] in (0, 1)

@@ -67,7 +67,6 @@ class StubSession:
     died: list[tuple[str, str]] = field(default_factory=list)
     stopped: list[str] = field(default_factory=list)
     silences_s: list[float] = field(default_factory=list)
-    from_ground: list[tuple[bytes, int]] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     end: End | None = None
     mission: Any = field(default_factory=lambda: load_mission("valley"))
@@ -77,11 +76,7 @@ class StubSession:
         )
     )
 
-    def receive(self, data: bytes, at_s: float, link: int = 0) -> bool:
-        if link:
-            self.from_ground.append((data, link))
-            self.out.to_ground.append(HEARTBEAT)
-            return True
+    def receive(self, data: bytes, at_s: float) -> bool:
         self.received.append(data)
         self.arrived_s.append(at_s)
         self.now_s += 0.05

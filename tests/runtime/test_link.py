@@ -152,12 +152,11 @@ def test_a_port_in_use_is_an_input_error_with_its_remedy(other: socket.socket) -
         "udpin:127.0.0.1: 14540",
         "udpin:127.0.0.1:1e4",
         "udpin:127.0.0.1:0",
-        "tcpin:127.0.0.1:0",
+        "tcpin:127.0.0.1:5760",
         "udpout:127.0.0.1:0",
         "tcp:127.0.0.1",
         "tcp:127.0.0.1:0",
         "tcp:127.0.0.1:5760:1",
-        "tcpin::5760",
         "udp:127.0.0.1",
         "udpbcast:192.168.0.255:14550",
         "/dev/ttyACM0,",
@@ -201,10 +200,9 @@ def has_ipv6() -> bool:
 
 
 @pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
-@pytest.mark.parametrize(("waits", "calls"), [("udpin", "udpout"), ("tcpin", "tcp")])
-def test_ipv6_is_a_network_like_any_other(waits: str, calls: str) -> None:
+def test_ipv6_is_a_network_like_any_other() -> None:
     port = free_port()
-    with open_link(f"{waits}:[::1]:{port}") as here, open_link(f"{calls}:[::1]:{port}") as there:
+    with open_link(f"udpin:[::1]:{port}") as here, open_link(f"udpout:[::1]:{port}") as there:
         for sends, hears in ((there, here), (here, there)):
             heard, until_s = None, time.monotonic() + PATIENCE_S
             while heard is None and time.monotonic() < until_s:

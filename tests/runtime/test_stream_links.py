@@ -243,23 +243,12 @@ def assert_nothing_stale(data: bytes, computers: int) -> None:
     assert asked == [str(number) for number in range(60)]
 
 
-@pytest.mark.parametrize("kind", ["tcp", "tcpin"])
 def test_after_a_stall_the_newest_setpoint_comes_and_not_those_that_waited(
-    server: Server, kind: str
+    server: Server,
 ) -> None:
     takes = 2048  # the least; as much again is what it says that it takes
-    with contextlib.ExitStack() as opened:
-        if kind == "tcp":
-            server.listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, takes)
-            link = opened.enter_context(open_link(f"tcp:127.0.0.1:{server.port}"))
-            peer = opened.enter_context(server.accept(link))
-        else:
-            port = free_port(socket.SOCK_STREAM)
-            link = opened.enter_context(open_link(f"tcpin:127.0.0.1:{port}"))
-            peer = opened.enter_context(socket.socket())
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, takes)
-            peer.connect(("127.0.0.1", port))
-            assert link.receive(PATIENCE_S) is None
+    server.listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, takes)
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link, server.accept(link) as peer:
         stalled(link)
         got = arriving(link, peer.fileno(), lambda data: NEWEST in data, NEWEST)
     assert_nothing_stale(got, 2 * takes + 1024)
@@ -282,45 +271,18 @@ def test_a_setpoint_that_has_waited_too_long_is_not_sent(
         assert newest not in arriving(link, peer.fileno(), lambda data: HOLD in data)
 
 
-def test_tcpin_serves_whoever_connects_and_a_newer_connection_replaces_an_older() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-    with open_link(f"tcpin:127.0.0.1:{port}") as link:
-        link.send([b"nobody"])
-        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as first:
-            first.sendall(b"first")
-            assert heard(link, 5) == b"first"
-            link.send([b"to the first"])
-            assert first.recv(100) == b"to the first"
-            with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as second:
-                second.sendall(b"second")
-                assert heard(link, 6) == b"second"
-                link.send([b"to the second"])
-                assert second.recv(100) == b"to the second"
-                assert first.recv(100) == b""
-
-
-def test_a_tcp_port_in_use_is_an_input_error(server: Server) -> None:
-    with pytest.raises(InputError, match=r"in use.*choose another port"):
-        open_link(f"tcpin:127.0.0.1:{server.port}")
-
-
 @pytest.mark.parametrize("looked", [False, True])
-@pytest.mark.parametrize("kind", ["udpin", "tcp", "tcp, calling", "tcpin", "tcpin, called"])
+@pytest.mark.parametrize("kind", ["udpin", "tcp", "tcp, calling"])
 def test_a_link_that_is_closed_under_its_reader_ends_its_wait_with_nothing(
     server: Server, monkeypatch: pytest.MonkeyPatch, kind: str, looked: bool
 ) -> None:
     """Just before the reader looks whether something has come in, or just after."""
-    scheme, _, state = kind.partition(", ")
+    scheme = kind.partition(",")[0]
     port = server.port if scheme == "tcp" else free_port(socket.SOCK_STREAM)
     link = open_link(f"{scheme}:127.0.0.1:{port}")
     with contextlib.ExitStack() as peers:
         if kind == "tcp":
             peers.enter_context(server.accept(link)).sendall(b"late")
-        if state == "called":
-            peer = peers.enter_context(socket.create_connection(("127.0.0.1", port)))
-            assert link.receive(PATIENCE_S) is None
-            peer.sendall(b"late")
 
         def close_and_select(*arguments: Any) -> Any:
             ready = select.select(*arguments) if looked else None

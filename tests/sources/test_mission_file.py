@@ -119,7 +119,6 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     [link]
     commanders = ["255/0", "7/190"]
     sets_parameters = false
-    obstacle_distance = true
     [from_vehicle]
     fence = false
     [scanner]
@@ -144,7 +143,6 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     assert (mission.reserve, mission.endurance_s) == (0.35, 900.0)
     assert mission.commanders == ((255, 0), (7, 190))
     assert not mission.sets_parameters
-    assert mission.sends_obstacles
     assert not mission.fence_from_vehicle
     assert mission.rally_ne_m == ((10.0, -20.0),)
     assert mission.end_action is EndAction.RETURN

@@ -16,7 +16,6 @@ AFTER = "[planner]" + _REST.split("[planner]")[1]
 WIDE = "speaks_for_m = 4.0\n"
 OBSTACLE = f'kind = "obstacle_distance"\n{WIDE}'
 SECTORS = f'kind = "distance_sensor"\n{WIDE}'
-POINTS = f'kind = "obstacle_distance_3d"\n{WIDE}'
 STATED = "[terrain]\nhighest_amsl_m = 400.5"
 PLANE = 'kind = "plane"\nloiter_radius_m = 30.0'
 
@@ -37,7 +36,6 @@ def load(folder: Path, scanner: str, *changes: tuple[str, str]) -> Mission:
         (OBSTACLE, "obstacle_distance", 196, False),
         (SECTORS, "distance_sensor", 1, True),
         (f"{SECTORS}component = 158", "distance_sensor", 158, False),
-        (POINTS, "obstacle_distance_3d", 196, False),
     ],
 )
 def test_each_kind_says_what_is_listened_to_and_of_whom(
@@ -47,7 +45,7 @@ def test_each_kind_says_what_is_listened_to_and_of_whom(
     assert mission.near is not None
     assert (mission.near.kind, mission.near.component_id) == (kind, component)
     assert mission.scanner_component_id is None
-    number = {"obstacle_distance": 330, "distance_sensor": 132, "obstacle_distance_3d": 11037}[kind]
+    number = {"obstacle_distance": 330, "distance_sensor": 132}[kind]
     assert messages_of(mission) == {30, number}
     assert set(streams_hz(mission)) == ({30, number} if of_autopilot else {30})
 
@@ -106,9 +104,7 @@ _NO_SCANNER = ('kind = "copter"', 'kind = "copter"\nscanner = false')
         (OBSTACLE, _MISSING, "terrain", "does not see the ground"),
         (SECTORS, _NO_SCANNER, "scanner = ", "Remove one of them."),
         (f"{OBSTACLE}component = 0", None, "scanner.component = 0", "greater than or equal to 1"),
-        (f"{POINTS}component = 195", None, "scanner.component = 195", "the companion itself"),
-        (f"{OBSTACLE}beam_deg = 3.0", None, "scanner.beam_deg = 3.0", "sectors say how wide"),
-        (f"{POINTS}beam_deg = 0.1", None, "scanner.beam_deg = 0.1", "greater than or equal"),
+        (f"{OBSTACLE}component = 195", None, "scanner.component = 195", "the companion itself"),
         (f"{OBSTACLE}component = 251", None, "scanner.component = 251", "less than or equal"),
         (f"{OBSTACLE}yaw_deg = 361.0", None, "scanner.yaw_deg = 361.0", "less than or equal"),
         (f"{OBSTACLE}bearing_error_deg = 46.0", None, "bearing_error_deg = 46.0", "less than"),

@@ -101,36 +101,3 @@ def test_frames_that_are_missing_are_counted(seed: int) -> None:
     session.run()
     it = flight_status(FlightSummary(session=session))
     assert (it.frames_heard, it.frames_lost) == (sent - dropped, dropped)
-
-
-@pytest.mark.parametrize(
-    "message",
-    [
-        wire.MAVLink_wind_message(direction=-120.0, speed=5.0, speed_z=1.0),  # comes from 240
-        wire.MAVLink_wind_cov_message(
-            0,
-            5.0 * math.cos(math.radians(60)),
-            5.0 * math.sin(math.radians(60)),
-            1,
-            0,
-            0,
-            100,
-            1,
-            1,
-        ),  # blows to 60
-    ],
-    ids=["ArduPilot", "PX4"],
-)
-def test_the_wind_is_told_as_where_it_comes_from(message: Any) -> None:
-    autopilot = wire.MAVLink(None, srcSystem=1, srcComponent=1)
-    session = Session(load_mission("environment-1"), seed=1, lockstep=False)
-    for _ in range(3):
-        session.receive(wire.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(autopilot))
-    session.receive(message.pack(autopilot))
-    session.run()
-    flown = FlightSummary(session=session)
-    it = flight_status(flown)
-    assert it.wind_m_s == pytest.approx(5.0)
-    assert it.wind_from_rad == pytest.approx(math.radians(240.0))
-    session.silence(15.0)
-    assert flight_status(flown).wind_m_s is None

@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import all as wire
 from tlog import recorded_frames
 
 from companion.errors import InputError
+from companion.mission.journal import VERSION
 from companion.mission.start import Resume
 from companion.telemetry.inputs import InputsFile
 from companion.telemetry.run_folder import RunFolder, resume_head, whole_records
@@ -111,7 +112,7 @@ def test_the_journal_is_a_header_and_a_line_for_each_entry(folder: RunFolder) ->
     close(folder)
     lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     head, *entries = map(strict, lines)
-    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", 3, 1)
+    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", VERSION, 1)
     assert [entry["t_s"] for entry in entries] == [0.1, 0.2, 0.3]
     assert entries[0]["text"] == 'a "quoted"\nline, é'
 
@@ -452,13 +453,6 @@ def test_a_full_disk_leaves_whole_records_and_the_checkpoint_before(full: Path, 
         "mission.toml",
         "resume.json",
     ]
-
-
-def test_facts_of_the_runtime_end_up_in_run_json(folder: RunFolder) -> None:
-    folder.facts["latency"] = {"gap_max_ms": math.inf}
-    folder.run_json({"plans_s": [0.5]})
-    text = (folder.path / "run.json").read_text(encoding="utf-8")
-    assert strict(text) == {"plans_s": [0.5], "latency": {"gap_max_ms": None}}
 
 
 # --- what cannot be read

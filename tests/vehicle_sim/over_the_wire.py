@@ -165,8 +165,6 @@ class Link:
         self.rate_hz = 20.0
         self.aimed_s = math.nan
         """When the newest of the stream was sent."""
-        self.stick: float | None = None
-        """A pilot, at 10 Hz: the forward stick, -1 to 1."""
         self.heartbeats: tuple[int, ...] = ()
         self._steps = 0
         self._sequence: dict[Ids, int] = {}
@@ -285,9 +283,6 @@ class Link:
         if self.aim is not None and steps % round(_STEPS_PER_S / self.rate_hz) == 0:
             self.aimed_s = self.now_s
             self.send(self.aim(self.aimed_s))
-        if self.stick is not None and steps % 10 == 0:
-            x = round(1000 * self.stick)
-            self.send(mavlink.MAVLink_manual_control_message(1, x, 0, 500, 0, 0), source=GCS)
         if steps % _STEPS_PER_S == 0:
             for kind in self.heartbeats:
                 self.send(heartbeat(kind))

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 from over_the_wire import Heard, Key
-from px4_wire import HOLD, LAND, MISSION, NAN, OFFBOARD, Aim, Companion, Seen, local
+from px4_wire import HOLD, MISSION, NAN, OFFBOARD, Aim, Companion, Seen, local
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.world import VehicleKind
@@ -89,10 +89,7 @@ def rates(kinds: Iterable[str]) -> dict[str, float]:
 
 @functools.cache
 def traffic() -> Seen:
-    """What came of the default streams in 10 s of OFFBOARD.
-
-    Gimbal: commands that the next change of the mode brings.
-    """
+    """What came of the default streams in 10 s of OFFBOARD."""
     vehicle = Companion()
     vehicle.aim = lambda _: CLIMB
     vehicle.run(8.0)
@@ -101,17 +98,8 @@ def traffic() -> Seen:
     vehicle.run(8.0)
     vehicle.heard.clear()
     vehicle.run(10.0)
-    count, size = len(vehicle.heard), sum(len(heard.frame) for heard in vehicle.heard)
-    kinds, since_s = {heard.kind for heard in vehicle.heard}, vehicle.now_s
-    vehicle.set_mode(LAND)
-    vehicle.run(4.0)
-    return {
-        "per_second": count / 10.0 * REAL_TIME_FACTOR,
-        "kilobytes_per_second": size / 10e3 * REAL_TIME_FACTOR,
-        "echoes": "POSITION_TARGET_LOCAL_NED" in kinds,
-        "wind": "WIND_COV" in kinds,
-        "gimbal": {message.command for message in vehicle.of("COMMAND_LONG", since_s)},
-    }
+    kinds = {heard.kind for heard in vehicle.heard}
+    return {"echoes": "POSITION_TARGET_LOCAL_NED" in kinds, "wind": "WIND_COV" in kinds}
 
 
 def rate_after(kind: str, number: int, *intervals_us: float) -> float:
@@ -158,15 +146,15 @@ def companion_lost() -> Seen:
     }
 
 
-def texts_and_events(*heartbeats: int) -> tuple[bool, bool]:
-    """Whether arming brings STATUSTEXTs and EVENTs to one with these heartbeats."""
+def texts(*heartbeats: int) -> bool:
+    """Whether arming brings STATUSTEXTs to one with these heartbeats."""
     vehicle = ground()
     vehicle.heartbeats = heartbeats
     vehicle.run(1.5)
     since_s = vehicle.now_s
     vehicle.command(400, 1)
     vehicle.run(1.0)
-    return bool(vehicle.texts(since_s)), bool(vehicle.events(since_s))
+    return bool(vehicle.texts(since_s))
 
 
 def texts_by_link() -> tuple[bool, bool]:

@@ -141,8 +141,7 @@ def reached(north_m_s: float, down_m_s: float) -> tuple[float, float]:
 def loss(action: int) -> Seen:
     """The stream stops at 5 m/s, and comes back 8 s later; times after the last setpoint.
 
-    Announced_s: of the two EVENTs; told: whether the text came that no flight task could run;
-    sinks_m_s: between 2 and 5 s after the new mode; metres: flown to the north, from the new mode
+    Sinks_m_s: between 2 and 5 s after the new mode; metres: flown to the north, from the new mode
     on; speed_m_s: at the end; back_s: to OFFBOARD, when the stream is back.
     """
     flight = cruise(loss_action=action)
@@ -164,10 +163,6 @@ def loss(action: int) -> Seen:
         "intended": current.intended_custom_mode,
         "heartbeat_s": beats[0].at_s - last_s,
         "status": status,
-        "announced_s": tuple(
-            flight.events(last_s).get(number, NAN) - last_s for number in (3087815, 14605264)
-        ),
-        "told": any("Matching flight task was not able to run" in t for t in flight.texts(last_s)),
         "sinks_m_s": (heights[20] - heights[50]) / 3.0,
         "climbs_to_m": max(heights.values()),
         "metres": metres,
@@ -253,26 +248,18 @@ def commanded(custom: int) -> int:
 @functools.cache
 def _piloted() -> Companion:
     flight = ground()
-    flight.stick = 0.0
-    flight.run(1.0)
+    flight.simulation.add_fault("pilot")
     return flight.flying(15.0)
 
 
 def piloted(**parameters: float) -> Companion:
-    """In OFFBOARD north at 5 m/s, with hands at the sticks."""
+    """In OFFBOARD north at 5 m/s, with a pilot who keeps the sticks centred."""
     flight = refreshed(_piloted())
     for name, value in parameters.items():
         flight.set_parameter(name, value)
     flight.aim = north(5.0)
     flight.run(8.0)
     return flight
-
-
-def first_sticks() -> int:
-    vehicle = ground()
-    vehicle.stick = 0.0
-    vehicle.run(0.5)
-    return vehicle.mode
 
 
 @functools.cache
@@ -293,33 +280,3 @@ def loss_with_pilot() -> Seen:
         "sunk_m": after[2] - before[2],
         "mode_with_stream": flight.mode,
     }
-
-
-@functools.cache
-def takeover(override: int) -> Seen:
-    """60 % of stick for a second.
-
-    Seconds: to another mode; NaN: none; mode: 3 s later; result: of OFFBOARD, and the mode then.
-    """
-    flight = piloted(COM_RC_OVERRIDE=override)
-    flight.stick = 0.6
-    seconds = flight.until(lambda: flight.mode != OFFBOARD, 1.0)
-    flight.stick = 0.0
-    flight.run(3.0)
-    mode, result = flight.mode, flight.set_mode(OFFBOARD)
-    flight.run(1.0)
-    return {
-        "seconds": seconds,
-        "mode": mode,
-        "result": result,
-        "mode_after": flight.mode,
-    }
-
-
-def pilot_lost(exception: int = 0) -> list[tuple[float, int]]:
-    """Modes and their times after the last sticks, the stream going on."""
-    flight = piloted(COM_RCL_EXCEPT=exception)
-    since_s = flight.now_s
-    flight.stick = None
-    flight.run(9.0)
-    return [(t_s - since_s, mode) for t_s, mode in flight.modes(since_s)]

@@ -15,7 +15,6 @@ LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M = 47.397742, 8.545594, 488.0
 NORTH_M_PER_DEG, EAST_M_PER_DEG = 111_191.0, 75_470.0
 OFFBOARD, POSCTL, ALTCTL = 0x00060000, 0x00030000, 0x00020000
 TAKEOFF, HOLD, MISSION, RETURN, LAND = 0x02040000, 0x03040000, 0x04040000, 0x05040000, 0x06040000
-EVENT = 410
 Aim = Callable[[float], Any]
 """The setpoint of a time in seconds, as a message."""
 Seen = dict[str, Any]
@@ -104,14 +103,6 @@ class Companion(Link):
     def times(self, kind: str, since_s: float = 0.0) -> list[Heard]:
         """After this time."""
         return [heard for heard in self.all(kind) if heard.at_s > since_s]
-
-    def events(self, since_s: float = 0.0) -> dict[int, float]:
-        """Numbers without the component in the highest byte, and when they came first."""
-        found = dict[int, float]()
-        for heard in self.times(f"UNKNOWN_{EVENT}", since_s):
-            payload = heard.frame[10:]
-            found.setdefault(int.from_bytes(payload[:3], "little"), heard.at_s)
-        return found
 
     def modes(self, since_s: float = 0.0) -> list[tuple[float, int]]:
         """Changes of the mode, by CURRENT_MODE."""

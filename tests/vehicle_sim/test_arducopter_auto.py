@@ -36,10 +36,6 @@ def planned(*items: PlanItem) -> Flown:
     return it
 
 
-def said(it: Flown) -> list[str]:
-    return [text for text in it.texts if text.startswith(("Mission", "Reached"))]
-
-
 def test_a_mission_is_flown_from_take_off_to_landing() -> None:
     it = planned(
         item(22, z_m=20.0), item(16, 100.0, 0.0, 25.0), item(16, 100.0, 60.0, 25.0, 3.0), item(20)
@@ -55,15 +51,6 @@ def test_a_mission_is_flown_from_take_off_to_landing() -> None:
     assert visited == pytest.approx([25.0, 25.0], abs=1.0)
     it.run_until(lambda: not it.autopilot.armed, within_s=150.0)
     assert math.hypot(*it.local_m()[:2]) < 1.0
-    assert said(it) == [
-        "Mission: 1 Takeoff",
-        "Reached command #1",
-        "Mission: 2 WP",
-        "Reached command #2",
-        "Mission: 3 WP",
-        "Reached command #3",
-        "Mission: 4 RTL",
-    ]
 
 
 def test_a_landing_item_comes_down_where_it_says() -> None:
@@ -74,22 +61,6 @@ def test_a_landing_item_comes_down_where_it_says() -> None:
     it.run_until(lambda: it.autopilot.landed_state() == 4, within_s=60.0)
     it.run_until(lambda: not it.autopilot.armed, within_s=60.0)
     assert it.local_m()[0] == pytest.approx(30.0, abs=1.0)
-
-
-def test_turns_are_flown_about_the_place_with_the_radius() -> None:
-    it = planned(item(22, z_m=20.0), item(18, 60.0, 0.0, 20.0, 2.0, 0.0, 20.0), item(17, 60.0))
-    it.command(176, 1, 4)
-    it.command(400, 1)
-    it.command(300)
-    it.run_until(lambda: it.autopilot.mission_current == 2, within_s=60.0)
-    it.run(20.0)
-    radii = []
-    while it.autopilot.mission_current == 2:
-        it.run(0.5)
-        radii.append(math.dist(it.local_m()[:2], (60.0, 0.0)))
-    assert min(radii) > 18.0
-    assert max(radii) < 22.0
-    assert len(radii) > 10
 
 
 def test_the_current_item_can_be_set_and_the_mission_paused() -> None:

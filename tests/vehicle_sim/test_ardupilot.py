@@ -97,7 +97,6 @@ ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
         (179, (1,), {}, FAILED),
         (207, (1,), {}, ACCEPTED),
         (207, (7,), {}, FAILED),
-        (241, (), {}, ACCEPTED),
         (246, (1,), {}, ACCEPTED),
         (246, (0,), {}, UNSUPPORTED),
         (20, (), {}, ACCEPTED),  # a mode change, which is not checked while disarmed

@@ -8,8 +8,7 @@ from conformance.log import Side, read_recording
 from recordings import recording
 from tracking_px4 import Curve, Rig
 
-from vehicle_sim.autopilots import Event
-from vehicle_sim.autopilots.px4 import health
+from vehicle_sim.autopilots import Text
 from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.sensors.gps import GpsConditions
 
@@ -72,13 +71,10 @@ class Loss:
         """Seconds since the loss until this mode."""
         return next(each[0] for each in self.samples if each[0] >= after_s and each[3] is mode)
 
-    def event(self, number: int) -> list[float]:
+    def told(self, text: str) -> list[float]:
         """When it was said, in seconds since the loss."""
-        return [
-            at_s - self.lost_s
-            for at_s, reply in self.rig.said
-            if isinstance(reply, Event) and reply.number == number and at_s > self.lost_s
-        ]
+        said = [(at_s, r.text.strip()) for at_s, r in self.rig.said if isinstance(r, Text)]
+        return [at_s - self.lost_s for at_s, said in said if said == text and at_s > self.lost_s]
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +84,7 @@ def loss() -> Loss:
 
 def test_it_comes_back_and_flies_on_by_itself(loss: Loss) -> None:
     """px4.md 8: fusion after 1.2 s, OFFBOARD after 2.4 s, by way of Land."""
-    assert loss.event(health.FUSION_STARTED) == [pytest.approx(_LOST_S + 1.3, abs=0.3)]
+    assert loss.told("GNSS data fusion started") == [pytest.approx(_LOST_S + 1.3, abs=0.3)]
     assert loss.when(Mode.OFFBOARD, 6.0) == pytest.approx(_LOST_S + 2.5, abs=0.3)
     assert loss.when(Mode.LAND) == pytest.approx(_LOST_S + 2.3, abs=0.3)
     assert loss.samples[-1][3] is Mode.OFFBOARD

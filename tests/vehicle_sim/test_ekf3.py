@@ -88,8 +88,6 @@ def test_a_jump_of_gps_is_resisted_for_ten_seconds_and_then_believed(hovering: R
     assert 0x833F in flags
     assert 0x8027 in flags
     assert it.when("GPS Glitch or Compass error") == pytest.approx([start_s + 1.2], abs=0.25)
-    lanes = [at_s - start_s for k in (0, 1) for at_s in it.when(f"EKF3 lane switch {k}")]
-    assert sorted(lanes) == pytest.approx([0.29, 3.09, 10.29], abs=0.35)
     assert it.autopilot.mode_name == "GUIDED"
     it.fly_on(12.0)
     (cleared_s,) = it.when("Glitch cleared")
@@ -120,20 +118,15 @@ def test_without_gps_it_lands_and_stops_aiding_as_recorded(hovering: Recorded) -
     assert at_flags[0xA7] == pytest.approx(15.1, abs=0.2)
     for text in ("EKF variance", "EKF Failsafe: changed to LAND Mode"):
         assert it.when(text) == pytest.approx([start_s + 8.0], abs=0.3)
-    for lane in (0, 1):
-        said = it.when(f"EKF3 IMU{lane} stopped aiding")
-        assert said == pytest.approx([start_s + 15.1], abs=0.2)
     status = it.autopilot.status()
     assert (status.mode, status.system_status) == (LAND, CRITICAL)
     assert it.autopilot.local_ned_m() is None
     before = (it.autopilot.estimate.latitude_deg, it.autopilot.estimate.longitude_deg)
     it.fly_on(7.0)
     assert (it.autopilot.estimate.latitude_deg, it.autopilot.estimate.longitude_deg) == before
-    assert it.when("SmartRTL deactivated: bad position") == pytest.approx([start_s + 22.2], abs=0.3)
     it.silent = False
     back_s = it.now_s
     it.fly_on(2.0)
-    assert it.when("EKF3 IMU0 is using GPS") == pytest.approx([back_s + 0.3], abs=0.2)
     assert it.when("EKF Failsafe Cleared") == pytest.approx([back_s + 1.2], abs=0.2)
     status = it.autopilot.status()
     assert (status.mode, status.system_status) == (LAND, ACTIVE)  # until somebody commands it

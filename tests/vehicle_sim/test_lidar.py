@@ -392,51 +392,6 @@ def test_with_prx1_type_2_the_driver_comes_back_as_eight_sectors_of_component_1(
     assert bench.maps()
 
 
-# --- a depth camera -------------------------------------------------------------------------------
-
-CAMERA = {"kind": "sectors", "output": "points", "width_deg": 90.0, "step_deg": 6.0}
-ROWS = {"rows_deg": [-40.0, -20.0, -5.0, 0.0]}
-
-
-def body_to_north(roll: float, pitch: float, yaw: float) -> Any:
-    """Z Y' X'' of aerospace: columns are the body's axes in north, east, down."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    return np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]]) @ about_y @ about_x
-
-
-@pytest.mark.parametrize("turn_rad", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.5), (-0.3, 0.2, -0.4)])
-def test_points_lie_on_what_is_there_however_the_vehicle_leans(
-    turn_rad: tuple[float, float, float],
-) -> None:
-    bench = Bench(lidar=CAMERA | ROWS, trees=[POST | {"north_m": 7.0}])
-    bench.turn_rad = turn_rad
-    points = bench.run(1.0).of("OBSTACLE_DISTANCE_3D", 196)
-    assert not bench.maps()
-    stamps = [each.time_boot_ms for each in points]
-    points = [each for each in points if each.time_boot_ms == stamps[-1]]
-    body = np.array([(each.x, each.y, each.z) for each in points])
-    assert (np.abs(np.degrees(np.arctan2(body[:, 1], body[:, 0]))) <= 45.1).all()
-    north, east, down = body_to_north(*turn_rad) @ body.T
-    up_m = bench.hold_m + 0.15 - down  # above the ground; the camera sits above the feet
-    on_post = np.abs(np.hypot(north - 7.0, east) - 1.0) < 0.01
-    on_ground = np.abs(up_m) < 0.01
-    assert (on_post | on_ground).all()
-    assert on_post.any()
-    assert on_ground.any()
-
-
-def test_points_of_nonsense_are_told_too_and_silence_is_where_nothing_is() -> None:
-    junk = Bench(lidar=CAMERA | ROWS, faults="at 0 s: lidar_junk 50 %").run(1.0)
-    told = [each.x for each in junk.of("OBSTACLE_DISTANCE_3D")]
-    assert any(math.isnan(x) for x in told)
-    assert any(x == 9999.0 for x in told)
-    flat = Bench(lidar=CAMERA).run(1.0)
-    assert flat.of("OBSTACLE_DISTANCE_3D") == []
-    assert flat.of("HEARTBEAT", 196)
-
-
 # --- the downward rangefinder ---------------------------------------------------------------------
 
 
@@ -569,9 +524,8 @@ def test_a_driver_and_the_autopilots_own_lidar_say_the_same_of_a_post() -> None:
     assert min(m.current_distance for m in sectors) == pytest.approx(900, abs=2)
 
 
-@pytest.mark.parametrize("output", ["driver", "points"])
-def test_a_second_lidar_is_an_autopilots(output: str) -> None:
+def test_a_second_lidar_is_an_autopilots() -> None:
     with pytest.raises(InputError, match=r"second_lidar\.output.*Write"):
-        world(lidar={"range_m": 16.0}, second_lidar={"range_m": 16.0, "output": output})
+        world(lidar={"range_m": 16.0}, second_lidar={"range_m": 16.0, "output": "driver"})
     with pytest.raises(InputError, match=r"second_lidar\.output.*beside"):
         world(second_lidar={"range_m": 16.0, "output": "autopilot"})

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, ManualControl, Sender, Setpoint, Text
+from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.frames import Packer, StreamParser
 
@@ -91,17 +91,6 @@ def test_set_mode_means_do_set_mode_in_either_firmware() -> None:
     assert (got.number, got.parameters[:3]) == (176, (1, 4, 0))
     px4 = mavlink.MAVLink_set_mode_message(1, 209, 4 << 16 | 3 << 24)
     assert messages.mode_command(sent(px4), ANYBODY, "px4").parameters[:3] == (209, 4, 3)
-
-
-def test_sticks_are_fractions_of_full_deflection() -> None:
-    message = mavlink.MAVLink_manual_control_message(1, 1000, -500, 500, 0x7FFF, 0)
-    assert messages.manual_control(sent(message), ANYBODY) == ManualControl(
-        sender=ANYBODY, pitch=1.0, roll=-0.5, throttle=0.5, yaw=0.0
-    )
-    wild = mavlink.MAVLink_manual_control_message(1, -32768, 30000, -1000, 0, 0)
-    assert messages.manual_control(sent(wild), ANYBODY) == ManualControl(
-        sender=ANYBODY, pitch=-1.0, roll=1.0, throttle=0.0, yaw=0.0
-    )
 
 
 def test_answers_carry_whom_they_are_for() -> None:

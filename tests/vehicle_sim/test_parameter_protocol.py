@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Literal, cast
 
-import parameter_names
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +20,7 @@ from vehicle_sim.autopilots.px4.autopilot import parameter_rows
 from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
 from vehicle_sim.errors import InputError
-from vehicle_sim.parameters import Kind, Parameter, Parameters, lines_of, without_effect
+from vehicle_sim.parameters import RENAMED, Kind, Parameter, Parameters
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
@@ -421,10 +420,6 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     assert rate_hz("VFR_HUD") == (5.0 if kind == "plane" else 0.0)
 
 
-def test_what_is_said_to_have_no_effect_is_what_the_code_does_not_name() -> None:
-    assert without_effect() == parameter_names.without_effect()
-
-
 @pytest.mark.parametrize(
     ("table", "name", "words"),
     [
@@ -458,6 +453,6 @@ def test_names_of_other_releases_are_told_by_the_one_of_here(
 def test_every_name_of_another_release_is_known_by_its_new_one_somewhere() -> None:
     rows = {row.name for row in (*ArduCopter.TABLE, *ArduPlane.TABLE)}
     rows |= {row.name for t in (Px4Multicopter, Px4FixedWing) for row in parameter_rows(*t.TABLES)}
-    for was, now, *_ in lines_of("renamed.table", 2):
+    for was, now, *_ in RENAMED:
         pattern = now.replace("\\1", r"\w+")
         assert any(re.fullmatch(pattern, name) for name in rows), f"{was}: there is no {now}"

@@ -7,7 +7,7 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Ack, Reboot, Result
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, parameter_rows, profile
-from vehicle_sim.autopilots.px4.failsafe import Pilot
+from vehicle_sim.autopilots.px4.failsafe import Stations
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
@@ -136,12 +136,6 @@ def test_unknown_commands_are_unsupported(number: int) -> None:
     assert Rig().command(number) == [Result.UNSUPPORTED]
 
 
-@pytest.mark.parametrize("number", [1000, 203])
-def test_commands_of_others_get_no_answer(number: int) -> None:
-    """Gimbals and cameras answer themselves."""
-    assert Rig().command(number) == []
-
-
 def test_the_battery_brings_it_home() -> None:
     """COM_LOW_BAT_ACT 3: return when critical, land in an emergency."""
     rig = Rig()
@@ -155,8 +149,8 @@ def test_the_battery_brings_it_home() -> None:
 
 
 def test_a_ground_station_is_missed_only_after_it_was_heard() -> None:
-    pilot = Pilot()
-    assert not pilot.ground_station_lost(100_000_000, 10.0)
-    pilot.hear(6, 100_000_000, ours=False)
-    assert not pilot.ground_station_lost(105_000_000, 10.0)
-    assert pilot.ground_station_lost(111_000_000, 10.0)
+    stations = Stations()
+    assert not stations.ground_station_lost(100_000_000, 10.0)
+    stations.hear(6, 100_000_000, ours=False)
+    assert not stations.ground_station_lost(105_000_000, 10.0)
+    assert stations.ground_station_lost(111_000_000, 10.0)

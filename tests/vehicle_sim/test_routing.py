@@ -164,12 +164,6 @@ def test_a_key_for_another_vehicle_is_not_ours() -> None:
     assert Vehicle().get(GCS, key, ON_GCS_LINK) == Route()
 
 
-@pytest.mark.parametrize(("target", "taken"), [(1, True), (2, False), (0, False)])
-def test_sticks_name_only_a_system(target: int, *, taken: bool) -> None:
-    manual_control = mavlink.MAVLink_manual_control_message(target, 0, 0, 500, 0, 0)
-    assert Vehicle().get(GCS, manual_control, ON_GCS_LINK).to_autopilot is taken
-
-
 def test_a_message_whose_own_id_field_looks_like_a_number_is_routed_by_its_real_one() -> None:
     # STATUSTEXT.id = 0 is not HEARTBEAT: it must not be repeated as one
     vehicle = Vehicle()
@@ -224,7 +218,6 @@ def test_who_may_send_setpoints_to_px4(source: Ids, target: Ids, *, taken: bool)
         (mavlink.MAVLink_mission_count_message(0, 1, 3), False),
         (mavlink.MAVLink_param_request_list_message(1, 0), True),
         (mavlink.MAVLink_param_request_list_message(0, 0), False),
-        (mavlink.MAVLink_manual_control_message(0, 0, 0, 0, 0, 0), True),
         (mavlink.MAVLink_timesync_message(0, 5), True),
     ],
 )

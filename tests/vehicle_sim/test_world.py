@@ -105,7 +105,6 @@ SQUARE = [[0.0, 0.0], [0.0, 9.0], [9.0, 9.0]]
         ({"lidar": {"range_m": float("nan")}}, ["lidar.range_m", "finite"]),
         ({"lidar": {"range_m": 9.0, "min_m": 9.0}}, ["lidar.min_m = 9.0", "range_m"]),
         ({"lidar": {"range_m": 9.0, "kind": "flash"}}, ["lidar.kind = 'flash'", "'spinning'"]),
-        ({"lidar": {"range_m": 9.0, "rows_deg": [0.0, 5.0]}}, ["lidar.rows_deg", "only points"]),
         ({"lidar": {"range_m": 9.0, "turns_s": 9.0}}, ["lidar.turns_s", "turns_1_s"]),
         ({"lidar": {"range_m": 9.0, "component_id": 100}}, ["lidar.component_id", "radar"]),
     ],

@@ -17,7 +17,7 @@ from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import ARDUPLANE, Gps
 
 LATITUDE_DEG, LONGITUDE_DEG, GROUND_M = -35.3632621, 149.1652370, 584.09
-REPOSITION, CHANGE_SPEED, CHANGE_ALTITUDE, CHANGE_HEADING = 192, 43000, 43001, 43002
+REPOSITION, CHANGE_SPEED, CHANGE_HEADING = 192, 43000, 43002
 GUIDED, TAKEOFF = 15, 13
 RADIUS_MOST_M = 600.0
 """Of an osculating circle: the route has straight places."""

@@ -134,8 +134,6 @@ def recorded() -> Iterator[FlightStatus]:
                 yield flight_status(flown)
     yield replace(
         flight_status(flown),
-        wind_m_s=12.5,
-        wind_from_rad=3.0,
         altitude_amsl_m=-1234.5,
         above_ground_m=-1234.5,
         speed_m_s=150.0,

@@ -2,7 +2,7 @@
 
 wire/ converts frames to these and back. One module per autopilot: ardupilot/arducopter.py,
 ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of them share, and their
-parts, are beside them.  Parameters and boot messages are data: *.parm and *.boot.
+parts, are beside them.  Parameters are data: *.parm.
 """
 
 import enum
@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol, final
 
-from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.parameters import Parameters
@@ -107,18 +106,6 @@ class Setpoint(NamedTuple):
     yaw_rate_rad_s: float = 0.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ManualControl:
-    """A MANUAL_CONTROL: deflections from -1 to 1, throttle from 0 to 1."""
-
-    sender: Sender
-    pitch: float
-    roll: float
-    throttle: float
-    yaw: float
-
-
 # --- out ------------------------------------------------------------------------------------------
 
 
@@ -145,17 +132,6 @@ class Text:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """An EVENT (410) of PX4, to every link."""
-
-    number: int
-    log_levels: int
-    """External in the low half byte, internal in the high one."""
-    arguments: bytes = b""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SendTelemetry:
     """Send the telemetry message of this number once; to all links if no receiver is given."""
 
@@ -174,19 +150,11 @@ class SendMessage:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendParameter:
-    """Broadcast the PARAM_VALUE of a parameter that the autopilot has changed itself."""
-
-    name: str
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Reboot:
     """Reboot: intervals are reset, the UDP source port changes, time_boot_ms begins at 0."""
 
 
-Reply = Ack | Text | Event | SendTelemetry | SendMessage | SendParameter | Reboot
+Reply = Ack | Text | SendTelemetry | SendMessage | Reboot
 
 # --- to tell --------------------------------------------------------------------------------------
 
@@ -240,15 +208,11 @@ class Estimate:
     flags: int = 0
     """EKF_STATUS_REPORT.flags or ESTIMATOR_STATUS.flags, whichever the autopilot sends."""
     velocity_variance: float = 0.0
-    """These five are the ratios of the two status messages."""
+    """These two are the ratios of the two status messages."""
     horizontal_variance: float = 0.0
-    vertical_variance: float = 0.0
-    compass_variance: float = 0.0
-    terrain_variance: float = 0.0
     frozen_altitude_amsl_m: float | None = None
     """Reported altitude AMSL while the position is lost; None: the estimate."""
     horizontal_accuracy_m: float = 0.0
-    vertical_accuracy_m: float = 0.0
 
     @property
     def place(self) -> Place:
@@ -308,11 +272,7 @@ class Status(NamedTuple):
     above_ground_m: float | None = None
     """By a distance sensor; None: there is none."""
     fusing: bool = True
-    """The estimator uses GPS, as of the last report of the arming checks (PX4)."""
-    logs_always: bool = False
-    """It writes a log from boot on (PX4)."""
-    position_reported: bool = True
-    """There is a position to fly by, as of that report."""
+    """The estimator uses GPS (PX4)."""
     fence_breached: bool = False
     fence_breaches: int = 0
     logging: bool = False
@@ -340,8 +300,6 @@ class Report:
     unix_us: int = 0
     """GPS time; 0 while there is none."""
     hardware_id: int = 1
-    event_sequence: int = 65525
-    """Of the newest EVENT (PX4)."""
     range_sensors: tuple[int, int] = (0, 0)
     """Bits of SYS_STATUS: proximity and rangefinder, and those of them that are not well."""
     vehicle: Vehicle = field(init=False)
@@ -438,14 +396,8 @@ class Autopilot(Protocol):
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Take a setpoint."""
 
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """Fly at this attitude, or turn at these rates, from now on."""
-
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A heartbeat of another component, with its MAV_TYPE (6 is a ground station)."""
-
-    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
-        """Take a MANUAL_CONTROL."""
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
         """A parameter was set by a client."""

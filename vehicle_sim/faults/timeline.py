@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Self, final
 
 from vehicle_sim.errors import InputError, did_you_mean
-from vehicle_sim.faults.catalogue import BY_NAME, FAULTS, Context, Fault
+from vehicle_sim.faults.catalogue import BY_NAME, FAULTS, Context, Fault, Line
 from vehicle_sim.faults.conditions import value_of
 from vehicle_sim.parameters import Firmware, Readable
 
@@ -209,14 +209,14 @@ def _sets(fault: Fault, what: str, where: str, context: Context) -> Mapping[str,
     wrong = fault.objection(words, context)
     if wrong is not None:
         raise InputError(where, what, *wrong)
-    return fault.sets(numbers, words, context)
+    return fault.sets(Line(numbers=numbers, words=words, context=context))
 
 
 def faults_table() -> str:
     """All faults as a Markdown table, for the documentation."""
     rows = ["| fault | parameters | what it does |", "|---|---|---|"]
     for fault in FAULTS:
-        names = ", ".join(f"`{name}`" for name in fault.parameters)
+        names = ", ".join(f"`{name}`" for name in fault.values)
         usage = fault.usage.replace("|", "\\|")
         rows.append(f"| `{usage}` | {names} | {fault.about} |")
     return "\n".join(rows) + "\n"
@@ -229,7 +229,7 @@ def faults_page() -> str:
 
 _PAGE = """# Faults
 
-Made from `vehicle_sim/faults/catalogue.table` by `scripts/docs`. A line of a timeline reads
+Made from `vehicle_sim/faults/catalogue.py` by `scripts/docs`. A line of a timeline reads
 `at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`).
 `estimator_reset`, `origin_move`, `pilot`, `reboot` and what a ground station does happen once and
 take no `for`.

@@ -1,9 +1,8 @@
 """A horizontal lidar: beams in the plane of the vehicle's body, however it leans.
 
-A depth camera has rows of them above and below that plane.  Of a spinning lidar each beam is
-measured from where the vehicle is when the beam gets there, of a sector sensor all at once.  A
-distance is in metres; inf: no echo came back; NaN: not measured, as outside the field of view or
-nearer than the least distance.
+Of a spinning lidar each beam is measured from where the vehicle is when the beam gets there, of a
+sector sensor all at once.  A distance is in metres; inf: no echo came back; NaN: not measured, as
+outside the field of view or nearer than the least distance.
 """
 
 import math
@@ -23,7 +22,6 @@ _DUST_M = 3.0
 _ABOVE_FEET_M = 0.15
 _OFF_SPEED = (0.014, 0.02)  # no motor keeps step with an autopilot: rows of bogus "max" end
 _Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-_Elevation = Annotated[_Real, Field(ge=-60, le=60)]
 _Rate = Annotated[_Real, Field(ge=0.5, le=50)]
 
 
@@ -37,9 +35,8 @@ class LidarTable:
     """Nearer than this it measures nothing."""
     kind: Literal["spinning", "sectors"] = "spinning"
     """One beam that turns, or all beams at once."""
-    output: Literal["driver", "points", "autopilot"] = "driver"
-    """OBSTACLE_DISTANCE or OBSTACLE_DISTANCE_3D of a component, or an RPLidar on ArduPilot
-    (PRX1_TYPE 5)."""
+    output: Literal["driver", "autopilot"] = "driver"
+    """OBSTACLE_DISTANCE of a component, or an RPLidar on ArduPilot (PRX1_TYPE 5)."""
     component_id: Annotated[int, Field(strict=True, ge=2, le=255)] = 196
     rate_hz: _Rate = 10.0
     """Of the driver's messages."""
@@ -47,8 +44,6 @@ class LidarTable:
     """Sweeps a second."""
     step_deg: Annotated[_Real, Field(ge=0.2, le=45)] = 3.6
     """Between two beams."""
-    rows_deg: Annotated[tuple[_Elevation, ...], Field(min_length=1, max_length=64)] = (0.0,)
-    """How far beams look up from the plane of the body: more than one row sends points."""
     width_deg: Annotated[_Real, Field(ge=5, le=360)] = 360.0
     """Of the field of view, half to each side of the sensor's nose."""
     increment_deg: Annotated[_Real, Field(ge=5, le=90)] = 5.0
@@ -107,14 +102,11 @@ class Lidar:
 
     def __init__(self, scene: Scene, settings: LidarTable, rng: np.random.Generator) -> None:
         self._scene, self._settings, self._rng = scene, settings, rng
-        self._columns = round(360.0 / settings.step_deg)
-        columns_rad = np.arange(self._columns) * (math.tau / self._columns)
-        self._off_nose_rad = np.tile(columns_rad, len(settings.rows_deg))
-        self.up_rad = np.repeat(np.radians(settings.rows_deg), self._columns)
-        """Of all beams.  (B,)"""
-        wrapped_deg = np.degrees(np.remainder(self._off_nose_rad + math.pi, math.tau)) - 180.0
+        self._beams = round(360.0 / settings.step_deg)
+        off_nose_rad = np.arange(self._beams, dtype=np.float64) * (math.tau / self._beams)
+        wrapped_deg = np.degrees(np.remainder(off_nose_rad + math.pi, math.tau)) - 180.0
         self._in_view = np.abs(wrapped_deg) <= 0.5 * settings.width_deg + 1e-9
-        self.angles_rad = self._off_nose_rad + math.radians(settings.yaw_deg)
+        self.angles_rad = off_nose_rad + math.radians(settings.yaw_deg)
         """Of all beams, clockwise from the vehicle's nose, as the mounting is known.  (B,)"""
         self.distances_m = np.full(len(self.angles_rad), np.nan)
         """The newest of every beam.  (B,)"""
@@ -137,7 +129,7 @@ class Lidar:
         local_m: the vehicle's place; the local frame's north is taken for true north.
         """
         turns = self._turns + (now_us - self._turned_us) * 1e-6 * self._turns_1_s
-        count = self._columns
+        count = self._beams
         if self._settings.kind == "sectors":
             fired = np.arange(count if int(turns) > int(self._turns) else 0)
             if len(fired):
@@ -146,8 +138,6 @@ class Lidar:
             fired = np.arange(int(self._turns * count), min(int(turns * count), 2 * count)) % count
             self.middle_us = now_us - round(5e5 / self._turns_1_s)
         self._turns, self._turned_us = turns % 1.0, now_us
-        rows = np.arange(len(self._settings.rows_deg))
-        fired = (fired[:, None] + count * rows).ravel()
         fired = fired[self._in_view[fired]]
         if len(fired) and not (conditions.dead or conditions.stuck):
             eye_nea_m = (*local_m, vehicle.altitude_amsl_m + _ABOVE_FEET_M)
@@ -163,7 +153,7 @@ class Lidar:
     ) -> FloatArray:
         settings, rng = self._settings, self._rng
         angles_rad = self.angles_rad[fired] + conditions.turned_rad
-        ways = directions_neu(angles_rad, self.up_rad[fired], vehicle)
+        ways = directions_neu(angles_rad, vehicle)
         true_m = self._scene.ray_lengths_m(eye_nea_m, ways, settings.range_m)
         noise, lost, dust = rng.standard_normal(len(fired)), *rng.random((2, len(fired)))
         told_m = true_m + settings.noise_m * noise
@@ -189,20 +179,14 @@ def body_down_neu(vehicle: Vehicle) -> FloatArray:
     return np.array([north, east, -cosine_r * cosine_p])
 
 
-def body_frd(angles_rad: FloatArray, up_rad: FloatArray) -> FloatArray:
-    """Unit vectors from angles off the nose and above the body's plane.  (R,) x2 -> (3, R)."""
-    flat = np.cos(up_rad)
-    return np.stack([flat * np.cos(angles_rad), flat * np.sin(angles_rad), -np.sin(up_rad)])
-
-
-def directions_neu(angles_rad: FloatArray, up_rad: FloatArray, vehicle: Vehicle) -> FloatArray:
-    """The same turned as the vehicle is: north, east, up.  (R,) x2 -> (R, 3)."""
-    forward, right, down = body_frd(angles_rad, up_rad)
+def directions_neu(angles_rad: FloatArray, vehicle: Vehicle) -> FloatArray:
+    """Where beams in the body's plane point: unit vectors north, east, up.  (R,) -> (R, 3)."""
+    forward, right = np.cos(angles_rad), np.sin(angles_rad)
     sine_r, cosine_r = math.sin(vehicle.roll_rad), math.cos(vehicle.roll_rad)
     sine_p, cosine_p = math.sin(vehicle.pitch_rad), math.cos(vehicle.pitch_rad)
     sine_y, cosine_y = math.sin(vehicle.heading_rad), math.cos(vehicle.heading_rad)
-    under = right * sine_r + down * cosine_r
+    under = right * sine_r
     level = forward * cosine_p + under * sine_p  # along the heading
-    aside = right * cosine_r - down * sine_r
+    aside = right * cosine_r
     up = forward * sine_p - under * cosine_p
     return np.stack([level * cosine_y - aside * sine_y, level * sine_y + aside * cosine_y, up], -1)

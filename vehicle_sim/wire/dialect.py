@@ -129,25 +129,10 @@ _DECLARED: Final = {
     "MISSION_ACK": _declared(47, 153, "I opaque_id"),
     "TIMESYNC": _declared(111, 34, "B target_system, B target_component"),
     # of PX4's dialect `development`, checked against recorded frames
-    "LINK_NODE_STATUS": _declared(
-        *(8, 117),
-        "Q timestamp, I tx_rate, I rx_rate, I messages_sent, I messages_received, "
-        "I messages_lost, H rx_parse_err, H tx_overflows, H rx_overflows, B tx_buf, B rx_buf",
-    ),
     "PROTOCOL_VERSION": _declared(
         *(300, 217),
         "H version, H min_version, H max_version, 8B spec_version_hash, 8B library_version_hash",
     ),
-    "TIME_ESTIMATE_TO_TARGET": _declared(
-        *(380, 232),
-        "i safe_return, i land, i mission_next_item, i mission_end, i commanded_action",
-    ),
-    "EVENT": _declared(
-        *(410, 160),
-        "I id, I event_time_boot_ms, H sequence, B destination_component, "
-        "B destination_system, B log_levels, 40B arguments",
-    ),
-    "CURRENT_EVENT_SEQUENCE": _declared(411, 106, "H sequence, B flags"),
 }
 
 

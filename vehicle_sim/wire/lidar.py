@@ -1,6 +1,5 @@
 """The lidar's driver: a MAVLink component beside the autopilot that sends OBSTACLE_DISTANCE.
 
-That of a depth camera sends OBSTACLE_DISTANCE_3D, a message for each point.
 As MAVLink has it: element 0 lies at angle_offset from the nose, the others clockwise from there;
 max_distance + 1 is "nothing there", 65535 is "not known"; time_usec is the middle of the sweep, in
 the autopilot's clock.
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.sensors.lidar import Lidar, LidarConditions, LidarTable, body_frd
+from vehicle_sim.sensors.lidar import Lidar, LidarConditions, LidarTable
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.radio import Radio
 
@@ -58,9 +57,8 @@ class LidarDriver:
             self._due_us += interval_us
             if not (conditions.dead or conditions.silent):
                 late_us = self._lidar.middle_us + round(self._settings.latency_s * 1e6)
-                said = self._points if self._settings.output == "points" else self._message
-                for message in said(self._lidar.middle_us - boot_us, conditions):
-                    self._waiting.append((max(late_us, now_us), message))
+                message = self._message(self._lidar.middle_us - boot_us, conditions)
+                self._waiting.append((max(late_us, now_us), message))
         heard = []
         while self._waiting and self._waiting[0][0] <= now_us:
             message = self._waiting.popleft()[1]
@@ -69,31 +67,6 @@ class LidarDriver:
                 heard.append(message)
         return heard
 
-    def _points(self, measured_us: int, conditions: LidarConditions) -> list[Any]:
-        """One message for each echo, in the body's axes."""
-        settings, lidar, rng = self._settings, self._lidar, self._rng
-        met = np.isfinite(lidar.distances_m)
-        points_m = lidar.distances_m[met] * body_frd(lidar.angles_rad[met], lidar.up_rad[met])
-        if conditions.junk:
-            wrong = np.flatnonzero(rng.random(points_m.shape[1]) < conditions.junk)
-            values = np.array([math.nan, math.inf, 0.0, 9999.0])
-            points_m[:, wrong] = values[rng.integers(len(values), size=len(wrong))]
-        stamp_ms = self._stamp_us(measured_us, conditions) // 1000 & 0xFFFFFFFF
-        return [
-            mavlink.MAVLink_obstacle_distance_3d_message(
-                time_boot_ms=stamp_ms,
-                sensor_type=mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
-                frame=conditions.frame,
-                obstacle_id=_UNKNOWN,
-                x=x,
-                y=y,
-                z=z,
-                min_distance=settings.min_m,
-                max_distance=settings.range_m,
-            )
-            for x, y, z in points_m.T.tolist()
-        ]
-
     def _stamp_us(self, measured_us: int, conditions: LidarConditions) -> int:
         stamp_us = measured_us + conditions.clock_us
         if conditions.clock_jump_us:
@@ -101,7 +74,7 @@ class LidarDriver:
             stamp_us += int(self._rng.integers(-most_us, most_us + 1))
         return max(stamp_us, 0)
 
-    def _message(self, measured_us: int, conditions: LidarConditions) -> list[Any]:
+    def _message(self, measured_us: int, conditions: LidarConditions) -> Any:
         settings, rng = self._settings, self._rng
         least_cm, most_cm = round(settings.min_m * 100.0), round(settings.range_m * 100.0)
         told_cm = self._told_cm(most_cm)
@@ -113,7 +86,7 @@ class LidarDriver:
             if rng.random() < conditions.junk:
                 nan = math.nan
                 increment, offset_deg = ((nan, offset_deg), (increment, nan))[rng.integers(2)]
-        message = mavlink.MAVLink_obstacle_distance_message(
+        return mavlink.MAVLink_obstacle_distance_message(
             time_usec=self._stamp_us(measured_us, conditions),
             sensor_type=mavlink.MAV_DISTANCE_SENSOR_LASER,
             distances=told_cm.tolist(),
@@ -124,7 +97,6 @@ class LidarDriver:
             angle_offset=offset_deg,
             frame=conditions.frame,
         )
-        return [message]
 
     def _told_cm(self, most_cm: int) -> NDArray[np.int64]:
         """The nearest echo of each element, "nothing there" or "not known".  -> (72,)."""

@@ -10,8 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Event, ManualControl, Sender, Setpoint, Text
-from vehicle_sim.autopilots.attitude import AttitudeTarget
+from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.dialect import Prepared, make
 
@@ -23,9 +22,7 @@ _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
 _sender = lru_cache(maxsize=64)(Sender)
 """The same few speak all the time."""
-_DEFLECTION = 1000.0
 _TEXT_BYTES = 50
-_NO_DEFLECTION = 0x7FFF
 
 
 # --- in -------------------------------------------------------------------------------------------
@@ -89,37 +86,6 @@ def setpoint(message: Any) -> Setpoint:
     )
 
 
-def attitude_target(message: Any) -> AttitudeTarget:
-    """A SET_ATTITUDE_TARGET."""
-    w, x, y, z = message.q
-    return AttitudeTarget(
-        type_mask=message.type_mask,
-        quaternion=(w, x, y, z),
-        rates_rad_s=(message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate),
-        thrust=message.thrust,
-    )
-
-
-def manual_control(message: Any, origin: Sender) -> ManualControl:
-    """A MANUAL_CONTROL; an axis that the pilot does not have is in the middle."""
-
-    def deflection(raw: int) -> float:
-        return 0.0 if raw == _NO_DEFLECTION else max(-1.0, min(raw / _DEFLECTION, 1.0))
-
-    return ManualControl(
-        sender=origin,
-        pitch=deflection(message.x),
-        roll=deflection(message.y),
-        throttle=max(0.0, deflection(message.z)),
-        yaw=deflection(message.r),
-    )
-
-
-def no_terrain(check: Any) -> Prepared:
-    """TERRAIN_REPORT of an autopilot that knows nothing of the place it is asked about."""
-    return make("TERRAIN_REPORT", lat=check.lat, lon=check.lon, pending=56)
-
-
 # --- out ------------------------------------------------------------------------------------------
 
 
@@ -153,29 +119,11 @@ def texts(value: Text, number: int) -> list[Prepared]:
     ]
 
 
-def event(value: Event, sequence: int, boot_ms: int) -> Prepared:
-    """EVENT of PX4."""
-    return make(
-        "EVENT",
-        id=value.number,
-        event_time_boot_ms=boot_ms,
-        sequence=sequence,
-        log_levels=value.log_levels,
-        arguments=value.arguments.ljust(40, b"\0"),
-    )
-
-
 def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Prepared:
     """TIMESYNC: a request with tc1 = 0, else an answer to its sender."""
     system, component = (to.system, to.component) if to else (0, 0)
     target = {"target_system": system, "target_component": component}
     return make("TIMESYNC", tc1=tc1_ns, ts1=ts1_ns, **target)
-
-
-def pong(question: Any, to: Sender) -> Prepared:
-    """The answer to a PING."""
-    target = {"target_system": to.system, "target_component": to.component}
-    return make("PING", time_usec=question.time_usec, seq=question.seq, **target)
 
 
 def component_heartbeat() -> Prepared:

@@ -18,7 +18,7 @@ VALUES_PER_S = 1348 / 1.5
 _MAX_AT_ONCE = 20
 """Values in one step, however late it is: no burst that a socket cannot take."""
 _UNASKED = 65535
-"""param_index of a value that ArduPilot sends by itself, after a PARAM_SET or read by name."""
+"""param_index of a value that ArduPilot sends after a PARAM_SET or a read by name."""
 _HASH = "_HASH_CHECK"
 _UINT32 = 5
 """MAV_PARAM_TYPE of the hash."""
@@ -83,8 +83,8 @@ class ParameterProtocol:
     def value(self, name: str, index: int | None = None) -> Prepared:
         """The PARAM_VALUE of this parameter.
 
-        Without an index it is one that is sent unasked, as SayParameter wants it.  KeyError for a
-        name that is not in the table.
+        Without an index it answers a PARAM_SET or a read by name.  KeyError for a name that is not
+        in the table.
         """
         if index is None:
             index = self._indices[name] if self._is_px4 else _UNASKED

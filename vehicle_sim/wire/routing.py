@@ -20,12 +20,10 @@ _NEVER_FORWARDED: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_RADIO,
         mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
-        mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
         mavlink.MAVLINK_MSG_ID_SETUP_SIGNING,
     }
 )
 """Handled by the vehicle and kept off its other links."""
-_MANUAL_CONTROL: Final = mavlink.MAVLINK_MSG_ID_MANUAL_CONTROL
 _COMMANDS: Final = frozenset(
     {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
 )
@@ -143,8 +141,6 @@ class Router:
         only_radar = to_radar and component == self._radar
         # what is for a component that lives nowhere else, ArduPilot takes for its own
         local = ours and (component in (None, 0, self._component) or not (links or only_radar))
-        if number == _MANUAL_CONTROL:
-            local = message.target == self._system
         return _route(links=links, to_autopilot=local and self._accepts(source), to_radar=to_radar)
 
     def _matching(
@@ -184,8 +180,6 @@ class Router:
         number = message.get_msgId()
         if number in _COMMANDS and message.command in _FOR_EVERY_COMPONENT:
             return system in (0, self._system)
-        if number == _MANUAL_CONTROL:
-            return message.target in (0, self._system)
         mine = (None, 0, self._component)
         return (
             system == self._system if number in _ADDRESSED else system in (None, 0, self._system)

@@ -96,12 +96,8 @@ def _by_its_own_lidar(mission: Mission) -> bool:
 _AT_TAKE_OFF: Final = (
     "it climbs with {value:g} m/s at take-off, and the mission counts on {planned:g}"
 )
-_AVOIDANCE: Final = check.when(  # bit 1: proximity
-    lambda value, case: case.mission.sends_obstacles and int(value) & 2,
-    "its own avoidance will act on the OBSTACLE_DISTANCE that the companion sends",
-)
 _ITS_OWN_LIDAR: Final = check.when(  # position with velocity is never touched (proximity.md 2)
-    lambda value, case: _by_its_own_lidar(case.mission) and int(value) & 2,
+    lambda value, case: _by_its_own_lidar(case.mission) and int(value) & 2,  # bit 1: proximity
     "with the lidar it refuses to arm near things, and changes setpoints of velocity alone",
     "Set it to 1 or 0",
 )
@@ -191,7 +187,7 @@ _RULES: Final = (
         "what it does when its position fails",
         (check.is_zero("it does nothing by itself when its position fails", "Set it to 1 (land)"),),
     ),
-    Rule("AVOID_ENABLE", "its own avoidance of obstacles", (_AVOIDANCE, _ITS_OWN_LIDAR)),
+    Rule("AVOID_ENABLE", "its own avoidance of obstacles", (_ITS_OWN_LIDAR,)),
     Rule("OA_TYPE", "its own ways round things", (_ITS_OWN_WAY,), matters=_by_its_own_lidar),
     Rule("PRX1_TYPE", "what its lidar is", (_LOOKS_ROUND, _NOT_BEHIND), matters=_by_its_own_lidar),
     *(

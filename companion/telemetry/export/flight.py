@@ -17,9 +17,8 @@ from companion.mission import journal as noted
 from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
 from companion.mission.state import Phase as MissionPhase
-from companion.mission.state import with_circle
 from companion.telemetry.export.track import Track
-from companion.world.threats import CircleZone, Zone
+from companion.world.threats import Zone
 
 _LEG_POINTS = 2001
 _LATER_S = 60.0  # an autopilot that was restarted while no companion ran has a clock that fell
@@ -70,8 +69,6 @@ class Decided:
     """and its newest answer."""
     targets_ne_m: tuple[tuple[float, float], ...] = ()
     vehicle_zones: tuple[Zone, ...] = ()
-    keep_outs: tuple[CircleZone, ...] = ()
-    """Ordered in flight."""
     round_trip_s: float | None = None
     warning: str = ""
 
@@ -90,8 +87,6 @@ class Decided:
                 return replace(self, vehicle_zones=entry.zones)
             case noted.Targets():
                 return replace(self, targets_ne_m=entry.targets_ne_m)
-            case noted.OrderGiven(target_ne_m=(_, _) as centre, radius_m=float(radius_m)):
-                return replace(self, keep_outs=with_circle(self.keep_outs, centre, radius_m))
             case noted.OrderGiven(target_ne_m=(north_m, east_m)):
                 return replace(self, targets_ne_m=((north_m, east_m),))
             case noted.LinkDelay():
@@ -102,8 +97,8 @@ class Decided:
                 return self
 
     def zones_of(self, mission: Mission) -> tuple[Zone, ...]:
-        """The mission's, the vehicle's own, and those ordered in flight."""
-        return (*mission.task.zones, *self.vehicle_zones, *self.keep_outs)
+        """The mission's, and the vehicle's own."""
+        return (*mission.task.zones, *self.vehicle_zones)
 
 
 def decided(

@@ -5,6 +5,7 @@ beforehand: whose it is, when it was, and what it has.
 """
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
@@ -22,6 +23,7 @@ from companion.telemetry.logs.translated import (
     Source,
     battery,
     boot_ms,
+    refuse_older,
     system_time,
     whole,
 )
@@ -31,6 +33,9 @@ _GPS_EPOCH_US: Final = 315_964_800_000_000
 _WEEK_US: Final = 7 * 86_400 * 1_000_000
 _LEAP_US: Final = 18_000_000
 """GPS time is so far ahead of UTC, since 2017."""
+_OLDEST: Final = (4, 0)
+_VERSION: Final = re.compile(r"(?:Ardu|APM)[\w:]* V(\d{1,2})\.(\d{1,2})")
+"""Of VER.FWS and the greeting in MSG, in all versions."""
 _SAMPLE: Final = 100
 _STATISTICS: Final = "DSF"
 """Of the logger itself; Dp counts what it could not write."""
@@ -55,10 +60,8 @@ _FRAME_TYPES: Final = {
 """FRAME_CLASS of a copter."""
 _WORDS: Final = {
     "ArduCopter": wire.MAV_TYPE_QUADROTOR,
-    "APM:Copter": wire.MAV_TYPE_QUADROTOR,  # 3.3 to 3.5
     "ArduPlane": wire.MAV_TYPE_FIXED_WING,
     "ArduRover": wire.MAV_TYPE_GROUND_ROVER,
-    "APMrover2": wire.MAV_TYPE_GROUND_ROVER,
     "ArduSub": wire.MAV_TYPE_SUBMARINE,
     "Blimp": wire.MAV_TYPE_AIRSHIP,
     "AntennaTracker": wire.MAV_TYPE_ANTENNA_TRACKER,
@@ -99,10 +102,11 @@ _OLD_STATUS: Final = 1 << 16
 
 
 def look(path: Path) -> Source:
-    """Look through a log once."""
+    """Look through a log once.  InputError if it is of firmware before 4.0."""
     looked = _Look()
     for row in dataflash.rows(path, AnomalyCounter(), _TELLING, looked.counts):
         looked.at_row(row)
+    refuse_older(path, "ArduPilot", looked.version, _OLDEST)
     return Source(
         kind="bin",
         autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
@@ -153,6 +157,7 @@ class _Look:
         """ArduPilot's default, until a parameter says otherwise."""
         self.epoch_us: int | None = None
         self.mav_type: int | None = None
+        self.version: tuple[int, int] | None = None
         self.parameters: set[str] = set()
         self.times_us: list[int] = []
         """Of the first entries."""
@@ -195,6 +200,8 @@ class _Look:
             self._take_type(self.mav_type)
 
     def _on_text(self, text: str) -> None:
+        if self.version is None and (found := _VERSION.match(text)) is not None:
+            self.version = int(found[1]), int(found[2])
         for word, mav_type in _WORDS.items():
             if text.startswith(word):
                 self._take_type(mav_type)
@@ -209,8 +216,7 @@ class _Look:
 def _epoch_us(row: Row) -> int | None:
     """When the vehicle booted, by a GPS entry with a fix."""
     values: Mapping[str, Any] = row.values
-    old = "Week" in values  # until 3.2
-    week, of_week_ms = (values[each] for each in (("Week", "TimeMS") if old else ("GWk", "GMS")))
+    week, of_week_ms = values["GWk"], values["GMS"]
     if values["Status"] < wire.GPS_FIX_TYPE_3D_FIX or row.time_us is None or not week:
         return None
     gps_us = week * _WEEK_US + of_week_ms * 1000
@@ -280,7 +286,7 @@ class _Rows:
         yield wire.MAVLink_extended_sys_state_message(wire.MAV_VTOL_STATE_UNDEFINED, self._landed)
 
     def _on_mode(self, values: Mapping[str, Any], _: int) -> Iterable[Message]:
-        self._mode = int(values["ModeNum"] if "ModeNum" in values else values["Mode"])
+        self._mode = int(values["ModeNum"])
         return self._heartbeat()
 
     def _on_arm(self, values: Mapping[str, Any], _: int) -> Iterable[Message]:
@@ -409,9 +415,7 @@ class _Rows:
         velocity = (speed * math.cos(angle), speed * math.sin(angle), values.get("VZ", 0.0))
         self._velocities[_GPS] = (boot_us, *velocity)
         if not self._has_position:
-            above_m = values.get("RelAlt", values.get("RAlt", 0.0))  # until 3.3
-            if self._home_alt_m is not None:
-                above_m = values["Alt"] - self._home_alt_m
+            above_m = 0.0 if self._home_alt_m is None else values["Alt"] - self._home_alt_m
             yield from self._position(values, above_m, velocity, boot_us)
 
     def _on_accuracy(self, values: Mapping[str, Any], _: int) -> Iterable[Message]:

@@ -15,8 +15,6 @@ from companion.telemetry.logs.translated import Row
 
 MAGIC: Final = b"\xa3\x95"
 _LONGEST: Final = 255
-_WEEKS: Final = frozenset({"GWk", "Week"})
-"""Beside these, until 3.2, TimeMS is the GPS's time of week, and the time since boot is T."""
 
 DFReader.print = lambda *_, **__: None  # it prints each byte that it passes over
 
@@ -81,8 +79,5 @@ def rows(
 
 def _time_us(values: Mapping[str, Any]) -> int | None:
     """The time since boot of an entry."""
-    old = "T" if _WEEKS & values.keys() else "TimeMS"
-    for name, unit_us in (("TimeUS", 1), (old, 1000)):
-        if isinstance(value := values.get(name), int):
-            return value * unit_us
-    return None
+    value = values.get("TimeUS")
+    return value if isinstance(value, int) else None

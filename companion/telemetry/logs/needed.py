@@ -69,7 +69,7 @@ _NEEDS: Final = (
         vital=True,
         rows="GPS",
         setting="LOG_BITMASK bit 2",
-        topics="sensor_gps or vehicle_gps_position",
+        topics="sensor_gps",
     ),
     _Need(
         any_of=("EKF_STATUS_REPORT",),

@@ -29,17 +29,18 @@ from companion.telemetry.logs.translated import (
     Source,
     battery,
     boot_ms,
+    refuse_older,
     system_time,
     whole,
 )
 
+_OLDEST: Final = (1, 13)
 _SAMPLE: Final = 200
-_RECEIVERS: Final = ("sensor_gps", "vehicle_gps_position")
 _SECOND_US: Final = 1_000_000
 _FAST_US: Final = 19_000
 _HALF_SECOND_US: Final = 490_000
 _ARMED: Final = 2
-"""vehicle_status.arming_state, in every version."""
+"""vehicle_status.arming_state."""
 _TERMINATION, _TAKEOFF, _LAND, _VTOL_TAKEOFF = 13, 17, 18, 22
 _MODES: Final = {
     0: (1, 0),
@@ -74,10 +75,13 @@ _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
 def look(path: Path) -> Source | None:
-    """Read a log; None: it cannot be read.  InputError if it is of a later format."""
+    """Read a log; None: it cannot be read.  InputError: of a later format, or before 1.13."""
     log = ulog.read(path, TOPICS)
     if log is None:
         return None
+    release = log.msg_info_dict.get("ver_sw_release")
+    if isinstance(release, int) and release >= 1 << 24:  # else built from no release
+        refuse_older(path, "PX4", (release >> 24, release >> 16 & 0xFF), _OLDEST)
     counts = Counter(row.name for row in ulog.rows(log, AnomalyCounter()))
     stamps = (row.time_us for row in ulog.rows(log, AnomalyCounter()) if row.time_us is not None)
     times_us = list(itertools.islice(stamps, _SAMPLE))
@@ -116,7 +120,7 @@ def _epoch_us(log: ULog) -> int | None:
     dates = [
         int(date_us) - int(time_us)
         for each in ulog.first_instances(log)
-        if each.name in _RECEIVERS and "time_utc_usec" in each.data
+        if each.name == "sensor_gps" and "time_utc_usec" in each.data
         for date_us, time_us in zip(each.data["time_utc_usec"], each.data["timestamp"], strict=True)
     ]
     dates.append(log.msg_info_dict.get("boot_time_utc_us", 0))
@@ -140,8 +144,6 @@ def _substitutes(counts: Counter[str], *, has_date: bool) -> Iterator[str]:
                 "ESTIMATOR_STATUS is made of vehicle_local_position and "
                 "estimator_status_flags: there is no estimator_status"
             )
-    if counts["vehicle_gps_position"] and not counts["sensor_gps"]:
-        yield "GPS_RAW_INT is made of vehicle_gps_position: there is no sensor_gps"
 
 
 # --- what it says
@@ -263,16 +265,14 @@ class _Rows:
         altitude_m = values["alt"]
         if local["z_valid"] and local["z_global"]:
             altitude_m = local["ref_alt"] - local["z"]
-        latitude, longitude = values["lat"], values["lon"]
-        scale = 1e-7 if isinstance(latitude, int) else 1.0  # so in versions before 1.4
-        return self._position((latitude * scale, longitude * scale), altitude_m, boot_us)
+        return self._position((values["lat"], values["lon"]), altitude_m, boot_us)
 
     def _position(
         self, place_deg: tuple[float, float], altitude_m: float, boot_us: int
     ) -> Iterator[Message]:
         local = self._local
         above_m = 0.0 if self._home_alt_m is None else altitude_m - self._home_alt_m
-        heading_rad = local.get("heading", local.get("yaw", math.nan))
+        heading_rad = local["heading"]
         yield wire.MAVLink_global_position_int_message(
             boot_ms(boot_us),
             round(place_deg[0] * 1e7),
@@ -317,8 +317,8 @@ class _Rows:
     def _on_setpoint(self, values: Mapping[str, Any], boot_us: int) -> Iterator[Message]:
         if not self._pace.is_due("POSITION_TARGET_LOCAL_NED", boot_us, _FAST_US):
             return
-        accelerations = values.get("acceleration", (math.nan, math.nan, math.nan))
-        numbers = [*(values[each] for each in ("x", "y", "z", "vx", "vy", "vz")), *accelerations]
+        numbers = [values[each] for each in ("x", "y", "z", "vx", "vy", "vz")]
+        numbers += values["acceleration"]
         ignored = sum(1 << bit for bit, each in enumerate(numbers) if not math.isfinite(each))
         yield wire.MAVLink_position_target_local_ned_message(
             boot_ms(boot_us),
@@ -353,10 +353,6 @@ class _Rows:
             v_acc=whole(values["epv"] * 1e3, 0, 0xFFFFFFFF),
             vel_acc=whole(values["s_variance_m_s"] * 1e3, 0, 0xFFFFFFFF),
         )
-
-    def _on_blended_gps(self, values: Mapping[str, Any], boot_us: int) -> Iterable[Message]:
-        """vehicle_gps_position, only where nothing else tells."""
-        return () if self._counts["sensor_gps"] else self._on_gps(values, boot_us)
 
     def _on_estimator(self, values: Mapping[str, Any], boot_us: int) -> Iterator[Message]:
         if not self._pace.is_due("ESTIMATOR_STATUS", boot_us, _HALF_SECOND_US // 5):
@@ -445,12 +441,12 @@ def _direction(angle_rad: float) -> int:
 
 
 def _mav_type(status: Mapping[str, Any]) -> int:
-    """MAV_TYPE of a vehicle_status, of any version."""
+    """MAV_TYPE of a vehicle_status."""
     if status.get("system_type"):
         return int(status["system_type"])
     if status.get("is_vtol"):
         return int(wire.MAV_TYPE_VTOL_RESERVED5)
-    if status.get("vehicle_type", 1 if status.get("is_rotary_wing") else 2) == 1:
+    if status.get("vehicle_type") == 1:
         return int(wire.MAV_TYPE_QUADROTOR)
     return int(wire.MAV_TYPE_FIXED_WING)
 
@@ -467,7 +463,6 @@ _HANDLERS: Final[Mapping[str, Callable[[_Rows, Mapping[str, Any], int], Iterable
     "vehicle_attitude": _Rows._on_attitude,
     "vehicle_command_ack": _Rows._on_acknowledged,
     "vehicle_global_position": _Rows._on_global,
-    "vehicle_gps_position": _Rows._on_blended_gps,
     "vehicle_land_detected": _Rows._on_landed,
     "vehicle_local_position": _Rows._on_local,
     "vehicle_local_position_setpoint": _Rows._on_setpoint,

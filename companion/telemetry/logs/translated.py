@@ -3,8 +3,10 @@
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
+from companion.errors import InputError
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
 from companion.telemetry.logs.record import Record
@@ -57,6 +59,17 @@ class Source:
     """The entries that are translated, in order."""
     translator: Callable[[], OnRow]
     """A new one, for a pass through the file."""
+
+
+def refuse_older(
+    path: Path, firmware: str, version: tuple[int, int] | None, oldest: tuple[int, int]
+) -> None:
+    """InputError if a log is of a version before the oldest that is known; None: it tells none."""
+    if version is not None and version < oldest:
+        rule = f"it is of {firmware} {version[0]}.{version[1]}"
+        rule += f", and logs are read from {oldest[0]}.{oldest[1]} on"
+        remedy = "Fly newer firmware, or use companion 0.2.0 for it."
+        raise InputError("log", str(path), rule, remedy)
 
 
 @final

@@ -21,10 +21,8 @@ from companion.config import load_mission
 from companion.mission.journal import PlanReady
 from companion.replay.exporting import recorded
 from companion.sources.geojson import read_geojson
-from companion.sources.plan_file import read_plan
 from companion.telemetry.export.geojson import write_geojson
 from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.plan import write_plan
 from companion.telemetry.export.table import COLUMNS, write_csv
 from companion.telemetry.journal import Journal
 
@@ -43,8 +41,6 @@ def exported(run_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_kml(flight, folder / "flight.kml")
     write_geojson(flight, folder / "flight.geojson")
     write_csv(flight, folder / "flight.csv")
-    write_plan(flight, folder / "flight.plan", "flown")
-    write_plan(flight, folder / "planned.plan", "planned")
     return folder
 
 
@@ -275,57 +271,7 @@ def test_the_page_explains_every_column() -> None:
         assert f"| `{name}` | {words} |" in page
 
 
-# --- .plan
-
-
-@pytest.mark.parametrize("name", ["flight.plan", "planned.plan"])
-def test_our_own_reader_reads_the_plan_as_it_was_written(
-    exported: Path, run_dir: Path, name: str, positions: list[tuple[int, Any]]
-) -> None:
-    mission = load_mission(str(run_dir / "mission.toml"))
-    plan = read_plan(exported / name, "plan")
-    written = json.loads((exported / name).read_text(encoding="utf-8"))
-    items = written["mission"]["items"]
-    assert items[0]["command"] == wire.MAV_CMD_NAV_TAKEOFF
-    assert [item["doJumpId"] for item in items] == list(range(1, len(items) + 1))
-    places = [(target["latitude_deg"], target["longitude_deg"]) for target in plan.targets]
-    assert places == [tuple(item["params"][4:6]) for item in items[1:]]
-    assert plan.altitudes_amsl_m == [item["params"][6] for item in items]
-    assert (plan.kind, plan.end_action) == ("copter", "hold")
-    first = positions[0][1]
-    home = (first.lat * 1e-7, first.lon * 1e-7)
-    assert plan.home_deg == pytest.approx(home, abs=1e-9)
-    assert plan.home_amsl_m == pytest.approx((first.alt - first.relative_alt) * 1e-3)
-    [circle, village, county] = [*plan.keep_outs, *plan.keep_ins]
-    assert circle["radius_m"] == 400.0
-    corners = [mission.frame.to_local_m(*corner) for corner in village["vertices_deg"]]
-    given = [(8000.0, 6000.0), (8000.0, 8000.0), (9500.0, 7000.0)]
-    np.testing.assert_allclose(sorted(corners), sorted(given), atol=0.05)
-    assert len(county["vertices_deg"]) == 4
-    [rally] = plan.rally_points
-    place = mission.frame.to_local_m(rally["latitude_deg"], rally["longitude_deg"])
-    assert place == pytest.approx((500.0, 1500.0), abs=0.05)
-
-
-def test_no_flown_position_is_farther_from_the_waypoints_than_the_plan_says(
-    exported: Path, positions: list[tuple[int, Any]], run_dir: Path
-) -> None:
-    frame = load_mission(str(run_dir / "mission.toml")).frame
-    plan = json.loads((exported / "flight.plan").read_text(encoding="utf-8"))
-    items = [item["params"][4:] for item in plan["mission"]["items"][1:]]
-    path = np.array([[*frame.to_local_m(lat, lon), alt] for lat, lon, alt in items])
-    flown = np.array(
-        [
-            [*frame.to_local_m(m.lat * 1e-7, m.lon * 1e-7), m.alt * 1e-3]
-            for _, m in positions
-            if m.alt * 1e-3 > 3029.9
-        ]
-    )
-    nearest = np.full(len(flown), np.inf)
-    for a, b in itertools.pairwise(path):
-        share = np.clip((flown - a) @ (b - a) / max((b - a) @ (b - a), 1e-9), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(flown - a - share[:, None] * (b - a), axis=1))
-    assert nearest.max() <= 2.1  # 2 m, and the rounding of degrees
+# --- all
 
 
 Write = Callable[[Any, Path], object]

@@ -1,6 +1,5 @@
 """scripts/conformance LOG: how like the recorded autopilot the simulated one is."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +11,6 @@ from conformance.flights import flight_of, play
 from conformance.log import Recording, Side, read_recording
 from conformance.report import (
     Summary,
-    as_json,
     as_table,
     markdown_reasons,
     markdown_row,
@@ -30,9 +28,6 @@ def conformance(
     logs: Annotated[
         list[Path], typer.Argument(metavar="LOG...", help="A .tlog of a flight, or .tlog.xz.")
     ],
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write every row; - to print.")
-    ] = None,
     markdown: Annotated[
         Path | None,
         typer.Option(
@@ -47,13 +42,11 @@ def conformance(
     Ends with 1 if a row does not agree and no reason for that is known.
     """
     flights = [_flown(log, seed) for log in logs]
-    if json_file is not None:
-        _write(json_file, json.dumps([as_json(*flight) for flight in flights], indent=1) + "\n")
-    elif markdown is not None:
+    if markdown is not None:
         page = markdown.read_text(encoding="utf-8")
         summaries = [markdown_row(*flight) for flight in flights]
         reasons = [markdown_reasons(*flight) for flight in flights]
-        _write(markdown, with_tables(page, summaries, reasons))
+        markdown.write_text(with_tables(page, summaries, reasons), encoding="utf-8")
     else:
         console = Console()
         console = console if console.is_terminal else Console(width=_WIDE)
@@ -67,13 +60,6 @@ def _flown(log: Path, seed: int) -> tuple[Recording, list[Row]]:
     recording = read_recording(log)
     flight = flight_of(recording)
     return recording, compare(recording, flight, Side(play(recording, flight, seed=seed)))
-
-
-def _write(path: Path, text: str) -> None:
-    if str(path) == "-":
-        typer.echo(text, nl=False)
-    else:
-        path.write_text(text, encoding="utf-8")
 
 
 def main() -> None:

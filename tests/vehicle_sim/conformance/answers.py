@@ -1,8 +1,6 @@
-"""Rows of what is answered: commands, parameters, mission exchanges, and messages said once."""
+"""Rows of what is answered: commands, mission exchanges, and messages said once."""
 
-import dataclasses
 import math
-import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -14,7 +12,6 @@ from conformance.rows import (
     Row,
     paired,
     row,
-    timed_row,
     timed_rows,
 )
 
@@ -23,12 +20,9 @@ ACK_S = 0.25
 STREAMED = 20
 """Commands sent oftener than this are a stream: one row for all."""
 _COMMANDS = {75, 76}
-_COMMAND_ACK, _PARAM_VALUE = 77, 22
-_LEARNT_M_S2 = 0.15
-"""Four times what the one recorded calibration found."""
+_COMMAND_ACK = 77
 _ABOUT_MESSAGES = {510, 511, 512}
 _SYSTEM_WIDE_FIELDS = {"time_usec", "time_boot_ms"}
-_INT32 = 6
 _METRES_E7 = 90.0
 """1e-7 degrees of latitude in a metre."""
 
@@ -104,69 +98,6 @@ def _results(at_s: float, answers: Sequence[tuple[float, int]]) -> str:
     return ", ".join(
         f"{enum_name('MAV_RESULT', r)} +{1000 * (t - at_s):.0f} ms" for t, r in answers
     )
-
-
-# --- parameters -----------------------------------------------------------------------------------
-
-
-def parameter_rows(comparison: Comparison) -> Iterator[Row]:
-    """A row for each PARAM_VALUE: value, type and time; one for count and index of them all."""
-    sides = [s.of(_PARAM_VALUE) for s in (comparison.real, comparison.simulated)]
-    integers = comparison.recording.firmware == "px4"
-    real, simulated = ([(t, m.param_id) for t, m in side] for side in sides)
-    for match in paired(real, simulated):
-        values = [
-            None if event is None else next(m for t, m in side if (t, m.param_id) == event)
-            for event, side in zip(match, sides, strict=True)
-        ]
-        yield _parameter_row(comparison, match, values, integers)
-    if sides[0]:
-        yield _counts_row(sides)
-
-
-def _allowed(name: str) -> float:
-    """How far a value may differ that the autopilot has counted or learnt by itself."""
-    if name.startswith("STAT_"):
-        return 1.0
-    return _LEARNT_M_S2 if name.startswith("CAL_ACC") and name.endswith("OFF") else 1e-3
-
-
-def _parameter_row(
-    comparison: Comparison, match: Any, values: Sequence[Any | None], integers: bool
-) -> Row:
-    shown = [NOTHING if v is None else f"{_value(v, integers):g}" for v in values]
-    ours, theirs = values
-    more = 0.0
-    if ours is not None and theirs is not None:
-        a, b = _value(ours, integers), _value(theirs, integers)
-        allowed = max(0.01 * abs(a), _allowed(ours.param_id))
-        more = abs(a - b) / allowed if ours.param_type == theirs.param_type else math.inf
-    timed = timed_row(comparison, "parameter", match, str, more=more)
-    return dataclasses.replace(
-        timed,
-        real=f"{shown[0]} at {timed.real}",
-        simulated=f"{shown[1]} at {timed.simulated}",
-        tolerance=f"1 %, same type, {timed.tolerance}",
-    )
-
-
-def _value(message: Any, integers: bool) -> float:
-    """PX4 casts the bits of integers into the float field."""
-    if integers and message.param_type == _INT32:
-        return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
-    return float(message.param_value)
-
-
-def _counts_row(sides: Sequence[Sequence[tuple[float, Any]]]) -> Row:
-    ours, theirs = ({(m.param_id, m.param_count, m.param_index) for _, m in side} for side in sides)
-    both = {p for p, _, _ in ours} & {p for p, _, _ in theirs}
-    same = {x for x in ours & theirs if x[0] in both}
-    wrong = both - {p for p, _, _ in same}
-    counts = [sorted({c for _, c, _ in side}) for side in (ours, theirs)]
-    shown = [f"count {', '.join(map(str, each)) or NOTHING}" for each in counts]
-    shown[1] += f"; {len(wrong)} differ"
-    name, differ = "param_count and param_index", bool(wrong or not both)
-    return row("parameter", name, shown, "equal", differ)
 
 
 # --- exchanges and single answers -----------------------------------------------------------------

@@ -10,13 +10,9 @@ from conformance.rows import Comparison, Row
 
 _ALL = (
     answers.ack_rows,
-    answers.parameter_rows,
     answers.exchange_rows,
     answers.once_rows,
     states.state_rows,
-    states.text_rows,
-    states.event_rows,
-    states.order_rows,
     traffic.traffic_rows,
     track.track_rows,
     track.battery_rows,

@@ -89,8 +89,9 @@ class Reason:
     recordings: str
     """Shell pattern of the file's name."""
     kind: str
+    """Regular expression for the whole kind of the row."""
     names: str
-    """Regular expression for the whole name of the row."""
+    """The same for its name."""
     why: str
     shown: str = ".*"
     """The same for what the simulated one shows."""
@@ -100,7 +101,7 @@ class Reason:
     def explains(self, kind: str, name: str, simulated: str, difference: float) -> bool:
         """Whether such a row of its recordings is one of them."""
         return (
-            kind == self.kind
+            re.fullmatch(self.kind, kind) is not None
             and re.fullmatch(self.names, name) is not None
             and re.fullmatch(self.shown, simulated) is not None
             and difference <= self.most

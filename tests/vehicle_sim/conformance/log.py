@@ -21,17 +21,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.errors import InputError
 
-# --- Frames into messages: pymavlink's dialect `all`, and the one that it lacks -------------------
+# --- Frames into messages: pymavlink's dialect `all` ------------------------------------------
 
-EVENT = 410
-_NAMES_LACKING = {
-    8: "LINK_NODE_STATUS",
-    380: "TIME_ESTIMATE_TO_TARGET",
-    EVENT: "EVENT",
-    411: "CURRENT_EVENT_SEQUENCE",
-}
-_EVENT = struct.Struct("<IIHBBB40s")
-_V2_HEAD = 10
 _AUTOPILOT = 1
 
 
@@ -46,21 +37,8 @@ class TimedFrame(NamedTuple):
     frame: bytes
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventSaid:
-    """EVENT (410) of PX4."""
-
-    id: int
-    log_levels: int
-    arguments: bytes
-    """Without the zeros at the end, which MAVLink 2 does not send."""
-
-
 def decoded(heard: TimedFrame) -> Any:
     """Decode a frame; MAVLink_unknown for an unknown message."""
-    if heard.number == EVENT:
-        return _event(heard.frame)
     # A decoder of its own for each frame would cost more than the decoding.
     return _DECODER.decode(bytearray(heard.frame))
 
@@ -68,16 +46,10 @@ def decoded(heard: TimedFrame) -> Any:
 _DECODER = mavlink.MAVLink(None)
 
 
-def _event(frame: bytes) -> EventSaid:
-    payload = frame[_V2_HEAD : _V2_HEAD + frame[1]].ljust(_EVENT.size, b"\0")
-    number, _, _, _, _, levels, arguments = _EVENT.unpack(payload[: _EVENT.size])
-    return EventSaid(id=number, log_levels=levels, arguments=arguments.rstrip(b"\0"))
-
-
 def message_name(number: int) -> str:
     """What the protocol calls it."""
     known = mavlink.mavlink_map.get(number)
-    return known.msgname if known else _NAMES_LACKING.get(number, f"message {number}")
+    return known.msgname if known else f"message {number}"
 
 
 def enum_name(enum: str, value: int) -> str:

@@ -1,10 +1,10 @@
-"""The comparison for people and for programs."""
+"""The comparison as tables."""
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, final
+from dataclasses import dataclass
+from typing import final
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -37,28 +37,6 @@ class Summary:
             agree=sum(row.agrees for row in listed),
             unexplained=sum(not row.agrees and row.reason is None for row in listed),
         )
-
-
-def as_json(recording: Recording, rows: Sequence[Row]) -> dict[str, Any]:
-    """Everything, as plain values; an infinite difference is null."""
-    summary = Summary.of(rows)
-    return {
-        "recording": recording.name,
-        "firmware": recording.firmware,
-        "vehicle": recording.kind,
-        "rows": summary.rows,
-        "agree": summary.agree,
-        "unexplained": summary.unexplained,
-        "compared": [
-            asdict(row)
-            | {
-                "at_s": None if row.at_s is None else round(row.at_s, 3),
-                "difference": round(row.difference, 3) if math.isfinite(row.difference) else None,
-                "agrees": row.agrees,
-            }
-            for row in rows
-        ],
-    }
 
 
 _BEGIN, _END = "<!-- measured: begin -->\n", "<!-- measured: end -->\n"

@@ -210,34 +210,21 @@ def timed_rows(
     *,
     interval_s: float = 0.0,
 ) -> Iterator[Row]:
-    """A row for each pair: agrees if both are there, at the same time but for the patience."""
-    for match in matches:
-        yield timed_row(comparison, kind, match, label, interval_s=interval_s)
+    """A row for each pair: agrees if both are there, at the same time but for the patience.
 
-
-def timed_row(
-    comparison: Comparison,
-    kind: str,
-    match: Match[Key],
-    label: Callable[[Key], str],
-    *,
-    interval_s: float = 0.0,
-    more: float = 0.0,
-) -> Row:
-    """One such row.
-
-    interval_s: how often it can be seen at most.  more: another difference, in tolerances.
+    interval_s: how often it can be seen at most.
     """
-    real, simulated = match
-    event = real or simulated
-    assert event is not None
-    at_s = event[0]
-    tolerance_s = comparison.patience_s(at_s, interval_s)
-    difference = math.inf
-    if real is not None and simulated is not None:
-        difference = max(abs(simulated[0] - real[0]) / tolerance_s, more)
-    shown = [NOTHING if each is None else f"{each[0]:.2f} s" for each in match]
-    return row(kind, label(event[1]), shown, f"{tolerance_s:.1f} s", difference, at_s)
+    for match in matches:
+        real, simulated = match
+        event = real or simulated
+        assert event is not None
+        at_s = event[0]
+        tolerance_s = comparison.patience_s(at_s, interval_s)
+        difference = math.inf
+        if real is not None and simulated is not None:
+            difference = abs(simulated[0] - real[0]) / tolerance_s
+        shown = [NOTHING if each is None else f"{each[0]:.2f} s" for each in match]
+        yield row(kind, label(event[1]), shown, f"{tolerance_s:.1f} s", difference, at_s)
 
 
 def interval_s(times: Sequence[float]) -> float:

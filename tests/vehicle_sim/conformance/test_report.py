@@ -35,19 +35,19 @@ def row(kind: str, difference: float, reason: str | None = None, *, name: str = 
 ROWS = [
     row("mode", 0.0),
     row("mode", 0.7, name="y"),
-    row("text", math.inf, "because", name="known"),
-    row("text", 2.0, name="unknown"),
+    row("echo", math.inf, "because", name="known"),
+    row("echo", 2.0, name="unknown"),
 ]
 
 
 @pytest.mark.parametrize(
     ("kind", "names", "shown", "most", "explains"),
     [
-        ("text", "known", ".*", math.inf, True),
+        ("echo", "known", ".*", math.inf, True),
         ("mode", "known", ".*", math.inf, False),
-        ("text", "know", ".*", math.inf, False),
-        ("text", "known", "3", math.inf, False),
-        ("text", "known", ".*", 9.0, False),
+        ("echo", "know", ".*", math.inf, False),
+        ("echo", "known", "3", math.inf, False),
+        ("echo", "known", ".*", 9.0, False),
     ],
 )
 def test_a_reason_must_match_as_a_whole(
@@ -75,8 +75,8 @@ def test_the_page_gets_its_tables_and_keeps_the_rest(recorded: Recorded) -> None
     page = "before\n<!-- measured: begin -->\nold\n<!-- measured: end -->\nafter\n"
     because = markdown_reasons(recorded("px4-offboard-short.tlog"), ROWS)
     assert because.splitlines() == [
-        "| px4-offboard-short.tlog | 1 | text (known) | because |",
-        "| px4-offboard-short.tlog | 1 | text (unknown) | none is known |",
+        "| px4-offboard-short.tlog | 1 | echo (known) | because |",
+        "| px4-offboard-short.tlog | 1 | echo (unknown) | none is known |",
     ]
     new = with_tables(page, [line], [because])
     assert line in new

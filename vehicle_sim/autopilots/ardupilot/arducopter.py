@@ -19,15 +19,12 @@ from vehicle_sim.autopilots import (
     State,
     Status,
     TargetEcho,
-    Text,
     Waypoint,
 )
 from vehicle_sim.autopilots.ardupilot.autopilot import (
     HEARTBEAT,
     TIMESYNC,
     ArduPilot,
-    Due,
-    boot_of,
     profile,
 )
 from vehicle_sim.autopilots.ardupilot.copter_flight import (
@@ -59,13 +56,6 @@ from vehicle_sim.autopilots.ardupilot.flat_earth import (
     flat_earth_ned_m,
     offset,
 )
-from vehicle_sim.autopilots.attitude import (
-    IGNORE_RATES,
-    IGNORE_THRUST,
-    AttitudeTarget,
-    attitude_of,
-    finite,
-)
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.faults.conditions import SIM_PARAMETERS
 from vehicle_sim.parameters import table
@@ -77,12 +67,8 @@ EKF_CHECKS = 10
 READY_US = 2_450_000
 """From here on the heartbeat says STANDBY."""
 ABOVE_HOME_FRAME = 3
-IN_FLIGHT_ALIGNMENT_M = 2.9
 AVOIDANCE_1_S = 0.5
-SMART_RTL_GIVES_UP_US = 7_120_000
 _IGNORE_YAWS = IGNORE_YAW | IGNORE_YAW_RATE
-THRUST_AS_THRUST = 8
-"""GUID_OPTIONS: the thrust of SET_ATTITUDE_TARGET is one, and no climb rate."""
 ECHO_MASKS = {
     Submode.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
     Submode.POSITION: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
@@ -108,18 +94,11 @@ class ArduCopter(ArduPilot):
         attitude_us=5_900_000,
         origin_after_fix_us=10_000_000,
         using_after_fix_us=31_620_000,
-        origin_texts=((193_000, "EKF3 IMU1 origin set"),),
     )
     PREARM_US: ClassVar[int] = 23_300_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = False
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
     CRASH_TEXT: ClassVar[str] = "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0"
-
-    def boot(self) -> Sequence[Due]:
-        """With the pressure of the ground."""
-        pressure_pa = 101325.0 * (1.0 - 2.25577e-5 * self.vehicle.altitude_amsl_m) ** 5.25588
-        pressures = (("BARO1_GND_PRESS", pressure_pa), ("BARO2_GND_PRESS", pressure_pa - 0.29))
-        return [*((1_930_000, row) for row in pressures), *boot_of("copter")]
 
     def _set_up(self) -> None:
         self.flight = Flight(self, self.vehicle)
@@ -128,8 +107,6 @@ class ArduCopter(ArduPilot):
         self._refused_text: str | None = None
         self._ekf_failures = 0
         self._was_glitching = False
-        self._was_aiding = False
-        self._aligned_in_flight = False
 
     # --- each step ----------------------------------------------------------------------------
 
@@ -148,24 +125,6 @@ class ArduCopter(ArduPilot):
         if ekf.glitching is not self._was_glitching:
             self._was_glitching = ekf.glitching
             self.send_text(2, "GPS Glitch or Compass error" if ekf.glitching else "Glitch cleared")
-        if ekf.aiding is not self._was_aiding:
-            self._was_aiding = ekf.aiding
-            if not ekf.aiding and self.armed:
-                text = Text(severity=4, text="SmartRTL deactivated: bad position")
-                self.later(SMART_RTL_GIVES_UP_US, text)
-        if not self._aligned_in_flight and not self.landed and self.home is not None:
-            up_m = self.estimate.altitude_amsl_m - self.home.altitude_amsl_m
-            if up_m >= IN_FLIGHT_ALIGNMENT_M:
-                self._aligned_in_flight = True
-                for lane in (0, 1):
-                    self.send_text(6, f"EKF3 IMU{lane} MAG0 in-flight yaw alignment complete")
-
-    def _on_origin(self) -> None:
-        super()._on_origin()
-        assert self.home is not None
-        self.change_parameter("BARO1_GND_PRESS", 101325.0625)
-        self.change_parameter("BARO2_GND_PRESS", 101323.640625)
-        self.send_text(6, f"Field Elevation Set: {self.home.altitude_amsl_m:.0f}m")
 
     # --- modes and failsafes --------------------------------------------------------------------
 
@@ -186,9 +145,7 @@ class ArduCopter(ArduPilot):
         if self.armed and self.ekf.origin is not None and not self.ekf.position_ok:
             if self._ekf_failures < EKF_CHECKS:
                 self._ekf_failures += 1
-                if self._ekf_failures == EKF_CHECKS - 1 and self.ekf.primary == 0:
-                    self.ekf.switch_lane(1)
-                elif self._ekf_failures == EKF_CHECKS:
+                if self._ekf_failures == EKF_CHECKS:
                     self.send_text(2, "EKF variance")
                     self.failsafe = True
                     self._on_ekf_failsafe()
@@ -269,7 +226,6 @@ class ArduCopter(ArduPilot):
         """Stop the motors, wherever it is."""
         if self.armed:
             self.send_text(6, "Disarming motors")
-            self.change_parameter("MOT_THST_HOVER", self.parameters["MOT_THST_HOVER"])
         super().disarm()
         self.flight.abandon_takeoff()
 
@@ -285,12 +241,8 @@ class ArduCopter(ArduPilot):
             22: self._take_off,
             115: self._condition_yaw,
             178: self._change_speed,
-            185: self._terminate,
             192: self._reposition,
             193: self._pause_or_continue,
-            195: self._look_at,
-            197: self._look_at,
-            201: self._look_at,
             300: self._start_mission,
         }
 
@@ -333,12 +285,6 @@ class ArduCopter(ArduPilot):
             control.speed_m_s = speed_m_s
         return Result.ACCEPTED
 
-    def _terminate(self, command: Command) -> Result:
-        if not command.parameters[0] > 0.5:
-            return Result.FAILED
-        self.disarm()
-        return Result.ACCEPTED
-
     def _reposition(self, command: Command) -> Result:
         """COMMAND_INT only; p2 bit 0 changes to GUIDED first."""
         if command.frame is None:
@@ -369,15 +315,6 @@ class ArduCopter(ArduPilot):
         else:
             return Result.FAILED
         return Result.ACCEPTED
-
-    def _look_at(self, command: Command) -> Result:
-        """A region of interest: the nose goes there once."""
-        place = self.place_of(command) if command.number != 197 else Result.ACCEPTED
-        if isinstance(place, Place):
-            self.flight.yaw.command(bearing_rad(self.estimate.place, place), None)
-            return Result.ACCEPTED
-        self.flight.yaw.look_ahead()
-        return place
 
     def _start_mission(self, command: Command) -> Result:
         del command
@@ -412,29 +349,6 @@ class ArduCopter(ArduPilot):
         elif self._take(target):
             self._refused_text = None
         return self._taken() if self._out else ()
-
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """SET_ATTITUDE_TARGET, in GUIDED and GUIDED_NOGPS.
-
-        Source: GCS_MAVLINK_Copter::handle_message_set_attitude_target; not measured.
-        """
-        flight, mask = self.flight, target.type_mask
-        wanted = self.mode in (Mode.GUIDED, Mode.GUIDED_NOGPS) and not flight.guided.paused
-        given = sum(not mask & bit for bit in IGNORE_RATES)
-        known = finite(target) and not mask & IGNORE_THRUST and given in (0, len(IGNORE_RATES))
-        if target.by_attitude:
-            known = known and attitude_of(target.quaternion) is not None
-        if not (wanted and known and (target.by_attitude or target.by_rates)):
-            return ()
-        thrust, climb_m_s = None, 0.0
-        if int(self.parameters["GUID_OPTIONS"]) & THRUST_AS_THRUST:
-            thrust = min(max(target.thrust, -1.0), 1.0)
-        else:
-            share, tuning = 2.0 * min(max(target.thrust, 0.0), 1.0) - 1.0, flight.control.tuning
-            climb_m_s = share * (tuning.speed_up_m_s if share > 0.0 else tuning.speed_down_m_s)
-        flight.abandon_takeoff()
-        flight.guided.take_angle(target, climb_m_s=climb_m_s, thrust=thrust, now_us=self.now_us)
-        return ()
 
     def _stop(self, stop: Stop) -> None:
         """It does not like it: stand still, and say what the real one would die of once."""
@@ -513,9 +427,9 @@ class ArduCopter(ArduPilot):
         return Landed.TAKEOFF if self.flight.taking_off else Landed.IN_AIR
 
     def target_echo(self) -> TargetEcho | None:
-        """What GUIDED steers for; in other modes, and for an attitude, nothing is sent."""
+        """What GUIDED steers for; in other modes nothing is sent."""
         origin, guided = self.ekf.origin, self.flight.guided
-        if self.mode != Mode.GUIDED or origin is None or guided.submode is Submode.ANGLE:
+        if self.mode != Mode.GUIDED or origin is None:
             return None
         position: tuple[float, float, float] | None
         if guided.submode is Submode.TAKEOFF:

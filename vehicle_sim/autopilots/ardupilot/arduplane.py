@@ -16,7 +16,6 @@ from vehicle_sim.autopilots import (
     Setpoint,
     State,
     Status,
-    Text,
     Waypoint,
     height_amsl_m,
 )
@@ -24,25 +23,15 @@ from vehicle_sim.autopilots.ardupilot.autopilot import (
     GPS_GLOBAL_ORIGIN,
     HOME_POSITION,
     ArduPilot,
-    Due,
-    boot_of,
     profile,
 )
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
-from vehicle_sim.autopilots.ardupilot.plane_mission import Forced
 from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     AUTONOMOUS,
     BY_ITSELF,
     NAMES,
     Mode,
-)
-from vehicle_sim.autopilots.attitude import (
-    IGNORE_RATES,
-    IGNORE_THRUST,
-    AttitudeTarget,
-    attitude_of,
-    finite,
 )
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults.conditions import SIM_PARAMETERS
@@ -54,11 +43,9 @@ ORIGIN_SAID_US = 2_261_000
 """From setting the origin to saying it and home."""
 HOME_SET_US = 850_000
 """From the first fix to home."""
-_STREAMED = """
-0 1 2 24 27 29 30 32 33 36 42 62 65 74 87 116 125 129 133 136 137 147 152 162 163 164 168 241 295
-11020 11030
-"""
-_RATES_HZ = dict.fromkeys(map(int, _STREAMED.split()), 1.0) | {111: 0.1}
+_RATES_HZ = dict.fromkeys((0, 1, 2, 24, 30, 32, 33, 42, 62, 74, 87, 147, 162, 168), 1.0) | {
+    111: 0.1
+}
 """What a fresh link gets unasked."""
 
 
@@ -75,16 +62,11 @@ class ArduPlane(ArduPilot):
         attitude_us=12_300_000,
         origin_after_fix_us=10_220_000,
         using_after_fix_us=11_240_000,
-        origin_texts=((1, "EKF3 IMU1 origin set"),),
     )
     PREARM_US: ClassVar[int] = 22_800_000
     HEIGHTS_NEED_HOME: ClassVar[bool] = True
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
     CRASH_TEXT: ClassVar[str] = "Crash detected"
-
-    def boot(self) -> Sequence[Due]:
-        """The same everywhere."""
-        return boot_of("plane")
 
     def _set_up(self) -> None:
         self.mode = Mode.INITIALISING
@@ -104,20 +86,13 @@ class ArduPlane(ArduPilot):
         elif self.now_us - self._first_fix_us >= HOME_SET_US:
             self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
-            self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
 
     def _on_origin(self) -> None:
         """The estimator's origin is set; it is told two seconds later."""
-        for core in ("EKF2 IMU0", "EKF2 IMU1", "EKF3 IMU0"):
-            self.send_text(6, f"{core} origin set")
-        origin = self.ekf.origin
-        if origin is not None:
-            height_m = round(origin.altitude_amsl_m)
-            self.later(42_000, Text(severity=6, text=f"Field Elevation Set: {height_m}m"))
         self._origin_due_us = self.now_us + ORIGIN_SAID_US
 
     def slow(self) -> None:
-        """Ten times a second: failsafes, fence, statistics, navigation."""
+        """Ten times a second: failsafes, fence, navigation."""
         super().slow()
         if self._origin_due_us is not None and self.now_us >= self._origin_due_us:
             self._origin_due_us = None
@@ -155,13 +130,6 @@ class ArduPlane(ArduPilot):
 
     # --- modes ----------------------------------------------------------------------------------
 
-    def set_mode(self, mode: int) -> bool:
-        """Fly in this mode from now on, if it can be."""
-        if 17 <= mode <= 25 and mode not in NAMES:
-            self.send_text(6, "Q_ENABLE 0")
-            return False
-        return super().set_mode(mode)
-
     def enter_mode(self, mode: int) -> str | None:
         """Begin to fly in this mode; plane refuses only those that nobody may choose."""
         if mode == Mode.INITIALISING:
@@ -193,12 +161,9 @@ class ArduPlane(ArduPilot):
             20: lambda _: self._change_to(Mode.RTL),
             22: lambda _: Result.FAILED,
             178: self._do_change_speed,
-            186: self._do_change_altitude,
-            189: lambda _: Result.FAILED,
             192: self._do_reposition,
             300: self._mission_start,
             43000: self._guided_change_speed,
-            43001: self._guided_change_altitude,
             43002: self._guided_change_heading,
         }
 
@@ -245,14 +210,6 @@ class ArduPlane(ArduPilot):
         p = command.parameters
         return Result.ACCEPTED if self._flight.guided.change_speed(p[0], p[1]) else Result.FAILED
 
-    def _do_change_altitude(self, command: Command) -> Result:
-        frame = command.parameters[1]
-        altitude_m = self.altitude_amsl_m(command.parameters[0], frame)
-        if altitude_m is None:
-            return Result.DENIED
-        self._flight.navigation.set_altitude(altitude_m)
-        return Result.ACCEPTED
-
     def altitude_amsl_m(self, altitude_m: float, frame: float) -> float | None:
         """A height in a MAV_FRAME; None where that has none."""
         if not math.isfinite(altitude_m):
@@ -271,18 +228,6 @@ class ArduPlane(ArduPilot):
         self._flight.guided.set_speed(speed_m_s, acceleration if finite else 0.0)
         return Result.ACCEPTED
 
-    def _guided_change_altitude(self, command: Command) -> Result:
-        rate_m_s, z_m = command.parameters[2], command.parameters[6]
-        if self.mode != Mode.GUIDED:
-            return Result.FAILED
-        frame = 3 if command.frame is None else command.frame
-        altitude_m = self.altitude_amsl_m(z_m, frame)
-        if altitude_m is None or z_m in (0.0, -1.0):
-            return Result.DENIED
-        rate_m_s = rate_m_s if math.isfinite(rate_m_s) else 0.0
-        self._flight.guided.set_altitude(altitude_m, rate_m_s)
-        return Result.ACCEPTED
-
     def _guided_change_heading(self, command: Command) -> Result:
         kind, heading_deg, acceleration = command.parameters[:3]
         if self.mode != Mode.GUIDED:
@@ -299,25 +244,6 @@ class ArduPlane(ArduPilot):
 
     # --- setpoints ----------------------------------------------------------------------------
 
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """SET_ATTITUDE_TARGET in GUIDED: bank, nose and throttle, each for three seconds.
-
-        Source: GCS_MAVLINK_Plane::handle_set_attitude_target, where a rate that is *not* ignored
-        says that its angle is meant; not measured.
-        """
-        if self.mode != Mode.GUIDED or not finite(target):
-            return ()
-        angles = attitude_of(target.quaternion) if target.by_attitude else None
-        roll, pitch = (not target.type_mask & bit for bit in IGNORE_RATES[:2])
-        neither = all(target.type_mask & bit for bit in IGNORE_RATES)
-        forced = Forced(
-            roll_rad=angles.roll_rad if angles and (roll or neither) else None,
-            pitch_rad=angles.pitch_rad if angles and (pitch or neither) else None,
-            throttle=None if target.type_mask & IGNORE_THRUST else target.thrust,
-        )
-        self._flight.guided.force(forced, self.now_us)
-        return ()
-
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Only heights are taken, and only in GUIDED."""
         if self.mode != Mode.GUIDED:
@@ -327,9 +253,7 @@ class ArduPlane(ArduPilot):
             if setpoint.frame == 7 and navigation.next is not None:
                 self._add_height(-setpoint.position[2])
             return self._taken()
-        if setpoint.frame not in (0, 3, 5, 6, 10, 11):
-            self.send_text(4, "Invalid coord frame in SET_POSTION_TARGET_GLOBAL_INT")
-        elif not setpoint.type_mask & 4:
+        if setpoint.frame in (0, 3, 5, 6, 10, 11) and not setpoint.type_mask & 4:
             altitude_m = self.altitude_amsl_m(setpoint.position[2], setpoint.frame)
             if altitude_m is not None:
                 navigation.set_altitude(altitude_m)
@@ -338,14 +262,11 @@ class ArduPlane(ArduPilot):
         return self._taken()
 
     def _add_height(self, climb_m: float) -> None:
-        navigation, home = self._flight.navigation, self.home
+        navigation = self._flight.navigation
         if not math.isfinite(climb_m):
             self.send_text(2, "SIM: NaN height in a setpoint stops the real autopilot")
         elif navigation.next is not None:
-            altitude_m = navigation.next.altitude_amsl_m + climb_m
-            navigation.set_altitude(altitude_m)
-            above_m = altitude_m - (home.altitude_amsl_m if home else 0.0)
-            self.send_text(6, f"Change alt to {above_m:.1f}")
+            navigation.set_altitude(navigation.next.altitude_amsl_m + climb_m)
 
     # --- arming -------------------------------------------------------------------------------
 
@@ -361,8 +282,6 @@ class ArduPlane(ArduPilot):
 
     def on_armed(self) -> None:
         """The motor may turn."""
-        self.change_parameter("BARO1_GND_PRESS", 101324.0234375)
-        self.change_parameter("BARO2_GND_PRESS", 101324.609375)
         self.send_text(6, "Throttle armed")
         if self.mode == Mode.AUTO:
             self._flight.mission.begin(1)

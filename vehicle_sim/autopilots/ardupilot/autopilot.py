@@ -1,12 +1,11 @@
 """What ArduCopter and ArduPlane share: modes, commands, arming, failsafes, what there is to tell.
 
 A personality derives from ArduPilot, adds its modes and flies.  Times are microseconds since boot.
-What it says (`send_text`, `send`, `change_parameter`) is collected, and goes out with the answer to
+What it says (`send_text`, `send`) is collected, and goes out with the answer to
 what it is doing.  Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights.
 """
 
 import abc
-import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -20,14 +19,12 @@ from vehicle_sim.autopilots import (
     Command,
     Estimate,
     FirmwareProfile,
-    ManualControl,
     Place,
     Reboot,
     Reply,
     Result,
     Sender,
     SendMessage,
-    SendParameter,
     SendTelemetry,
     Status,
     Text,
@@ -38,7 +35,7 @@ from vehicle_sim.autopilots.ardupilot.fence import NAMES, Fence
 from vehicle_sim.autopilots.ardupilot.flat_earth import flat_earth_ned_m
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.parameters import Parameter, Parameters, lines_of
+from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
@@ -46,24 +43,24 @@ HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
 TIMESYNC = 111
 CUSTOM_VERSION = b"2598e9d4"
 
-STREAMABLE = frozenset(
-    {0, 1, 2, 24, 26, 27, 29, 30, 31, 32, 33, 35, 36, 42, 49, 62, 65, 74, 85, 87, 116, 124, 125}
-    | {127, 129, 132, 133, 136, 137, 143, 147, 148, 152, 162, 163, 164, 165, 168, 173, 178, 193}
-    | {194, 226, 235, 241, 242, 245, 246, 291, 295, 376, 435, 11020, 11030, 11039}
+TOLD = frozenset(
+    {0, 1, 2, 24, 30, 31, 32, 33, 42, 49, 62, 74, 85, 87, 132, 147, 148, 162, 164, 168, 173, 193}
+    | {242, 245}
 )
-REQUESTABLE = STREAMABLE
-"""ESTIMATOR_STATUS (230) and PROTOCOL_VERSION (300) fail."""
+STREAMABLE = TOLD | {
+    *(26, 27, 29, 35, 36, 65, 116, 124, 125, 127, 129, 133, 136, 137, 143, 152, 163, 165, 178, 194),
+    *(226, 235, 241, 246, 291, 295, 376, 435, 11020, 11030, 11039),
+}
+"""The others are taken, as the real one takes them, and not told here."""
 
 DATA_STREAMS = {
-    1: (27, 26, 116, 129, 29, 137, 143),
-    2: (1, 125, 152, 42, 24, 124, 62, 162, 87),
-    3: (36, 65),
+    2: (1, 42, 24, 62, 162, 87),
     6: (33, 32),
-    10: (30, 164, 178, 11030),
+    10: (30, 164),
     11: (74,),
-    12: (163, 168, 2, 133, 136, 147, 193, 241, 295, 11020, 132, 173),
+    12: (168, 2, 147, 193, 132, 173),
 }
-"""MAV_DATA_STREAM: RAW_SENSORS, EXTENDED_STATUS, RC_CHANNELS, POSITION, EXTRA1, EXTRA2, EXTRA3."""
+"""MAV_DATA_STREAM: EXTENDED_STATUS, POSITION, EXTRA1, EXTRA2, EXTRA3."""
 
 
 def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float]) -> FirmwareProfile:
@@ -78,33 +75,17 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
         first_heartbeat_us=900_000,  # ardupilot.md 1
         rates_hz=rates_hz,
         streamable=STREAMABLE,
-        requestable=REQUESTABLE,
+        requestable=TOLD,
         data_streams=DATA_STREAMS,
     )
 
 
-Due = tuple[int, Reply | tuple[str, float]]
-"""When since boot, and what: something to say, or a parameter that changes and is said."""
-
-_RPLIDAR_A2 = 5
 _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 SLOW_US = 100_000
-FIRST_STATISTICS_US, STATISTICS_US = 30_440_000, 31_010_000
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 RECOVERY_US = 10_000_000
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
-
-
-def boot_of(name: str) -> list[Due]:
-    """What a vehicle says by itself while it boots: the rows of its `.boot`."""
-    rows: list[Due] = []
-    for at, first, *rest in lines_of(f"ardupilot/{name}.boot", 2):
-        if first.isdigit():
-            rows.append((int(at), Text(severity=int(first), text=rest[0])))
-        else:
-            rows.append((int(at), (first, float(rest[0])) if rest else SendParameter(name=first)))
-    return rows
 
 
 class ArduPilot(abc.ABC):
@@ -140,7 +121,7 @@ class ArduPilot(abc.ABC):
         """The power module's measurements, set by the simulation."""
         self.estimate = Estimate(latitude_deg=0.0, longitude_deg=0.0, altitude_amsl_m=0.0)
         self._out: list[Reply] = []
-        self.ekf = Ekf3(self.estimate, self.TIMING, self._out, rng)
+        self.ekf = Ekf3(self.estimate, self.TIMING, rng)
         self.fence = Fence(self.parameters, plans)
         self.now_us = 0
         self.mode = 0
@@ -149,15 +130,9 @@ class ArduPilot(abc.ABC):
         self.home: Place | None = None
         self.mission_current = 0
         self.failsafe = False
-        self._was_armed = False
+        self._was_armed = self._was_aiding = False
         self._attitude_rad = self.rates_rad_s = (0.0, 0.0, 0.0)
-        self._due = sorted(self.boot(), key=lambda row: row[0])
-        if self.parameters["PRX1_TYPE"] == _RPLIDAR_A2:
-            self.later(3_010_000, Text(severity=6, text="RPLidar A2 hw=6 fw=17.42"))
         self._slow_us = SLOW_US
-        self._statistics_us = FIRST_STATISTICS_US
-        self._flown_us = 0
-        self._said_flown_s = 0
         self._gcs_seen_us: int | None = None
         self._gcs_lost = False
         self._battery_low_since_us: int | None = None
@@ -170,10 +145,6 @@ class ArduPilot(abc.ABC):
     @abc.abstractmethod
     def _set_up(self) -> None:
         """The end of the construction: the personality's own parts and memory."""
-
-    @abc.abstractmethod
-    def boot(self) -> Sequence[Due]:
-        """What it says by itself while it boots."""
 
     # --- saying things ----------------------------------------------------------------------------
 
@@ -188,16 +159,6 @@ class ArduPilot(abc.ABC):
     def reply(self, reply: Reply) -> None:
         """Anything else."""
         self._out.append(reply)
-
-    def change_parameter(self, name: str, value: float) -> None:
-        """Set a parameter and broadcast it."""
-        if name in self.parameters:
-            self.parameters[name] = value
-            self._out.append(SendParameter(name=name))
-
-    def later(self, after_us: int, what: Reply | tuple[str, float]) -> None:
-        """Send this after a delay."""
-        bisect.insort(self._due, (self.now_us + after_us, what), key=lambda row: row[0])
 
     def reached(self, number: int) -> None:
         """Send MISSION_ITEM_REACHED to all links."""
@@ -219,8 +180,6 @@ class ArduPilot(abc.ABC):
         ekf.step(now_us, self.vehicle, fix)
         if ekf.became_origin:
             self._on_origin()
-        if self._due and self._due[0][0] <= now_us:
-            self._say_due()
         if self.parameters.version != self._parameters_version:
             self._parameters_version = self.parameters.version
             self.read_parameters()
@@ -242,14 +201,12 @@ class ArduPilot(abc.ABC):
         """Some parameter has changed."""
 
     def slow(self) -> None:
-        """Ten times a second: failsafes, fence, statistics."""
-        if self.armed and self.flying:
-            self._flown_us += SLOW_US
+        """Ten times a second: failsafes, fence."""
         self._watch_attitude()
-        if self.now_us >= self._statistics_us:
-            first = self._statistics_us == FIRST_STATISTICS_US
-            self._statistics_us += 30_010_000 if first else STATISTICS_US
-            self.say_statistics()
+        if self.ekf.aiding is not self._was_aiding:
+            self._was_aiding = self.ekf.aiding
+            how = "is using GPS" if self.ekf.aiding else "stopped aiding"
+            self.send_text(6, f"EKF3 IMU0 {how}")
         self._check_fence()
         self._check_gcs()
         self._check_battery()
@@ -271,28 +228,10 @@ class ArduPilot(abc.ABC):
         """Whether flight time counts."""
         return not self.landed
 
-    def _say_due(self) -> None:
-        while self._due and self._due[0][0] <= self.now_us:
-            what = self._due.pop(0)[1]
-            if isinstance(what, tuple):
-                self.change_parameter(*what)
-            else:
-                self._out.append(what)
-
     def _on_origin(self) -> None:
         """The estimator's origin is set, and home with it."""
         self.home = self.ekf.origin
         self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
-        self.send_text(6, "EKF3 IMU0 origin set")
-        self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
-
-    def say_statistics(self) -> None:
-        """Send flight time, if changed, and run time: unsolicited PARAM_VALUEs."""
-        flown_s = self._flown_us // 1_000_000
-        if flown_s != self._said_flown_s:
-            self._said_flown_s = flown_s
-            self.change_parameter("STAT_FLTTIME", flown_s)
-        self.change_parameter("STAT_RUNTIME", self.now_us // 1_000_000)
 
     # --- failsafes --------------------------------------------------------------------------------
 
@@ -397,7 +336,6 @@ class ArduPilot(abc.ABC):
     def set_mode(self, mode: int) -> bool:
         """Fly in this mode from now on, if it can be."""
         if mode not in self.MODES:
-            self.send_text(4, f"No such mode {mode}")
             return False
         if mode == self.mode:
             return True
@@ -418,15 +356,11 @@ class ArduPilot(abc.ABC):
             179: self._do_set_home,
             207: self._do_fence_enable,
             224: self._do_set_mission_current,
-            241: self._when_disarmed,
-            245: self._when_disarmed,
             246: self._reboot,
             400: self._arm_or_disarm,
             401: self._run_prearm_checks,
             410: self._get_home,
             520: self._capabilities,
-            42424: self._when_disarmed,  # DO_START_MAG_CAL, which lasts until it is cancelled
-            42426: lambda _: Result.ACCEPTED,
         }
 
     def on_command(self, command: Command) -> Sequence[Reply]:
@@ -451,7 +385,6 @@ class ArduPilot(abc.ABC):
         if was_breached and self.fence.enabled:
             self._fence_left_alone_us = self.now_us + RECOVERY_US
             self.fence.breached = was_breached
-            self.send_text(6, "Manual recovery started")
         return Result.ACCEPTED
 
     def place_of(self, command: Command) -> Place | Result:
@@ -512,11 +445,6 @@ class ArduPilot(abc.ABC):
     @abc.abstractmethod
     def fly_item(self, number: int) -> None:
         """Another item of the mission is the current one: in AUTO it goes there at once."""
-
-    def _when_disarmed(self, command: Command) -> Result:
-        """Calibration and storage: there is nothing to do."""
-        del command
-        return Result.FAILED if self.armed else Result.ACCEPTED
 
     def _reboot(self, command: Command) -> Result:
         if command.parameters[0] not in (1.0, 3.0):
@@ -597,7 +525,6 @@ class ArduPilot(abc.ABC):
         self.armed = False
         if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
             self.fence.enabled = False
-        self.ekf.to_first_lane()
 
     def crash(self) -> Sequence[Reply]:
         """It has hit something."""
@@ -608,19 +535,10 @@ class ArduPilot(abc.ABC):
 
     # --- the rest of the protocol -----------------------------------------------------------------
 
-    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
-        """MANUAL_CONTROL is not flown."""
-        del manual_control
-        return ()
-
     def on_parameter(self, name: str) -> Sequence[Reply]:
-        """A parameter has been set from outside; of a vector all three are told."""
+        """A parameter has been set from outside."""
         if name == "FENCE_ENABLE":
             self.fence.enabled = bool(self.parameters[name])
-        if name.startswith("SIM_GPS1_GLTCH_"):
-            return [
-                SendParameter(name=f"SIM_GPS1_GLTCH_{axis}") for axis in "XYZ" if axis != name[-1]
-            ]
         return ()
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
@@ -629,9 +547,8 @@ class ArduPilot(abc.ABC):
         name, count = names.get(kind, "RALLY_TOTAL"), len(self.plans[kind])
         if kind is PlanKind.FENCE:
             self.fence.load(self.now_us)
-        if self.parameters[name] != count:
-            self.change_parameter(name, count)
-        return self._taken()
+        self.parameters[name] = count
+        return ()
 
     def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
         """Fault: the estimator resets and its position jumps by this much."""

@@ -9,11 +9,11 @@ from vehicle_sim.autopilots import FRAMES_ABOVE_HOME, Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, Tuning, sqrt_controller
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided
-from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, bearing_rad, distance_m, offset
+from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, distance_m
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.parameters import Parameters
-from vehicle_sim.plans import DO_JUMP, Jumps, PlanItem, PlanKind
+from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
 # --- What ArduCopter's modes are made of: stopping, going to a place, circling, landing, returning
 # Source: ardupilot.md 2 and the recorded flights.  The autopilot steers by its estimate; only the
@@ -162,32 +162,6 @@ class Motion:
         self.lands_with_position = False
         return self.level_out(rate, dt_s)
 
-    def circle(
-        self,
-        centre: Place,
-        radius_m: float,
-        angle_rad: float,
-        rate_rad_s: float,
-        climb_m_s: float,
-        dt_s: float,
-    ) -> Vector:
-        """Be at this bearing from the centre, going round at this rate."""
-        control = self.control
-        control.moved(dt_s)
-        sine, cosine = math.sin(angle_rad), math.cos(angle_rad)
-        place = offset(centre, radius_m * cosine, radius_m * sine)
-        speed, inward = radius_m * rate_rad_s, radius_m * rate_rad_s * rate_rad_s
-        control.towards_place(
-            place.latitude_deg,
-            place.longitude_deg,
-            (-speed * sine, speed * cosine),
-            (-inward * cosine, -inward * sine),
-            control.speed_m_s,
-            dt_s,
-        )
-        control.towards_climb(climb_m_s, 0.0, dt_s)
-        return control.wanted(dt_s)
-
     # --- returning ----------------------------------------------------------------------------
 
     def begin_return(self, *, climb: bool) -> None:
@@ -243,26 +217,10 @@ class Motion:
 
 _WALKS_MOST = 1000
 """Items at once, so that a mission of jumps alone ends."""
-WAYPOINT, LOITER_UNLIM, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
-SPLINE, DELAY = 82, 93
-CONDITION_DELAY, CONDITION_YAW, DO_CHANGE_SPEED = 112, 115, 178
-_LEGS = frozenset((*range(16, 23), SPLINE, DELAY))
+WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
+DO_CHANGE_SPEED = 178
+_LEGS = frozenset({WAYPOINT, LOITER_UNLIM, LOITER_TIME, RETURN, LAND, TAKEOFF})
 """Items that are flown to, and not just done."""
-_NAMES = {
-    WAYPOINT: "WP",
-    LOITER_UNLIM: "LoitUnlim",
-    LOITER_TURNS: "LoitTurns",
-    LOITER_TIME: "LoitTime",
-    RETURN: "RTL",
-    LAND: "Land",
-    TAKEOFF: "Takeoff",
-    SPLINE: "SplineWP",
-    DELAY: "Delay",
-    CONDITION_DELAY: "CondDelay",
-    CONDITION_YAW: "CondYaw",
-    DO_JUMP: "Jump",
-    DO_CHANGE_SPEED: "ChangeSpeed",
-}
 
 
 class Leg(enum.Enum):
@@ -270,10 +228,8 @@ class Leg(enum.Enum):
 
     TAKEOFF = enum.auto()
     GO = enum.auto()
-    CIRCLE = enum.auto()
     LAND = enum.auto()
     RETURN = enum.auto()
-    WAIT = enum.auto()
 
 
 @final
@@ -286,8 +242,6 @@ class Goal:
     place: Place
     hold_s: float = 0.0
     """Infinite: for ever."""
-    turns: float = 0.0
-    radius_m: float = 0.0
 
 
 def _finite(value: float) -> float:
@@ -310,7 +264,6 @@ def place_of(item: PlanItem, here: Place, home: Place) -> Place:
 def goal_of(number: int, item: PlanItem, here: Place, home: Place) -> Goal:
     """What a navigation item asks for."""
     place = place_of(item, here, home)
-    p1 = _finite(item.parameters[0])
     if item.command == TAKEOFF:
         above = here.at(max(place.altitude_amsl_m, here.altitude_amsl_m))
         return Goal(number=number, leg=Leg.TAKEOFF, place=above)
@@ -318,12 +271,7 @@ def goal_of(number: int, item: PlanItem, here: Place, home: Place) -> Goal:
         return Goal(number=number, leg=Leg.LAND, place=place.at(here.altitude_amsl_m))
     if item.command == RETURN:
         return Goal(number=number, leg=Leg.RETURN, place=home)
-    if item.command == LOITER_TURNS:
-        radius_m = min(max(abs(_finite(item.parameters[2])) or 10.0, 1.0), 1e4)
-        return Goal(number=number, leg=Leg.CIRCLE, place=place, turns=p1, radius_m=radius_m)
-    if item.command == DELAY:
-        return Goal(number=number, leg=Leg.WAIT, place=here, hold_s=max(p1, 0.0))
-    hold_s = math.inf if item.command == LOITER_UNLIM else max(p1, 0.0)
+    hold_s = math.inf if item.command == LOITER_UNLIM else max(_finite(item.parameters[0]), 0.0)
     return Goal(number=number, leg=Leg.GO, place=place, hold_s=hold_s)
 
 
@@ -331,10 +279,9 @@ def goal_of(number: int, item: PlanItem, here: Place, home: Place) -> Goal:
 class Auto:
     """The mission as it is being flown."""
 
-    def __init__(self, motion: Motion, guided: Guided, yaw: Yaw) -> None:
+    def __init__(self, motion: Motion, guided: Guided) -> None:
         self._motion = motion
         self._guided = guided
-        self._yaw = yaw
         self._host = motion.host
         self._items: tuple[PlanItem, ...] = ()
         self._jumps = Jumps(1)
@@ -342,8 +289,6 @@ class Auto:
         self.complete = False
         self.paused = False
         self._arrived_us: int | None = None
-        self._angle_rad = 0.0
-        self._swept_rad = 0.0
 
     def can_begin(self) -> bool:
         """Whether there is a mission; on the ground, one that begins with a take-off."""
@@ -371,43 +316,25 @@ class Auto:
             if item.command in _LEGS:
                 self._begin_leg(at, item)
                 return
-            if item.command != DO_JUMP:
-                self._do(at, item)
+            if item.command == DO_CHANGE_SPEED and 0.0 < item.parameters[1] < math.inf:
+                self._motion.control.speed_m_s = item.parameters[1]
         self.goal, self.complete = None, True
         self._guided.stop()
 
     def _begin_leg(self, number: int, item: PlanItem) -> None:
         host, motion = self._host, self._motion
         host.mission_current = number
-        self._announce(number, item)
         home = host.home or host.estimate.place
         goal = self.goal = goal_of(number, item, host.estimate.place, home)
         if goal.leg is Leg.TAKEOFF:
             motion.takeoff_us = host.now_us
         elif goal.leg is Leg.RETURN:
             motion.begin_return(climb=True)
-        elif goal.leg is Leg.CIRCLE:
-            self._angle_rad = bearing_rad(goal.place, host.estimate.place)
-            self._swept_rad = 0.0
         motion.control.start_vertical()
-
-    def _announce(self, number: int, item: PlanItem) -> None:
-        self._host.send_text(6, f"Mission: {number} {_NAMES.get(item.command, str(item.command))}")
-
-    def _do(self, number: int, item: PlanItem) -> None:
-        """Things that take no time."""
-        motion, p = self._motion, item.parameters
-        self._announce(number, item)
-        if item.command == DO_CHANGE_SPEED and 0.0 < p[1] < math.inf:
-            motion.control.speed_m_s = p[1]
-        elif item.command == CONDITION_YAW and math.isfinite(p[0]):
-            heading_rad = motion.copter.heading_rad
-            self._yaw.fix(heading_rad, math.radians(p[0]), p[2], relative=p[3] == 1.0)
 
     def _reached(self) -> None:
         goal = self.goal
         assert goal is not None
-        self._host.send_text(6, f"Reached command #{goal.number}")
         self._host.reached(goal.number)
         self._advance(goal.number + 1)
 
@@ -452,12 +379,6 @@ class Auto:
                 return motion.run_return(dt_s)
             case Leg.LAND:
                 return self._land(goal, dt_s)
-            case Leg.CIRCLE:
-                return self._circle(goal, dt_s)
-            case Leg.WAIT:
-                if self._waited(goal.hold_s):
-                    self._reached()
-                return motion.go(goal.place, dt_s)
             case Leg.GO:
                 return self._go(goal, dt_s)
 
@@ -486,24 +407,3 @@ class Auto:
                 motion.lands_with_position = True
             return motion.go(goal.place, dt_s)
         return motion.run_landing(dt_s)
-
-    def _circle(self, goal: Goal, dt_s: float) -> Vector:
-        motion = self._motion
-        speed = min(motion.control.speed_m_s, math.sqrt(2.5 * goal.radius_m))
-        edge = offset(
-            goal.place,
-            goal.radius_m * math.cos(self._angle_rad),
-            goal.radius_m * math.sin(self._angle_rad),
-        )
-        if self._arrived_us is None:
-            if distance_m(self._host.estimate.place, edge) > 2.0:
-                return motion.go(edge.at(goal.place.altitude_amsl_m), dt_s)
-            self._arrived_us = self._host.now_us
-        rate = speed / goal.radius_m
-        self._angle_rad += rate * dt_s
-        self._swept_rad += rate * dt_s
-        if self._swept_rad >= goal.turns * math.tau:
-            self._reached()
-        up_m = goal.place.altitude_amsl_m - self._host.estimate.altitude_amsl_m
-        climb_m_s = min(max(up_m, -1.5), 2.5)
-        return motion.circle(goal.place, goal.radius_m, self._angle_rad, rate, climb_m_s, dt_s)

@@ -9,11 +9,10 @@ import math
 from collections.abc import Callable
 from typing import final
 
-from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_auto import Auto, Motion, Yaw, tuning_of
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, Submode
-from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, offset
+from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
 from vehicle_sim.dynamics.copter import Copter
 
 
@@ -31,7 +30,6 @@ class Mode(enum.IntEnum):
     LAND = 9
     POSHOLD = 16
     BRAKE = 17
-    GUIDED_NOGPS = 20
     SMARTRTL = 21
 
 
@@ -67,24 +65,21 @@ class Flight:
         self.control = motion.control
         self.guided = Guided(self.control, host.parameters["GUID_TIMEOUT"])
         self.yaw = Yaw()
-        self.auto = Auto(motion, self.guided, self.yaw)
+        self.auto = Auto(motion, self.guided)
         self.on_ground = True
         self.armed_us = 0
         self._reached_us: int | None = None
         self._touched_us: int | None = None
         self._landed_us: int | None = None
-        self._circle_rad = 0.0
-        self._circle_centre: Place | None = None
         self._looks_ahead = False
         self._runs: dict[int, Callable[[float], Vector]] = {
             Mode.GUIDED: self._run_guided,
-            Mode.GUIDED_NOGPS: self._run_angle,
             Mode.AUTO: self.auto.run,
             Mode.RTL: motion.run_return,
             Mode.SMARTRTL: motion.run_return,
             Mode.LAND: motion.run_landing,
             Mode.BRAKE: self._run_brake,
-            Mode.CIRCLE: self._run_circle,
+            Mode.CIRCLE: self._run_loiter,
             Mode.LOITER: self._run_loiter,
             Mode.POSHOLD: self._run_loiter,
             Mode.ALT_HOLD: self._run_altitude_hold,
@@ -111,8 +106,6 @@ class Flight:
             self.motion.lands_with_position = self.host.ekf.position_ok
         elif mode in RETURNS:
             self.motion.begin_return(climb=mode == Mode.RTL)
-        elif mode == Mode.CIRCLE:
-            self._begin_circle()
         elif mode == Mode.AUTO:
             self.auto.begin()
 
@@ -175,11 +168,7 @@ class Flight:
         self.copter.altitude_amsl_m = ground_amsl_m
         if host.mode == Mode.AUTO and host.armed:
             self.auto.on_ground()
-        by_angle = host.mode in (Mode.GUIDED, Mode.GUIDED_NOGPS) and self.guided.climbs()
         spun_up = now_us - self.armed_us >= LIFTS_AFTER_ARMING_US
-        if host.armed and by_angle and spun_up and not self.guided.lapsed(now_us):
-            self._lift_off()
-            return
         if self.motion.takeoff_us is not None and host.armed:
             since_us = now_us - self.motion.takeoff_us
             if since_us >= LIFTS_AFTER_COMMAND_US and spun_up:
@@ -190,7 +179,6 @@ class Flight:
             self._landed_us = now_us
             host.landed = True
             self.guided.stop()
-            host.say_statistics()
         if self._landed_us is not None and host.armed:
             waits_us = host.parameters["DISARM_DELAY"] * 1e6
             if self.landing:
@@ -211,14 +199,11 @@ class Flight:
 
     def _touch_down(self, ground_amsl_m: float) -> None:
         """Come to rest on the terrain, or in it."""
-        copter, host = self.copter, self.host
-        sinking = -copter.velocity_up_m_s
-        copter.stand(ground_amsl_m)
+        self.copter.stand(ground_amsl_m)
         self.on_ground = True
         self.abandon_takeoff()
         self.control.rest()
-        host.send_text(6, f"SIM Hit ground at {sinking:f} m/s")
-        self._touched_us = host.now_us
+        self._touched_us = self.host.now_us
 
     def crash(self) -> None:
         """Who lies on the ground need not wait to believe it."""
@@ -231,18 +216,9 @@ class Flight:
     def _run_guided(self, dt_s: float) -> Vector:
         if self.motion.takeoff_us is not None:
             self._watch_takeoff()
-        if self.guided.submode is Submode.ANGLE:
-            return self._run_angle(dt_s)
         if not self.host.ekf.aiding:
             return self.motion.level_out(0.0, dt_s)
         return self.guided.wanted(self.host.now_us, dt_s)
-
-    def _run_angle(self, dt_s: float) -> Vector:
-        """GUIDED_NOGPS, and GUIDED after a SET_ATTITUDE_TARGET: no position is needed."""
-        lean_rad = math.radians(min(max(self.host.parameters["ANGLE_MAX"] / 100.0, 10.0), 85.0))
-        wanted, yaw_rad = self.guided.fly_angle(self.host.now_us, lean_rad, dt_s)
-        self.yaw.command(yaw_rad, None)
-        return wanted
 
     def _watch_takeoff(self) -> None:
         """The take-off is over some time after the height was nearly reached."""
@@ -286,26 +262,6 @@ class Flight:
         most = copter.limits.speed_vertical_m_s
         return north, east, FALL_1_S * (-most - copter.velocity_up_m_s)
 
-    def _begin_circle(self) -> None:
-        radius_m = self.host.parameters["CIRCLE_RADIUS"] / 100.0
-        heading_rad = self.copter.heading_rad
-        self._circle_centre = offset(
-            self.host.estimate.place,
-            radius_m * math.cos(heading_rad),
-            radius_m * math.sin(heading_rad),
-        )
-        self._circle_rad = heading_rad + math.pi
-
-    def _run_circle(self, dt_s: float) -> Vector:
-        assert self._circle_centre is not None
-        parameters = self.host.parameters
-        radius_m = parameters["CIRCLE_RADIUS"] / 100.0
-        rate = math.radians(parameters["CIRCLE_RATE"])
-        self._circle_rad += rate * dt_s
-        return self.motion.circle(
-            self._circle_centre, radius_m, self._circle_rad, rate, -self._pilot_down_m_s(), dt_s
-        )
-
     @property
     def taking_off(self) -> bool:
         """Whether a take-off is going on, in GUIDED or AUTO."""
@@ -315,4 +271,4 @@ class Flight:
     @property
     def holds_place(self) -> bool:
         """Whether GUIDED's target has a place."""
-        return self.guided.submode not in (Submode.VELOCITY, Submode.ACCELERATION, Submode.ANGLE)
+        return self.guided.submode not in (Submode.VELOCITY, Submode.ACCELERATION)

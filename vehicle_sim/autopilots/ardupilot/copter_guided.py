@@ -16,8 +16,6 @@ from vehicle_sim.autopilots import (
 )
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, flat_earth_place, offset
-from vehicle_sim.autopilots.attitude import Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 
 # --- How ArduCopter reads SET_POSITION_TARGET: masks, frames, and what it calls "stop" ------------
@@ -130,7 +128,7 @@ def _place(setpoint: Setpoint, bearings: SetpointFrames, *, use_velocity: bool) 
         return Stop()
     height_m = height_amsl_m(setpoint.frame, altitude_m, bearings.home.altitude_amsl_m)
     if height_m is None:
-        return Stop(text=f"Unknown mavlink coordinate frame {setpoint.frame}")
+        return Stop()
     return Place(latitude_deg, longitude_deg, height_m)
 
 
@@ -155,8 +153,6 @@ KP_1_S2 = 0.75
 KV_1_S = 4.0
 """Well damped (2.3): the vehicle's acceleration overshoots a step of the path's by 4 %."""
 _STREAM_GAP_S = 0.5
-RATES_LEAD_S = 0.1
-"""Body rates are flown as the attitude that they lead to in this time."""
 
 
 class Submode(enum.Enum):
@@ -168,11 +164,9 @@ class Submode(enum.Enum):
     VELOCITY = enum.auto()
     """Also standing still: what every setpoint that is not liked leads to."""
     ACCELERATION = enum.auto()
-    ANGLE = enum.auto()
-    """An attitude and a climb rate or thrust, from SET_ATTITUDE_TARGET."""
 
 
-_STANDS = (Submode.TAKEOFF, Submode.POSITION, Submode.ANGLE)
+_STANDS = (Submode.TAKEOFF, Submode.POSITION)
 """Without a target that runs on."""
 
 
@@ -260,9 +254,6 @@ class Guided:
         self.velocity: Vector = NOTHING
         self.acceleration: Vector = NOTHING
         self._was_tracking = False
-        self._angle: AttitudeTarget | None = None
-        self._climb_m_s = 0.0
-        self._thrust: float | None = None
         self.set_timeout(timeout_s)
 
     def set_timeout(self, timeout_s: float) -> None:
@@ -317,53 +308,6 @@ class Guided:
             self.hold(target.place)
         self.velocity, self.acceleration = velocity, target.acceleration_neu_m_s2
         self.received_us = now_us
-
-    def take_angle(
-        self, target: AttitudeTarget, *, climb_m_s: float, thrust: float | None, now_us: int
-    ) -> None:
-        """Fly at this attitude, climbing at this rate or with this thrust (0 to 1)."""
-        if self.submode is not Submode.ANGLE:
-            self._begin(Submode.ANGLE)
-        self._angle, self._climb_m_s, self._thrust = target, climb_m_s, thrust
-        self.received_us = now_us
-
-    def climbs(self) -> bool:
-        """Whether what SET_ATTITUDE_TARGET asks for would leave the ground."""
-        if self.submode is not Submode.ANGLE:
-            return False
-        hover = self.control.copter.hover_throttle
-        return self._climb_m_s > 0.0 if self._thrust is None else self._thrust > hover
-
-    def fly_angle(self, now_us: int, lean_rad: float, dt_s: float) -> tuple[Vector, float | None]:
-        """Acceleration north, east and up, and the heading to turn to (None: as it is).
-
-        angle_control_run of mode_guided.cpp: level, and no climb, once the stream has ended.
-        """
-        control, target = self.control, self._angle
-        copter = control.copter
-        held = Attitude(copter.roll_rad, copter.pitch_rad, copter.heading_rad)
-        climb_m_s, thrust = self._climb_m_s, self._thrust
-        if target is None or self.lapsed(now_us):
-            held, climb_m_s, thrust = Attitude(0.0, 0.0, copter.heading_rad), 0.0, None
-        elif target.by_attitude:
-            held = attitude_of(target.quaternion) or held
-        if target is not None and target.by_rates and not target.by_attitude:
-            held = held.turned(target.rates_rad_s, RATES_LEAD_S)
-        held = held.limited(lean_rad)
-        control.towards_climb(climb_m_s, 0.0, dt_s)
-        up = control.wanted_up()
-        if thrust is None:  # as much as the climb takes at this lean
-            upright = math.cos(held.roll_rad) * math.cos(held.pitch_rad)
-            thrust_m_s2 = (GRAVITY_M_S2 + up) / max(upright, 0.1)
-        else:
-            thrust_m_s2 = GRAVITY_M_S2 * max(thrust, 0.0) / copter.hover_throttle
-        north, east, up = held.acceleration_neu_m_s2(thrust_m_s2)
-        control.follow(north, east)
-        return (north, east, up), held.yaw_rad
-
-    def lapsed(self, now_us: int) -> bool:
-        """Whether the stream has ended: nothing for GUID_TIMEOUT."""
-        return now_us - self.received_us > self.timeout_us
 
     def run(self, now_us: int, dt_s: float) -> None:
         """Let the target run on with its velocity."""

@@ -13,7 +13,7 @@ from typing import final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Estimate, Place, Reply, Text
+from vehicle_sim.autopilots import Estimate, Place
 from vehicle_sim.autopilots.ardupilot.flat_earth import offset
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
@@ -46,7 +46,6 @@ STOPS_US = 15_050_000
 OUTAGE_US = 1_000_000
 """After a gap of this length the first fix is accepted."""
 RESUMES_US = 90_000
-LANES = (((290_000, 1), (3_090_000, 0), (10_290_000, 1)), (300_000, 6_100_000, 10_300_000))
 FOLLOWS = 0.02
 """Share of a GPS error that is taken over with each fix."""
 DRIFT_M_S2 = 0.01
@@ -62,36 +61,27 @@ class Timing:
     """Flags 0xA7: attitude, velocities and height."""
     origin_after_fix_us: int
     using_after_fix_us: int
-    origin_texts: tuple[tuple[int, str], ...]
-    """Said so long after the origin."""
 
 
 @final
 class Ekf3:
-    """The estimator; writes the estimate that it is given, and what it says into the list."""
+    """The estimator; writes the estimate that it is given."""
 
-    def __init__(
-        self, estimate: Estimate, timing: Timing, out: list[Reply], rng: np.random.Generator
-    ) -> None:
+    def __init__(self, estimate: Estimate, timing: Timing, rng: np.random.Generator) -> None:
         self.estimate = estimate
         self.origin: Place | None = None
         self.aiding = False
         """There is a position in its local frame: LOCAL_POSITION_NED is sent."""
         self.glitching = False
         """GPS is rejected, or was until a moment ago."""
-        self.primary = 0
-        """Lane in use."""
         self.became_origin = False
-        """Within this very step; the same for the next one."""
-        self.began_aiding = False
+        """Within this very step."""
         self._timing = timing
-        self._out = out
         self._fix: Fix | None = None
         self._fix_since_us: int | None = None
         self._heard_us = 0
         self._rejected_since_us: int | None = None
         self._accepted_us = 0
-        self._lanes: list[tuple[int, int]] = []
         self._aided_before = False
         self._error_deg = 0j
         """North + east j, as all horizontal vectors here."""
@@ -99,7 +89,6 @@ class Ekf3:
         direction_rad = rng.uniform(0.0, math.tau)
         self._drift_m_s2 = DRIFT_M_S2 * complex(math.cos(direction_rad), math.sin(direction_rad))
         self._rng = rng
-        self._due_texts: list[tuple[int, str]] = []
         estimate.flags = UNINITIALISED
 
     @property
@@ -111,7 +100,7 @@ class Ekf3:
 
     def step(self, now_us: int, vehicle: Vehicle, fix: Fix) -> None:
         """Take the sensors' word for what the vehicle does now, and the newest fix."""
-        self.became_origin = self.began_aiding = False
+        self.became_origin = False
         if fix is not self._fix:
             self._fix = fix
             self._on_fix(now_us, vehicle, fix)
@@ -121,10 +110,6 @@ class Ekf3:
             or now_us - self._heard_us > 500_000
         ):
             self._slow(now_us, vehicle, fix)
-        if self._due_texts and self._due_texts[0][0] <= now_us:
-            self._say(6, self._due_texts.pop(0)[1])
-        if self._lanes and self._lanes[0][0] <= now_us:
-            self.switch_lane(self._lanes.pop(0)[1])
         if self.glitching and self._rejected_since_us is None:
             self._watch_recovery(now_us)
 
@@ -140,21 +125,6 @@ class Ekf3:
             e.velocity_east_m_s = vehicle.velocity_east_m_s
         elif self.origin is None and self._fix_since_us is None:
             e.altitude_amsl_m = 0.0
-
-    def _say(self, severity: int, text: str) -> None:
-        self._out.append(Text(severity=severity, text=text))
-
-    def switch_lane(self, lane: int) -> None:
-        """Use the other core; the two texts come together."""
-        self.primary = lane
-        self._say(2, f"EKF3 lane switch {lane}")
-        self._say(4, f"EKF primary changed:{lane}")
-
-    def to_first_lane(self) -> None:
-        """What disarming does, without the first text."""
-        if self.primary != 0:
-            self.primary = 0
-            self._say(4, "EKF primary changed:0")
 
     # --- GPS --------------------------------------------------------------------------------------
 
@@ -198,7 +168,6 @@ class Ekf3:
         if self._rejected_since_us is not None:
             self._rejected_since_us = None
             self._accepted_us = now_us
-            self._lanes.clear()
         if not self.estimate.position_ok:
             self.estimate.position_ok = True
             self.estimate.flags = WITH_GPS
@@ -211,20 +180,11 @@ class Ekf3:
 
     def _reject(self, now_us: int) -> None:
         self._rejected_since_us = now_us
-        first, later = LANES
-        if self.primary == 0:
-            self._lanes = [(now_us + after_us, lane) for after_us, lane in first]
-        else:
-            self._lanes = [(now_us + after_us, k % 2) for k, after_us in enumerate(later)]
 
     def _tell(self, ratio: float) -> None:
-        """The figures of EKF_STATUS_REPORT; what noise would make of them is drawn."""
-        e = self.estimate
-        one, two, three = self._rng.random(3)
-        e.velocity_variance = 0.004 + 0.016 * one
-        e.horizontal_variance = ratio
-        e.vertical_variance = 0.001 * two
-        e.compass_variance = 0.003 + 0.02 * three
+        """The figures of EKF_STATUS_REPORT; what noise would make of the speed's is drawn."""
+        self.estimate.velocity_variance = 0.004 + 0.016 * self._rng.random()
+        self.estimate.horizontal_variance = ratio
 
     # --- what happens by itself -------------------------------------------------------------------
 
@@ -248,10 +208,7 @@ class Ekf3:
 
     def _give_in(self, now_us: int, vehicle: Vehicle, fix: Fix) -> None:
         """Believe GPS again: the position jumps."""
-        lanes = list(self._lanes)
         self._accept(now_us, self._innovation_m(vehicle, fix))
-        for _, lane in lanes[:1]:
-            self.switch_lane(lane)
         self.estimate.flags = WITH_GPS | GLITCHING
         self._tell(0.017)
 
@@ -272,8 +229,6 @@ class Ekf3:
             self.estimate.frozen_altitude_amsl_m = self.estimate.altitude_amsl_m
             self.estimate.velocity_north_m_s = self.estimate.velocity_east_m_s = 0.0
             self.estimate.horizontal_variance = 0.0
-            for lane in (0, 1):
-                self._say(4, f"EKF3 IMU{lane} stopped aiding")
         elif since_us >= STEADY_US and self.estimate.position_ok:
             self.estimate.flags = DEAD_RECKONING
             self.estimate.position_ok = False
@@ -291,13 +246,12 @@ class Ekf3:
         if self.origin is None and now_us - since_us >= timing.origin_after_fix_us:
             self.origin = e.place
             self.became_origin = True
-            self._due_texts = [(now_us + after, text) for after, text in timing.origin_texts]
         wait_us = RESUMES_US if self._aided_before else timing.using_after_fix_us
         if self.origin is not None and now_us - since_us >= wait_us:
             self._begin_aiding(vehicle, fix)
 
     def _begin_aiding(self, vehicle: Vehicle, fix: Fix) -> None:
-        self.aiding = self.began_aiding = True
+        self.aiding = True
         self._aided_before = True
         self._error_deg = 0j
         self._shift(self._innovation_m(vehicle, fix))
@@ -306,8 +260,6 @@ class Ekf3:
         self.estimate.position_ok = True
         self.estimate.frozen_altitude_amsl_m = None
         self._tell(0.0001)
-        for lane in (0, 1):
-            self._say(6, f"EKF3 IMU{lane} is using GPS")
 
     # --- faults -----------------------------------------------------------------------------------
 

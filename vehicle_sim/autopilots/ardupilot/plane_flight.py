@@ -5,13 +5,12 @@ Navigation is run ten times a second, attitude and height at every step.
 
 import enum
 import math
-from collections.abc import Callable
 from typing import final
 
 from vehicle_sim.autopilots import Landed, Place, Waypoint
 from vehicle_sim.autopilots.ardupilot.autopilot import HEARTBEAT, ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, offset
-from vehicle_sim.autopilots.ardupilot.plane_mission import NOT_FORCED, Forced, Guided, Mission
+from vehicle_sim.autopilots.ardupilot.plane_mission import Guided, Mission
 from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     GLIDES,
     LOITERS,
@@ -23,12 +22,10 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
-from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane
+from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 
-# --- ArduPlane's take-off from a runway, and its landing: down the slope, a flare, what it says
-# Source of the take-off: arduplane-guided-reposition.tlog, 26 to 35 s. The landing was not
-# measured (ardupilot.md 8): the numbers are ArduPilot's defaults, the texts its sources'.
+# --- ArduPlane's take-off from a runway: arduplane-guided-reposition.tlog, 26 to 35 s
 
 FULL_THRUST_M_S2, DRAG_1_S = 14.5, 0.55
 """Acceleration on the runway at full throttle, and what it loses with each metre a second."""
@@ -37,16 +34,10 @@ LIFT_OFF_SHARE = 0.86
 FLYING_M_S = 2.5
 """Ground speed that counts as flying."""
 AIMED_M_S = 5.0
-"""Ground speed at which TAKEOFF settles where it goes, and says so; then where it would land."""
-DIRECTED_M_S = 6.8
+"""Ground speed at which TAKEOFF settles where it goes."""
 CLIMB_AIRSPEED = 1.225
 """At full throttle and nose up, over cruising airspeed."""
 CLIMB_M_S = 9.9
-APPROACH_SPEED, FLARE_SPEED = 0.8, 0.64
-"""Of the cruising airspeed."""
-FLARE_SINK_M_S = 0.5
-ERROR_S = 3.0
-"""Time constant with which it gets back onto the slope."""
 ROLL_LEVEL_TO_FREE = 3.0
 """Wings are held level below TKOFF_LVL_ALT; above so many times that the bank is free."""
 
@@ -62,16 +53,13 @@ class Stage(enum.Enum):
 
 @final
 class Takeoff:
-    """One take-off after another; says what the real one says."""
+    """One take-off after another."""
 
-    def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
+    def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
-        self._say = say
         self.stage = Stage.IDLE
         self._since_s = 0.0
         self._throttle = 0.0
-        self._levelling = False
-        self._directed = False
 
     def abandon(self) -> None:
         """Abandon the take-off."""
@@ -87,17 +75,12 @@ class Takeoff:
         parameters = self._parameters
         if self.stage is Stage.IDLE:
             self.stage, self._since_s = Stage.WAITING, 0.0
-            self._levelling = self._directed = False
-            delay_s = parameters["TKOFF_THR_DELAY"] * 0.1
-            self._say(6, f"Armed AUTO, xaccel = 0.0 m/s/s, waiting {delay_s:.1f} sec")
         self._since_s += dt_s
-        speed = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
         if self.stage is Stage.WAITING:
             if self._since_s < parameters["TKOFF_THR_DELAY"] * 0.1:
                 plane.roll_on_ground(-3.0, dt_s)
                 return False
             self.stage, self._throttle = Stage.RUNNING, 0.0
-            self._say(6, f"Triggered AUTO. GPS speed = {speed:.1f}")
         slew = parameters["THR_SLEWRATE"] * 0.01 or 100.0
         self._throttle = min(self._throttle + slew * dt_s, parameters["THR_MAX"] * 0.01)
         thrust = FULL_THRUST_M_S2 * self._throttle**1.5
@@ -108,20 +91,6 @@ class Takeoff:
             self.stage = Stage.CLIMBING
             return True
         return False
-
-    def tell_direction(self, plane: Plane, speed_m_s: float) -> None:
-        """Once, fast enough on the runway."""
-        if not self._directed and speed_m_s >= DIRECTED_M_S:
-            self._directed = True
-            course = math.atan2(plane.velocity_east_m_s, plane.velocity_north_m_s)
-            whole_deg = math.floor(math.degrees(course) - 1e-3) % 360
-            self._say(6, f"Autoland direction= {whole_deg}")
-
-    def tell_level_off(self, to_go_m: float) -> None:
-        """Once, TKOFF_PLIM_SEC before the height is reached."""
-        if not self._levelling and to_go_m <= CLIMB_M_S * self._parameters["TKOFF_PLIM_SEC"]:
-            self._levelling = True
-            self._say(6, f"Takeoff level-off starting at {int(to_go_m)}m")
 
     def bank_limit_rad(self, climbed_m: float) -> float:
         """How far it may bank at this height above the runway."""
@@ -141,6 +110,8 @@ SLOWING_M_S2 = 2.2
 EXCESS_CLIMB = 0.9
 """After a take-off the excess of speed is turned into height: climb for each m/s of it."""
 GLIDE_M_S = 2.5
+LANDING_SINK_M_S = 1.5
+"""Wings level from the place of a landing on: no approach and no flare."""
 READY_US = 1_727_000
 """Since boot, until it leaves INITIALISING."""
 BRAKING_M_S2 = -3.0
@@ -156,8 +127,8 @@ class Flight:
         plane.turn_efficiency = TURN_EFFICIENCY
         parameters = host.parameters
         self.navigation = Navigation(host.estimate, plane, parameters)
-        self.takeoff = Takeoff(parameters, host.send_text)
-        self.guided = Guided(parameters, host.send_text)
+        self.takeoff = Takeoff(parameters)
+        self.guided = Guided(parameters)
         self.mission = Mission(host, plane, self.navigation, self.guided)
         self.heights = HeightControl(climb_max_m_s=5.0, sink_max_m_s=5.0)
         self.flying = False
@@ -170,12 +141,9 @@ class Flight:
         """True airspeed to hold now; it follows the demand as fast as the throttle can."""
         self._demand_m_s = 22.0
         self._start: Place | None = None
-        self._aimed = False
         """TAKEOFF has settled where it goes."""
         self._settling = False
         """Climbing on with the speed that is left from a take-off."""
-        self._flaring = False
-        """From the flare until it disarms by itself."""
         self._still_us = 0
         self.read_parameters()
 
@@ -192,7 +160,6 @@ class Flight:
     def enter(self, mode: Mode) -> None:
         """Begin to fly in this mode; what GUIDED was told is forgotten."""
         self.guided.forget()
-        self._flaring = False
         self.mission.stop()
         navigation, here = self.navigation, self._host.estimate.place
         navigation.l1.forget()
@@ -223,10 +190,8 @@ class Flight:
         missing_m = parameters["TKOFF_ALT"] - above_m
         navigation.active_radius_m = 0.0
         if missing_m <= 0.0:
-            self._host.send_text(6, "Above TKOFF alt - loitering")
             navigation.start(here, here)
             return
-        self._host.send_text(6, "Climbing to TKOFF alt then loitering")
         self._aim_ahead(missing_m)
 
     def _aim_ahead(self, up_m: float) -> None:
@@ -261,10 +226,7 @@ class Flight:
             return
         navigation.measure()
         self._bank_rad = self._wanted_bank()
-        crawling_m = self.guided.altitude_amsl_m(host.estimate.altitude_amsl_m, NAVIGATION_S)
-        if crawling_m is not None:
-            navigation.target_amsl_m = crawling_m
-        elif host.mode in LOITERS or host.mode in (Mode.AUTO, Mode.TAKEOFF):
+        if host.mode in LOITERS or host.mode in (Mode.AUTO, Mode.TAKEOFF):
             navigation.update_altitude()
 
     def _wanted_bank(self) -> float:
@@ -302,22 +264,11 @@ class Flight:
             if navigation.next is None or speed < AIMED_M_S or navigation.distance_m < 1.0:
                 self._start = here
                 self._aim_ahead(parameters["TKOFF_ALT"])
-                self._aimed = False
-            elif not self._aimed:
-                self._aimed = True
-                course_deg = math.degrees(self.navigation.course_rad) % 360.0
-                self._host.send_text(
-                    6,
-                    f"Takeoff to {parameters['TKOFF_ALT']:.0f}m for "
-                    f"{parameters['TKOFF_DIST']:.1f}m heading {course_deg:.1f} deg",
-                )
-            self.takeoff.tell_direction(plane, speed)
         bank = navigation.circle(0.0)
         if stage is not Stage.CLIMBING or self._start is None:
             return bank
         climbed_m = here.altitude_amsl_m - self._start.altitude_amsl_m
         to_go_m = parameters["TKOFF_ALT"] - climbed_m
-        self.takeoff.tell_level_off(to_go_m)
         if to_go_m <= 2.0 or distance_m(self._start, here) >= parameters["TKOFF_DIST"]:
             self._end_climb()
             host.took_off()
@@ -333,7 +284,6 @@ class Flight:
         if not mission.runs and host.armed and not host.landed:
             self.mission_over = True
             host.set_mode(Mode.RTL)
-            self._host.send_text(6, "Mission complete, changing mode to RTL")
             return 0.0
         if self.takeoff.stage is Stage.CLIMBING:
             if not mission.takes_off:
@@ -343,7 +293,7 @@ class Flight:
                 climbed_m = self._host.estimate.place.altitude_amsl_m - self._start.altitude_amsl_m
                 limit = self.takeoff.bank_limit_rad(climbed_m)
                 bank = min(max(bank, -limit), limit)
-        return 0.0 if self._flaring else bank
+        return 0.0 if self._sinks else bank
 
     def _end_climb(self) -> None:
         """From take-off to normal flight."""
@@ -381,8 +331,6 @@ class Flight:
         if host.mode == Mode.INITIALISING and host.now_us >= READY_US:
             host.mode = Mode.MANUAL
             host.send(HEARTBEAT)
-        if host.ekf.began_aiding:
-            host.send_text(6, "AHRS: EKF3 active")
         if host.landed:
             self._on_ground(dt_s, ground_amsl_m)
             return
@@ -392,11 +340,6 @@ class Flight:
             bank = guided.bank_rad(
                 self.navigation.course_rad if guided.of_course else plane.heading_rad, dt_s
             )
-        forced = NOT_FORCED
-        if host.mode == Mode.GUIDED and guided.forces:
-            forced = guided.forced(host.now_us)
-        if forced.roll_rad is not None:
-            bank = forced.roll_rad
         most = self._bank_most_rad
         bank = -most if bank < -most else most if bank > most else bank
         mode = host.mode
@@ -412,45 +355,25 @@ class Flight:
             self._speed_m_s = self._cruise_m_s() * CLIMB_AIRSPEED
             plane.advance(bank, CLIMB_M_S, self._speed_m_s, dt_s)
             plane.throttle = 1.0
-        elif mode == Mode.AUTO and self.mission.lands:
-            self.heights.begin(height_m)
-            self._land(bank, height_m - ground_amsl_m, dt_s)
-            self._speed_m_s = plane.airspeed_m_s
+        elif self._sinks:
+            plane.advance(0.0, -LANDING_SINK_M_S, self._cruise_m_s(), dt_s)
+            plane.throttle = 0.0
         else:
-            self._cruise(bank, height_m, forced, dt_s)
+            self._cruise(bank, height_m, dt_s)
         if plane.altitude_amsl_m <= ground_amsl_m:
             self._touch_down(ground_amsl_m)
 
-    def _land(self, bank: float, height_m: float, dt_s: float) -> None:
-        """Down the slope and through the flare, from so high above the ground."""
-        plane, navigation, estimate = self._plane, self.navigation, self._host.estimate
-        cruise_m_s = self._cruise_m_s()
-        if not self._flaring and height_m <= self._host.parameters["LAND_FLARE_ALT"]:
-            self._flaring = True
-            self._host.send_text(
-                6,
-                f"Flare {height_m:.1f}m sink={-estimate.velocity_up_m_s:.2f} "
-                f"speed={plane.airspeed_m_s:.1f} dist={navigation.distance_m:.1f}",
-            )
-        if self._flaring:
-            plane.advance(0.0, -FLARE_SINK_M_S, cruise_m_s * FLARE_SPEED, dt_s)
-            plane.throttle = 0.0
-            return
-        slope = 0.0
-        before, following = navigation.before, navigation.next
-        if before is not None and following is not None:
-            length_m = max(distance_m(before, following), 1.0)
-            slope = (following.altitude_amsl_m - before.altitude_amsl_m) / length_m
-        speed = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
-        error_m = navigation.target_amsl_m - estimate.altitude_amsl_m
-        climb = slope * speed + error_m / ERROR_S
-        plane.advance(bank, climb, cruise_m_s * APPROACH_SPEED, dt_s)
+    @property
+    def _sinks(self) -> bool:
+        """Beyond the place where the mission lands."""
+        lands = self._host.mode == Mode.AUTO and self.mission.lands
+        return lands and self.navigation.along >= 1.0
 
     def _cruise_m_s(self) -> float:
         """True airspeed for the one that is wanted."""
         return true_airspeed_m_s(self._demand_m_s, self._host.estimate.altitude_amsl_m)
 
-    def _cruise(self, bank: float, height_m: float, forced: Forced, dt_s: float) -> None:
+    def _cruise(self, bank: float, height_m: float, dt_s: float) -> None:
         plane = self._plane
         wanted = true_airspeed_m_s(self._demand_m_s, height_m)
         self._speed_m_s = max(wanted, self._speed_m_s - SLOWING_M_S2 * dt_s)
@@ -461,21 +384,7 @@ class Flight:
                 climb = max(climb, EXCESS_CLIMB * excess)
             else:
                 self._settling = False
-        parameters, limits = self._host.parameters, plane.limits
-        if forced.pitch_rad is not None:
-            self.heights.begin(height_m)
-            steepest, lowest = parameters["PTCH_LIM_MAX_DEG"], parameters["PTCH_LIM_MIN_DEG"]
-            pitch_deg = min(max(math.degrees(forced.pitch_rad), lowest), steepest)
-            climb = plane.airspeed_m_s * math.sin(math.radians(pitch_deg) - PITCH_AT_CRUISE_RAD)
-        if forced.throttle is not None:
-            trim = min(max(parameters["TRIM_THROTTLE"] / 100.0, 0.01), 0.99)
-            spare = forced.throttle / trim - 1.0
-            if spare > 0.0:
-                spare = (forced.throttle - trim) / (1.0 - trim)
-            climb = min(climb, spare * (limits.climb_max_m_s if spare > 0.0 else GLIDE_M_S))
         plane.advance(bank, climb, self._speed_m_s, dt_s)
-        if forced.throttle is not None:
-            plane.throttle = min(max(forced.throttle, 0.0), 1.0)
 
     # --- on the ground ----------------------------------------------------------------------------
 
@@ -505,13 +414,11 @@ class Flight:
     def _wait_to_disarm(self) -> None:
         """Some time after a landing."""
         host = self._host
-        if not host.armed or not self._flaring:
+        if not host.armed or not self._sinks:
             return
         delay_us = host.parameters["LAND_DISARMDELAY"] * 1e6
         if delay_us > 0.0 and host.now_us - self._still_us >= delay_us:
-            self._flaring = False
             host.disarm()
-            self._host.send_text(6, "Auto disarmed")
 
     def _touch_down(self, ground_amsl_m: float) -> None:
         """Wheels or nose on the ground."""

@@ -1,11 +1,11 @@
 """ArduPlane's AUTO: the mission's items one after the other.
 
-Texts are those of ArduPilot's sources; times and turns were not measured (ardupilot.md 8).
+Times were not measured (ardupilot.md 8).  A landing's place is flown to at the height before it;
+from there on the plane sinks wings level.
 """
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import final
 
 from vehicle_sim.autopilots import FRAMES_AMSL, Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
@@ -14,9 +14,9 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import Navigation
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
-from vehicle_sim.plans import DO_JUMP, Jumps, PlanItem, PlanKind
+from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
-# --- What ArduPlane was told besides a point: speed and, in GUIDED, height by rate and heading
+# --- What ArduPlane was told besides a point: speed and, in GUIDED, heading
 # All of it is forgotten when the mode changes.  Source: ardupilot.md 7.
 
 HEADING_GAIN = math.radians(50.0)
@@ -26,29 +26,12 @@ _AT_ONCE = 1000.0
 _LATERAL_LEAST_M_S2 = 0.05
 
 
-FORCED_US = 3_000_000
-"""An attitude or throttle from outside is forgotten after this."""
-
-
-@final
-class Forced(NamedTuple):
-    """What SET_ATTITUDE_TARGET asks for; None: nothing."""
-
-    roll_rad: float | None = None
-    pitch_rad: float | None = None
-    throttle: float | None = None
-
-
-NOT_FORCED = Forced()
-
-
 @final
 class Guided:
-    """DO_CHANGE_SPEED, GUIDED_CHANGE_SPEED, _ALTITUDE and _HEADING."""
+    """DO_CHANGE_SPEED, GUIDED_CHANGE_SPEED and GUIDED_CHANGE_HEADING."""
 
-    def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
+    def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
-        self._say = say
         self.cruise_m_s: float | None = None
         """Airspeed of DO_CHANGE_SPEED, in AUTO too."""
         self.holds_heading = False
@@ -60,16 +43,11 @@ class Guided:
         self._error_rad = 0.0
         self._airspeed_m_s: float | None = None
         self._acceleration_m_s2 = _AT_ONCE
-        self._altitude_amsl_m: float | None = None
-        self._rate_m_s = _AT_ONCE
-        self._forced, self.forces = NOT_FORCED, False
-        self._forced_until_us = [0, 0, 0]
 
     def forget(self) -> None:
         """The mode has changed."""
         self.holds_heading = False
-        self._airspeed_m_s = self._altitude_amsl_m = self.cruise_m_s = None
-        self._forced, self.forces = NOT_FORCED, False
+        self._airspeed_m_s = self.cruise_m_s = None
 
     # --- what it is told ----------------------------------------------------------------------
 
@@ -84,18 +62,12 @@ class Guided:
         if not parameters["AIRSPEED_MIN"] <= speed_m_s <= parameters["AIRSPEED_MAX"]:
             return False
         self.cruise_m_s = speed_m_s
-        self._say(6, f"Set airspeed {int(speed_m_s)} m/s")
         return True
 
     def set_speed(self, airspeed_m_s: float, acceleration_m_s2: float) -> None:
         """GUIDED_CHANGE_SPEED; 0: as fast as it can."""
         self._airspeed_m_s = airspeed_m_s
         self._acceleration_m_s2 = abs(acceleration_m_s2) or _AT_ONCE
-
-    def set_altitude(self, altitude_amsl_m: float, rate_m_s: float) -> None:
-        """GUIDED_CHANGE_ALTITUDE; 0: as fast as it can."""
-        self._altitude_amsl_m = altitude_amsl_m
-        self._rate_m_s = abs(rate_m_s) or _AT_ONCE
 
     def set_heading(self, heading_rad: float, lateral_m_s2: float, *, course: bool) -> None:
         """GUIDED_CHANGE_HEADING."""
@@ -104,14 +76,6 @@ class Guided:
         self.holds_heading, self.of_course = True, course
         self._heading_rad = heading_rad
         self._bank_most_rad = math.atan(max(lateral_m_s2, _LATERAL_LEAST_M_S2) / GRAVITY_M_S2)
-
-    def force(self, forced: Forced, now_us: int) -> None:
-        """SET_ATTITUDE_TARGET; what it does not give is as before."""
-        for at, value in enumerate(forced):
-            if value is not None:
-                self._forced_until_us[at] = now_us + FORCED_US
-        given = {name: value for name, value in forced._asdict().items() if value is not None}
-        self._forced, self.forces = self._forced._replace(**given), True
 
     # --- what comes of it -----------------------------------------------------------------------
 
@@ -122,18 +86,6 @@ class Guided:
         most = self._acceleration_m_s2 * dt_s
         return before_m_s + min(max(self._airspeed_m_s - before_m_s, -most), most)
 
-    def altitude_amsl_m(self, present_m: float, dt_s: float) -> float | None:
-        """The height demand; based on the present height each time, so that it changes slowly."""
-        if self._altitude_amsl_m is None:
-            return None
-        most_m = self._rate_m_s * dt_s
-        return min(max(self._altitude_amsl_m, present_m - most_m), present_m + most_m)
-
-    def forced(self, now_us: int) -> Forced:
-        """The demands that have not expired."""
-        lasting = zip(self._forced, self._forced_until_us, strict=True)
-        return Forced(*(None if now_us > until_us else value for value, until_us in lasting))
-
     def bank_rad(self, actual_rad: float, dt_s: float) -> float:
         """Proportional to the error, up to the bank of the lateral acceleration given."""
         error_rad = math.remainder(self._heading_rad - actual_rad, math.tau)
@@ -143,26 +95,11 @@ class Guided:
         return -most if bank < -most else most if bank > most else bank
 
 
-WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF = range(16, 23)
-CHANGE_ALTITUDE, TO_ALTITUDE, CHANGE_SPEED, LAND_START = 30, 31, 178, 189
-_NAVIGATES = frozenset(
-    {WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF, CHANGE_ALTITUDE, TO_ALTITUDE}
-)
-_HAS_PLACE = _NAVIGATES - {RETURN, TAKEOFF, CHANGE_ALTITUDE}
-_NAMES = {
-    WAYPOINT: "WP",
-    UNLIMITED: "LoitUnlim",
-    TURNS: "LoitTurns",
-    TIME: "LoitTime",
-    RETURN: "RTL",
-    LAND: "Land",
-    TAKEOFF: "Takeoff",
-    CHANGE_ALTITUDE: "ContinueAndChangeAlt",
-    TO_ALTITUDE: "LoitAltitude",
-    DO_JUMP: "Jump",
-    CHANGE_SPEED: "ChangeSpeed",
-    LAND_START: "LandStart",
-}
+WAYPOINT, UNLIMITED, _, TIME, RETURN, LAND, TAKEOFF = range(16, 23)
+CHANGE_SPEED = 178
+_CIRCLES = frozenset({UNLIMITED, TIME, RETURN})
+_HAS_PLACE = frozenset({WAYPOINT, UNLIMITED, TIME, LAND})
+_NAVIGATES = _HAS_PLACE | {RETURN, TAKEOFF}
 _JUMPS_MOST = 32
 """In a row, so that a mission of jumps alone ends."""
 
@@ -182,8 +119,6 @@ class Mission:
         """What is flown now; None: the mission is over, or has not begun."""
         self._jumps = Jumps(1)
         self._since_us: int | None = None
-        self._turned_rad = 0.0
-        self._bearing_rad = 0.0
         self._accept_m = 0.0
 
     @property
@@ -221,16 +156,11 @@ class Mission:
             if item.command in _NAVIGATES:
                 self._fly(at, item, before)
                 return
-            self._announce(at, item)
             if item.command == CHANGE_SPEED:
                 self._guided.change_speed(item.parameters[0], item.parameters[1])
         self.item = None
         if items:
             self._host.mission_current = len(items) - 1
-
-    def _announce(self, number: int, item: PlanItem) -> None:
-        name = _NAMES.get(item.command, f"ID={item.command}")
-        self._host.send_text(6, f"Mission: {number} {name}")
 
     def place_of(self, item: PlanItem) -> Place:
         """Where the item is; of 0, 0 where the vehicle is."""
@@ -247,8 +177,7 @@ class Mission:
     def _fly(self, number: int, item: PlanItem, before: Place | None) -> None:
         host, navigation = self._host, self._navigation
         host.mission_current, self.item = number, item
-        self._since_us, self._turned_rad = None, 0.0
-        self._announce(number, item)
+        self._since_us = None
         here, target = host.estimate.place, self.place_of(item)
         if item.command == RETURN:
             navigation.return_home(host.home)
@@ -256,11 +185,10 @@ class Mission:
         if item.command == TAKEOFF:
             nose_rad, above = self._plane.heading_rad, here.at(target.altitude_amsl_m)
             target = offset(above, 1000.0 * math.cos(nose_rad), 1000.0 * math.sin(nose_rad))
-        elif item.command == CHANGE_ALTITUDE:
-            course = navigation.course_rad
-            target = offset(target, 1e4 * math.cos(course), 1e4 * math.sin(course))
-        navigation.start(before or here, target, counter_clockwise=_turns_left(item))
-        navigation.active_radius_m = _radius_m(item)
+        elif item.command == LAND:
+            target = target.at(here.altitude_amsl_m)
+        navigation.start(before or here, target)
+        navigation.active_radius_m = 0.0
         navigation.l1.forget()
         navigation.slope(descend_only=False)
         self._accept_m = self._acceptance_m(number, target)
@@ -288,9 +216,8 @@ class Mission:
             if self.item is None:
                 return 0.0
             item = self.item
-        circles = item.command in (UNLIMITED, TURNS, TIME, TO_ALTITUDE, RETURN)
-        if circles and navigation.distance_m < 3.0 * navigation.radius_m(_radius_m(item)):
-            return navigation.circle(_radius_m(item))
+        if item.command in _CIRCLES and navigation.distance_m < 3.0 * navigation.radius_m(0.0):
+            return navigation.circle(0.0)
         return navigation.leg()
 
     def _done(self, item: PlanItem) -> bool:
@@ -298,58 +225,22 @@ class Mission:
         if item.command == WAYPOINT:
             return self._passed(item)
         if item.command == TAKEOFF:
-            climbed_m = host.estimate.place.altitude_amsl_m
-            if navigation.next is None or climbed_m < navigation.next.altitude_amsl_m:
-                return False
-            above_m = climbed_m - (host.home or host.estimate.place).altitude_amsl_m
-            host.send_text(6, f"Takeoff complete at {above_m:.2f}m")
-            return True
-        to_go_m = abs(navigation.target_amsl_m - host.estimate.place.altitude_amsl_m)
-        if item.command == CHANGE_ALTITUDE:
-            return to_go_m < 5.0
-        return self._circled(item, to_go_m)
+            wanted, here = navigation.next, host.estimate.place
+            return wanted is not None and here.altitude_amsl_m >= wanted.altitude_amsl_m
+        return self._circled(item)
 
     def _passed(self, item: PlanItem) -> bool:
         """Near a waypoint, or beyond it."""
-        host, navigation = self._host, self._navigation
-        number, distance_m = host.mission_current, navigation.distance_m
         asked_m = item.parameters[1]
         accept_m = asked_m if math.isfinite(asked_m) and asked_m > 0.0 else self._accept_m
-        if distance_m <= accept_m:
-            host.send_text(6, f"Reached waypoint #{number} dist {int(distance_m)}m")
-            return True
-        if navigation.along >= 1.0:
-            host.send_text(6, f"Passed waypoint #{number} dist {int(distance_m)}m")
-            return True
-        return False
+        return self._navigation.distance_m <= accept_m or self._navigation.along >= 1.0
 
-    def _circled(self, item: PlanItem, to_go_m: float) -> bool:
-        """Long enough about the point, or at its height."""
-        host, l1 = self._host, self._navigation.l1
-        if item.command not in (TURNS, TIME, TO_ALTITUDE):
+    def _circled(self, item: PlanItem) -> bool:
+        """Long enough about the point."""
+        if item.command != TIME:
             return False
         if self._since_us is None:
-            if l1.circling:
-                self._since_us, self._bearing_rad = host.now_us, l1.target_bearing_rad
+            if self._navigation.l1.circling:
+                self._since_us = self._host.now_us
             return False
-        change = math.remainder(l1.target_bearing_rad - self._bearing_rad, math.tau)
-        self._bearing_rad = l1.target_bearing_rad
-        self._turned_rad += abs(change)
-        if item.command == TO_ALTITUDE:
-            return to_go_m < 5.0
-        if item.command == TURNS:
-            return self._turned_rad >= item.parameters[0] * math.tau
-        return host.now_us - self._since_us >= item.parameters[0] * 1e6
-
-
-def _radius_m(item: PlanItem) -> float:
-    """Of a loiter; 0 is the usual one."""
-    radius_m = item.parameters[1 if item.command == TO_ALTITUDE else 2]
-    circles = item.command in (UNLIMITED, TURNS, TIME, TO_ALTITUDE)
-    return abs(radius_m) if circles and math.isfinite(radius_m) else 0.0
-
-
-def _turns_left(item: PlanItem) -> bool:
-    """A negative radius."""
-    radius_m = item.parameters[1 if item.command == TO_ALTITUDE else 2]
-    return item.command in (UNLIMITED, TURNS, TIME, TO_ALTITUDE) and radius_m < 0.0
+        return self._host.now_us - self._since_us >= item.parameters[0] * 1e6

@@ -34,7 +34,6 @@ class Mode(enum.IntEnum):
     RTL = 11
     LOITER = 12
     TAKEOFF = 13
-    AVOID_ADSB = 14
     GUIDED = 15
     INITIALISING = 16
     THERMAL = 24
@@ -49,7 +48,7 @@ GLIDES = frozenset(
 """Manual throttle without stick input: the motor is off."""
 SLOW = frozenset({Mode.FBWB, Mode.CRUISE})
 """The pilot's throttle is the airspeed, which is the least, and height is held."""
-LOITERS = frozenset({Mode.GUIDED, Mode.RTL, Mode.LOITER, Mode.AVOID_ADSB, Mode.THERMAL})
+LOITERS = frozenset({Mode.GUIDED, Mode.RTL, Mode.LOITER, Mode.THERMAL})
 """They circle the next point."""
 AUTONOMOUS = LOITERS | {Mode.AUTO, Mode.TAKEOFF, Mode.CIRCLE, Mode.AUTOLAND}
 BY_ITSELF = frozenset(Mode) - {Mode.MANUAL, Mode.INITIALISING}

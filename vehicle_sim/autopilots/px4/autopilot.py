@@ -14,10 +14,8 @@ import numpy as np
 from vehicle_sim.autopilots import (
     Ack,
     Command,
-    Event,
     FirmwareProfile,
     Landed,
-    ManualControl,
     Place,
     Reply,
     Result,
@@ -27,13 +25,12 @@ from vehicle_sim.autopilots import (
     State,
     Status,
     TargetEcho,
+    Text,
     Waypoint,
 )
-from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
-from vehicle_sim.autopilots.px4 import failsafe, health
+from vehicle_sim.autopilots.px4 import failsafe
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
-from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Pilot
-from vehicle_sim.autopilots.px4.health import Gimbal, LoggerState, text
+from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Stations
 from vehicle_sim.autopilots.px4.mission import Fence, Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
     CUSTOM_MODES,
@@ -43,7 +40,6 @@ from vehicle_sim.autopilots.px4.modes import (
     Mode,
     base_mode,
 )
-from vehicle_sim.autopilots.px4.position_control import Orbit
 from vehicle_sim.autopilots.px4.setpoints import (
     Projection,
     SetpointFrames,
@@ -62,27 +58,28 @@ CAPABILITIES: Final = 0xE8FF
 SOFTWARE_VERSION: Final = 0x01110040
 CUSTOM_VERSION: Final = bytes((0, 0, 0, 178, 57, 165, 123, 187))
 
-_ON_EVENT: Final = (42, 46, 49, 77, 148, 300, 410, 411)
+_ON_EVENT: Final = frozenset({42, 46, 49, 77, 148, 300})
 _BY_RATE: Final = {
-    0.33: (411,),
-    0.5: (147, 241, 242, 380, 436),
-    1.0: (0, 2, 4, 8, 29, 42, 230, 441, 12901, 12904),
+    0.5: (147, 242, 436),
+    1.0: (0, 2, 42, 230),
     5.0: (1, 245),
     8.0: (24,),
-    10.0: (36, 74, 83, 85, 87, 111, 132, 141),
+    10.0: (74, 85, 87, 111, 132, 141),
     30.0: (32, 331),
-    50.0: (31, 33, 105),
+    50.0: (31, 33),
     100.0: (30,),
 }
 RATES_HZ: Final = dict(sorted((n, hz) for hz, ns in _BY_RATE.items() for n in ns))
 """What a fresh onboard link gets, by message number, in Hz of vehicle time."""
+_NOT_TOLD: Final = frozenset({4, 8, 29, 36, 40, 62, 65, 83, 105, 241, 360, 380, 441, 12901, 12904})
+"""Their intervals are taken, as the real one takes them."""
 _NOT_STREAMABLE: Final = frozenset({0, 42})
 """Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
 
 
 def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile:
     """PX4 on its onboard link (px4.md 2), for a vehicle of this MAV_TYPE."""
-    every = frozenset(rates_hz) | {40, 62, 65, 77, 148, 230, 231, 300}
+    told = frozenset(rates_hz) | {231}
     return FirmwareProfile(
         firmware="px4",
         vehicle_type=vehicle_type,
@@ -92,8 +89,8 @@ def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile
         custom_version=CUSTOM_VERSION,
         first_heartbeat_us=1_600_000,  # px4.md 3
         rates_hz=rates_hz,
-        streamable=(every | {49, 410}) - _NOT_STREAMABLE - {148, 300},
-        requestable=every | frozenset(_ON_EVENT),
+        streamable=(told | _NOT_TOLD | {49, 77}) - _NOT_STREAMABLE,
+        requestable=told | _ON_EVENT,
     )
 
 
@@ -103,8 +100,6 @@ LANDED_US: Final = 1_800_000
 """Contact to "landing detected": 54.6 to 56.4 s of px4-offboard-short.tlog."""
 _CHECK_PHASE_US: Final = 60_000
 """The checks run ten times a second: events at x.06 s in the logs."""
-_FIRST_REPORT_US: Final = 2_060_000
-"""The arming checks are told for the first time."""
 _STILL_US: Final = 2_000_000
 """Disarmed to the estimator's constant-position mode."""
 _LOW_M: Final = 1.2
@@ -128,16 +123,12 @@ class Px4(abc.ABC):
     speed_m_s, mission).
     """
 
-    HANDLERS: ClassVar[Mapping[int, "Handler | None"]]
-    """Handlers by MAV_CMD; None: not answered."""
+    HANDLERS: ClassVar[Mapping[int, "Handler"]]
+    """Handlers by MAV_CMD."""
     TABLES: ClassVar[tuple[str, ...]]
     """Of its parameters."""
     profile: FirmwareProfile
     measures_airspeed = False
-    orbits = False
-    """Flies DO_ORBIT in a mode of its own."""
-    learns = False
-    """Calibrates its accelerometer in flight."""
 
     def __init__(
         self,
@@ -170,12 +161,6 @@ class Px4(abc.ABC):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest setpoint that OFFBOARD flies; None: none since OFFBOARD was entered."""
-        self.attitude: AttitudeTarget | None = None
-        """The same, of a SET_ATTITUDE_TARGET: the newest of the two is flown."""
-        self.needs_no_position = False
-        """The newest setpoint was one of attitude or rates."""
-        self.orbit: Orbit | None = None
-        """DO_ORBIT's circle."""
         self.takeoff_place: tuple[float, float, float] | None = None
         """NAV_TAKEOFF's latitude, longitude (NaN: not given) and altitude AMSL."""
         self.reposition: tuple[float, float, float, float] | None = None
@@ -186,12 +171,11 @@ class Px4(abc.ABC):
         """DO_CHANGE_SPEED, in AUTO modes."""
         self.mission = Mission(plans, self._surroundings, self.emit, self._obey_mission)
         self.fence = Fence(plans)
-        self.pilot = Pilot()
-        self.gimbal = Gimbal()
+        self.stations = Stations()
+        self.pilot_present = False
+        """Holds the sticks centred: without one the manual modes sink."""
         self.offboard_signal = False
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
-        self._checks = health.Checks(airspeed=self.measures_airspeed)
-        self._diary = LoggerState(self.parameters, rng)
         self._incidents = Incidents()
         self._remember_nothing()
         self._set_up()
@@ -301,8 +285,6 @@ class Px4(abc.ABC):
         self._turning_s = dt_s
         if self.armed and self.landed:
             self._disarm_by_itself()
-        if now_us >= self.gimbal.due_us:
-            self.emit(*self.gimbal.take(now_us))
         if not self._said:
             return ()
         said, self._said = self._said, []
@@ -334,46 +316,18 @@ class Px4(abc.ABC):
             ),
         )
         if target is not None:
-            self._hear_offboard(by_attitude=False)
+            self._signal_us = self.now_us
+            if not self.offboard_signal:  # the arming checks run at once for it
+                self.offboard_signal = self._select_due = True
+                self._next_check_us = self.now_us
             if self.mode is Mode.OFFBOARD:
-                self.target, self.attitude = target, None
+                self.target = target
         return ()
-
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """The same of a SET_ATTITUDE_TARGET, which asks for no position to fly by.
-
-        Source: MavlinkReceiver::handle_message_set_attitude_target; not measured.
-        """
-        known = target.by_rates or (
-            target.by_attitude and attitude_of(target.quaternion) is not None
-        )
-        if known and finite(target):
-            self._hear_offboard(by_attitude=True)
-            if self.mode is Mode.OFFBOARD:
-                self.target, self.attitude = None, target
-        return ()
-
-    def _hear_offboard(self, *, by_attitude: bool) -> None:
-        """A setpoint counts as a sign of life in any mode."""
-        self._signal_us, self.needs_no_position = self.now_us, by_attitude
-        if not self.offboard_signal:  # the arming checks run at once for it
-            self.offboard_signal = self._select_due = True
-            self._next_check_us = self.now_us
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """A heartbeat of another component."""
         ours = sender.system == self._system
-        self.pilot.hear(vehicle_type, self.now_us, ours=ours)
-        return ()
-
-    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
-        """Take a MANUAL_CONTROL."""
-        first = self.pilot.take(manual_control, self.now_us)
-        if first and not self.armed and self.intended is Mode.LOITER:
-            self.command_mode(Mode.POSCTL)
-        elif self._overrides():
-            self.command_mode(Mode.POSCTL)
-            self.emit(text(6, "Pilot took over using sticks"))
+        self.stations.hear(vehicle_type, self.now_us, ours=ours)
         return ()
 
     def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - read live
@@ -388,7 +342,7 @@ class Px4(abc.ABC):
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to Position mode and holds the sticks centred."""
-        self.pilot.hold(self.now_us)
+        self.pilot_present = True
         self.command_mode(Mode.POSCTL)
         return ()
 
@@ -417,8 +371,7 @@ class Px4(abc.ABC):
             base_mode=base_mode(mode, armed=armed),
             system_status=self._system_status(),
             landed_state=self._landed_state(),
-            prearm_ok=self.now_us >= ARMABLE_US
-            and self._can_arm(self._checks.reported_position_ok, self._checks.reported_signal),
+            prearm_ok=self.armable,
             origin=self.origin,
             waypoint=self._waypoint() if armed and mode in NAVIGATED else None,
             intended_mode=CUSTOM_MODES[self.intended],
@@ -426,9 +379,7 @@ class Px4(abc.ABC):
             mission_state=self.mission.state,
             mission_total=self.mission.total,
             above_ground_m=self._height_m,
-            fusing=self._checks.reported_fusing,
-            logs_always=self._checks.logs_always,
-            position_reported=self._checks.reported_position_ok,
+            fusing=self._fusing,
             fence_breached=self.fence.breached,
             fence_breaches=self.fence.breaches,
             failsafe=armed and self.action > Action.WARN,
@@ -438,10 +389,7 @@ class Px4(abc.ABC):
 
     def on_command(self, command: Command) -> Sequence[Reply]:
         """Handle a command; returns the replies."""
-        handler = self.HANDLERS.get(command.number, _unsupported)
-        if handler is None:
-            return ()
-        result = handler(self, command)
+        result = self.HANDLERS.get(command.number, _unsupported)(self, command)
         said, self._said = self._said, []
         ack = Ack(to=command.sender, command=command.number, result=result)
         if command.number == _DO_SET_MODE:
@@ -456,16 +404,16 @@ class Px4(abc.ABC):
         """Send these at the end of the step."""
         self._said.extend(replies)
 
+    def say(self, severity: int, words: str) -> None:
+        """A STATUSTEXT; PX4 ends those that are events as well with a tab."""
+        self.emit(Text(severity=severity, text=words + "\t"))
+
     def _took_off(self) -> None:
         """The land detector sees it in the air."""
         if self.landed:
             self.landed = False
             self._flown = True
             self._contact_us = self._landed_us = None
-            self.emit(
-                Event(number=health.TAKEOFF_DETECTED, log_levels=health.INFO),
-                text(6, "Takeoff detected"),
-            )
 
     def _contact(self, *, pressed: bool) -> None:
         """Stands on the ground, and does not want up (pressed) or does."""
@@ -477,10 +425,6 @@ class Px4(abc.ABC):
         elif self.now_us - self._contact_us >= LANDED_US:
             self.landed = True
             self._landed_us = self.now_us
-            self.emit(
-                Event(number=health.LANDING_DETECTED, log_levels=health.INFO),
-                text(6, "Landing detected"),
-            )
 
     def finish_takeoff(self) -> None:
         """The take-off has reached its height: Hold (COM_TAKEOFF_ACT 0)."""
@@ -490,11 +434,9 @@ class Px4(abc.ABC):
 
     def _check(self) -> None:
         """Ten times a second: arming checks, incidents; what follows is done in the next step."""
-        now_us, parameters, estimate = self.now_us, self.parameters, self.estimate
-        self._said += self._diary.due(now_us)
-        if self.pilot.misses_companion(now_us, parameters["COM_OBC_LOSS_T"]):
-            self.emit(text(2, "Connection to mission computer lost"))
-        self._checks.logs_always = self._diary.logs_always
+        now_us, parameters = self.now_us, self.parameters
+        if self.stations.misses_companion(now_us, parameters["COM_OBC_LOSS_T"]):
+            self.say(2, "Connection to mission computer lost")
         self._still = not self.armed and now_us - self._disarmed_us >= _STILL_US
         self._low = self._height_m < _LOW_M and not self.landed and self.mode is not Mode.TAKEOFF
         self.ekf.lag_s = parameters["EKF2_GPS_DELAY"] * 1e-3
@@ -503,17 +445,8 @@ class Px4(abc.ABC):
         self.offboard_signal = signal_us is not None and now_us - signal_us <= lost_us
         if self.ekf.fusing != self._fusing:
             self._tell_fusion()
-        if now_us >= _FIRST_REPORT_US:
-            armable = estimate.position_ok and now_us >= ARMABLE_US
-            events = self._checks.report(
-                now_us,
-                position_ok=armable,
-                offboard_signal=self.offboard_signal,
-                fusing=self._fusing,
-            )
-            self._said.extend(events)
         if self.armed:
-            self._watch_pilot()
+            self._watch_ground_station()
             self._watch_fence()
             self._watch_battery()
         self._select_due = True
@@ -522,32 +455,15 @@ class Px4(abc.ABC):
         self._fusing = self.ekf.fusing
         if not self._flown:
             return
-        number = health.FUSION_STARTED if self._fusing else health.FUSION_STOPPED
         words = "started" if self._fusing else "stopped"
-        self.emit(
-            Event(number=number, log_levels=health.INFO),
-            text(6, f"GNSS data fusion {words}"),
-        )
+        self.say(6, f"GNSS data fusion {words}")
 
-    def _watch_pilot(self) -> None:
-        """Manual control, if there was any at arming; ground station, if NAV_DLL_ACT says so."""
-        now_us, parameters, pilot = self.now_us, self.parameters, self.pilot
-        action = Action.NONE
-        loss_s = parameters["COM_RC_LOSS_T"]
-        if pilot.at_arming and not pilot.present(now_us, loss_s) and not self._excepted():
-            silent_s = (now_us - (pilot.heard_us or 0)) * 1e-6 - loss_s
-            action = failsafe.LINK_LOSS.get(int(parameters["NAV_RCL_ACT"]), Action.NONE)
-            if silent_s < parameters["COM_FAIL_ACT_T"] and action > Action.HOLD:
-                action = Action.HOLD
-        self._incidents.note(Cause.PILOT_LOST, action)
+    def _watch_ground_station(self) -> None:
+        """If NAV_DLL_ACT says that it matters."""
+        parameters = self.parameters
         chosen = failsafe.LINK_LOSS.get(int(parameters["NAV_DLL_ACT"]), Action.NONE)
-        lost = pilot.ground_station_lost(now_us, parameters["COM_DL_LOSS_T"])
+        lost = self.stations.ground_station_lost(self.now_us, parameters["COM_DL_LOSS_T"])
         self._incidents.note(Cause.GROUND_STATION_LOST, chosen if lost else Action.NONE)
-
-    def _excepted(self) -> bool:
-        """COM_RCL_EXCEPT: modes that do without manual control."""
-        bit = {Mode.MISSION: 1, Mode.LOITER: 2, Mode.OFFBOARD: 4}.get(self.intended, 0)
-        return bool(int(self.parameters["COM_RCL_EXCEPT"]) & bit)
 
     def _watch_fence(self) -> None:
         home, parameters = self.home, self.parameters
@@ -566,7 +482,7 @@ class Px4(abc.ABC):
         chosen = failsafe.FENCE.get(int(parameters["GF_ACTION"]), Action.WARN)
         action = chosen if breached else Action.NONE
         if self._incidents.note(Cause.FENCE, action):
-            self.emit(text(4, "Geofence: approaching or outside geofence"))
+            self.say(4, "Geofence: approaching or outside geofence")
 
     def _watch_battery(self) -> None:
         parameters = self.parameters
@@ -574,7 +490,7 @@ class Px4(abc.ABC):
         choice = int(parameters["COM_LOW_BAT_ACT"])
         action = failsafe.battery_action(self.battery.remaining, thresholds, choice)
         if self._incidents.note(Cause.BATTERY, action):
-            self.emit(text(2, "Critical battery level, land now"))
+            self.say(2, "Critical battery level, land now")
 
     def _select(self) -> None:
         """Which mode is flown now."""
@@ -589,31 +505,19 @@ class Px4(abc.ABC):
                 ),
                 offboard_signal=self.offboard_signal,
                 position_ok=position_ok,
-                precise=self.ekf.precise(self.now_us)
-                or (intended is Mode.OFFBOARD and self.needs_no_position),
+                precise=self.ekf.precise(self.now_us),
             )
         if action is not self.action:
             worse = action > self.action
             self.action = action
             if worse and action > Action.WARN:
-                self._tell_failsafe(action)
+                self.say(2, "Failsafe activated")
         if action in (Action.DISARM, Action.TERMINATE):
-            self.disarm(health.DISARMED_BY_COMMAND)
+            self.disarm("external command")
             return
         mode = failsafe.MODES.get(action, intended)
         if mode is not self.mode:
             self._change(mode)
-
-    def _tell_failsafe(self, action: Action) -> None:
-        arguments = CUSTOM_MODES[self.intended].to_bytes(4, "little") + bytes((action,))
-        number = health.DISENGAGED if action is Action.DESCEND else health.FAILSAFE
-        self.emit(
-            Event(number=number, log_levels=health.CRITICAL, arguments=arguments),
-            text(2, "Failsafe activated"),
-        )
-        manual = failsafe.MODES.get(action) in MANUAL_MODES
-        if manual and not self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"]):
-            self.emit(text(4, "Matching flight task was not able to run"))
 
     # --- modes and arming ---------------------------------------------------------------------
 
@@ -621,9 +525,7 @@ class Px4(abc.ABC):
         """Fly this from now on."""
         before, self.mode = self.mode, mode
         if mode is Mode.OFFBOARD and before is not Mode.OFFBOARD:
-            self.target = self.attitude = None
-        if not self.landed and mode is Mode.LAND:
-            self.gimbal.straighten(self.now_us)
+            self.target = None
         if before is Mode.MISSION:
             self.mission.pause()
         if mode is Mode.MISSION:
@@ -647,32 +549,28 @@ class Px4(abc.ABC):
         takeoff: tuple[float, float, float] | None = None,
         reposition: tuple[float, float, float, float] | None = None,
         land: tuple[float, float] | None = None,
-        orbit: Orbit | None = None,
     ) -> Result:
         """Request a mode.  On the ground, disarmed, every mode is accepted."""
         if self.armed and not self._can_run(mode):
             return Result.TEMPORARILY_REJECTED
         self.takeoff_place, self.reposition, self.land_place = takeoff, reposition, land
-        self.orbit = orbit
         self._intend(mode)
         return Result.ACCEPTED
 
     def _can_run(self, mode: Mode) -> bool:
         """Whether it has what the mode needs."""
         precise = self.ekf.precise(self.now_us)
-        steerable = precise or self.needs_no_position
-        return failsafe.can_run(
-            mode, position_ok=precise, offboard_ok=self.offboard_signal and steerable
-        )
+        offboard_ok = self.offboard_signal and precise
+        return failsafe.can_run(mode, position_ok=precise, offboard_ok=offboard_ok)
 
     def _can_arm(self, position_ok: bool, signal: bool) -> bool:
         """Whether the mode now flown can be armed in."""
         if self.mode in MANUAL_MODES:
-            return self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"])
+            return self.pilot_present
         if self.mode is Mode.MISSION and not self.mission.items:
             return False
         if self.mode is Mode.OFFBOARD:
-            return signal and (position_ok or self.needs_no_position)
+            return signal and position_ok
         return self.mode is Mode.DESCEND or position_ok
 
     @property
@@ -687,7 +585,7 @@ class Px4(abc.ABC):
         if self.armed:
             return Result.ACCEPTED
         if not forced and not self.armable:
-            self.emit(text(2, "Arming denied: Resolve system health failures first"))
+            self.say(2, "Arming denied: Resolve system health failures first")
             return Result.TEMPORARILY_REJECTED
         now_us = self.now_us
         self.armed = True
@@ -695,39 +593,27 @@ class Px4(abc.ABC):
         self._armed_us, self._landed_us, self._contact_us = now_us, None, None
         if self.estimate.position_ok:
             self.home = self.estimate.place
-        self.pilot.at_arming = self.pilot.present(now_us, self.parameters["COM_RC_LOSS_T"])
-        arguments = bytes((health.ARMED_BY_COMMAND,))
-        self.emit(
-            Event(number=health.ARMED, log_levels=health.INFO, arguments=arguments),
-            text(6, "Armed by external command"),
-        )
-        self._said += self._diary.arm(now_us)
+        self.say(6, "Armed by external command")
         self._begin(self.mode, self.mode)
         return Result.ACCEPTED
 
-    def disarm(self, reason: int) -> None:
+    def disarm(self, by: str) -> None:
         """Stop the motors.  The mode returns to the one last commanded for flight."""
         if not self.armed:
             return
         self.armed = False
         self._disarmed_us = self.now_us
-        if reason == health.DISARMED_BY_LANDING:
-            calm = self.learns and self.ekf.resets == 0
-            self._said += self._diary.book(self.now_us - self._armed_us, calm=calm)
         self.landed = self.landed or self._contact_us is not None
         self._incidents.forget()
         self.intended = self._after_disarming
-        self.emit(
-            Event(number=health.DISARMED, log_levels=health.INFO, arguments=bytes((reason,))),
-            text(6, f"Disarmed by {health.REASONS.get(reason, 'landing')}"),
-        )
+        self.say(6, f"Disarmed by {by}")
         self.action = Action.NONE
         if self.intended is not self.mode:
             self._change(self.intended)
 
     def crash(self) -> Sequence[Reply]:
         """It has hit something, which its failure detector notices at once."""
-        self.disarm(health.DISARMED_BY_FAILURE)
+        self.disarm("failure detector")
         said, self._said = self._said, []
         return said
 
@@ -737,20 +623,11 @@ class Px4(abc.ABC):
         if self._landed_us is not None:
             wait_s = self.parameters["COM_DISARM_LAND"]
             if wait_s > 0.0 and now_us - self._landed_us >= wait_s * 1e6:
-                self.disarm(health.DISARMED_BY_LANDING)
+                self.disarm("landing")
         else:
             wait_s = self.parameters["COM_DISARM_PRFLT"]
             if wait_s > 0.0 and now_us - self._armed_us >= wait_s * 1e6:
-                self.disarm(health.DISARMED_UNFLOWN)
-
-    def _overrides(self) -> bool:
-        """COM_RC_OVERRIDE: 1 the sticks take over from AUTO modes, 2 from OFFBOARD."""
-        if not self.armed or self.mode in MANUAL_MODES:
-            return False
-        bit = 2 if self.mode is Mode.OFFBOARD else 1
-        if not int(self.parameters["COM_RC_OVERRIDE"]) & bit:
-            return False
-        return self.pilot.moves(self.parameters["COM_RC_STICK_OV"] * 0.01)
+                self.disarm("auto preflight disarming")
 
     def _system_status(self) -> int:
         if self.armed:

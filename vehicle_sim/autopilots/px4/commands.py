@@ -1,8 +1,7 @@
 """Commands as PX4's commander and navigator answer them.
 
 Results are those measured (px4.md 2, 3, 7) and, for the rest, those of the source: a mode that
-cannot run is TEMPORARILY_REJECTED, an unknown command UNSUPPORTED, and commands of cameras and
-gimbals get no answer at all.
+cannot run is TEMPORARILY_REJECTED, an unknown command UNSUPPORTED.
 """
 
 import math
@@ -11,30 +10,18 @@ from typing import Final
 from vehicle_sim.autopilots import (
     HIGHEST_HOME_M,
     Command,
-    Event,
     Place,
     Reboot,
     Result,
     SendTelemetry,
     height_amsl_m,
 )
-from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.autopilot import Handler, Px4
-from vehicle_sim.autopilots.px4.health import text
-from vehicle_sim.autopilots.px4.modes import MAIN_AUTO, MANUAL_MODES, Mode, mode_of
-from vehicle_sim.autopilots.px4.position_control import HERE, Orbit
+from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode, mode_of
 
 _FORCE: Final = 21196.0
 _HIGHEST_M: Final = 1e5
 """Altitudes beyond count as not given: they do not fit into any answer."""
-_UNANSWERED: Final = frozenset(
-    {80, 195, 196, 197, 200, 201, 203, 205, 206, 530, 531, 532, 1000, 1001, 2000, 2001}
-    | {2500, 2501, 5300, 42600}
-)
-"""Cameras and gimbals."""
-_GPS_UNIT: Final = 4
-_WELL, _OFF = 0, 1  # FAILURE_TYPE
-_SATELLITES: Final = 10.0
 
 
 def _place(px4: Px4, command: Command) -> tuple[float, float, float]:
@@ -58,9 +45,7 @@ def _set_mode(px4: Px4, command: Command) -> Result:
     if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
         return Result.TEMPORARILY_REJECTED
     mode = mode_of(int(main), int(sub))
-    if mode is None or (mode is Mode.ORBIT and not px4.orbits):
-        if main == MAIN_AUTO:  # follow-me, precision landing, ...
-            px4.emit(text(2, "Unsupported auto mode"))
+    if mode is None:
         return Result.TEMPORARILY_REJECTED
     return px4.command_mode(mode)
 
@@ -72,37 +57,23 @@ def _arm(px4: Px4, command: Command) -> Result:
     if wanted == 1.0:
         return px4.arm(forced=force == _FORCE)
     if px4.armed and not px4.landed and force != _FORCE and px4.mode not in MANUAL_MODES:
-        px4.emit(text(2, "Disarming denied: not landed"))
         return Result.TEMPORARILY_REJECTED
-    px4.disarm(health.DISARMED_BY_COMMAND)
+    px4.disarm("external command")
     return Result.ACCEPTED
 
 
 def _take_off(px4: Px4, command: Command) -> Result:
-    place = _place(px4, command)
-    result = px4.command_mode(Mode.TAKEOFF, takeoff=place)
-    if result is not Result.ACCEPTED:
-        px4.emit(text(2, "Takeoff denied! Please disarm and retry"))
-    return result
+    return px4.command_mode(Mode.TAKEOFF, takeoff=_place(px4, command))
 
 
 def _land(px4: Px4, command: Command) -> Result:
     latitude_deg, longitude_deg, _ = _place(px4, command)
     given = math.isfinite(latitude_deg) and math.isfinite(longitude_deg)
-    result = px4.command_mode(Mode.LAND, land=(latitude_deg, longitude_deg) if given else None)
-    if result is Result.ACCEPTED:
-        px4.emit(
-            Event(number=health.LANDING_HERE, log_levels=health.INFO),
-            text(6, "Landing at current position"),
-        )
-    return result
+    return px4.command_mode(Mode.LAND, land=(latitude_deg, longitude_deg) if given else None)
 
 
 def _return(px4: Px4, _: Command) -> Result:
-    result = px4.command_mode(Mode.RTL)
-    if result is Result.ACCEPTED:
-        px4.emit(text(6, "Returning to launch"))
-    return result
+    return px4.command_mode(Mode.RTL)
 
 
 def _reposition(px4: Px4, command: Command) -> Result:
@@ -111,7 +82,6 @@ def _reposition(px4: Px4, command: Command) -> Result:
     if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
         north_m, east_m = px4.projection.to_local(latitude_deg, longitude_deg)
         if not px4.fence.allows(px4.projection, north_m, east_m):
-            px4.emit(text(2, "Reposition is outside geofence"))
             return Result.DENIED
     flags, yaw = command.parameters[1], command.parameters[3]
     switches = math.isfinite(flags) and bool(int(flags) & 1)
@@ -121,54 +91,11 @@ def _reposition(px4: Px4, command: Command) -> Result:
     return px4.command_mode(Mode.LOITER, reposition=target)
 
 
-def _change_altitude(px4: Px4, command: Command) -> Result:
-    """DO_CHANGE_ALTITUDE: Hold here, at another height."""
-    altitude_m = command.parameters[0]
-    if not math.isfinite(altitude_m):
-        return Result.DENIED
-    target = (math.nan, math.nan, altitude_m, math.nan)
-    return px4.command_mode(Mode.LOITER, reposition=target)
-
-
 def _change_speed(px4: Px4, command: Command) -> Result:
     """DO_CHANGE_SPEED: accepted always, of effect in AUTO modes only (px4.md 3)."""
     speed_m_s = command.parameters[1]
     if math.isfinite(speed_m_s):
         px4.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
-    return Result.ACCEPTED
-
-
-def _orbit(px4: Px4, command: Command) -> Result:
-    """DO_ORBIT: p1 radius, p2 speed; a fixed wing circles in Hold."""
-    latitude_deg, longitude_deg, altitude_m = _place(px4, command)
-    radius_m, speed_m_s = command.parameters[:2]
-    orbit = Orbit(
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        altitude_amsl_m=altitude_m,
-        radius_m=radius_m if math.isfinite(radius_m) else HERE.radius_m,
-        speed_m_s=speed_m_s if math.isfinite(speed_m_s) else HERE.speed_m_s,
-    )
-    result = Result.TEMPORARILY_REJECTED
-    if orbit.flyable or not px4.orbits:
-        result = px4.command_mode(Mode.ORBIT if px4.orbits else Mode.LOITER, orbit=orbit)
-    if result is not Result.ACCEPTED:
-        px4.emit(text(2, "Orbit command rejected"))
-    return result
-
-
-def _inject_failure(px4: Px4, command: Command) -> Result:
-    """INJECT_FAILURE of GPS: off, or well again, as PX4's simulator bridge has it.
-
-    SIH, which was measured, does not answer at all (px4.md 8): there is nothing to be learnt from
-    that, and clients wait for an answer.
-    """
-    if not px4.parameters["SYS_FAILURE_EN"]:
-        return Result.DENIED
-    unit, failure = command.parameters[:2]
-    if unit != _GPS_UNIT or failure not in (_WELL, _OFF):
-        return Result.UNSUPPORTED
-    px4.parameters["SIM_GPS_USED"] = _SATELLITES if failure == _WELL else 0.0
     return Result.ACCEPTED
 
 
@@ -199,13 +126,6 @@ def _start_mission(px4: Px4, command: Command) -> Result:
     return px4.arm(forced=False) if result is Result.ACCEPTED else result
 
 
-def _pause(px4: Px4, command: Command) -> Result:
-    """DO_PAUSE_CONTINUE: Hold, or on with the mission."""
-    if command.parameters[0] == 0.0:
-        return px4.command_mode(Mode.LOITER)
-    return px4.command_mode(Mode.MISSION) if px4.mission.items else Result.DENIED
-
-
 def _set_current(px4: Px4, command: Command) -> Result:
     number = command.parameters[0]
     known = math.isfinite(number) and px4.mission.jump(int(number))
@@ -222,16 +142,6 @@ def _reboot(px4: Px4, command: Command) -> Result:
     return Result.ACCEPTED if first in (0.0, 1.0, 3.0) else Result.DENIED
 
 
-def _terminate(px4: Px4, command: Command) -> Result:
-    if command.parameters[0] > 0.5:
-        px4.disarm(health.DISARMED_BY_COMMAND)
-    return Result.ACCEPTED
-
-
-def _disarmed_only(px4: Px4, _: Command) -> Result:
-    return Result.DENIED if px4.armed else Result.ACCEPTED
-
-
 def _accept(_px4: Px4, _command: Command) -> Result:
     return Result.ACCEPTED
 
@@ -246,30 +156,20 @@ def _answer(message: int) -> Handler:
     return send
 
 
-HANDLERS: Final[dict[int, Handler | None]] = {
-    **dict.fromkeys(_UNANSWERED),
+HANDLERS: Final[dict[int, Handler]] = {
     20: _return,
     21: _land,
     22: _take_off,
-    23: _land,
-    34: _orbit,
     176: _set_mode,
     178: _change_speed,
     179: _set_home,
-    185: _terminate,
-    186: _change_altitude,
-    189: _accept,
     192: _reposition,
-    193: _pause,
     224: _set_current,
-    241: _disarmed_only,
-    245: _accept,
     246: _reboot,
     300: _start_mission,
     400: _arm,
     401: _accept,
     410: _answer(242),
-    420: _inject_failure,
     519: _answer(300),
     520: _answer(148),
 }

@@ -307,10 +307,6 @@ class Course:
         """At this bank, wherever that leads."""
         self._kind, self._bank_wanted_rad = _Kind.BLIND, bank_rad
 
-    def bank_from_stick(self, share: float) -> None:
-        """A share of FW_R_LIM, from -1 to 1."""
-        self.circle_blindly(min(max(share, -1.0), 1.0) * self.limits.bank_most_rad)
-
     def straight(self, from_m: Vector, way_rad: float) -> None:
         """Along the line through a point."""
         self._kind = _Kind.LINE
@@ -352,7 +348,7 @@ class Course:
         self.climb_rate_m_s, self._at_once = rate_m_s, False
 
     def climb_out(self, rate_m_s: float) -> None:
-        """At this rate and full throttle after take-off, or without any in the flare."""
+        """At this rate and full throttle after take-off."""
         self.climb_rate_m_s, self._at_once = rate_m_s, True
 
     # --- what of it is told -------------------------------------------------------------------
@@ -361,11 +357,6 @@ class Course:
     def circling(self) -> bool:
         """It flies about a place."""
         return self._kind is _Kind.CIRCLE
-
-    @property
-    def blind(self) -> bool:
-        """It flies a bank and no path."""
-        return self._kind is _Kind.BLIND
 
     @property
     def holds_altitude(self) -> bool:

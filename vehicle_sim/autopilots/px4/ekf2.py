@@ -92,8 +92,6 @@ class Ekf2:
         self._booted = False
         self.fusing = False
         """Whether GPS is in use: "GNSS data fusion stopped" and "started" tell its changes."""
-        self.resets = 0
-        """Jumps of the position so far."""
         self.estimate = Estimate(
             latitude_deg=vehicle.latitude_deg,
             longitude_deg=vehicle.longitude_deg,
@@ -101,11 +99,7 @@ class Ekf2:
             flags=FLAGS_BOOTING,
             velocity_variance=math.nan,
             horizontal_variance=math.nan,
-            vertical_variance=0.037,
-            compass_variance=math.nan,
-            terrain_variance=0.005,
             horizontal_accuracy_m=0.01,
-            vertical_accuracy_m=0.09,
         )
 
     def step(
@@ -153,7 +147,6 @@ class Ekf2:
     def shift(self, north_m: float, east_m: float) -> None:
         """Fault: the position jumps by this much at once."""
         self._error_m += complex(north_m, east_m)
-        self.resets += 1
 
     def _take(self, now_us: int, vehicle: Vehicle, fix: Fix) -> None:
         """A new fix."""
@@ -213,7 +206,6 @@ class Ekf2:
         self._rate_m_s, self._climb_m_s = 0j, 0.0
         self._drifting = False
         self._refused_us = self._fix_us
-        self.resets += 1
 
     def _stir(self, *, still: bool) -> None:
         """The errors that are always there: velocities wander, and the position with them."""
@@ -263,9 +255,6 @@ class Ekf2:
         settling = math.exp(-since_s / 0.7) * 0.73 if returned_us is not None else 0.0
         grown = 1.0 if returned_us is not None else min(since_s / 8.0, 1.0)
         estimate.horizontal_accuracy_m = 0.29 * grown + settling + gap_s * (0.06 + 0.0335 * gap_s)
-        estimate.vertical_accuracy_m = (
-            0.29 * grown + settling + 0.28 * (1.0 - math.exp(-gap_s / 6.0))
-        )
         nothing = not self.fusing
         north, east = abs(self._rate_m_s.real), abs(self._rate_m_s.imag)
         estimate.velocity_variance = math.nan
@@ -273,10 +262,6 @@ class Ekf2:
             estimate.horizontal_variance = math.nan
         else:
             estimate.velocity_variance = (0.05 + 0.5 * (north + east)) * math.exp(-gap_s)
-        # Innovations are not modelled: these go up and down with the errors that are.
-        estimate.vertical_variance = 0.015 + 0.15 * abs(self._climb_m_s) + 0.05 * north
-        estimate.compass_variance = 0.05 + 0.4 * east
-        estimate.terrain_variance = 0.003 + 0.03 * north
 
     def _flags(self, *, still: bool, low: bool) -> int:
         """ESTIMATOR_STATUS.flags."""

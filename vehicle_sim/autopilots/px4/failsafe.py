@@ -1,13 +1,12 @@
 """PX4's failsafes: which mode is flown instead of the wanted one, and why (px4.md 6 to 8).
 
-A failsafe that follows from a state (no setpoints, no position) ends with it; one that was
-triggered by an incident (fence, lost pilot, battery) stays until another mode is commanded.
+A failsafe that follows from a state (no setpoints, no position) ends with it; one that an incident
+has triggered (fence, lost ground station, battery) stays until another mode is commanded.
 """
 
 import enum
 from typing import Final, final
 
-from vehicle_sim.autopilots import ManualControl, Sender
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NEED_POSITION, Mode
 
 
@@ -67,14 +66,13 @@ LINK_LOSS: Final = {
     5: Action.TERMINATE,
     6: Action.DISARM,
 }
-"""NAV_RCL_ACT and NAV_DLL_ACT."""
+"""NAV_DLL_ACT."""
 
 
 class Cause(enum.Enum):
     """Incidents whose action stays when they are over."""
 
     FENCE = enum.auto()
-    PILOT_LOST = enum.auto()
     GROUND_STATION_LOST = enum.auto()
     BATTERY = enum.auto()
 
@@ -171,38 +169,16 @@ def instead_of(
     return possible(action, position_ok=position_ok, precise=precise)
 
 
-# --- Whom PX4 hears: the pilot's sticks (MANUAL_CONTROL) and ground stations ----------------------
-
 _GROUND_STATION, _ONBOARD_CONTROLLER = 6, 18
-_CENTRED: Final = ManualControl(
-    sender=Sender(system=255, component=190), pitch=0.0, roll=0.0, throttle=0.5, yaw=0.0
-)
 
 
 @final
-class Pilot:
-    """The newest sticks and when they came.  Mutable."""
+class Stations:
+    """Whom PX4 hears: ground stations and companions.  Mutable."""
 
     def __init__(self) -> None:
-        self.manual_control: ManualControl | None = None
-        self.heard_us: int | None = None
-        self.at_arming = False
-        """There was a pilot when it was armed: only then losing one matters."""
-        self._held = False
         self._ground_station_us: int | None = None
         self._companion_us: int | None = None
-
-    def take(self, manual_control: ManualControl, now_us: int) -> bool:
-        """A MANUAL_CONTROL; tells whether it is the first one."""
-        first = self.manual_control is None
-        self.manual_control, self.heard_us = manual_control, now_us
-        return first
-
-    def hold(self, now_us: int) -> None:
-        """Fault: a pilot is there from now on, hands off."""
-        self._held = True
-        self.manual_control = self.manual_control or _CENTRED
-        self.heard_us = now_us
 
     def hear(self, vehicle_type: int, now_us: int, *, ours: bool) -> None:
         """A heartbeat of another component, of this system or another."""
@@ -219,28 +195,7 @@ class Pilot:
             self._companion_us = None
         return lost
 
-    def present(self, now_us: int, loss_s: float) -> bool:
-        """Whether the sticks are heard."""
-        if self._held:
-            return True
-        return self.heard_us is not None and now_us - self.heard_us <= loss_s * 1e6
-
     def ground_station_lost(self, now_us: int, loss_s: float) -> bool:
         """There was one, and it has gone silent."""
         heard_us = self._ground_station_us
         return heard_us is not None and now_us - heard_us > loss_s * 1e6
-
-    def moves(self, threshold: float) -> bool:
-        """A stick is out of the centre by more than this share of its travel."""
-        manual_control = self.manual_control
-        if manual_control is None:
-            return False
-        return (
-            max(
-                abs(manual_control.pitch),
-                abs(manual_control.roll),
-                abs(manual_control.yaw),
-                abs(2.0 * manual_control.throttle - 1.0),
-            )
-            > threshold
-        )

@@ -13,52 +13,37 @@ import cmath
 import math
 from typing import Final, final
 
-from vehicle_sim.autopilots import Event, TargetEcho, Waypoint
-from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
+from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits, size, true_airspeed_m_s
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
-from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
+from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 
 # --- A fixed wing of PX4 on its wheels, and in the seconds before and after (px4.md 10) -----------
 # Times, speeds and events are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a
-# second later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing the flare
-# at 434.9, contact at 436.0, 0.9 m/s and "landing detected" at 438.7 s after boot.
-
-ON_RUNWAY: Final = Event(number=18146901, log_levels=0x66)
-"""Takeoff on """
-ROTATING: Final = Event(number=27229571, log_levels=0x66)
-"""Takeoff airspeed reached, climbout."""
-CLEARED: Final = Event(number=26123793, log_levels=0x66)
-"""Reached clearance altitude."""
-FLARING: Final = Event(number=33124855, log_levels=0x66)
-"""Landing, flaring."""
+# second later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing contact at
+# 436.0, 0.9 m/s and "landing detected" at 438.7 s after boot.  A landing ends without a flare.
 
 TAKEOFF_SEEN_M_S: Final = 6.6
 """The land detector believes in a take-off from here on, still on the wheels."""
 CLIMB_OUT_M_S: Final = 2.63
 """Climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle."""
-ROTATES_AT: Final = 0.9
-"""Share of the take-off airspeed (RunwayTakeoff.cpp)."""
 LIFTS_OFF_AT: Final = 1.1
-"""And where it leaves the ground: at 11.3 m/s, 0.3 s later."""
+"""Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
 LANDING_SEEN_M_S: Final = 3.2
 """From here on the landing detector counts its 1.8 s: 0.9 m/s when it is done."""
 LANDS_FASTER_M_S: Final = 0.5
 """Flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3."""
 SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
-FLARE_SINKS_M_S: Final = 0.6
-"""At least, whatever FW_LND_FL_SINK (0.25) says: a second from the flare to contact."""
 SINKS_FASTER_1_S: Final = 0.15
 """Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
-FLARE_BRAKES_M_S: Final = 4.0
-"""Airspeed that the flare is told to fly: 10.8 to 6.8 m/s in the second before contact."""
-_ROLL_OUT_S: Final = 1.33
-"""Time constant of the speed on the wheels without throttle: 5.45 m/s at 437 s, 0.87 at 439.5."""
+_ROLL_OUT_S: Final = 0.8
+"""Time constant of the speed on the wheels without throttle, so that it stands when and where the
+recorded one does, whose flare brakes it from 10.8 to 6.8 m/s before contact (then 1.33 s)."""
 _FULL_M_S2: Final = 6.4
 _RAMP_M_S3: Final = 5.7
 """Acceleration while RWTO_RAMP_TIME (2 s) opens the throttle."""
@@ -77,12 +62,6 @@ def roll_out_m_s2(ground_speed_m_s: float) -> float:
 def bank_near_ground_rad(height_m: float, wing_height_m: float, wing_span_m: float) -> float:
     """The bank that keeps the wing tips off the ground (getMaxRollAngleNearGround)."""
     return min(max(2.0 * (height_m - wing_height_m) / wing_span_m, 0.0), 0.5 * math.pi)
-
-
-def flare_sink_m_s(since_s: float, flare_s: float, from_m_s: float, to_m_s: float) -> float:
-    """Sink rate so long after the flare began: from one to the other with the root of time."""
-    share = math.sqrt(min(max(since_s / flare_s, 0.0), 1.0))
-    return share * to_m_s + (1.0 - share) * from_m_s
 
 
 SIH_AIRPLANE: Final = PlaneLimits(
@@ -104,13 +83,8 @@ _GLIDE_M_S = 1.6
 """Sink without throttle."""
 _DESCEND_M_S = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
-_RATES_LEAD_S = 0.1
-"""Rates are flown as the attitude that they lead to in this time: that of the bank's response."""
 _CLEARED_M = 10.0
 """A take-off climbs on by this much beyond its height (kClearanceAltitudeBuffer)."""
-_RUNWAY_US = 20_000
-"""Arming to "takeoff on runway" in the log."""
-_STICK = 0.06
 _ECHO_MASK = 3576
 
 
@@ -121,7 +95,7 @@ class Px4FixedWing(Px4):
     vehicle: Plane
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/fixed_wing")
-    profile = profile(vehicle_type=_AEROPLANE, rates_hz=RATES_HZ | {231: 10.0, 360: 5.0})
+    profile = profile(vehicle_type=_AEROPLANE, rates_hz=RATES_HZ | {231: 10.0})
     """WIND_COV as well, and ORBIT_EXECUTION_STATUS while it circles."""
     measures_airspeed = True
 
@@ -135,13 +109,8 @@ class Px4FixedWing(Px4):
         """The setpoint that the course was made of."""
         self._leg: mission.Leg | None = None
         self._leg_aimed = False
-        self._leg_reached_us: int | None = None
-        """When it came to the circle of a loiter with turns."""
         self._began_us = 0
         """When the mode began."""
-        self._runway_said = self._rotated = False
-        self._flare_us: int | None = None
-        self._flare_from_m_s = 0.0
         self._follows_path = False
         """OFFBOARD with position and velocity, which is not echoed."""
 
@@ -150,8 +119,8 @@ class Px4FixedWing(Px4):
     def _begin(self, mode: Mode, before: Mode) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
         self._began_us = self.now_us
-        self._seen = self._flare_us = None
-        self._follows_path = self._runway_said = self._rotated = False
+        self._seen = None
+        self._follows_path = False
         self._leg_aimed, self._leg = False, None
         course = self.course
         if mode is Mode.OFFBOARD:
@@ -208,10 +177,7 @@ class Px4FixedWing(Px4):
         centre_m = self._here_m
         altitude_m = self.estimate.altitude_amsl_m
         place: tuple[float, float, float] | None = None
-        radius_m = self.loiter_radius_m
-        if self.orbit is not None:
-            place, radius_m = self.orbit[:3], self.orbit.radius_m
-        elif self.reposition is not None:
+        if self.reposition is not None:
             place = self.reposition[:3]
         elif before is Mode.TAKEOFF and self.takeoff_place is not None:
             place = self.takeoff_place
@@ -220,7 +186,7 @@ class Px4FixedWing(Px4):
             if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
                 centre_m = self._local_m(latitude_deg, longitude_deg)
             altitude_m = wanted_m if math.isfinite(wanted_m) else altitude_m
-        self.course.loiter(centre_m, radius_m)
+        self.course.loiter(centre_m, self.loiter_radius_m)
         self.course.hold_altitude(altitude_m)
 
     @property
@@ -267,13 +233,10 @@ class Px4FixedWing(Px4):
             plane.fall(dt_s)
         else:
             self._steps += 1
-            if self.mode is Mode.OFFBOARD and self.attitude is not None:
-                self._fly_attitude(self.attitude, dt_s)
-            else:
-                if self._steps % _STEER_EVERY == 0:
-                    self._steer(_STEER_EVERY * dt_s)
-                plane.advance(course.bank_rad, course.climb_m_s, course.commanded_m_s, dt_s)
-                plane.throttle = course.throttle
+            if self._steps % _STEER_EVERY == 0:
+                self._steer(_STEER_EVERY * dt_s)
+            plane.advance(course.bank_rad, course.climb_m_s, course.commanded_m_s, dt_s)
+            plane.throttle = course.throttle
         if plane.altitude_amsl_m < self.ground_amsl_m:
             self._wheels = True
             plane.touch_down(self.ground_amsl_m)
@@ -289,11 +252,9 @@ class Px4FixedWing(Px4):
         elif mode is Mode.MISSION:
             self._follow_mission()
         elif mode is Mode.LAND:
-            self.land()
+            self._glide()
         elif mode is Mode.RTL:
             self.return_home()
-        elif mode in MANUAL_MODES:
-            self._fly_manual()
         elif mode is Mode.DESCEND and self._since_s > self.parameters["NAV_GPSF_LT"]:
             course.climb(-_DESCEND_M_S)
         course.bank_most_rad = math.pi
@@ -304,22 +265,6 @@ class Px4FixedWing(Px4):
                 height_m, parameters["FW_WING_HEIGHT"], parameters["FW_WING_SPAN"]
             )
         course.steer(self.local_m, self.estimate, dt_s)
-
-    def _fly_attitude(self, target: AttitudeTarget, dt_s: float) -> None:
-        """Bank and nose as they were sent; the thrust says how fast that may climb."""
-        plane = self.vehicle
-        given = attitude_of(target.quaternion) if target.by_attitude else None
-        here = Attitude(plane.roll_rad, plane.pitch_rad, plane.heading_rad)
-        held = given or here.turned(target.rates_rad_s, _RATES_LEAD_S)
-        thrust = 0.0 if target.type_mask & IGNORE_THRUST else min(max(target.thrust, 0.0), 1.0)
-        trim = min(max(self.parameters["FW_THR_TRIM"], 0.01), 0.99)
-        most_m_s = _GLIDE_M_S * (thrust / trim - 1.0)
-        if thrust > trim:
-            most_m_s = plane.limits.climb_max_m_s * (thrust - trim) / (1.0 - trim)
-        wanted_m_s = plane.airspeed_m_s * math.sin(held.pitch_rad - PITCH_AT_CRUISE_RAD)
-        airspeed_m_s = self.cruise_m_s(Mode.OFFBOARD)
-        plane.advance(held.roll_rad, min(wanted_m_s, most_m_s), airspeed_m_s, dt_s)
-        plane.throttle = thrust
 
     @property
     def _since_s(self) -> float:
@@ -357,8 +302,6 @@ class Px4FixedWing(Px4):
             course.climb_out(CLIMB_OUT_M_S)
             course.airspeed_m_s = self.cruise_m_s(Mode.TAKEOFF)
             return
-        if not course.holds_altitude:
-            self.emit(CLEARED)
         course.hold_altitude(goal_m + _CLEARED_M)
         place = self.takeoff_place
         if place is not None and math.isfinite(place[0]) and math.isfinite(place[1]):
@@ -369,7 +312,7 @@ class Px4FixedWing(Px4):
         course, parameters = self.course, self.parameters
         if course.landing or not course.on_circle(self.local_m):
             if course.landing:
-                self.land()
+                self._glide()
             return
         home = self.home or self._reference
         height_m = home.altitude_amsl_m + parameters["RTL_DESCEND_ALT"]
@@ -380,52 +323,12 @@ class Px4FixedWing(Px4):
             self.start_landing(self._local_m(home.latitude_deg, home.longitude_deg))
             course.landing = True
 
-    def land(self) -> None:
-        """Flare near the ground."""
-        parameters, course = self.parameters, self.course
-        if self._flare_us is None:
-            height_m = self.estimate.altitude_amsl_m - self.ground_amsl_m
-            sink_m_s = max(-self.estimate.velocity_up_m_s, 0.0)
-            flare_s = parameters["FW_LND_FL_TIME"]
-            if height_m > max(flare_s * sink_m_s, parameters["FW_LND_FLALT"]):
-                self._glide()
-                return
-            self._flare_us, self._flare_from_m_s = self.now_us, sink_m_s
-            self.emit(FLARING)
-        since_s = (self.now_us - self._flare_us) * 1e-6
-        course.airspeed_m_s = FLARE_BRAKES_M_S
-        course.climb_out(
-            -flare_sink_m_s(
-                since_s,
-                parameters["FW_LND_FL_TIME"],
-                self._flare_from_m_s,
-                max(parameters["FW_LND_FL_SINK"], FLARE_SINKS_M_S),
-            )
-        )
-
     def _glide(self) -> None:
         """Down the slope of FW_LND_ANG, steeper while it is too fast."""
         glide = SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
         too_fast_m_s = max(self.vehicle.airspeed_m_s - self.course.airspeed_m_s, 0.0)
         sink_m_s = self._landing_airspeed_m_s() * glide + SINKS_FASTER_1_S * too_fast_m_s
         self.course.climb(-sink_m_s)
-
-    def _fly_manual(self) -> None:
-        """Position and Altitude mode: without a pilot straight on at this height."""
-        manual_control, course, parameters = self.pilot.manual_control, self.course, self.parameters
-        if manual_control is None or not self.pilot.present(
-            self.now_us, parameters["COM_RC_LOSS_T"]
-        ):
-            return
-        if abs(manual_control.roll) > _STICK or self.mode is not Mode.POSCTL:
-            course.bank_from_stick(manual_control.roll)
-        elif course.blind:
-            course.straight(self.local_m, self.vehicle.heading_rad)
-        if abs(manual_control.pitch) > _STICK:
-            rate = "FW_T_SINK_R_SP" if manual_control.pitch > 0.0 else "FW_T_CLMB_R_SP"
-            course.climb(-manual_control.pitch * parameters[rate])
-        elif not course.holds_altitude:
-            course.hold_altitude(self.estimate.altitude_amsl_m)
 
     # --- missions -----------------------------------------------------------------------------
 
@@ -436,10 +339,9 @@ class Px4FixedWing(Px4):
             return
         if leg.command == mission.TAKEOFF:
             if self.estimate.altitude_amsl_m >= leg.altitude_amsl_m:
-                self.emit(CLEARED)
                 self.mission.arrived()
         elif leg.command == mission.LAND:
-            self.land()
+            self._glide()
         elif self._has_arrived(leg):
             self.mission.arrived()
 
@@ -448,7 +350,6 @@ class Px4FixedWing(Px4):
         leg = self.mission.leg
         if leg is not self._leg or not self._leg_aimed:
             before, self._leg, self._leg_aimed = self._leg, leg, True
-            self._leg_reached_us = None
             self._set_course(leg, before)
         return leg
 
@@ -475,12 +376,11 @@ class Px4FixedWing(Px4):
             course.fly_leg(from_m, place_m, self.loiter_radius_m)
             course.hold_altitude(leg.altitude_amsl_m)
         else:
-            radius_m = leg.radius_m if abs(leg.radius_m) > 1.0 else self.loiter_radius_m
-            course.loiter(place_m, radius_m)
+            course.loiter(place_m, self.loiter_radius_m)
             course.hold_altitude(leg.altitude_amsl_m)
 
     def _has_arrived(self, leg: mission.Leg) -> bool:
-        """Near enough in distance and height; of a loiter with turns after these."""
+        """Near enough in distance and height, or on the circle."""
         course, estimate = self.course, self.estimate
         off_m = abs(estimate.altitude_amsl_m - leg.altitude_amsl_m)
         if not off_m < self.parameters["NAV_FW_ALT_RAD"]:
@@ -490,13 +390,7 @@ class Px4FixedWing(Px4):
             if leg.acceptance_m > near_m:
                 near_m = leg.acceptance_m
             return course.distance_m(self.local_m) < near_m
-        if self._leg_reached_us is None:
-            if not course.on_circle(self.local_m):
-                return False
-            self._leg_reached_us = self.now_us
-        speed_m_s = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
-        round_s = math.tau * abs(course.radius_m) / max(speed_m_s, 1.0)
-        return (self.now_us - self._leg_reached_us) * 1e-6 >= leg.turns * round_s
+        return course.on_circle(self.local_m)
 
     # --- on the wheels ------------------------------------------------------------------------
 
@@ -523,24 +417,17 @@ class Px4FixedWing(Px4):
     def _wants_up(self) -> bool:
         """Take-off, by mode or by a mission that begins with one."""
         if self.mode is Mode.TAKEOFF:
-            return self.landed or self._runway_said
+            return True
         if self.mode is not Mode.MISSION:
             return False
         leg = self._aim_leg()
         return leg is not None and leg.command == mission.TAKEOFF
 
     def _run_up(self, airspeed_m_s: float) -> None:
-        """Tell of the take-off, and leave the ground at its airspeed."""
-        if not self._runway_said and self.now_us - self._armed_us >= _RUNWAY_US:
-            self._runway_said = True
-            self.emit(ON_RUNWAY)
+        """Leave the ground at its airspeed."""
         if airspeed_m_s >= TAKEOFF_SEEN_M_S:
             self._took_off()
-        takeoff_m_s = self._takeoff_airspeed_m_s()
-        if airspeed_m_s >= ROTATES_AT * takeoff_m_s and not self._rotated:
-            self._rotated = True
-            self.emit(ROTATING)
-        if airspeed_m_s >= LIFTS_OFF_AT * takeoff_m_s:
+        if airspeed_m_s >= LIFTS_OFF_AT * self._takeoff_airspeed_m_s():
             self._took_off()
             self._wheels = False
             self.course.start(airspeed_m_s)

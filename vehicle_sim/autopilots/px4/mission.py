@@ -11,8 +11,8 @@ from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.autopilots.px4.setpoints import Projection
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Plans, Zone, forbidden, zones_of
 
-WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
-_LEGS: Final = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, 31})
+WAYPOINT, LOITER, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
+_LEGS: Final = frozenset({WAYPOINT, LOITER, LOITER_TIME, LAND, TAKEOFF})
 _HIGHEST_M: Final = 1e5
 _CHANGE_SPEED = 178
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
@@ -29,9 +29,6 @@ class Leg(NamedTuple):
     hold_s: float
     """At a waypoint, or of LOITER_TIME; infinite: for good."""
     acceptance_m: float
-    radius_m: float
-    """Of a loiter; negative: counter-clockwise, 0: NAV_LOITER_RAD."""
-    turns: float
     yaw_rad: float
     """NaN: along the way."""
 
@@ -159,7 +156,7 @@ class Mission:
         self._done = bool(items)
 
     def _leg(self, item: PlanItem) -> Leg:
-        first, second, third, fourth = item.parameters
+        first, second, _, fourth = item.parameters
         _, here, home, ground_amsl_m = self._surroundings()
         z_m = item.z_m if abs(item.z_m) <= _HIGHEST_M else math.nan
         height = height_amsl_m(item.frame, z_m, (home or here).altitude_amsl_m, ground_amsl_m)
@@ -172,8 +169,6 @@ class Mission:
             altitude_amsl_m=here.altitude_amsl_m if height is None or height != height else height,
             hold_s=math.inf if item.command == LOITER else hold,
             acceptance_m=second if item.command == WAYPOINT and second > 0.0 else math.nan,
-            radius_m=third if item.command in (LOITER, LOITER_TURNS, LOITER_TIME) else 0.0,
-            turns=first if item.command == LOITER_TURNS else 0.0,
             yaw_rad=math.radians(fourth) if math.isfinite(fourth) else math.nan,
         )
 

@@ -18,7 +18,6 @@ class Mode(enum.Enum):
     MISSION = "Mission", 4, 4
     RTL = "Return", 4, 5
     LAND = "Land", 4, 6
-    ORBIT = "Orbit", 3, 1
     DESCEND = "Descend", 4, 6
     """Told as AUTO:LAND."""
 
@@ -28,9 +27,7 @@ CUSTOM_MODES: Final = {mode: mode.value[1] << 16 | mode.value[2] << 24 for mode 
 NAMES: Final = {mode: mode.value[0] for mode in Mode}
 """As users call them."""
 MANUAL_MODES: Final = frozenset({Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED})
-NAVIGATED: Final = frozenset(
-    {Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.ORBIT}
-)
+NAVIGATED: Final = frozenset({Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND})
 """Modes in which the navigator has a place to go to."""
 AUTO_MODES: Final = NAVIGATED | {Mode.DESCEND}
 NEED_POSITION: Final = NAVIGATED | {Mode.POSCTL}
@@ -61,7 +58,6 @@ def standard_mode(mode: Mode) -> int:
 
 _STANDARD_MODES: Final = {
     Mode.POSCTL: 1,
-    Mode.ORBIT: 2,
     Mode.ALTCTL: 4,
     Mode.RTL: 5,
     Mode.MISSION: 6,

@@ -4,21 +4,17 @@ import math
 from typing import Final, final
 
 from vehicle_sim.autopilots import TargetEcho, Waypoint
-from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, Px4, profile
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
 from vehicle_sim.autopilots.px4.position_control import (
-    HERE,
     Gains,
     PositionControl,
     Trajectory,
     Wanted,
-    beyond,
 )
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
-from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
 
 _QUADROTOR: Final = 2
@@ -33,8 +29,6 @@ _HEAVY_M_S2: Final = 1.5
 _LIES_US: Final = 1_100_000
 """Contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog."""
 _ARRIVED_M: Final = 0.5
-_OFF_GROUND_M: Final = 0.3
-"""Flown by attitude it counts as taken off from here."""
 _RESPONSE_S: Final = 0.1
 """Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
 _TAKEN_OFF_US: Final = 2_200_000
@@ -57,7 +51,6 @@ class Px4Multicopter(Px4):
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/multicopter")
     profile = profile(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ)
-    learns = orbits = True
 
     def _set_up(self) -> None:
         self._control = PositionControl(Gains(self.parameters))
@@ -79,8 +72,6 @@ class Px4Multicopter(Px4):
         """RTL: 0 climbs, 1 flies home, 2 descends and lands."""
         self._aim_yaw_rad = _NAN
         self._turn_rad_s = 0.0
-        self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
-        """What SET_ATTITUDE_TARGET has come to, with its rates."""
         self._judged: Target | None = None
         self._flies = False
         self._up_us: int | None = None
@@ -113,9 +104,6 @@ class Px4Multicopter(Px4):
             self._goal = (north_m, east_m, _NAN)
         elif mode is Mode.RTL:
             self._aim_return()
-        elif mode is Mode.ORBIT:
-            self._goal = self._given(*(self.orbit or HERE)[:3])  # its centre
-        self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
 
     def _stopping_point(self) -> Vector:
         """Where braking will end: the navigator holds there (preproject_stop_point)."""
@@ -194,9 +182,6 @@ class Px4Multicopter(Px4):
                 self.landed = True
                 copter.stand(self.ground_amsl_m)
             return
-        if self.mode is Mode.OFFBOARD and self.attitude is not None:
-            self._fly_attitude(self.attitude, dt_s)
-            return
         wanted = self._asked = self._wanted(dt_s)
         if not self._flying and not self._start(wanted):
             copter.stand(self.ground_amsl_m)
@@ -222,34 +207,6 @@ class Px4Multicopter(Px4):
         elif self._ramp_us is None:
             self._contact_us = None
 
-    def _fly_attitude(self, target: AttitudeTarget, dt_s: float) -> None:
-        """Attitude and thrust as they were sent: no position controller."""
-        copter = self.vehicle
-        given = attitude_of(target.quaternion) if target.by_attitude else None
-        self._held = given or self._held.turned(target.rates_rad_s, dt_s)
-        thrust = 0.0 if target.type_mask & IGNORE_THRUST else min(max(target.thrust, 0.0), 1.0)
-        thrust_m_s2 = GRAVITY_M_S2 * thrust / max(copter.hover_throttle, 0.01)
-        north, east, up = self._held.acceleration_neu_m_s2(thrust_m_s2)
-        self._asked, self._yaw_rad = (NOTHING, NOTHING, NOTHING), self._held.yaw_rad
-        self._ramp_us = None
-        spun_up = self.now_us - self._armed_us >= self.parameters["COM_SPOOLUP_TIME"] * 1e6
-        if not self._flying and (up <= 0.0 or not spun_up):
-            copter.stand(self.ground_amsl_m)
-            self._contact(pressed=True)
-            return
-        self._flying = True
-        self._turn(dt_s)
-        if copter.altitude_amsl_m <= self.ground_amsl_m and up <= 0.0:
-            self._stand()
-            return
-        copter.advance(north, east, up, dt_s)
-        if copter.altitude_amsl_m < self.ground_amsl_m:
-            self._stand()
-            return
-        self._contact_us = None
-        if copter.altitude_amsl_m > self.ground_amsl_m + _OFF_GROUND_M:
-            self._took_off()
-
     def _stand(self) -> None:
         """On the ground, with the motors turning."""
         self.vehicle.stand(self.ground_amsl_m)
@@ -266,7 +223,7 @@ class Px4Multicopter(Px4):
             return False
         position, velocity, acceleration = wanted
         up = position[2] < self.local_m[2] - 0.1 or velocity[2] < -0.1 or acceleration[2] < -0.1
-        if not up or (self.mode not in (Mode.TAKEOFF, Mode.OFFBOARD, Mode.MISSION, Mode.POSCTL)):
+        if not up or (self.mode not in (Mode.TAKEOFF, Mode.OFFBOARD, Mode.MISSION)):
             return False
         self._ramp_us = self.now_us
         self._flying = True
@@ -295,7 +252,10 @@ class Px4Multicopter(Px4):
         if mode is Mode.DESCEND:
             return self._sink()
         if mode in MANUAL_MODES:
-            return self._fly_manual(dt_s)
+            if not self.pilot_present:
+                return self._sink()
+            self._path.towards_speed(0.0, 0.0, 0.0, dt_s)
+            return self._path.wanted()
         self._automatic(dt_s)
         return self._path.wanted()
 
@@ -323,8 +283,6 @@ class Px4Multicopter(Px4):
             self._return(dt_s)
         elif mode is Mode.MISSION:
             self._follow_mission(dt_s)
-        elif mode is Mode.ORBIT:
-            self._circle(dt_s)
         else:
             self._go(dt_s)
             if mode is Mode.TAKEOFF and self._is_up():
@@ -378,15 +336,6 @@ class Px4Multicopter(Px4):
             self._descend(dt_s)
         else:
             self._go(dt_s)
-
-    def _circle(self, dt_s: float) -> None:
-        """DO_ORBIT: along the circle, towards it where it is off it, the nose to the centre."""
-        north_m, east_m = self.local_m[0] - self._goal[0], self.local_m[1] - self._goal[1]
-        cruise_m_s, up_m_s, down_m_s = self._speeds()
-        north, east = (self.orbit or HERE).velocity_m_s(north_m, east_m, cruise_m_s)
-        down = min(max(self._goal[2] - self.local_m[2], -up_m_s), down_m_s)
-        self._path.towards_speed(north, east, down, dt_s)
-        self._aim_yaw_rad = math.atan2(-east_m, -north_m)
 
     def _is_over_goal(self) -> bool:
         north_m, east_m = self._goal[0] - self.local_m[0], self._goal[1] - self.local_m[1]
@@ -448,34 +397,8 @@ class Px4Multicopter(Px4):
         """Without a pilot the flight tasks of these modes cannot run: level, and down."""
         return NOTHING, (_NAN, _NAN, self.parameters["MPC_LAND_SPEED"]), NOTHING
 
-    def _fly_manual(self, dt_s: float) -> Wanted:
-        """One step of Position mode, or of the others as if they were Altitude."""
-        parameters, pilot, path = self.parameters, self.pilot, self._path
-        sticks = pilot.manual_control
-        if sticks is None or not pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
-            return self._sink()
-        self._yaw_rad += beyond(sticks.yaw) * math.radians(parameters["MPC_MAN_Y_MAX"]) * dt_s
-        lift = 2.0 * sticks.throttle - 1.0
-        most = parameters["MPC_Z_VEL_MAX_UP" if lift > 0.0 else "MPC_Z_VEL_MAX_DN"]
-        down_m_s = -beyond(lift) * most
-        ahead, aside = beyond(sticks.pitch), beyond(sticks.roll)
-        heading_rad = self.vehicle.heading_rad
-        sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
-        north, east = ahead * cosine - aside * sine, ahead * sine + aside * cosine
-        if self.mode is Mode.POSCTL:
-            most = parameters["MPC_VEL_MANUAL"]
-            path.towards_speed(north * most, east * most, down_m_s, dt_s)
-            return path.wanted()
-        path.towards_speed(0.0, 0.0, down_m_s, dt_s)
-        lean = GRAVITY_M_S2 * math.tan(math.radians(parameters["MPC_MAN_TILT_MAX"]))
-        return (
-            (_NAN, _NAN, path.p[2]),
-            (_NAN, _NAN, path.v[2]),
-            (north * lean, east * lean, path.a[2]),
-        )
-
     def _turn(self, dt_s: float) -> None:
-        """Turn the nose: to the setpoint's yaw, along the way, or as the pilot says."""
+        """Turn the nose: to the setpoint's yaw, or along the way."""
         copter, mode, parameters = self.vehicle, self.mode, self.parameters
         by_client = mode is Mode.OFFBOARD
         most_deg_s = parameters["MC_YAWRATE_MAX" if by_client else "MPC_YAWRAUTO_MAX"]

@@ -5,7 +5,7 @@ is cut, position first, at MPC_XY_VEL_MAX; the wanted acceleration at the tilt l
 """
 
 import math
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 from vehicle_sim.autopilots.px4.setpoints import Vector
 from vehicle_sim.dynamics import GRAVITY_M_S2
@@ -142,8 +142,7 @@ class PositionControl:
 
 # --- The smooth motion of PX4's multicopters: a point that runs ahead within acceleration and jerk
 # The position controller follows it.  MPC_ACC_HOR 3 and MPC_JERK_AUTO 4 stop 12 m/s in 31 m
-# (px4.md 4).  In Position and Altitude mode the sticks move it (px4.md 6), in DO_ORBIT a circle,
-# whose limits are those of FlightTaskOrbit; how it goes round was not measured.
+# (px4.md 4).  In the manual modes it comes to rest (px4.md 6).
 
 _STANDS_M_S: Final = 0.05
 
@@ -165,7 +164,7 @@ class Trajectory:
         self.most, self.most_up, self.jerk = 3.0, 4.0, 4.0
 
     def limit(self, parameters: Parameters, *, manual: bool) -> None:
-        """Take the limits of the AUTO modes, or of the sticks."""
+        """Take the limits of the AUTO modes, or of the manual ones."""
         self.most = max(parameters["MPC_ACC_HOR_MAX" if manual else "MPC_ACC_HOR"], 0.5)
         self.most_up = max(parameters["MPC_ACC_UP_MAX"], 0.5)
         self.jerk = max(parameters["MPC_JERK_MAX" if manual else "MPC_JERK_AUTO"], 0.5)
@@ -236,55 +235,5 @@ class Trajectory:
         return math.hypot(self.v[0], self.v[1]) < _STANDS_M_S
 
 
-_DEAD: Final = 0.1
-"""MPC_HOLD_DZ: share of a stick's travel that means nothing."""
-
 Wanted = tuple[Vector, Vector, Vector]
 """Position, velocity and acceleration; NaN: not given."""
-
-
-def beyond(stick: float) -> float:
-    """A stick's deflection beyond its dead zone, -1 to 1."""
-    size = abs(stick)
-    return 0.0 if size < _DEAD else math.copysign(min((size - _DEAD) / (1 - _DEAD), 1.0), stick)
-
-
-_RADIUS_M: Final = (1.0, 1000.0)
-_MAX_M_S: Final = 10.0
-_MAX_M_S2: Final = 2.0
-_GAIN_1_S: Final = 0.5
-
-
-@final
-class Orbit(NamedTuple):
-    """A circle; what is not given of its centre is NaN."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl_m: float
-    radius_m: float = _RADIUS_M[0]
-    """Negative: counter-clockwise."""
-    speed_m_s: float = 1.0
-
-    @property
-    def flyable(self) -> bool:
-        """Whether a multicopter takes it."""
-        size_m, speed_m_s = abs(self.radius_m), abs(self.speed_m_s)
-        return (
-            _RADIUS_M[0] <= size_m <= _RADIUS_M[1]
-            and speed_m_s <= _MAX_M_S
-            and speed_m_s**2 <= _MAX_M_S2 * size_m
-        )
-
-    def velocity_m_s(self, north_m: float, east_m: float, cruise_m_s: float) -> tuple[float, float]:
-        """North and east, at this place from the centre: along the circle, and towards it."""
-        away_m = math.hypot(north_m, east_m)
-        out_n, out_e = (north_m / away_m, east_m / away_m) if away_m > 0.1 else (1.0, 0.0)
-        outward = _GAIN_1_S * (abs(self.radius_m) - away_m)
-        outward = min(max(outward, -cruise_m_s), cruise_m_s)
-        near = max(1.0 - abs(outward) / cruise_m_s, 0.0)
-        along = math.copysign(near * abs(self.speed_m_s), self.radius_m * self.speed_m_s)
-        return out_n * outward - out_e * along, out_e * outward + out_n * along
-
-
-HERE: Final = Orbit(math.nan, math.nan, math.nan)
