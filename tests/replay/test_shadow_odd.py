@@ -344,7 +344,7 @@ def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setattr("companion.replay.shadow.plan", broken)
+    monkeypatch.setattr("companion.replay.shadow_watch.plan", broken)
     path = written(tmp_path / "part.tlog", recorded(PX4, from_s=60.0, until_s=90.0))
     report = watch(path, mission("copter-zurich"))
     assert "PLANNER_DIED" in {why.code for hold in report.holds for why in hold.why}
