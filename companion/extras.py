@@ -22,7 +22,7 @@ def missing(extra: str) -> list[str]:
 
 def hint(extra: str) -> str:
     """How to install an extra."""
-    return f"Install it: pip install 'companion[{extra}]'."
+    return f"In a checkout: scripts/setup.sh {extra}. Else: pip install 'companion[{extra}]'."
 
 
 def need(extra: str, field: str, value: object = True) -> None:
