@@ -9,6 +9,7 @@ from scipy.interpolate import BSpline
 
 from companion.path.limits import Limits
 from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
@@ -91,6 +92,7 @@ def fly(
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,
         seed=seed,
+        planner=plan,  # of this module: it may be asked a little aside (tests/nudge.py)
         **keywords,
     )
 

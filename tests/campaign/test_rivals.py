@@ -286,5 +286,5 @@ def test_ours_with_full_knowledge_costs_no_more_and_keeps_every_bound() -> None:
 def test_without_ompl_its_planners_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "find_spec", lambda _name: None)
     problem = problem_in(np.ones((SIZE, SIZE)), (103.0, 98.0), (1_480.0, 1_512.0))
-    with pytest.raises(InputError, match=r"RRTstar.*ompl.*companion\[rivals\]"):
+    with pytest.raises(InputError, match=r"RRTstar.*ompl.*companion\[compare\]"):
         PLANNERS["rrt-star"](problem, np.random.default_rng(1))
