@@ -1,0 +1,106 @@
+"""Mutants are found again however a file is changed around them; see baseline/README.md."""
+
+import csv
+import lzma
+from pathlib import Path
+
+import mutants
+import pytest
+
+SOURCE = '''
+"""Not a word of this: 1 < 2 and 3."""
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from x import y
+
+STEP_M = 0.0
+
+
+class Band:
+    """Between two heights."""
+
+    size: "tuple[int, 3]" = (1, 2)
+
+    @cached(size=3)
+    def holds(self, low: "Literal[1]" = True) -> "Literal[2]":
+        """Whether 1 < 2."""
+        if low <= self.size[0] < 7 and not (low == 2):  # above ° and below
+            self.note(f"é {low + 1} < 3")
+            return low - (2 * 3) is not None or low in (4,)
+        é = max(np.minimum(low, 1.5), "a" + str(low))
+        if low > 9:
+            raise ValueError(f"{low} of {1 + 2}", 5)
+        return None
+
+
+def holds(low):
+    self.note(low, 1)
+    self.note(low, 1)
+    return low
+'''
+OPERATORS = {
+    "<= -> <",
+    "< -> <=",
+    "> -> >=",
+    "== -> !=",
+    "is not -> is",
+    "in -> not in",
+    "and -> or",
+}
+OPERATORS |= {"or -> and", "not dropped", "- -> +", "* -> /", "max -> min", "minimum -> maximum"}
+OPERATORS |= {"constant", "return None", "call dropped"}
+
+
+def drawn(source: str) -> list[mutants.Mutant]:
+    return mutants.mutants_of(source.encode(), "companion/band.py")
+
+
+def test_every_mutant_compiles_and_is_a_change_of_one_line_with_a_name_of_its_own() -> None:
+    every = drawn(SOURCE)
+    assert {each.operator for each in every} == OPERATORS
+    assert len({each[:5] for each in every}) == len(every)
+    before = SOURCE.splitlines()
+    for each in every:
+        after = each.applied(SOURCE.encode()).decode()
+        compile(after, each.file, "exec")
+        changed = [a for a, b in zip(before, after.splitlines(), strict=True) if a != b]
+        assert [line.strip() for line in changed] == [each.line]
+
+
+def test_neither_what_is_said_nor_what_is_declared_is_changed() -> None:
+    for each in drawn(SOURCE):
+        assert not any(word in each.line for word in ('"""', "import", "raise", "cached"))
+        assert "Literal" not in each.line or each.new == "False"
+
+
+@pytest.mark.parametrize("file", ["companion/band.py", "companion/path/strip.py"])
+def test_it_is_found_again_where_it_was_moved_to(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mutants, "ROOT", tmp_path)
+    mutants.of_file.cache_clear()
+    (tmp_path / file).parent.mkdir(parents=True)
+    (tmp_path / file).write_text("import sys\n\n" + SOURCE.replace("9", "9.5"), encoding="utf-8")
+    for each in drawn(SOURCE):
+        entry = dict(zip(each._fields, each, strict=True))
+        again = mutants.found_again(entry)
+        if "9" in each.line:
+            assert again is None
+        elif each.function == "Band.holds":
+            assert again is not None
+            assert (again.file, again.new, again.row) == (file, each.new, each.row + 2)
+    mutants.of_file.cache_clear()
+
+
+def test_the_baseline_can_be_read() -> None:
+    entries = mutants.recorded()
+    assert {entry["part"] for entry in entries} == set(mutants.PARTS)
+    assert len(entries) > 200
+    for entry in entries:
+        assert {*mutants.Mutant._fields[:5]} < entry.keys()
+        assert entry["tests"] > 0
+        assert all(test.startswith("tests/") for test in entry["killers"])
+    with lzma.open(mutants.BASELINE.with_name("times.csv.xz"), "rt", encoding="utf-8") as file:
+        assert all(float(row["seconds"]) >= 0.0 for row in csv.DictReader(file))
