@@ -69,6 +69,13 @@ class Lattice:
         """Rows and columns of lattice points."""
         return (self.cost.shape[0] + 1) // 2, (self.cost.shape[1] + 1) // 2
 
+    @property
+    def samples_m(self) -> tuple[FloatArray, FloatArray]:
+        """North (2 rows - 1, 1) and east (1, 2 columns - 1) of the samples."""
+        north = self.north_min_m + self.step_m * np.arange(float(self.cost.shape[0]))
+        east = self.east_min_m + self.step_m * np.arange(float(self.cost.shape[1]))
+        return north[:, None], east[None, :]
+
     def holds(self, place: Place) -> bool:
         """Whether a place lies within the lattice."""
         u, v = self.sample_of(np.array([place]))[0]

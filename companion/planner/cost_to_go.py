@@ -6,7 +6,7 @@ too long in any direction, 0.25 % in the mean.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache, partial
 from itertools import pairwise
@@ -36,6 +36,8 @@ SingleArray = npt.NDArray[np.float32]
 
 _CELLS_PER_RANGE = 20
 _BARRED = 1e4  # cost per metre where an edge is not to be used
+_CORRIDOR = 0.2  # of R on either side of the previous route
+_DISCOUNT = 0.03  # on costs in the corridor, when another way looks cheaper
 _OFFSETS = tuple(
     (north, east)
     for north in range(5)
@@ -91,6 +93,7 @@ def cost_to_go(
     task: Task,
     here_ne_m: Place,
     target_ne_m: Place,
+    previous_route_ne_m: tuple[Place, ...] = (),
 ) -> CostToGo:
     """The cost to the target over what is known, and the way from here.
 
@@ -100,6 +103,11 @@ def cost_to_go(
         The map and the threats, limits and weights.
     here_ne_m, target_ne_m
         North, east; both may be anywhere, also off the map or inside a threat.
+    previous_route_ne_m
+        The route of the previous scan.  When the cheapest way now leaves its corridor (0.2 R to
+        either side), costs in the corridor count 3 % less, so that a small gain does not make
+        the vehicle change sides.  The discount is left out as long as nobody disputes the
+        route: values are then exact, and ends of subpaths are not drawn to the corridor.
     """
     guess = guess_of(known, here_ne_m, task.settings.scan_range_m)
     cells = max(round(task.settings.scan_range_m / (2 * _CELLS_PER_RANGE * known.cell_m)), 1)
@@ -115,6 +123,12 @@ def cost_to_go(
         seeds = seeds.joined(border) if near.holds(target_ne_m) else border
     solved = _solve(near, seeds)
     route = _route(solved, far, here_ne_m, target_ne_m)
+    corridor_m = _CORRIDOR * task.settings.scan_range_m
+    if _disputed(route, previous_route_ne_m, corridor_m):
+        inside = _distance_m(*near.samples_m, previous_route_ne_m) < corridor_m
+        kept = replace(near, cost=np.where(inside, 1.0 - _DISCOUNT, 1.0) * near.cost)
+        solved = _solve(kept, seeds)
+        route = _route(solved, far, here_ne_m, target_ne_m)
     on_lattice = partial(
         Surface,
         north_min_m=near.north_min_m,
@@ -443,6 +457,28 @@ def _needed_m(solved: _Solved, target_ne_m: Place, task: Task) -> FloatArray:
     free_m = np.where(blocked, limits.ceiling_amsl_m, needed_m)
     about_m = scipy.ndimage.minimum_filter(free_m, 3, mode="nearest")
     return np.asarray(np.where(blocked, about_m, needed_m))
+
+
+def _disputed(route: tuple[Place, ...], previous: tuple[Place, ...], corridor_m: float) -> bool:
+    """Whether a route leaves the corridor of the previous one to the same target."""
+    if len(previous) < 2 or math.dist(route[-1], previous[-1]) > corridor_m:
+        return False
+    ends = np.array(route)
+    along = np.linspace(0.0, 1.0, 33)[:, None, None]
+    points = ends[:-1] + along * (ends[1:] - ends[:-1])  # (33, K - 1, 2)
+    away = _distance_m(points[..., 0], points[..., 1], previous)
+    return bool((away > corridor_m).any())
+
+
+def _distance_m(north: FloatArray, east: FloatArray, route: tuple[Place, ...]) -> FloatArray:
+    """Distance of points from a broken line.  (...) x2 -> (...)."""
+    nearest = np.full(np.broadcast_shapes(north.shape, east.shape), np.inf)
+    for (an, ae), (bn, be) in pairwise(route):
+        dn, de = bn - an, be - ae
+        squared = max(dn * dn + de * de, 1e-12)
+        share = np.clip(((north - an) * dn + (east - ae) * de) / squared, 0.0, 1.0)
+        np.minimum(nearest, np.hypot(north - an - share * dn, east - ae - share * de), out=nearest)
+    return nearest
 
 
 def _leaves(a: Place, b: Place, centre: Place, radius_m: float) -> Place | None:

@@ -114,6 +114,7 @@ class _Flight:
         self._most_legs = most_legs
         self._task, self._known, self._left = task, blank, list(targets_ne_m)
         self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
+        self._route: tuple[tuple[float, float], ...] = ()
         self._attempt = self._tried = self._holds = self._requests = 0
         self._failure: NotPlanned | None = None
         self._legs: list[Leg] = []
@@ -142,6 +143,7 @@ class _Flight:
             start=self._pose,
             from_rest=self._from_rest,
             target_ne_m=self._left[0],
+            route_ne_m=self._route,
             rest=None if self._from_rest else self._legs[-1].rest(self._task),
             attempt=self._attempt,
             tried=self._tried,
@@ -156,7 +158,7 @@ class _Flight:
             else:
                 self._hold_at_end()
             return
-        self._failure, self._attempt = None, 0
+        self._failure, self._attempt, self._route = None, 0, outcome.route_ne_m
         self._tried = 0
         if self._legs and not self._from_rest:
             self._flown_m[-1] = self._legs[-1].successor_at_m(self._task)
@@ -166,6 +168,7 @@ class _Flight:
         self._flown_m.append(leg.subpath.length_m)
         if leg.reaches_target:
             self._left.pop(0)
+            self._route = ()
             self._stop_at_end()
         elif not leg.wants_successor(leg.subpath.length_m, self._task):
             self._hold_at_end()

@@ -232,6 +232,7 @@ class _Plan:
             request.task,
             request.scan_nea_m[:2],
             request.target_ne_m,
+            request.route_ne_m,
         )
         self._scene = _scene(request, self._field)
         limits = request.task.limits

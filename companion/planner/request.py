@@ -49,7 +49,7 @@ class PlanRequest:
     """Whether the vehicle hovers at the start, so that the path may leave in any direction."""
     target_ne_m: tuple[float, float]
     route_ne_m: tuple[tuple[float, float], ...] = ()
-    """The route to the target of the last plan."""
+    """The route to the target of the last plan: not left for a small gain."""
     rest: Rest | None = None
     """Of the current leg; None: the vehicle is at rest, or there is no leg."""
     flown: tuple[FlownSegment, ...] | None = None

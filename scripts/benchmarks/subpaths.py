@@ -141,6 +141,7 @@ def _asked(world: str, number: int, request: PlanRequest, points: int) -> dict[s
         ],
         "from_rest": request.from_rest,
         "target_ne_m": list(request.target_ne_m),
+        "route_ne_m": [list(place) for place in request.route_ne_m],
     }
 
 
@@ -172,6 +173,7 @@ def problems(data: dict[str, Any], objective: str) -> list[Problem]:
                     ),
                     from_rest=each["from_rest"],
                     target_ne_m=(each["target_ne_m"][0], each["target_ne_m"][1]),
+                    route_ne_m=tuple((place[0], place[1]) for place in each["route_ne_m"]),
                 )
                 if objective == "paper":
                     result += _as_published(request, name, for_tuning=number % 2 == 1)
@@ -195,6 +197,7 @@ def _scene(request: PlanRequest) -> FlightScene:
         request.task,
         request.scan_nea_m[:2],
         request.target_ne_m,
+        request.route_ne_m,
     )
     return plan._scene(request, field)
 

@@ -83,12 +83,15 @@ def along(route: tuple[Place, ...], step_m: float = 100.0) -> np.ndarray:
     return np.concatenate([*pieces, np.array(route[-1:])])
 
 
-def detour_m(here: Place, there: Place, centre: Place, radius_m: float) -> float:
+def detour_m(
+    here: Place, there: Place, centre: Place, radius_m: float, far_side: bool = False
+) -> float:
     """Tangent, arc, tangent about a circle that the straight line crosses."""
     a = np.subtract(here, centre)
     b = np.subtract(there, centre)
     da, db = np.hypot(*a), np.hypot(*b)
     between = math.acos(np.dot(a, b) / (da * db))
+    between = 2.0 * math.pi - between if far_side else between
     arc = between - math.acos(radius_m / da) - math.acos(radius_m / db)
     return math.sqrt(da**2 - radius_m**2) + math.sqrt(db**2 - radius_m**2) + radius_m * arc
 
@@ -341,6 +344,70 @@ def test_ground_that_has_not_been_seen_is_free() -> None:
     assert value(cost_to_go(known, task, (5e3, 5e3), (50e3, 40e3)), (5e3, 5e3)) > 1e6
 
 
+HERE, TARGET = (30e3, 5e3), (30e3, 55e3)
+
+
+def passing(off_m: float, previous: tuple[Place, ...] = ()) -> CostToGo:
+    """A radar between HERE and TARGET, its centre off_m north of the line between them."""
+    task = a_task(radars=(radar(30e3 + off_m, 30e3, 12e3),))
+    return cost_to_go(a_map(task), task, HERE, TARGET, previous)
+
+
+def side(field: CostToGo) -> float:
+    """Positive if the route passes north of the radar."""
+    return float(np.interp(30e3, *np.array(field.route_ne_m)[:, ::-1].T)) - 30e3
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_small_gain_does_not_make_the_route_change_sides(sign: float) -> None:
+    before = passing(-600.0 * sign)
+    now = passing(500.0 * sign)
+    assert side(before) * sign > 5e3
+    assert side(now) * sign < -5e3
+    centre, outside = (30e3 + 500.0 * sign, 30e3), math.sqrt(12e3**2 - FLOOR**2)
+    short = detour_m(HERE, TARGET, centre, outside)
+    long = detour_m(HERE, TARGET, centre, outside, far_side=True)
+    assert 0.005 < 1.0 - short / long < 0.02
+    kept = passing(500.0 * sign, before.route_ne_m)
+    assert side(kept) * sign > 5e3
+    ends = (
+        30e3 + 19e3 * np.sin(np.linspace(-1.2, 1.2, 97)),
+        5e3 + 19e3 * np.cos(np.linspace(-1.2, 1.2, 97)),
+    )
+    start = 19e3 + kept.at_m(*ends)
+    assert (ends[0][np.argmin(start)] - 30e3) * sign > 0.0  # and ends of subpaths agree
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_large_gain_makes_the_route_change_sides(sign: float) -> None:
+    before = passing(-600.0 * sign)
+    assert side(passing(3_000.0 * sign, before.route_ne_m)) * sign < -5e3
+
+
+def test_a_route_that_becomes_impassable_is_given_up() -> None:
+    before = passing(-300.0)
+    task = a_task(
+        radars=(radar(29.7e3, 30e3, 12e3),),
+        zones=(CircleZone(name="new", north_m=45e3, east_m=30e3, radius_m=9e3),),
+    )
+    assert side(cost_to_go(a_map(task), task, HERE, TARGET, before.route_ne_m)) < -5e3
+
+
+def test_a_route_that_nothing_disputes_leaves_the_values_as_they_are() -> None:
+    before = passing(-300.0)
+    again = passing(-900.0, before.route_ne_m)
+    free = passing(-900.0)
+    assert again.value.vertex_m.tobytes() == free.value.vertex_m.tobytes()
+    assert again.route_ne_m == free.route_ne_m
+
+
+def test_the_route_to_another_target_does_not_count() -> None:
+    task = a_task()
+    free = cost_to_go(a_map(task), task, HERE, TARGET)
+    other = cost_to_go(a_map(task), task, HERE, TARGET, (HERE, (5e3, 40e3)))
+    assert free.value.vertex_m.tobytes() == other.value.vertex_m.tobytes()
+
+
 @given(
     bearing=st.floats(-math.pi, math.pi),
     depth=st.floats(1_500.0, 7_000.0),
@@ -381,13 +448,19 @@ def test_a_target_inside_a_threat_is_reached_by_the_short_way_in() -> None:
 anywhere = st.tuples(st.floats(-80e3, 140e3), st.floats(-80e3, 140e3))
 
 
-@given(here=anywhere, target=anywhere, seed=st.integers(0, 3), same=st.booleans())
+@given(
+    here=anywhere,
+    target=anywhere,
+    seed=st.integers(0, 3),
+    previous=st.lists(anywhere, max_size=3),
+    same=st.booleans(),
+)
 def test_everything_is_finite_wherever_it_is_asked_from(
-    here: Place, target: Place, seed: int, same: bool
+    here: Place, target: Place, seed: int, previous: list[Place], same: bool
 ) -> None:
     task, known = a_scene(seed)
     target = here if same else target
-    field = cost_to_go(known, task, here, target)
+    field = cost_to_go(known, task, here, target, (*previous, target))
     assert np.isfinite(field.value.vertex_m).all()
     assert (field.value.vertex_m >= 0.0).all()
     assert (field.route_ne_m[0], field.route_ne_m[-1]) == (here, target)

@@ -134,9 +134,11 @@ def test_every_leg_is_proven_and_passes_a_check_of_every_metre_against_the_truth
         assert violations(control, task, truth, from_rest=number == 0) == []
 
 
-def test_plans_are_numbered_one_after_the_other(planner: Refusing) -> None:
+def test_each_plan_knows_the_route_that_the_last_one_had_in_mind(planner: Refusing) -> None:
+    assert planner.requests[0].route_ne_m == ()
     for outcome, request in zip(planner.outcomes, planner.requests[1:], strict=False):
         assert isinstance(outcome, Planned)
+        assert request.route_ne_m == outcome.route_ne_m
         assert request.plan_id == outcome.plan_id + 1
 
 
