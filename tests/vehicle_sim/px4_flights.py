@@ -88,7 +88,7 @@ def rates(kinds: Iterable[str]) -> dict[str, float]:
 
 
 @functools.cache
-def traffic() -> Seen:
+def default_streams() -> Seen:
     """What came of the default streams in 10 s of OFFBOARD."""
     vehicle = Companion()
     vehicle.aim = lambda _: CLIMB

@@ -108,7 +108,7 @@ LINKS = [
     case("1.3", "nor for its own heartbeat", False, links.texts, 18),
     case("1.3", "STATUSTEXT to a ground station", True, links.texts, 6),
     case("1.3", "STATUSTEXT on that same link only", (False, True), links.texts_by_link),
-    *looks("2", links.traffic, echoes=True, wind=False),
+    *looks("2", links.default_streams, echoes=True, wind=False),
     case("2", "GPS_GLOBAL_ORIGIN never comes later; 512 brings it", (0, 1), links.origins),
     case("2", "takes signed and unsigned, never signs", (True, True, False), links.signing),
     case("2", "no TRAJECTORY_REPRESENTATION", True, links.leaves_it_cold, links.ROUTE),

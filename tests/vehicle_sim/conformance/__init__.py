@@ -8,6 +8,6 @@ log.py       the recording: who said what, at which vehicle time
 flights.py   what a recording does not say of itself, which differences are known and why; the
              simulation that it asks for, and the client's half played into that
 rows.py      what a row is, and how events of two flights are paired
-answers.py, states.py, traffic.py, track.py, lidar.py    the rows; compare.py all of them
+answers.py, states.py, streams.py, track.py, lidar.py    the rows; compare.py all of them
 report.py    the table
 """

@@ -119,7 +119,7 @@ def exchange_rows(comparison: Comparison) -> Iterator[Row]:
     """A row for each message of a mission or fence exchange."""
     for number, fields in _EXCHANGES.items():
         if number == _REACHED:
-            continue  # streamed by ArduPilot's plane: counted as traffic
+            continue  # streamed by ArduPilot's plane: counted among the streams
         real, simulated = (
             [
                 (t, (message_name(number), *(f"{f} {getattr(m, f)}" for f in fields)))

@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 
-from conformance import answers, lidar, states, track, traffic
+from conformance import answers, lidar, states, streams, track
 from conformance.flights import Flight
 from conformance.log import Recording, Side
 from conformance.rows import Comparison, Row
@@ -13,7 +13,7 @@ _ALL = (
     answers.exchange_rows,
     answers.once_rows,
     states.state_rows,
-    traffic.traffic_rows,
+    streams.stream_rows,
     track.track_rows,
     track.battery_rows,
     lidar.lidar_rows,

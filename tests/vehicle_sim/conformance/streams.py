@@ -1,4 +1,4 @@
-"""Rows of the traffic: which messages, how many, from when, how long silent, and how filled."""
+"""Rows of the streams: which messages, how many, from when, how long silent, and how filled."""
 
 import itertools
 import math
@@ -38,7 +38,7 @@ _VARYING = 5
 """A field with at least so many values is one that varies."""
 
 
-def traffic_rows(comparison: Comparison) -> Iterator[Row]:
+def stream_rows(comparison: Comparison) -> Iterator[Row]:
     """Rows for every message of _READ that either side says."""
     numbers = _READ & (comparison.real.numbers | comparison.simulated.numbers)
     for number in sorted(numbers):
