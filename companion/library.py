@@ -3,7 +3,7 @@
 See docs/library.md.  Deterministic: the same arguments, the same flight.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, fields, replace
 from typing import final
@@ -18,19 +18,26 @@ from companion.optimise.registry import OPTIMISERS, Maker, temporarily_registere
 from companion.path.certificate import Certificate, bounds_text
 from companion.path.limits import Limits
 from companion.planner.offline import OfflineFlight, Scanner, fly_offline
+from companion.planner.on_board import OnBoard, flight_time_s
+from companion.planner.plan import plan
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
 from companion.planner.rules import check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.runtime.compiler import load_kernel
 from companion.sources.schema import keys_of, validated
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map
+from companion.world.near_map import NearSensor, cell_for_m
 from companion.world.simulated_scan import simulated_scan, true_map
+from companion.world.simulated_sweep import NearScene, Thing
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain, Terrain
 from companion.world.threats import CircleZone, PolygonZone, Radar, detection_probability
 
 __all__ = [
     "NOT_SEEN", "NO_ANSWER", "OPTIMISERS", "PROFILES", "ArrayTerrain", "CircleZone", "Flown",
-    "InputError", "KnownMap", "Limits", "Maker", "Peak", "PeakTerrain", "PlannerSettings",
-    "PolygonZone", "Radar", "Scan", "Scanner", "Task", "Terrain", "fly", "simulated_scan",
+    "InputError", "KnownMap", "Limits", "Maker", "NearScene", "NearSensor", "NotPlanned", "Peak",
+    "PeakTerrain", "PlanOutcome", "PlanRequest", "Planned", "PlannerSettings", "PolygonZone",
+    "Radar", "Scan", "Scanner", "Task", "Terrain", "Thing", "flight_time_s", "fly", "plan",
+    "simulated_scan",
 ]  # fmt: skip
 
 _SPACING = 400  # points of the flown path to a scan range
@@ -53,6 +60,8 @@ class Flown:
     """`length`, `height` and `radar` of eq. 5, along what was flown."""
     certificates: tuple[Certificate, ...]
     """The proof of each subpath; `certificate.broken` says what was not proven (`paper`)."""
+    task: Task
+    """Under which it was flown."""
     details: OfflineFlight
     """Everything: legs, plans with the cost terms of each search, scans, the known map."""
 
@@ -60,6 +69,11 @@ class Flown:
     def cost(self) -> float:
         """J, the sum of the terms: what docs/results/benchmarks.md compares with the optimum."""
         return sum(self.terms.values())
+
+    @property
+    def seconds(self) -> float:
+        """An estimate of how long it takes, with its stops.  Computed each time."""
+        return flight_time_s(self.details, self.task)
 
 
 def fly(
@@ -72,6 +86,9 @@ def fly(
     corner_ne_m: tuple[float, float] | None = None,
     known: KnownMap | None = None,
     scanner: Scanner = simulated_scan,
+    near: NearSensor | None = None,
+    scene: NearScene | None = None,
+    planner: Callable[[PlanRequest], PlanOutcome] = plan,
     optimiser: str | Maker | None = None,
     seed: int = 1,
     most_legs: int | None = None,
@@ -91,6 +108,11 @@ def fly(
         Terrain known in advance; None: that of the mission file, or nothing.
     scanner
         What is seen of the truth from a point with a range: `simulated_scan`, or your own.
+    near, scene
+        In place of a scanner: a sensor of near things (by default the mission's), and what stands
+        in the world.  `known.guess_m` is the ground, which it does not see; None: the world's.
+    planner
+        What answers the requests: `plan`, or your own.
     optimiser
         A name in `OPTIMISERS`, or your own: what makes one; None: the mission's.
     seed
@@ -103,19 +125,31 @@ def fly(
     if seed < 0 or (most_legs is not None and most_legs < 1):
         rule = "a seed is 0 or more, and a flight has one leg or more"
         raise InputError("seed, most_legs", (seed, most_legs), rule, "Raise it.")
-    task, start_nea_m, targets, known = _mission(world, mission, start_nea_m, targets_ne_m, known)
+    task, start_nea_m, targets, known, near = _mission(
+        world, mission, start_nea_m, targets_ne_m, known, near
+    )
+    if (near is None) is not (scene is None):
+        rule = "a near sensor and the scene that it sees belong together"
+        raise InputError("scene", scene, rule, "Give both: NearSensor and NearScene.")
     terrain = _terrain(world, task, spacing_m, corner_ne_m)
     blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+    truth, flies = true_map(terrain, blank), None
+    if near is not None and scene is not None:
+        blank = replace(blank, guess_m=truth.upper_m) if blank.guess_m is None else blank
+        on_board = OnBoard(near, scene, task, blank)
+        scanner, flies = on_board.scan, on_board.flies
     load_kernel()  # once: ten seconds the first time ever
     with _searched_with(optimiser, task) as task:
         flight = fly_offline(
             task,
             blank=blank,
-            truth=true_map(terrain, blank),
+            truth=truth,
             start_nea_m=start_nea_m,
             targets_ne_m=targets,
             seed=seed,
+            planner=planner,
             scanner=scanner,
+            flies=flies,
             most_legs=most_legs,
         )
     return _flown(flight, task)
@@ -134,7 +168,8 @@ def _searched_with(optimiser: str | Maker | None, task: Task) -> Iterator[Task]:
         )
 
 
-_Mission = tuple[Task, tuple[float, float, float], tuple[tuple[float, float], ...], KnownMap | None]
+_Place = tuple[float, float, float]
+_Mission = tuple[Task, _Place, tuple[tuple[float, float], ...], KnownMap | None, NearSensor | None]
 
 
 def _mission(
@@ -143,28 +178,39 @@ def _mission(
     start_nea_m: tuple[float, float, float] | None,
     targets_ne_m: Sequence[tuple[float, float]],
     known: KnownMap | None,
+    near: NearSensor | None,
 ) -> _Mission:
-    """The task, start, targets and what is known, from files where they are not given."""
+    """The task, start, targets, what is known, and sensor, from files where they are not given."""
     targets = tuple(
         (float(north), float(east))
         for north, east in (_numbers(at, 2, "targets_ne_m") for at in targets_ne_m)
     )
     if isinstance(mission, str):
         read = load_mission(mission)
-        if read.near is not None:
-            rule = "its scanner is a sensor of near things, and only a terrain radar is simulated"
-            raise InputError("mission", mission, rule, "Fly it: scripts/fly.")
+        near = near or read.near
         task, targets, known = read.task, targets or read.targets_ne_m, known or read.known
         if start_nea_m is None and isinstance(world, str):
             start_nea_m = (*load_world(world).start_ne_m, read.task.take_off_amsl_m)
     else:
-        task = _checked(mission)
+        task = _checked(mission if near is None else _among_near_things(mission))
     if start_nea_m is None:
         raise InputError("start_nea_m", None, "it is not known", "Give north, east, altitude.")
     north_m, east_m, altitude_m = _numbers(start_nea_m, 3, "start_nea_m")
     if not targets:
         raise InputError("targets_ne_m", (), "there is none", "Give (north, east) of each.")
-    return task, (north_m, east_m, altitude_m), targets, known
+    return task, (north_m, east_m, altitude_m), targets, known, near
+
+
+def _among_near_things(task: Task) -> Task:
+    """The task with small cells, and no farther past an end than d_s: as mission files have it."""
+    limits, settings = task.limits, task.settings
+    cell_m = settings.cell_m or cell_for_m(settings.scan_range_m, limits.north_m, limits.east_m)
+    overrun_m = min(limits.overrun_m, settings.safety_distance_m)
+    return replace(
+        task,
+        limits=replace(limits, overrun_m=overrun_m),
+        settings=replace(settings, cell_m=cell_m),
+    )
 
 
 def _numbers(place: Sequence[float], count: int, field: str) -> list[float]:
@@ -222,6 +268,7 @@ def _flown(flight: OfflineFlight, task: Task) -> Flown:
         length_m=sum(flight.flown_m),
         terms=route_terms(points, task),
         certificates=tuple(planned.certificate for planned in flight.plans),
+        task=task,
         details=flight,
     )
 

@@ -7,8 +7,6 @@ for a scan; in between, the mission is told of every sweep, as something may be 
 import math
 from typing import Final, final
 
-import numpy as np
-
 from companion.geodesy import LocalFrame
 from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
@@ -16,15 +14,12 @@ from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensin
 from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
-from companion.world.known_map import NO_ANSWER, KnownMap, Scan
-from companion.world.near_map import NearMap, Rules, Sight, Window, both
+from companion.world.known_map import KnownMap
+from companion.world.near_map import NearMap, Rules, Sight, Window, both, top_amsl_m
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
 _RATE_HZ: Final = 20.0
-_NO_DRIFT_S: Final = 1.0
-"""From one second to the next `position_error_m` says how wrong the position is."""
-_HIGH: Final = 1.0  # of R above the ceiling: there occupied cells end
 
 
 def messages_of(mission: Mission) -> frozenset[int]:
@@ -64,12 +59,11 @@ class NearScanner:
         self._poses = Poses()
         self._component = sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
-        drifts_s = mission.task.limits.navigation_error_m / sensor.drift_m_s
-        free_for_s = max(drifts_s, _NO_DRIFT_S)
-        self._near = NearMap.empty(blank.lattice, Rules(free_for_s=free_for_s))
+        rules = Rules.of(sensor, mission.task.limits.navigation_error_m)
+        self._near = NearMap.empty(blank.lattice, rules)
         self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings
-        self._top_m = limits.ceiling_amsl_m + _HIGH * settings.scan_range_m
+        self._top_m = top_amsl_m(limits.ceiling_amsl_m, settings.scan_range_m)
         self._scan_time_s = settings.scan_time_s
         self._began_s = self._swept_s = -math.inf
         self._changed: Window | None = None
@@ -154,20 +148,5 @@ class NearScanner:
         answered = swept or not self._sight.is_blind
         self.is_on = False
         self._told, self._changed = self._changed, None
-        return ScanDone(time_s=now_s, scan=self._scan(self._told), asked=1, answered=int(answered))
-
-    def _scan(self, window: Window | None) -> Scan:
-        """All that is known of a window; None: nothing is new."""
-        supersedes = window is not None
-        window = window or (slice(0, 0), slice(0, 0))
-        heights = np.where(self._near.free(window), self._ground_m[window], NO_ANSWER)
-        heights[self._near.closed(window)] = self._top_m
-        return Scan(
-            row=window[0].start,
-            column=window[1].start,
-            heights_m=heights,
-            radar_nea_m=np.zeros((1, 1, 3)),
-            range_m=0.0,
-            complete=False,
-            supersedes=supersedes,
-        )
+        scan = self._near.scan(self._told, self._ground_m, self._top_m)
+        return ScanDone(time_s=now_s, scan=scan, asked=1, answered=int(answered))

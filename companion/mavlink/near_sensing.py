@@ -496,9 +496,7 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Swee
         echo_m=np.where(echo_m <= stays_m, echo_m, np.inf),
         range_m=sensor.range_m,
         blind_m=sensor.blind_m,
-        error_m=sensor.range_error_m
-        + sensor.position_error_m
-        + sensor.latency_error_s * pose.speed_m_s,
+        error_m=sensor.error_m(pose.speed_m_s),
         bearing_error_rad=sensor.bearing_error_rad
         + sensor.latency_error_s * pose.yaw_rate_rad_s
         + float(bent.max(initial=0.0)),

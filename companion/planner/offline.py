@@ -30,6 +30,9 @@ _MAX_ATTEMPTS = 4  # from one place, each with a wider search
 
 Scanner = Callable[[KnownMap, tuple[float, float, float], float], Scan]
 """What is seen of the truth from a point (north, east, altitude) with a range, metres."""
+Flies = Callable[[Leg, float, float, bool], float]
+"""Told of each part of a leg that is flown: from and to which length, and whether it goes on there.
+-> where it stopped, if that was before."""
 
 
 @final
@@ -67,20 +70,21 @@ def fly_offline(
     seed: int,
     planner: Callable[[PlanRequest], PlanOutcome] = plan,
     scanner: Scanner = simulated_scan,
+    flies: Flies | None = None,
     most_legs: int | None = None,
 ) -> OfflineFlight:
     """Scan, plan, go on to p_prog, until the last target is reached or nothing can be planned.
 
     most_legs: it gives up after so many, with `TOO_MANY_LEGS`; None: six times as many as a
     straight way has, or 60 if that is more.  From one place it plans up to four times, each time
-    with a wider search.
+    with a wider search.  flies: what looks about on the way.
 
     As in flight: the vehicle stops at each target, and a leg without a successor is flown to its
     end, where the vehicle stops, scans and plans again.
     """
     if most_legs is None:
         most_legs = usual_most_legs(task, start_nea_m, targets_ne_m)
-    flight = _Flight(task, blank, start_nea_m, targets_ne_m, most_legs)
+    flight = _Flight(task, blank, start_nea_m, targets_ne_m, most_legs, flies)
     while not flight.is_over:
         flight.scan(truth, scanner)
         flight.take(planner(flight.request(seed)))
@@ -110,8 +114,9 @@ class _Flight:
         start_nea_m: tuple[float, float, float],
         targets_ne_m: tuple[tuple[float, float], ...],
         most_legs: int,
+        flies: Flies | None,
     ) -> None:
-        self._most_legs = most_legs
+        self._most_legs, self._flies, self._at_m = most_legs, flies, 0.0
         self._task, self._known, self._left = task, blank, list(targets_ne_m)
         self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
         self._route: tuple[tuple[float, float], ...] = ()
@@ -162,28 +167,43 @@ class _Flight:
         self._tried = 0
         if self._legs and not self._from_rest:
             self._flown_m[-1] = self._legs[-1].successor_at_m(self._task)
+            if not self._fly(self._flown_m[-1], goes_on=True):
+                return
         leg = Leg.of(outcome, len(self._legs) + 1)
         self._plans.append(outcome)
         self._legs.append(leg)
         self._flown_m.append(leg.subpath.length_m)
+        self._at_m = 0.0
         if leg.reaches_target:
-            self._left.pop(0)
-            self._route = ()
-            self._stop_at_end()
+            if self._fly(leg.subpath.length_m):
+                self._left.pop(0)
+                self._route = ()
+                self._stop_at_m(leg.subpath.length_m)
         elif not leg.wants_successor(leg.subpath.length_m, self._task):
             self._hold_at_end()
-        else:
+        elif self._fly(leg.scan_at_m(self._task)):
             self._scan_nea_m = leg.subpath.pose(leg.scan_at_m(self._task)).point_nea_m
             self._pose = leg.subpath.pose(leg.successor_at_m(self._task))
             self._from_rest = False
 
-    def _hold_at_end(self) -> None:
+    def _fly(self, until_m: float, *, goes_on: bool = False) -> bool:
+        """Fly on along the leg.  -> whether it came so far; else it has stopped, and holds."""
+        leg, from_m = self._legs[-1], self._at_m
+        self._at_m = until_m if self._flies is None else self._flies(leg, from_m, until_m, goes_on)
+        if self._at_m >= until_m:
+            return True
         self._holds += 1
-        self._stop_at_end()
+        self._flown_m[-1] = self._at_m
+        self._stop_at_m(self._at_m)
+        return False
 
-    def _stop_at_end(self) -> None:
-        end = self._legs[-1].subpath
-        self._scan_nea_m = end.pose(end.length_m).point_nea_m
+    def _hold_at_end(self) -> None:
+        if self._fly(end_m := self._legs[-1].subpath.length_m):
+            self._holds += 1
+            self._stop_at_m(end_m)
+
+    def _stop_at_m(self, length_m: float) -> None:
+        self._scan_nea_m = self._legs[-1].subpath.pose(length_m).point_nea_m
         self._pose, self._from_rest = hover_pose(self._scan_nea_m), True
 
     def result(self) -> OfflineFlight:

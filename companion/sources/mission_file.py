@@ -43,11 +43,10 @@ from companion.sources.waypoint_file import (
     read_waypoint_list,
 )
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.near_map import Kind, NearSensor
+from companion.world.near_map import Kind, NearSensor, cell_for_m
 
 _LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
 _OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
-_NEAR_CELLS_PER_RANGE, _NEAR_CELLS = 64, 4e6
 _DATUM_ERROR_M = 5.0
 """Of an elevation file that says nothing of it."""
 
@@ -197,7 +196,7 @@ def mission_of(
     frame = LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg)
     near, limits, settings = _near_sensor(model, where), _limits(model), _settings(model, profile)
     if near is not None:
-        settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
+        settings = replace(settings, cell_m=cell_for_m(near.range_m, limits.north_m, limits.east_m))
         limits = replace(limits, overrun_m=settings.safety_distance_m)
     task = Task(
         limits=limits,
@@ -324,12 +323,6 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         range_m=model.planner.scan_range_m,
         **table.of(NearSensor),
     )
-
-
-def _near_cell_m(limits: Limits, range_m: float) -> float:
-    """Cells of R / 64, but no more than four million."""
-    sides = ((high - low) for low, high in (limits.north_m, limits.east_m))
-    return max(range_m / _NEAR_CELLS_PER_RANGE, math.sqrt(max(math.prod(sides), 0.0) / _NEAR_CELLS))
 
 
 def _scanner_id(vehicle: MissionVehicleTable) -> int | None:

@@ -28,10 +28,14 @@ from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.ranges import NotNegative, Positive
+from companion.world.known_map import NO_ANSWER, Scan
 from companion.world.rays import IntArray, Lattice
 
 _NO_GAP_RAD = 1e-6
 """What is left of a turn that sectors go all round."""
+_NO_DRIFT_S = 1.0
+"""From one second to the next `position_error_m` says how wrong the position is."""
+CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6
 Kind = Literal["obstacle_distance", "distance_sensor"]
 """What the messages of a sensor are called."""
 Window = tuple[slice, slice]
@@ -153,6 +157,10 @@ class NearSensor:
     speaks_for_m: Positive = 2.0
     """A beam speaks for what stands so far above and below it, too."""
 
+    def error_m(self, speed_m_s: float) -> float:
+        """How far the end of a beam may be from where it is said to be."""
+        return self.range_error_m + self.position_error_m + self.latency_error_s * speed_m_s
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,6 +189,11 @@ class Rules:
 
     Long enough to fly out of a dead end: what is unknown is an open way.
     """
+
+    @staticmethod
+    def of(sensor: NearSensor, navigation_error_m: float) -> "Rules":
+        """A cell is free until drift has used up what paths keep for the error of the position."""
+        return Rules(free_for_s=max(navigation_error_m / sensor.drift_m_s, _NO_DRIFT_S))
 
 
 @final
@@ -243,6 +256,26 @@ class NearMap:
         looked = self.looks[window] >= self.rules.looks
         stands = self.occupied(window) & self.sharp[window]
         return stands | (looked & ~self.free(window))
+
+    def scan(self, window: Window | None, ground_m: FloatArray, top_m: float) -> Scan:
+        """All that is known of a window, as a scan of a known map; None: nothing is new.
+
+        ground_m: of all cells (rows, columns), what is free is as high; what is closed is as high
+        as top_m.
+        """
+        supersedes = window is not None
+        window = window or (slice(0, 0), slice(0, 0))
+        heights = np.where(self.free(window), ground_m[window], NO_ANSWER)
+        heights[self.closed(window)] = top_m
+        return Scan(
+            row=window[0].start,
+            column=window[1].start,
+            heights_m=heights,
+            radar_nea_m=np.zeros((1, 1, 3)),
+            range_m=0.0,
+            complete=False,
+            supersedes=supersedes,
+        )
 
     def expire(self, now_s: float) -> Window | None:
         """Cells that no sweep has passed for too long are unknown.  -> where that may be so.
@@ -375,6 +408,20 @@ class NearMap:
         )
         inner = np.abs(off_m) <= 0.5 * sweep.error_m + 1e-9
         return row, column, inner.repeat(across)
+
+
+def cell_for_m(range_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> float:
+    """Size of the cells for a range and an area: R / 64, but no more than four million of them.
+
+    That is 0.25 m where R is 16 m, half of the safety distance there.
+    """
+    area_m2 = (north_m[1] - north_m[0]) * (east_m[1] - east_m[0])
+    return max(range_m / CELLS_PER_RANGE, math.sqrt(max(area_m2, 0.0) / _MOST_CELLS))
+
+
+def top_amsl_m(ceiling_amsl_m: float, range_m: float) -> float:
+    """How high closed cells are: R above the ceiling, so that no path leads over them."""
+    return ceiling_amsl_m + range_m
 
 
 def both(a: Window | None, b: Window) -> Window:
