@@ -13,10 +13,13 @@ from companion import library
 from companion.campaign import drawn_world, truth
 from companion.campaign.route_cost import curve_cost
 from companion.errors import InputError
-from companion.library import OPTIMISERS, Flown, Task, fly
+from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
 from companion.objective.scene import PROFILES
 from companion.path.certificate import Certificate
-from companion.world.known_map import KnownMap, Scan
+from companion.planner.offline import fly_offline
+from companion.planner.on_board import OnBoard
+from companion.planner.procedure import Leg
+from companion.world.known_map import KnownMap, Scan, empty_map
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 WHERE: dict[str, Any] = {
@@ -31,7 +34,7 @@ def page() -> dict[str, Any]:
     """What the names of the page are after all of its code has run."""
     names: dict[str, Any] = {}
     code = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)
-    assert len(code) == 3
+    assert len(code) == 5
     exec("\n".join(code), names)
     return names
 
@@ -120,6 +123,64 @@ def test_an_own_optimiser_is_lent_to_one_flight_only(page: dict[str, Any]) -> No
     assert before == OPTIMISERS
 
 
+def test_the_flight_among_near_things_arrives_proven_and_keeps_its_distance(
+    page: dict[str, Any],
+) -> None:
+    among: Flown = page["among"]
+    assert among.arrived, among.why
+    assert all(certificate.proven for certificate in among.certificates)
+    assert among.length_m > 1.3 * math.dist((0.0, 0.0), (42.0, 42.0))  # round the wall
+    gaps_m = NearScene(page["things"]).gaps_m(among.points_nea_m[:, :2])
+    assert gaps_m.min() >= among.task.required_clearance_m
+
+
+def aboard(task: Task, things: list[Thing]) -> tuple[OnBoard, dict[str, Any]]:
+    """A sensor in the wood of the page, and the flight that it is on board of."""
+    blank = empty_map(0.25, (-20.0, 60.0), (-20.0, 60.0))
+    blank = replace(blank, guess_m=np.full(blank.upper_m.shape, 400.0))
+    sensor = library.NearSensor(kind="obstacle_distance", component_id=1, range_m=16.0)
+    sensor_on_board = OnBoard(sensor, NearScene(things), task, blank)
+    where = {"blank": blank, "truth": blank, "start_nea_m": (0.0, 0.0, 405.5), "seed": 1}
+    return sensor_on_board, {**where, "scanner": sensor_on_board.scan}
+
+
+def test_the_time_is_that_of_the_clock_on_board(page: dict[str, Any]) -> None:
+    task: Task = page["among"].task
+    on_board, where = aboard(task, page["things"])
+    targets = ((30.0, 0.0), (42.0, 42.0))
+    flight = fly_offline(task, targets_ne_m=targets, flies=on_board.flies, **where)
+    assert flight.failure is None
+    seconds = library.flight_time_s(flight, task)
+    assert seconds == pytest.approx(on_board.flown_s, abs=0.15 * len(flight.legs))
+    assert seconds > sum(flight.flown_m) / task.limits.speed_m_s
+
+
+def test_a_thing_that_comes_into_the_way_is_stopped_for(page: dict[str, Any]) -> None:
+    task: Task = page["among"].task
+    on_board, where = aboard(task, [])
+
+    def flies(leg: Leg, from_m: float, until_m: float, goes_on: bool) -> float:
+        if leg.number == 2:
+            ahead = leg.subpath.pose(leg.subpath.length_m).point_nea_m[:2]
+            on_board._scene = NearScene([Thing(corners_ne_m=[ahead], half_width_m=0.3)])
+        return on_board.flies(leg, from_m, until_m, goes_on)
+
+    flight = fly_offline(task, targets_ne_m=((42.0, 42.0),), flies=flies, **where)
+    assert flight.failure is None
+    assert flight.holds
+    assert flight.flown_m[1] < flight.legs[1].successor_at_m(task)
+    end = flight.legs[1].subpath.pose(flight.flown_m[1]).point_nea_m
+    assert flight.scans_nea_m.count(end) == 1
+    gaps_m = on_board._scene.gaps_m(flight.route_nea_m(0.1)[:, :2])
+    assert gaps_m.min() >= task.settings.safety_distance_m
+
+
+def test_an_own_planner_answers_every_request(page: dict[str, Any]) -> None:
+    quick: Flown = page["quick"]
+    assert quick.arrived
+    assert page["asked"] == list(range(1, len(quick.details.legs) + 1))
+
+
 def test_no_limit_is_silent() -> None:
     cut = fly("environment-1", "environment-1", most_legs=2)
     assert not cut.arrived
@@ -145,7 +206,8 @@ def test_what_the_paper_flies_has_certificates_too(page: dict[str, Any]) -> None
         ({"start_nea_m": (500.0, 500.0)}, "start_nea_m"),
         ({"targets_ne_m": [(math.nan, 500.0)]}, "targets_ne_m"),
         ({"seed": -1}, "seed, most_legs"),
-        ({"mission": "forest"}, "mission"),
+        ({"mission": "forest"}, "scene"),
+        ({"scene": NearScene([])}, "scene"),
     ],
 )
 def test_what_is_not_understood_is_named(

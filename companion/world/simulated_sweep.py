@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.world.near_map import Kind, NearSensor, Sweep
+from companion.world.rays import IntArray
 
 SECTORS: dict[Kind, int] = {"obstacle_distance": 72, "distance_sensor": 8}
 """All round, of each kind: what their MAVLink messages have room for."""
@@ -64,13 +65,13 @@ class NearScene:
         cos, sin = math.cos(heading_rad), math.sin(heading_rad)
         north_m = place_ne_m[0] + cos * sensor.forward_m - sin * sensor.right_m
         east_m = place_ne_m[1] + sin * sensor.forward_m + cos * sensor.right_m
-        eye = np.array([north_m, east_m])
+        eye: FloatArray = np.array([north_m, east_m])
         count = SECTORS[sensor.kind]
         width_rad = math.tau / count
         first_rad = heading_rad + sensor.yaw_rad - 0.5 * width_rad
         nearest, gap_m = self._to_pieces(eye)
         near = np.flatnonzero(gap_m <= sensor.range_m)
-        sides_m = self._met_m(eye, first_rad + np.arange(count) * width_rad, near)
+        sides_m = self._met_m(eye, first_rad + np.arange(float(count)) * width_rad, near)
         least_m = np.minimum(sides_m, np.roll(sides_m, -1))
         away = nearest[near] - eye
         turned_rad = np.arctan2(away[:, 1], away[:, 0]) - first_rad
@@ -97,7 +98,7 @@ class NearScene:
         nearest = self._from + share[:, None] * self._along
         return nearest, np.hypot(*(nearest - point).T) - self._half_width_m
 
-    def _met_m(self, eye: FloatArray, bearing_rad: FloatArray, near: FloatArray) -> FloatArray:
+    def _met_m(self, eye: FloatArray, bearing_rad: FloatArray, near: IntArray) -> FloatArray:
         """How far rays get to the first of some pieces; inf: past all.  (R,) -> (R,)."""
         start, along, half = self._from[near], self._along[near], self._half_width_m[near]
         ways = np.stack([np.cos(bearing_rad), np.sin(bearing_rad)], axis=-1)[:, None, :]  # (R,1,2)
