@@ -20,11 +20,9 @@ from companion.geodesy import BoolArray, FloatArray
 
 IndexArray = NDArray[np.int64]
 
-LEAST = 0.95
-"""Costs per metre are above this (1 of level flight, less a discount of 3 %): edges that cannot
-be cheaper than what is known are not looked at."""
 _FARTHEST = 4  # lattice points north or east that an edge leads at most
 _SHORT = 2  # the most that one of the 16 leads that serve on steep ground
+_ROUNDED = 1.0 - 1e-9  # a mean of costs may be lower than the least of them by so much
 _LOOKS = 500  # between two looks whether what is wanted is right: each takes as long as some ten
 _PARTS = 8  # of an edge, at whose ends its ground is looked at: one for each sample of the longest
 
@@ -64,10 +62,20 @@ def _on_edges() -> tuple[IndexArray, FloatArray]:
 
 _SAMPLES, _SHARES = _on_edges()
 
+_PIECES = 2 * np.abs(DIRECTIONS[:_HALF]).max(axis=1)  # of edges, between those rows or columns
+
 
 class Grid(NamedTuple):
-    """Costs at the lattice points and halfway between them: (2 rows - 1, 2 columns - 1) samples."""
+    """Costs at the lattice points and halfway between them: (2 rows - 1) (2 columns - 1) samples.
 
+    Each row of samples after the one before it.
+    """
+
+    rows: int
+    columns: int
+    """Of lattice points."""
+    step_m: float
+    """Between samples."""
     cost: FloatArray
     """Per metre of way."""
     barring: FloatArray
@@ -78,8 +86,27 @@ class Grid(NamedTuple):
     """What the height of the steepest climb from the floor to here costs."""
     lowest_m: FloatArray
     """The altitude that the terrain asks for, within the limits, AMSL."""
-    step_m: float
-    """Between samples."""
+    beside: IndexArray
+    """From a lattice point to the samples beside its edges, (24, 9, 2)."""
+    least: float = 1.0
+    """No cost is below: edges that cannot be cheaper than what is known are not looked at."""
+
+    @staticmethod
+    def empty(rows: int, columns: int, step_m: float) -> "Grid":
+        """Of so many samples, whose costs are not known yet."""
+        cost, barring, height, ramp_m, lowest_m = np.zeros((5, rows * columns))
+        beside = _SAMPLES[:, :, 0::2] * columns + _SAMPLES[:, :, 1::2]
+        return Grid(
+            rows=(rows + 1) // 2,
+            columns=(columns + 1) // 2,
+            step_m=step_m,
+            cost=cost,
+            barring=barring,
+            height=height,
+            ramp_m=ramp_m,
+            lowest_m=lowest_m,
+            beside=np.ascontiguousarray(beside),
+        )
 
 
 class Costs(NamedTuple):
@@ -93,6 +120,8 @@ class Costs(NamedTuple):
     via: IndexArray
     """The direction that `ahead` comes from, the first of equals; -1: the seed."""
     heap: IndexArray
+    key: FloatArray
+    """Of what is in the heap, in its order."""
     at: IndexArray
     """Where in the heap a point is; -1: it is not."""
 
@@ -106,13 +135,15 @@ class Costs(NamedTuple):
             np.full(count, np.inf),
             np.full(count, -1),
             np.empty(count, dtype=np.int64),
+            np.empty(count),
             np.full(count, -1),
         )
 
     def copied(self) -> "Costs":
         """The same, to be changed."""
         seed, cost, ahead = self.seed.copy(), self.cost.copy(), self.ahead.copy()
-        return Costs(seed, cost, ahead, self.via.copy(), self.heap.copy(), self.at.copy())
+        heap, key, at = self.heap.copy(), self.key.copy(), self.at.copy()
+        return Costs(seed, cost, ahead, self.via.copy(), heap, key, at)
 
 
 def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
@@ -127,22 +158,22 @@ def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
         row += DIRECTIONS[k, 0]
         column += DIRECTIONS[k, 1]
         k -= _HALF
-    pieces = 2 * max(DIRECTIONS[k, 0], abs(DIRECTIONS[k, 1]))
+    pieces, at = _PIECES[k], 2 * row * (2 * grid.columns - 1) + 2 * column
     piece_m = 2.0 * grid.step_m * _LENGTHS[k] / pieces
-    is_short = pieces <= 2 * _SHORT
+    is_short, total = pieces <= 2 * _SHORT, 0.0
     cost = grid.cost if is_short else grid.barring
-    total = ramp = height = 0.0
     for p in range(pieces + 1):
-        i, j = 2 * row + _SAMPLES[k, p, 0], 2 * column + _SAMPLES[k, p, 1]
-        i2, j2 = 2 * row + _SAMPLES[k, p, 2], 2 * column + _SAMPLES[k, p, 3]
-        share = _SHARES[k, p]
-        here = cost[i, j] + share * (cost[i2, j2] - cost[i, j])
-        total += 0.5 * here if p in (0, pieces) else here
-        if is_short:
-            ramp2 = grid.ramp_m[i, j] + share * (grid.ramp_m[i2, j2] - grid.ramp_m[i, j])
-            height2 = grid.height[i, j] + share * (grid.height[i2, j2] - grid.height[i, j])
-            if p > 0:
-                total += max(abs(ramp2 - ramp) / piece_m - 0.5 * (height + height2), 0.0)
+        one, other = cost[at + grid.beside[k, p, 0]], cost[at + grid.beside[k, p, 1]]
+        total += one + _SHARES[k, p] * (other - one)
+    total -= 0.5 * (cost[at] + cost[at + grid.beside[k, pieces, 0]])
+    if is_short:
+        ramp, height, per_metre = grid.ramp_m[at], grid.height[at], 1.0 / piece_m
+        for p in range(1, pieces + 1):
+            i, j, share = at + grid.beside[k, p, 0], at + grid.beside[k, p, 1], _SHARES[k, p]
+            ramp2 = grid.ramp_m[i] + share * (grid.ramp_m[j] - grid.ramp_m[i])
+            height2 = grid.height[i] + share * (grid.height[j] - grid.height[i])
+            steeper = abs(ramp2 - ramp) * per_metre - 0.5 * (height + height2)
+            total += max(steeper, 0.0)
             ramp, height = ramp2, height2
     return float(total * piece_m)
 
@@ -155,124 +186,119 @@ def repair(grid: Grid, costs: Costs, dirty: IndexArray, wanted: IndexArray) -> i
     wanted: where nothing has become dearer, the points that matter: then it ends when they are
     right, and the others' costs are too high; none: all matter.
     """
-    rows, columns = (grid.cost.shape[0] + 1) // 2, (grid.cost.shape[1] + 1) // 2
+    rows, columns = grid.rows, grid.columns
     cost, ahead, via = costs.cost, costs.ahead, costs.via
-    heap, at = costs.heap, costs.at
-    least_m = LEAST * 2.0 * grid.step_m
+    least_m = _ROUNDED * grid.least * 2.0 * grid.step_m * _LENGTHS
     size = looked = 0
     for u in dirty:
-        size = _again(u, grid, costs, size)
+        size = _again(u, grid, costs, least_m, size)
     while size:
-        u = heap[0]
-        if len(wanted) and looked % _LOOKS == 0 and _key(u, cost, ahead) > ahead[wanted].max():
+        u = costs.heap[0]
+        if len(wanted) and looked % _LOOKS == 0 and costs.key[0] > ahead[wanted].max():
             break
-        size = _removed(u, cost, ahead, heap, at, size)
+        size = _removed(u, costs, size)
         looked += 1
         row, column = u // columns, u % columns
+        is_within = _is_within(row, rows) and _is_within(column, columns)
         if cost[u] > ahead[u]:
             cost[u] = ahead[u]
             for k in range(len(DIRECTIONS)):
-                i, j = row + DIRECTIONS[k, 0], column + DIRECTIONS[k, 1]
-                if not (0 <= i < rows and 0 <= j < columns):
+                if not (is_within or _leads_on(row, column, rows, columns, k)):
                     continue
-                v, back = i * columns + j, (k + _HALF) % len(DIRECTIONS)
-                if ahead[v] < cost[u] + least_m * _LENGTHS[k]:
+                v = u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]
+                if ahead[v] < cost[u] + least_m[k]:
                     continue
-                by_u = cost[u] + edge_m(grid, row, column, k)
+                by_u, back = cost[u] + edge_m(grid, row, column, k), (k + _HALF) % len(DIRECTIONS)
                 if by_u < ahead[v]:
                     ahead[v], via[v] = by_u, back
-                    size = _filed(v, cost, ahead, heap, at, size)
+                    size = _filed(v, costs, size)
                 elif by_u == ahead[v] and back < via[v]:
                     via[v] = back
         else:
             cost[u] = math.inf
-            size = _again(u, grid, costs, size)
+            size = _again(u, grid, costs, least_m, size)
             for k in range(len(DIRECTIONS)):
-                i, j = row + DIRECTIONS[k, 0], column + DIRECTIONS[k, 1]
-                if 0 <= i < rows and 0 <= j < columns:
-                    v = i * columns + j
+                if is_within or _leads_on(row, column, rows, columns, k):
+                    v = u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]
                     if via[v] == (k + _HALF) % len(DIRECTIONS):
-                        size = _again(v, grid, costs, size)
+                        size = _again(v, grid, costs, least_m, size)
     return looked
 
 
-def _again(u: int, grid: Grid, costs: Costs, size: int) -> int:
+def _is_within(row: int, rows: int) -> bool:
+    """Whether no edge from a row leads off the lattice."""
+    return _FARTHEST <= row < rows - _FARTHEST
+
+
+def _leads_on(row: int, column: int, rows: int, columns: int, k: int) -> bool:
+    """Whether an edge ends on the lattice."""
+    i, j = row + DIRECTIONS[k, 0], column + DIRECTIONS[k, 1]
+    return 0 <= i < rows and 0 <= j < columns
+
+
+def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray, size: int) -> int:
     """Look at a point again, by all of its neighbours.  The new size of the heap."""
-    rows, columns = (grid.cost.shape[0] + 1) // 2, (grid.cost.shape[1] + 1) // 2
+    rows, columns = grid.rows, grid.columns
     row, column = u // columns, u % columns
-    cost, least_m = costs.cost, LEAST * 2.0 * grid.step_m
+    is_within = _is_within(row, rows) and _is_within(column, columns)
     best, via, before = costs.seed[u], -1, costs.via[u]
     for n in range(-1, len(DIRECTIONS)):
         k = before if n < 0 else n  # the one of before first: then most others need no look
-        if k < 0 or n == before:
+        if k < 0 or n == before or not (is_within or _leads_on(row, column, rows, columns, k)):
             continue
-        i, j = row + DIRECTIONS[k, 0], column + DIRECTIONS[k, 1]
-        if not (0 <= i < rows and 0 <= j < columns):
-            continue
-        there = cost[i * columns + j]
-        if there < math.inf and there + least_m * _LENGTHS[k] <= best:
+        there = costs.cost[u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]]
+        if there < math.inf and there + least_m[k] <= best:
             by_it = there + edge_m(grid, row, column, k)
             if by_it < best or (by_it == best and k < via):
                 best, via = by_it, k
     costs.ahead[u], costs.via[u] = best, via
-    return _filed(u, cost, costs.ahead, costs.heap, costs.at, size)
+    return _filed(u, costs, size)
 
 
-def _key(u: int, cost: FloatArray, ahead: FloatArray) -> float:
-    return min(cost[u], ahead[u])
-
-
-def _filed(
-    u: int, cost: FloatArray, ahead: FloatArray, heap: IndexArray, at: IndexArray, size: int
-) -> int:
+def _filed(u: int, costs: Costs, size: int) -> int:
     """Keep a point in the heap as long as its cost is to change.  The heap's new size."""
-    if cost[u] == ahead[u]:
-        return _removed(u, cost, ahead, heap, at, size)
-    return _placed(u, cost, ahead, heap, at, size)
-
-
-def _placed(
-    u: int, cost: FloatArray, ahead: FloatArray, heap: IndexArray, at: IndexArray, size: int
-) -> int:
-    """Put a point into the heap, or to where it now belongs in it.  The heap's new size."""
-    if at[u] < 0:
-        heap[size], at[u] = u, size
+    if costs.cost[u] == costs.ahead[u]:
+        return _removed(u, costs, size)
+    if costs.at[u] < 0:
+        costs.at[u] = size
         size += 1
-    place, key = at[u], _key(u, cost, ahead)
+    _put(u, min(costs.cost[u], costs.ahead[u]), costs, size)
+    return size
+
+
+def _put(u: int, key: float, costs: Costs, size: int) -> None:
+    """Put a point of the heap to where it now belongs in it."""
+    heap, keys, at = costs.heap, costs.key, costs.at
+    place = at[u]
     while place > 0:
         above = (place - 1) // 2
-        if _key(heap[above], cost, ahead) <= key:
+        if keys[above] <= key:
             break
-        heap[place] = heap[above]
+        heap[place], keys[place] = heap[above], keys[above]
         at[heap[place]] = place
         place = above
     while 2 * place + 1 < size:
         below = 2 * place + 1
-        if below + 1 < size and (
-            _key(heap[below + 1], cost, ahead) < _key(heap[below], cost, ahead)
-        ):
+        if below + 1 < size and keys[below + 1] < keys[below]:
             below += 1
-        if _key(heap[below], cost, ahead) >= key:
+        if keys[below] >= key:
             break
-        heap[place] = heap[below]
+        heap[place], keys[place] = heap[below], keys[below]
         at[heap[place]] = place
         place = below
-    heap[place], at[u] = u, place
-    return size
+    heap[place], keys[place], at[u] = u, key, place
 
 
-def _removed(
-    u: int, cost: FloatArray, ahead: FloatArray, heap: IndexArray, at: IndexArray, size: int
-) -> int:
+def _removed(u: int, costs: Costs, size: int) -> int:
     """Take a point out of the heap, if it is in it.  The heap's new size."""
-    if at[u] < 0:
+    if costs.at[u] < 0:
         return size
     size -= 1
-    last = heap[size]
+    last = costs.heap[size]
     if last != u:
-        heap[at[u]], at[last] = last, at[u]
-        _placed(last, cost, ahead, heap, at, size)
-    at[u] = -1
+        costs.at[last] = costs.at[u]
+        _put(last, costs.key[size], costs, size)
+    costs.at[u] = -1
     return size
 
 
@@ -296,7 +322,7 @@ def touched(changed: BoolArray, first: tuple[int, int], is_point: BoolArray) -> 
 def next_of(grid: Grid, costs: Costs, u: int) -> int:
     """The next point on the cheapest way from a point; -1 behind a seed."""
     k = costs.via[u]
-    columns = (grid.cost.shape[1] + 1) // 2
+    columns = grid.columns
     return int(u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]) if k >= 0 else -1
 
 
@@ -325,7 +351,7 @@ def needed_m(
     window: first and last row, first and last column, without the last.
     target: row and column among the samples and the altitude that the terrain asks for there.
     """
-    columns = (grid.cost.shape[1] + 1) // 2
+    columns = grid.columns
     needed = np.full(len(costs.cost), -math.inf)
     stack = np.empty(len(costs.cost), dtype=np.int64)
     for row in range(window[0], window[1]):
@@ -346,10 +372,11 @@ def needed_m(
                 else:
                     north, east = 2 * (u // columns) - i, 2 * (u % columns) - j
                     climb_m = grid.step_m * steepness * math.sqrt(north * north + east * east)
+                    across = 2 * columns - 1
                     for part in range(1, _PARTS + 1):
                         at_i = i + (part * north + _PARTS // 2) // _PARTS
                         at_j = j + (part * east + _PARTS // 2) // _PARTS
-                        asked_m = grid.lowest_m[at_i, at_j] - part / _PARTS * climb_m
+                        asked_m = grid.lowest_m[at_i * across + at_j] - part / _PARTS * climb_m
                         needed[v] = max(needed[v], asked_m)
                     needed[v] = max(needed[v], needed[u] - climb_m)
                 u = v
@@ -366,6 +393,7 @@ def lines_m(grid: Grid, begin: FloatArray, end: FloatArray) -> FloatArray:
     Places beside the grid count as the nearest on it.
     """
     result = np.empty(len(end))
+    rows, columns = 2 * grid.rows - 1, 2 * grid.columns - 1
     for k in range(len(end)):
         north, east = end[k, 0] - begin[k, 0], end[k, 1] - begin[k, 1]
         far = math.sqrt(north * north + east * east)
@@ -374,10 +402,14 @@ def lines_m(grid: Grid, begin: FloatArray, end: FloatArray) -> FloatArray:
         total = ramp = height = 0.0
         for p in range(pieces + 1):
             share = p / pieces
-            u, v = begin[k, 0] + share * north, begin[k, 1] + share * east
-            here = between(grid.cost, u, v)
+            u = min(max(begin[k, 0] + share * north, 0.0), rows - 1.0)
+            v = min(max(begin[k, 1] + share * east, 0.0), columns - 1.0)
+            i, j = min(int(u), rows - 2), min(int(v), columns - 2)
+            u, v, at = u - i, v - j, i * columns + j
+            here = _between(grid.cost, at, columns, u, v)
             total += 0.5 * here if p in (0, pieces) else here
-            ramp2, height2 = between(grid.ramp_m, u, v), between(grid.height, u, v)
+            ramp2 = _between(grid.ramp_m, at, columns, u, v)
+            height2 = _between(grid.height, at, columns, u, v)
             if p > 0 and piece_m > 0.0:
                 total += max(abs(ramp2 - ramp) / piece_m - 0.5 * (height + height2), 0.0)
             ramp, height = ramp2, height2
@@ -385,18 +417,59 @@ def lines_m(grid: Grid, begin: FloatArray, end: FloatArray) -> FloatArray:
     return result
 
 
-_MAX_PIECES = 1_600  # of a straight line
+_MAX_PIECES = 1_600  # of a straight line: of a sample each on a grid of 800 across, and beyond it
 
 
-def between(samples: FloatArray, u: float, v: float) -> float:
-    """Bilinear between samples, clamped at the edges."""
-    rows, columns = samples.shape
-    u, v = min(max(u, 0.0), rows - 1.0), min(max(v, 0.0), columns - 1.0)
-    i, j = min(int(u), rows - 2), min(int(v), columns - 2)
-    u, v = u - i, v - j
-    south = samples[i, j] + v * (samples[i, j + 1] - samples[i, j])
-    north = samples[i + 1, j] + v * (samples[i + 1, j + 1] - samples[i + 1, j])
+def _between(samples: FloatArray, at: int, columns: int, u: float, v: float) -> float:
+    """Bilinear, so far (0 to 1) to the north and east of a sample."""
+    south = samples[at] + v * (samples[at + 1] - samples[at])
+    at += columns
+    north = samples[at] + v * (samples[at + 1] - samples[at])
     return float(south + u * (north - south))
+
+
+def aside_m(route: FloatArray, other: FloatArray) -> float:
+    """How far a broken line is from another at most, by 33 points a piece.  (K, 2), (J, 2)."""
+    farthest = 0.0
+    for k in range(len(route) - 1):
+        for p in range(_ON_A_PIECE + 1):
+            share, nearest = p / _ON_A_PIECE, math.inf
+            n = route[k, 0] + share * (route[k + 1, 0] - route[k, 0])
+            e = route[k, 1] + share * (route[k + 1, 1] - route[k, 1])
+            for j in range(len(other) - 1):
+                dn, de = other[j + 1, 0] - other[j, 0], other[j + 1, 1] - other[j, 1]
+                un, ue = n - other[j, 0], e - other[j, 1]
+                along = (un * dn + ue * de) / max(dn * dn + de * de, 1e-12)
+                along = min(max(along, 0.0), 1.0)
+                un, ue = un - along * dn, ue - along * de
+                nearest = min(nearest, un * un + ue * ue)
+            farthest = max(farthest, nearest)
+    return math.sqrt(farthest)
+
+
+_ON_A_PIECE = 32  # of a route, 2 R long at most: a point every R / 16, a third of the corridor
+
+
+def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
+    """Give costly points that border on free ones no more than the cost of these.
+
+    Their mean, or their maximum where they differ by more than one_side: then they lie on two sides
+    of something thin, and what costs less beyond a wall must not draw towards it.
+    """
+    rows, columns = value.shape
+    for r in range(rows):
+        for c in range(columns):
+            if costly[r, c]:
+                count, total, lowest, highest = 0, 0.0, math.inf, -math.inf
+                for i in range(max(r - 1, 0), min(r + 2, rows)):
+                    for j in range(max(c - 1, 0), min(c + 2, columns)):
+                        if not costly[i, j]:
+                            count += 1
+                            total += value[i, j]
+                            lowest, highest = min(lowest, value[i, j]), max(highest, value[i, j])
+                if count:
+                    beside = total / count if highest - lowest < one_side else highest
+                    value[r, c] = min(value[r, c], beside)
 
 
 def raise_to(
@@ -486,6 +559,8 @@ ENTRIES = (
     way_from,
     needed_m,
     lines_m,
+    aside_m,
+    smooth_edges,
     raise_to,
     bound_m,
     add_detection,

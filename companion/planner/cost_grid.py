@@ -99,6 +99,10 @@ class CostGrid:
         """Distance between samples: half a cell of the lattice."""
         return self.samples.step_m
 
+    def sheet(self, values: FloatArray) -> FloatArray:
+        """Values of the samples, or a view of them, by rows and columns."""
+        return values.reshape(self.extent.count)
+
     @property
     def samples_m(self) -> tuple[FloatArray, FloatArray]:
         """North (2 rows - 1, 1) and east (1, 2 columns - 1) of the samples."""
@@ -149,15 +153,14 @@ class CostGrid:
     @staticmethod
     def of(known: KnownMap, guess: Guess, task: Task, extent: Extent) -> "CostGrid":
         """Costs over a map."""
-        rows, columns = extent.count
+        (rows, columns), step_m = extent.count, extent.cells * known.cell_m
         north_min_m = known.north_min_m + extent.first[0] * known.cell_m
         east_min_m = known.east_min_m + extent.first[1] * known.cell_m
-        cost, barring, height, ramp, lowest = np.zeros((5, rows, columns))
         grid = CostGrid(
             extent=extent,
             north_min_m=north_min_m,
             east_min_m=east_min_m,
-            samples=Grid(cost, barring, height, ramp, lowest, extent.cells * known.cell_m),
+            samples=Grid.empty(rows, columns, step_m),
             shut=np.zeros((rows, columns), dtype=bool),
             costly=np.zeros((rows, columns), dtype=bool),
             known=known,
@@ -188,11 +191,16 @@ class CostGrid:
             rows, columns = (
                 slice(max(part.start - 1, 0), part.stop + 1) for part in box
             )  # what is steep is so beside it, too
-            before = [each[rows, columns].copy() for each in grid.samples[:4]]
+            samples = grid.samples
+            sheets = [
+                grid.sheet(each)[rows, columns]
+                for each in (samples.cost, samples.barring, samples.height, samples.ramp_m)
+            ]
+            before = [each.copy() for each in sheets]
             _fill(grid, box)
             changed: BoolArray = np.zeros(before[0].shape, dtype=bool)
-            for old, new in zip(before, grid.samples[:4], strict=True):
-                changed |= old != new[rows, columns]
+            for old, new in zip(before, sheets, strict=True):
+                changed |= old != new
             first = rows.start, columns.start
             kernels.compiled().guidance.touched(changed, first, touched)
         return grid, touched
@@ -265,30 +273,33 @@ def _fill(grid: CostGrid, box: _Box) -> None:
     above = np.maximum(lowest_m - (limits.ceiling_amsl_m - inset_m), 0.0) / band_m
     shut, detection = grid.shut[box], _detection(grid, box, altitude_m)
     blocked = (above > 0.0) | shut
-    samples.cost[box] = (
+    grid.sheet(samples.cost)[box] = (
         1.0
         + per_height * (flown_m - floor_m) / band_m
         + _RADAR * weights.radar / per_length * detection
         + np.where(unproven & ~shut, _GUESSED_BLOCKED, BLOCKED) * (blocked + above)
     )
-    samples.height[box] = per_height * fraction
-    samples.ramp_m[box] = 0.5 * per_height * fraction**2 * band_m / math.tan(limits.climb_angle_rad)
-    samples.lowest_m[box] = altitude_m
+    grid.sheet(samples.height)[box] = per_height * fraction
+    grid.sheet(samples.ramp_m)[box] = (
+        0.5 * per_height * fraction**2 * band_m / math.tan(limits.climb_angle_rad)
+    )
+    grid.sheet(samples.lowest_m)[box] = altitude_m
     grid.costly[box] = blocked | (detection > 0.0)
-    _bar(samples, box)
+    _bar(grid, box)
 
 
-def _bar(samples: Grid, box: _Box) -> None:
+def _bar(grid: CostGrid, box: _Box) -> None:
     """Bar long edges from samples, in a box and one beside it, next to which ground is steep.
 
     There the height for a ramp costs more than the height of the ground.
     """
     wide, inner = [], []
-    for part, count in zip(box, samples.cost.shape, strict=True):
+    for part, count in zip(box, grid.extent.count, strict=True):
         wide.append(slice(max(part.start - 2, 0), min(part.stop + 2, count)))
         low, high = max(part.start - 1, 0), min(part.stop + 1, count)
         inner.append(slice(low - wide[-1].start, high - wide[-1].start))
-    ramp_m, height = samples.ramp_m[*wide], samples.height[*wide]
+    samples = grid.samples
+    ramp_m, height = (grid.sheet(each)[*wide] for each in (samples.ramp_m, samples.height))
     steep = np.zeros(ramp_m.shape, dtype=bool)
     if ramp_m.any():
         for axis in (0, 1):
@@ -296,8 +307,8 @@ def _bar(samples: Grid, box: _Box) -> None:
             found = np.abs(np.diff(ramp_m, axis=axis)) > level_m
             steep[: -1 if axis == 0 else None, : -1 if axis == 1 else None] |= found
             steep[1 if axis == 0 else 0 :, 1 if axis == 1 else 0 :] |= found
-    barring = samples.cost[*wide] + _BARRING * steep
-    samples.barring[*wide][*inner] = barring[*inner]
+    barring = grid.sheet(samples.cost)[*wide] + _BARRING * steep
+    grid.sheet(samples.barring)[*wide][*inner] = barring[*inner]
 
 
 def _sums(values: FloatArray, axis: int) -> FloatArray:
@@ -420,7 +431,7 @@ def bars(grids: Sequence[CostGrid], route_ne_m: FloatArray) -> bool:
     for grid in grids:
         samples = np.rint(grid.sample_of(left)).astype(np.intp)
         inside = ((samples >= 0) & (samples < grid.extent.count)).all(axis=1)
-        if (grid.samples.cost[tuple(samples[inside].T)] >= BLOCKED).any():
+        if (grid.sheet(grid.samples.cost)[tuple(samples[inside].T)] >= BLOCKED).any():
             return True
         left = left[~inside]
     return False

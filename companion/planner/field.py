@@ -30,8 +30,8 @@ _WHOLE_CELLS = 320
 _WINDOW_CELLS, _SNAP_CELLS = 160, 40
 """Across the window on a larger map, 8 R, and how far it moves at a time: its rim is 3 R away."""
 _GIVEN_RANGES = 1.6
-"""Of R about here: as far costs are given.  Legs end within R and look ahead by a turn radius, which
-is R / 2 at most."""
+"""Of R about here: as far costs are given.  Legs end within R, and look ahead by a turn radius, of
+R / 2 at most."""
 _CORRIDOR = 0.2  # of R on either side of the previous route
 _CORRIDOR_RANGES = 4.0  # of R about here, in which it counts
 _DISCOUNT = 0.03
@@ -95,6 +95,10 @@ class Memory:
         self.near, self.wide = _Solver(), _Solver()
 
 
+_idle: list[Memory] = []
+"""What plans before have left.  It is taken out while it is used: by one plan, of one thread."""
+
+
 def cost_to_go(
     known: KnownMap,
     task: Task,
@@ -117,9 +121,24 @@ def cost_to_go(
         the vehicle change sides.  The discount is left out as long as nobody disputes the
         route: values are then exact, and ends of subpaths are not drawn to the corridor.
     memory
-        Of the plans before: it makes this one faster.
+        Of the plans before: it makes this one faster.  None: what the last plan has left.
     """
-    memory, range_m = memory or Memory(), task.settings.scan_range_m
+    mine = memory or (_idle.pop() if _idle else Memory())
+    field = _found(mine, known, task, (here_ne_m, target_ne_m), previous_route_ne_m)
+    if memory is None and not _idle:
+        _idle.append(mine)
+    return field
+
+
+def _found(
+    memory: Memory,
+    known: KnownMap,
+    task: Task,
+    ends_ne_m: tuple[Place, Place],
+    previous_route_ne_m: tuple[Place, ...],
+) -> CostToGo:
+    """`cost_to_go`."""
+    (here_ne_m, target_ne_m), range_m = ends_ne_m, task.settings.scan_range_m
     guess = guess_of(known, here_ne_m, range_m)
     cells = max(round(range_m / (2 * _CELLS_PER_RANGE * known.cell_m)), 1)
     extent, far = _extent(known, here_ne_m, cells), None
@@ -232,8 +251,12 @@ class _Solver:
         Right where costs are given, but behind what is blocked.
         """
         samples, touched = self.grid.samples, np.zeros(self.grid.shape, dtype=bool)
-        less = np.where(inside, _DISCOUNT * samples.cost, 0.0)
-        cheaper = samples._replace(cost=samples.cost - less, barring=samples.barring - less)
+        less = np.where(inside.ravel(), _DISCOUNT * samples.cost, 0.0)
+        cheaper = samples._replace(
+            cost=samples.cost - less,
+            barring=samples.barring - less,
+            least=(1.0 - _DISCOUNT) * samples.least,
+        )
         result, guidance = _Solver(), kernels.compiled().guidance
         result.grid = replace(self.grid, samples=cheaper)
         result.costs = self.costs.copied()
@@ -300,7 +323,7 @@ def _given(
     row, column = grid.sample_of(np.array(target_ne_m))
     asked_m = -np.inf
     if grid.holds(target_ne_m):
-        asked_m = float(grid.samples.lowest_m[round(row), round(column)])
+        asked_m = float(grid.sheet(grid.samples.lowest_m)[round(row), round(column)])
     needed_m = kernels.compiled().guidance.needed_m(
         grid.samples,
         solved.costs,
@@ -309,11 +332,12 @@ def _given(
         limits.floor_amsl_m,
         (float(row), float(column), asked_m),
     )
-    blocked = grid.samples.cost[samples] >= BLOCKED
+    blocked = grid.sheet(grid.samples.cost)[samples] >= BLOCKED
     free_m = np.where(blocked, limits.ceiling_amsl_m, needed_m)
     about_m = scipy.ndimage.minimum_filter(free_m, 3, mode="nearest")
-    value = _smooth_edges(
-        solved.costs.cost.reshape(grid.shape)[box], grid.costly[samples], 2.0 * grid.step_m
+    value = solved.costs.cost.reshape(grid.shape)[box].copy()
+    kernels.compiled().guidance.smooth_edges(
+        value, grid.costly[samples].copy(), _ONE_SIDE_CELLS * 2.0 * grid.step_m
     )
     here = {
         "north_min_m": grid.north_min_m + 2.0 * grid.step_m * rows.start,
@@ -332,38 +356,12 @@ def _box_given(grid: CostGrid, here_ne_m: Place, range_m: float) -> tuple[slice,
     return grid.box_about(here_ne_m, reach)
 
 
-def _smooth_edges(value: FloatArray, costly: BoolArray, cell_m: float) -> FloatArray:
-    """Costs of lattice points; those just inside threats as their free neighbours'.
-
-    Their mean, or their maximum where they lie on two sides of something thin: what costs less
-    beyond a wall must not draw towards it.  (rows, columns) x2 -> (rows, columns).
-    """
-    rows, columns = value.shape
-    free = np.pad(np.where(costly, np.nan, value), 1, constant_values=np.nan)
-    count, total = np.zeros((2, rows, columns))
-    highest, lowest = np.full(value.shape, -np.inf), np.full(value.shape, np.inf)
-    for i, j in np.ndindex(3, 3):
-        near = free[i : i + rows, j : j + columns]
-        count += np.isfinite(near)
-        total += np.nan_to_num(near)
-        np.fmax(highest, near, out=highest)
-        np.fmin(lowest, near, out=lowest)
-    one_side = highest - lowest < _ONE_SIDE_CELLS * cell_m
-    beside = np.where(one_side, total / np.maximum(count, 1.0), highest)
-    return np.where(costly & (count > 0.0), np.minimum(value, beside), value)
-
-
 def _disputed(route: tuple[Place, ...], previous: tuple[Place, ...], corridor_m: float) -> bool:
     """Whether a route leaves the corridor of the previous one to the same target."""
     if len(previous) < 2 or math.dist(route[-1], previous[-1]) > corridor_m:
         return False
-    ends = np.array(route)
-    along = np.linspace(0.0, 1.0, 33)[:, None, None]
-    points = ends[:-1] + along * (ends[1:] - ends[:-1])  # (33, K - 1, 2)
-    nearest = np.full(points.shape[:2], np.inf)
-    for a, b in pairwise(previous):
-        np.minimum(nearest, _distance_m(points[..., 0], points[..., 1], a, b), out=nearest)
-    return bool((nearest > corridor_m).any())
+    aside_m: float = kernels.compiled().guidance.aside_m(np.array(route), np.array(previous))
+    return aside_m > corridor_m
 
 
 def _corridor(

@@ -25,7 +25,7 @@ from companion.planner import kernels
 from companion.planner.backtrack import backtrack
 from companion.planner.cost_grid import descent_m, sampled
 from companion.planner.escape import StartViolation, escape_path, start_violation
-from companion.planner.field import CostToGo, Memory, cost_to_go
+from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.reachability import blocked_at
@@ -75,17 +75,12 @@ _ALL_ROUND = tuple(_SearchVariant(turn_rad=turn) for turn in (2.2, -2.2, math.pi
 _ASIDE = (*_SHORT, *_ANY_WAY, *_ALL_ROUND)
 
 
-def plan(
-    request: PlanRequest,
-    stop: Callable[[], bool] = lambda: False,
-    memory: Memory | None = None,
-) -> PlanOutcome:
+def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> PlanOutcome:
     """Search for the next subpath until one is proven safe (profile `paper`: the first).
 
     Or the way back, if that is asked for.
     stop: asked every few hundred evaluations; in real time it tells that time is up, and then the
     best so far is taken, if it can be proven.
-    memory: of the plans before; the answer does not depend on it, but comes sooner.
     """
     if request.flown is not None:
         prove = kernels.compiled().prove
@@ -102,7 +97,7 @@ def plan(
     if refusal is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
     patience = _TimeBudget(stop)
-    outcome = _Plan(request, patience, memory).outcome()
+    outcome = _Plan(request, patience).outcome()
     return replace(outcome, stopped_after=patience.stopped_after)
 
 
@@ -229,9 +224,7 @@ def _escape(request: PlanRequest, found: StartViolation) -> PlanOutcome:
 class _Plan:
     """One plan in progress: the common data of its searches."""
 
-    def __init__(
-        self, request: PlanRequest, stop: Callable[[], bool], memory: Memory | None = None
-    ) -> None:
+    def __init__(self, request: PlanRequest, stop: Callable[[], bool]) -> None:
         self._request, self._stop, self._kernel = request, stop, kernels.compiled()
         self._surroundings = _surroundings(request)
         self._field = cost_to_go(
@@ -240,7 +233,6 @@ class _Plan:
             request.scan_nea_m[:2],
             request.target_ne_m,
             request.route_ne_m,
-            memory,
         )
         self._scene = _scene(request, self._field)
         limits = request.task.limits

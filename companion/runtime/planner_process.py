@@ -20,7 +20,6 @@ import threading
 from collections.abc import Callable
 from typing import IO, Any, final
 
-from companion.planner.field import Memory
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime.compiler import load_kernel, load_libraries
@@ -150,16 +149,13 @@ def main() -> None:
     load_kernel()
     with contextlib.suppress(BrokenPipeError):
         _tell(answers, _READY)
-        memory = Memory()
         while (request := questions.get()) is not None:
-            _tell(answers, _answer(request, enough, memory))
+            _tell(answers, _answer(request, enough))
 
 
-def _answer(
-    request: PlanRequest, enough: set[int], memory: Memory
-) -> PlanOutcome | PlannerEndedError:
+def _answer(request: PlanRequest, enough: set[int]) -> PlanOutcome | PlannerEndedError:
     try:
-        return plan(request, lambda: request.plan_id in enough, memory)
+        return plan(request, lambda: request.plan_id in enough)
     except Exception as error:  # noqa: BLE001 - the parent puts the vehicle on hold
         return PlannerEndedError(f"{type(error).__name__}: {error}")
 

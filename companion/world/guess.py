@@ -83,9 +83,9 @@ def guess_of(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) ->
     """
     near = _within(_REACH * range_m, known, here_ne_m)
     part = known.part(*near)
-    unseen = ~part.firm
-    told = part.guess_m is not None and not np.isnan(part.guess_m[unseen]).any()
-    if told or not unseen.any() or unseen.all():
+    told, unseen = part.guess_m, ~part.firm
+    is_told = told is not None and not (np.isnan(told.min()) and np.isnan(told[unseen]).any())
+    if is_told or not unseen.any() or unseen.all():
         return Guess(known=known, near=None, continued_m=np.empty((0, 0)))
     return Guess(known=known, near=near, continued_m=continued_m(part, range_m, here_ne_m))
 
