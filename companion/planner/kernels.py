@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from inspect import isfunction
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, cast, final
 
 import numpy as np
@@ -26,6 +26,7 @@ from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
+from companion.planner import cheapest_ways
 
 
 @final
@@ -41,6 +42,8 @@ class Kernel:
     """The terms of a candidate, (D,), by name, unweighted."""
     prove: Prover
     """Proves a subpath (`path.certificate`)."""
+    guidance: Any
+    """What guidance calls of `cheapest_ways`, by name."""
 
 
 @cache
@@ -97,6 +100,7 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         costs=lambda x, scene: costs(x, pack(scene)),
         terms=terms_of,
         prove=jit(proof.prove),
+        guidance=SimpleNamespace(**{each.__name__: jit(each) for each in cheapest_ways.ENTRIES}),
     )
 
 
@@ -108,7 +112,7 @@ def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
     return cast("Callable[..., Any]", numba.njit(function))
 
 
-SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape)
+SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape, cheapest_ways)
 """The modules whose code is compiled: a cache made from others is stale."""
 
 

@@ -23,9 +23,9 @@ from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner import kernels
 from companion.planner.backtrack import backtrack
-from companion.planner.cost_lattice import descent_m, sampled
-from companion.planner.cost_to_go import CostToGo, cost_to_go
+from companion.planner.cost_grid import descent_m, sampled
 from companion.planner.escape import StartViolation, escape_path, start_violation
+from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.reachability import blocked_at

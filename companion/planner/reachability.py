@@ -7,8 +7,9 @@ import numpy as np
 import scipy
 
 from companion.geodesy import BoolArray
-from companion.planner.cost_lattice import IndexArray, Place, sampled
-from companion.planner.cost_to_go import CostToGo
+from companion.planner.cheapest_ways import IndexArray
+from companion.planner.cost_grid import Place, sampled
+from companion.planner.field import CostToGo
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.threats import is_near
@@ -31,7 +32,7 @@ def blocked_at(
         return None
     known = _finer(known)
     barred = _barred(known, task)
-    regions = np.asarray(scipy.ndimage.label(~barred, structure=_EVERYWHERE)[0], dtype=np.int32)
+    regions = np.asarray(scipy.ndimage.label(~barred, structure=_EVERYWHERE)[0], dtype=np.int64)
     here, target = (int(_at(known, regions, place)) for place in (here_ne_m, target_ne_m))
     if 0 in (here, target) or here == target:
         return None

@@ -12,7 +12,7 @@ import numpy as np
 from companion.geodesy import BoolArray, FloatArray
 from companion.mission import journal as noted
 from companion.mission.state import IN_AIR, Phase, Reason
-from companion.planner.cost_to_go import cost_to_go
+from companion.planner.field import cost_to_go
 from companion.telemetry.export.flight import Moment, RecordedFlight
 from companion.telemetry.export.health import FlightHealth
 from companion.telemetry.export.shapes import local_nea_m

@@ -24,7 +24,7 @@ from companion.config import load_mission
 from companion.path.subpath import Pose
 from companion.planner import kernels
 from companion.planner import plan as planning
-from companion.planner.cost_to_go import cost_to_go
+from companion.planner.field import cost_to_go
 from companion.planner.request import Planned, PlanRequest
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map

@@ -23,7 +23,7 @@ from companion.objective import terms
 from companion.objective.scene import PAPER, FlightScene
 from companion.path.subpath import Pose
 from companion.planner import kernels, plan, published
-from companion.planner.cost_to_go import cost_to_go
+from companion.planner.field import cost_to_go
 from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import empty_map

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.path.limits import Limits
-from companion.planner.cost_to_go import CostToGo, cost_to_go
+from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.clearance import Surface
 from companion.world.known_map import KnownMap, empty_map

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.path.subpath import Subpath
-from companion.planner.cost_lattice import BLOCKED, Lattice, bars
+from companion.planner.cost_grid import BLOCKED, Lattice, bars
 from companion.planner.procedure import Leg
 from companion.planner.recheck import meets_near_things
 from companion.world import rays

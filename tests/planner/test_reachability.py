@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
-from companion.planner.cost_to_go import cost_to_go
+from companion.planner.field import cost_to_go
 from companion.planner.offline import OfflineFlight
 from companion.planner.reachability import blocked_at
 from companion.planner.request import Refusal

@@ -1,0 +1,568 @@
+"""Cheapest ways over a grid of costs, repaired where costs have changed.
+
+Plain Python that numba compiles as it is (`kernels`).
+
+Lattice points are every second sample of the costs, and edges lead from each to 48 others: a way
+is at most 0.75 % too long in any direction, 0.25 % in the mean.  `repair` is LPA* without a
+heuristic (Koenig, Likhachev and Furcy 2004; Ramalingam and Reps 1996): it looks at points only
+whose cost may have changed.  What it leaves is the only solution of cost = min(seed, min(cost of a
+neighbour + edge)), to the last digit, whatever was there before: edges cost the same from both of
+their ends, and of ways that cost the same the first direction is taken.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.geodesy import BoolArray, FloatArray
+
+IndexArray = NDArray[np.int64]
+
+_FARTHEST = 4  # lattice points north or east that an edge leads at most
+_SHORT = 2  # the most that one of the 16 leads that serve on steep ground
+_ROUNDED = 1.0 - 1e-9  # a mean of costs may be lower than the least of them by so much
+_LOOKS = 500  # between two looks whether what is wanted is right: each takes as long as some ten
+_PARTS = 8  # of an edge, at whose ends its ground is looked at: one for each sample of the longest
+
+
+def _directions() -> IndexArray:
+    """Rows and columns to the 48 neighbours: 24, then their opposites.  (48, 2)."""
+    half = [
+        (north, east)
+        for north in range(_FARTHEST + 1)
+        for east in range(-_FARTHEST, _FARTHEST + 1)
+        if math.gcd(north, east) == 1 and (north > 0 or east > 0)
+    ]
+    return np.array(half + [(-north, -east) for north, east in half], dtype=np.int64)
+
+
+DIRECTIONS = _directions()
+_LENGTHS = np.hypot(DIRECTIONS[:, 0], DIRECTIONS[:, 1])  # in cells of the lattice
+_HALF = len(DIRECTIONS) // 2
+
+
+def _on_edges() -> tuple[IndexArray, FloatArray]:
+    """Where the edges of 24 directions cross rows or columns of samples.
+
+    One more than twice the length of the longer side.  -> for each the two samples beside it, from
+    the one at the edge's beginning, (24, 9, 4), and the share of the second, (24, 9).
+    """
+    samples = np.zeros((_HALF, 2 * _FARTHEST + 1, 4), dtype=np.int64)
+    share = np.zeros(samples.shape[:2])
+    for k, (north, east) in enumerate(DIRECTIONS[:_HALF].tolist()):
+        pieces = 2 * max(north, abs(east))
+        for p in range(pieces + 1):
+            (i, u), (j, v) = divmod(2 * north * p, pieces), divmod(2 * east * p, pieces)
+            samples[k, p] = i, j, i + (u > 0), j + (v > 0)
+            share[k, p] = (u + v) / pieces  # one of them is 0
+    return samples, share
+
+
+_SAMPLES, _SHARES = _on_edges()
+
+_PIECES = 2 * np.abs(DIRECTIONS[:_HALF]).max(axis=1)  # of edges, between those rows or columns
+
+
+class Grid(NamedTuple):
+    """Costs at the lattice points and halfway between them: (2 rows - 1) (2 columns - 1) samples.
+
+    Each row of samples after the one before it.
+    """
+
+    rows: int
+    columns: int
+    """Of lattice points."""
+    step_m: float
+    """Between samples."""
+    cost: FloatArray
+    """Per metre of way."""
+    barring: FloatArray
+    """The same for long edges: where ground is steep, so much that they are not used."""
+    height: FloatArray
+    """The part of `cost` that is due to height."""
+    ramp_m: FloatArray
+    """What the height of the steepest climb from the floor to here costs."""
+    lowest_m: FloatArray
+    """The altitude that the terrain asks for, within the limits, AMSL."""
+    beside: IndexArray
+    """From a lattice point to the samples beside its edges, (24, 9, 2)."""
+    least: float = 1.0
+    """No cost is below: edges that cannot be cheaper than what is known are not looked at."""
+
+    @staticmethod
+    def empty(rows: int, columns: int, step_m: float) -> "Grid":
+        """Of so many samples, whose costs are not known yet."""
+        cost, barring, height, ramp_m, lowest_m = np.zeros((5, rows * columns))
+        beside = _SAMPLES[:, :, 0::2] * columns + _SAMPLES[:, :, 1::2]
+        return Grid(
+            rows=(rows + 1) // 2,
+            columns=(columns + 1) // 2,
+            step_m=step_m,
+            cost=cost,
+            barring=barring,
+            height=height,
+            ramp_m=ramp_m,
+            lowest_m=lowest_m,
+            beside=np.ascontiguousarray(beside),
+        )
+
+
+class Costs(NamedTuple):
+    """Of every lattice point, (rows * columns,), and the workspace of `repair`."""
+
+    seed: FloatArray
+    """Cost of the way on from points where it is known; infinite elsewhere."""
+    cost: FloatArray
+    ahead: FloatArray
+    """By the costs of the neighbours: once all is repaired, the same."""
+    via: IndexArray
+    """The direction that `ahead` comes from, the first of equals; -1: the seed."""
+    heap: IndexArray
+    key: FloatArray
+    """Of what is in the heap, in its order."""
+    at: IndexArray
+    """Where in the heap a point is; -1: it is not."""
+
+    @staticmethod
+    def unknown(seed: FloatArray) -> "Costs":
+        """Of points about which nothing is known but the seeds."""
+        count = len(seed)
+        return Costs(
+            seed,
+            np.full(count, np.inf),
+            np.full(count, np.inf),
+            np.full(count, -1),
+            np.empty(count, dtype=np.int64),
+            np.empty(count),
+            np.full(count, -1),
+        )
+
+    def copied(self) -> "Costs":
+        """The same, to be changed."""
+        seed, cost, ahead = self.seed.copy(), self.cost.copy(), self.ahead.copy()
+        heap, key, at = self.heap.copy(), self.key.copy(), self.at.copy()
+        return Costs(seed, cost, ahead, self.via.copy(), heap, key, at)
+
+
+def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
+    """Cost of the edge in direction k, to a point of the lattice.
+
+    By the trapezoidal rule, one point for each row or column of samples, linear between two.
+    A rise steeper than the vehicle climbs takes a ramp that begins before it: on short edges the
+    height of the ramp is paid as well, long ones do not cross such ground (they would have to be
+    looked at in more pieces, or would jump over a ridge).
+    """
+    if k >= _HALF:  # computed from the same end in both directions
+        row += DIRECTIONS[k, 0]
+        column += DIRECTIONS[k, 1]
+        k -= _HALF
+    pieces, at = _PIECES[k], 2 * row * (2 * grid.columns - 1) + 2 * column
+    piece_m = 2.0 * grid.step_m * _LENGTHS[k] / pieces
+    is_short, total = pieces <= 2 * _SHORT, 0.0
+    cost = grid.cost if is_short else grid.barring
+    for p in range(pieces + 1):
+        one, other = cost[at + grid.beside[k, p, 0]], cost[at + grid.beside[k, p, 1]]
+        total += one + _SHARES[k, p] * (other - one)
+    total -= 0.5 * (cost[at] + cost[at + grid.beside[k, pieces, 0]])
+    if is_short:
+        ramp, height, per_metre = grid.ramp_m[at], grid.height[at], 1.0 / piece_m
+        for p in range(1, pieces + 1):
+            i, j, share = at + grid.beside[k, p, 0], at + grid.beside[k, p, 1], _SHARES[k, p]
+            ramp2 = grid.ramp_m[i] + share * (grid.ramp_m[j] - grid.ramp_m[i])
+            height2 = grid.height[i] + share * (grid.height[j] - grid.height[i])
+            steeper = abs(ramp2 - ramp) * per_metre - 0.5 * (height + height2)
+            total += max(steeper, 0.0)
+            ramp, height = ramp2, height2
+    return float(total * piece_m)
+
+
+def repair(grid: Grid, costs: Costs, dirty: IndexArray, wanted: IndexArray) -> int:
+    """Make costs right again.  How often a point was looked at.
+
+    dirty: the points whose seed, or the cost of one of whose edges, has changed; to begin with,
+    when all costs are infinite, those that have a seed.
+    wanted: where nothing has become dearer, the points that matter: then it ends when they are
+    right, and the others' costs are too high; none: all matter.
+    """
+    rows, columns = grid.rows, grid.columns
+    cost, ahead, via = costs.cost, costs.ahead, costs.via
+    least_m = _ROUNDED * grid.least * 2.0 * grid.step_m * _LENGTHS
+    size = looked = 0
+    for u in dirty:
+        size = _again(u, grid, costs, least_m, size)
+    while size:
+        u = costs.heap[0]
+        if len(wanted) and looked % _LOOKS == 0 and costs.key[0] > ahead[wanted].max():
+            break
+        size = _removed(u, costs, size)
+        looked += 1
+        row, column = u // columns, u % columns
+        is_within = _is_within(row, rows) and _is_within(column, columns)
+        if cost[u] > ahead[u]:
+            cost[u] = ahead[u]
+            for k in range(len(DIRECTIONS)):
+                if not (is_within or _leads_on(row, column, rows, columns, k)):
+                    continue
+                v = u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]
+                if ahead[v] < cost[u] + least_m[k]:
+                    continue
+                by_u, back = cost[u] + edge_m(grid, row, column, k), (k + _HALF) % len(DIRECTIONS)
+                if by_u < ahead[v]:
+                    ahead[v], via[v] = by_u, back
+                    size = _filed(v, costs, size)
+                elif by_u == ahead[v] and back < via[v]:
+                    via[v] = back
+        else:
+            cost[u] = math.inf
+            size = _again(u, grid, costs, least_m, size)
+            for k in range(len(DIRECTIONS)):
+                if is_within or _leads_on(row, column, rows, columns, k):
+                    v = u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]
+                    if via[v] == (k + _HALF) % len(DIRECTIONS):
+                        size = _again(v, grid, costs, least_m, size)
+    return looked
+
+
+def _is_within(row: int, rows: int) -> bool:
+    """Whether no edge from a row leads off the lattice."""
+    return _FARTHEST <= row < rows - _FARTHEST
+
+
+def _leads_on(row: int, column: int, rows: int, columns: int, k: int) -> bool:
+    """Whether an edge ends on the lattice."""
+    i, j = row + DIRECTIONS[k, 0], column + DIRECTIONS[k, 1]
+    return 0 <= i < rows and 0 <= j < columns
+
+
+def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray, size: int) -> int:
+    """Look at a point again, by all of its neighbours.  The new size of the heap."""
+    rows, columns = grid.rows, grid.columns
+    row, column = u // columns, u % columns
+    is_within = _is_within(row, rows) and _is_within(column, columns)
+    best, via, before = costs.seed[u], -1, costs.via[u]
+    for n in range(-1, len(DIRECTIONS)):
+        k = before if n < 0 else n  # the one of before first: then most others need no look
+        if k < 0 or n == before or not (is_within or _leads_on(row, column, rows, columns, k)):
+            continue
+        there = costs.cost[u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]]
+        if there < math.inf and there + least_m[k] <= best:
+            by_it = there + edge_m(grid, row, column, k)
+            if by_it < best or (by_it == best and k < via):
+                best, via = by_it, k
+    costs.ahead[u], costs.via[u] = best, via
+    return _filed(u, costs, size)
+
+
+def _filed(u: int, costs: Costs, size: int) -> int:
+    """Keep a point in the heap as long as its cost is to change.  The heap's new size."""
+    if costs.cost[u] == costs.ahead[u]:
+        return _removed(u, costs, size)
+    if costs.at[u] < 0:
+        costs.at[u] = size
+        size += 1
+    _put(u, min(costs.cost[u], costs.ahead[u]), costs, size)
+    return size
+
+
+def _put(u: int, key: float, costs: Costs, size: int) -> None:
+    """Put a point of the heap to where it now belongs in it."""
+    heap, keys, at = costs.heap, costs.key, costs.at
+    place = at[u]
+    while place > 0:
+        above = (place - 1) // 2
+        if keys[above] <= key:
+            break
+        heap[place], keys[place] = heap[above], keys[above]
+        at[heap[place]] = place
+        place = above
+    while 2 * place + 1 < size:
+        below = 2 * place + 1
+        if below + 1 < size and keys[below + 1] < keys[below]:
+            below += 1
+        if keys[below] >= key:
+            break
+        heap[place], keys[place] = heap[below], keys[below]
+        at[heap[place]] = place
+        place = below
+    heap[place], keys[place], at[u] = u, key, place
+
+
+def _removed(u: int, costs: Costs, size: int) -> int:
+    """Take a point out of the heap, if it is in it.  The heap's new size."""
+    if costs.at[u] < 0:
+        return size
+    size -= 1
+    last = costs.heap[size]
+    if last != u:
+        costs.at[last] = costs.at[u]
+        _put(last, costs.key[size], costs, size)
+    costs.at[u] = -1
+    return size
+
+
+def touched(changed: BoolArray, first: tuple[int, int], is_point: BoolArray) -> None:
+    """Mark the lattice points that have an edge over a changed sample.
+
+    changed: of samples from row and column `first` on; is_point: (rows, columns), of the lattice.
+    """
+    rows, columns = is_point.shape
+    for i in range(changed.shape[0]):
+        for j in range(changed.shape[1]):
+            if changed[i, j]:
+                row, column = (first[0] + i) // 2, (first[1] + j) // 2
+                for r in range(max(row - _FARTHEST, 0), min(row + _FARTHEST + 2, rows)):
+                    for c in range(
+                        max(column - _FARTHEST, 0), min(column + _FARTHEST + 2, columns)
+                    ):
+                        is_point[r, c] = True
+
+
+def next_of(grid: Grid, costs: Costs, u: int) -> int:
+    """The next point on the cheapest way from a point; -1 behind a seed."""
+    k = costs.via[u]
+    columns = grid.columns
+    return int(u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]) if k >= 0 else -1
+
+
+def way_from(grid: Grid, costs: Costs, u: int) -> IndexArray:
+    """The points of the cheapest way from a point on."""
+    way = np.empty(len(costs.cost), dtype=np.int64)
+    count = 0
+    while u >= 0:
+        way[count] = u
+        count += 1
+        u = next_of(grid, costs, u)
+    return way[:count].copy()
+
+
+def needed_m(
+    grid: Grid,
+    costs: Costs,
+    window: tuple[int, int, int, int],
+    steepness: float,
+    floor_m: float,
+    target: tuple[float, float, float],
+) -> FloatArray:
+    """The lowest altitude from which the cheapest way on can be climbed, of the points of a window.
+
+    What the way asks for later, less what can be climbed until then.
+    window: first and last row, first and last column, without the last.
+    target: row and column among the samples and the altitude that the terrain asks for there.
+    """
+    columns = grid.columns
+    needed = np.full(len(costs.cost), -math.inf)
+    stack = np.empty(len(costs.cost), dtype=np.int64)
+    for row in range(window[0], window[1]):
+        for column in range(window[2], window[3]):
+            u, depth = row * columns + column, 0
+            while u >= 0 and needed[u] == -math.inf:
+                stack[depth] = u
+                depth += 1
+                u = next_of(grid, costs, u)
+            while depth:
+                depth -= 1
+                v = stack[depth]
+                i, j = 2 * (v // columns), 2 * (v % columns)
+                needed[v] = floor_m
+                if u < 0:
+                    away_m = grid.step_m * math.sqrt((i - target[0]) ** 2 + (j - target[1]) ** 2)
+                    needed[v] = max(target[2] - steepness * away_m, floor_m)
+                else:
+                    north, east = 2 * (u // columns) - i, 2 * (u % columns) - j
+                    climb_m = grid.step_m * steepness * math.sqrt(north * north + east * east)
+                    across = 2 * columns - 1
+                    for part in range(1, _PARTS + 1):
+                        at_i = i + (part * north + _PARTS // 2) // _PARTS
+                        at_j = j + (part * east + _PARTS // 2) // _PARTS
+                        asked_m = grid.lowest_m[at_i * across + at_j] - part / _PARTS * climb_m
+                        needed[v] = max(needed[v], asked_m)
+                    needed[v] = max(needed[v], needed[u] - climb_m)
+                u = v
+    result = np.empty((window[1] - window[0], window[3] - window[2]))
+    for row in range(window[0], window[1]):
+        begin = row * columns
+        result[row - window[0]] = needed[begin + window[2] : begin + window[3]]
+    return result
+
+
+def lines_m(grid: Grid, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Costs of straight lines between places, rows and columns among the samples.  (K, 2) x2.
+
+    Places beside the grid count as the nearest on it.
+    """
+    result = np.empty(len(end))
+    rows, columns = 2 * grid.rows - 1, 2 * grid.columns - 1
+    for k in range(len(end)):
+        north, east = end[k, 0] - begin[k, 0], end[k, 1] - begin[k, 1]
+        far = math.sqrt(north * north + east * east)
+        pieces = min(max(math.ceil(far), 1), _MAX_PIECES)
+        piece_m = far * grid.step_m / pieces
+        total = ramp = height = 0.0
+        for p in range(pieces + 1):
+            share = p / pieces
+            u = min(max(begin[k, 0] + share * north, 0.0), rows - 1.0)
+            v = min(max(begin[k, 1] + share * east, 0.0), columns - 1.0)
+            i, j = min(int(u), rows - 2), min(int(v), columns - 2)
+            u, v, at = u - i, v - j, i * columns + j
+            here = _between(grid.cost, at, columns, u, v)
+            total += 0.5 * here if p in (0, pieces) else here
+            ramp2 = _between(grid.ramp_m, at, columns, u, v)
+            height2 = _between(grid.height, at, columns, u, v)
+            if p > 0 and piece_m > 0.0:
+                total += max(abs(ramp2 - ramp) / piece_m - 0.5 * (height + height2), 0.0)
+            ramp, height = ramp2, height2
+        result[k] = total * piece_m
+    return result
+
+
+_MAX_PIECES = 1_600  # of a straight line: of a sample each on a grid of 800 across, and beyond it
+
+
+def _between(samples: FloatArray, at: int, columns: int, u: float, v: float) -> float:
+    """Bilinear, so far (0 to 1) to the north and east of a sample."""
+    south = samples[at] + v * (samples[at + 1] - samples[at])
+    at += columns
+    north = samples[at] + v * (samples[at + 1] - samples[at])
+    return float(south + u * (north - south))
+
+
+def aside_m(route: FloatArray, other: FloatArray) -> float:
+    """How far a broken line is from another at most, by 33 points a piece.  (K, 2), (J, 2)."""
+    farthest = 0.0
+    for k in range(len(route) - 1):
+        for p in range(_ON_A_PIECE + 1):
+            share, nearest = p / _ON_A_PIECE, math.inf
+            n = route[k, 0] + share * (route[k + 1, 0] - route[k, 0])
+            e = route[k, 1] + share * (route[k + 1, 1] - route[k, 1])
+            for j in range(len(other) - 1):
+                dn, de = other[j + 1, 0] - other[j, 0], other[j + 1, 1] - other[j, 1]
+                un, ue = n - other[j, 0], e - other[j, 1]
+                along = (un * dn + ue * de) / max(dn * dn + de * de, 1e-12)
+                along = min(max(along, 0.0), 1.0)
+                un, ue = un - along * dn, ue - along * de
+                nearest = min(nearest, un * un + ue * ue)
+            farthest = max(farthest, nearest)
+    return math.sqrt(farthest)
+
+
+_ON_A_PIECE = 32  # of a route, 2 R long at most: a point every R / 16, a third of the corridor
+
+
+def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
+    """Give costly points that border on free ones no more than the cost of these.
+
+    Their mean, or their maximum where they differ by more than one_side: then they lie on two sides
+    of something thin, and what costs less beyond a wall must not draw towards it.
+    """
+    rows, columns = value.shape
+    for r in range(rows):
+        for c in range(columns):
+            if costly[r, c]:
+                count, total, lowest, highest = 0, 0.0, math.inf, -math.inf
+                for i in range(max(r - 1, 0), min(r + 2, rows)):
+                    for j in range(max(c - 1, 0), min(c + 2, columns)):
+                        if not costly[i, j]:
+                            count += 1
+                            total += value[i, j]
+                            lowest, highest = min(lowest, value[i, j]), max(highest, value[i, j])
+                if count:
+                    beside = total / count if highest - lowest < one_side else highest
+                    value[r, c] = min(value[r, c], beside)
+
+
+def raise_to(
+    lowest_m: FloatArray,
+    tops_m: FloatArray,
+    rows: IndexArray,
+    columns: IndexArray,
+    first: tuple[int, int],
+    every: int,
+    rises_m: FloatArray,
+    least_m: float,
+) -> None:
+    """Raise the altitudes of samples to what keeps the clearance from cells.
+
+    Samples are at vertices of the cells, `every` of them from row and column `first`.
+    tops_m: (N, M), of the cells of these rows and columns; none above least_m asks for more.
+    rises_m: by how much over a cell, so many cells away north and east; -inf beyond the clearance.
+    """
+    reach = len(rises_m)
+    for r in range(len(rows)):
+        cell_row = rows[r] - first[0]
+        south = max(-((reach - 1 - cell_row) // every), 0)
+        north = min((cell_row + reach) // every, lowest_m.shape[0] - 1)
+        for c in range(len(columns)):
+            top_m = tops_m[r, c]
+            if top_m > least_m:
+                cell_column = columns[c] - first[1]
+                west = max(-((reach - 1 - cell_column) // every), 0)
+                east = min((cell_column + reach) // every, lowest_m.shape[1] - 1)
+                for i in range(south, north + 1):
+                    gap_n = max(i * every - cell_row - 1, cell_row - i * every)
+                    for j in range(west, east + 1):
+                        gap_e = max(j * every - cell_column - 1, cell_column - j * every)
+                        up_m = top_m + rises_m[gap_n, gap_e]
+                        if up_m > lowest_m[i, j]:
+                            lowest_m[i, j] = up_m
+
+
+def bound_m(
+    upper_m: FloatArray,
+    rows: IndexArray,
+    columns: IndexArray,
+    rises_m: FloatArray,
+    most_m: float,
+) -> FloatArray:
+    """What keeps the clearance from the bounds of all cells, at some of their vertices; (N,).
+
+    No more than most_m.
+    """
+    reach = len(rises_m)
+    result = np.full(len(rows), -math.inf)
+    for k in range(len(rows)):
+        for i in range(max(rows[k] - reach, 0), min(rows[k] + reach, upper_m.shape[0])):
+            gap_n = max(rows[k] - i - 1, i - rows[k])
+            for j in range(max(columns[k] - reach, 0), min(columns[k] + reach, upper_m.shape[1])):
+                gap_e = max(columns[k] - j - 1, j - columns[k])
+                result[k] = max(result[k], upper_m[i, j] + rises_m[gap_n, gap_e])
+            if result[k] >= most_m:
+                break
+    return np.minimum(result, most_m)
+
+
+def add_detection(
+    total: FloatArray,
+    north_m: FloatArray,
+    east_m: FloatArray,
+    altitude_m: FloatArray,
+    radar: tuple[float, float, float, float],
+    margin_m: float,
+) -> None:
+    """Add eq. 3 of a radar, its place and range, at samples within its range and a margin."""
+    reach = radar[3] + margin_m
+    for i in range(len(north_m)):
+        north = north_m[i] - radar[0]
+        if abs(north) <= reach:
+            for j in range(len(east_m)):
+                east, up = east_m[j] - radar[1], altitude_m[i, j] - radar[2]
+                squared = north * north + east * east + up * up
+                if squared <= reach * reach:
+                    ratio = squared / (radar[3] * radar[3])
+                    total[i, j] += 1.0 / (1.0 + ratio * ratio)
+
+
+ENTRIES = (
+    repair,
+    touched,
+    way_from,
+    needed_m,
+    lines_m,
+    aside_m,
+    smooth_edges,
+    raise_to,
+    bound_m,
+    add_detection,
+)
+"""What is called from elsewhere."""
