@@ -14,8 +14,8 @@ from companion.campaign import drawn_world, truth
 from companion.campaign.route_cost import curve_cost
 from companion.errors import InputError
 from companion.library import OPTIMISERS, Flown, Task, fly
-from companion.objective.scene import PROFILES
 from companion.path.certificate import Certificate
+from companion.profiles import PROFILES
 from companion.world.known_map import KnownMap, Scan
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"

@@ -1,6 +1,6 @@
 """What flying costs, sampled over a lattice of the map, for the cost-to-go (`cost_to_go`).
 
-Costs are those of the objective (`companion.objective.terms`) in metres of level flight at the
+Costs are those of the objective (`companion.objective`) in metres of level flight at the
 floor of the band, so that they add to the cost of a subpath.  Per metre of way:
 
 - 1 for the length (f1: a_1 100 / 2.4 R);
