@@ -19,7 +19,6 @@ import typer
 from rich.console import Console
 
 from companion.campaign.command import campaign_app
-from companion.compare.command import compare_app
 from companion.config import (
     bundled,
     load_mission,
@@ -41,9 +40,10 @@ from companion.mavlink.preflight import CheckStatus, checks_of, flight_check, no
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
+from companion.paper.compare.command import compare_app
 from companion.path.certificate import bounds_text
 from companion.planner.offline import OfflineFlight, fly_offline
-from companion.planner.plan import plan
+from companion.planning import plan
 from companion.printable import printable
 from companion.replay.command import ProfileName, replay_command
 from companion.replay.export_command import export
@@ -319,6 +319,7 @@ def plan_command(
         start_nea_m=(*place.start_ne_m, chosen.task.take_off_amsl_m),
         targets_ne_m=chosen.targets_ne_m,
         seed=seed,
+        planner=plan,
     )
     took_s = time.perf_counter() - began_s
     console.print(plans_table(flight.plans))

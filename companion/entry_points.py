@@ -1,9 +1,9 @@
-"""What other distributions bring: found by their entry points, loaded when first asked for."""
+"""Parts by name: ours, and those that other distributions bring by their entry points."""
 
-from collections.abc import Callable, Iterator, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar, final
+from typing import TypeVar, cast, final
 
 from companion.errors import InputError
 
@@ -14,22 +14,32 @@ Part = TypeVar("Part")
 class Parts(MutableMapping[str, Part]):
     """Parts by name: our own, and those of the entry points of a group.
 
-    Own names win.  What another distribution brings is imported when it is first taken out, and
-    refused in one line, with the distribution's name, if it cannot be or is not of the right shape.
+    Own names win; their parts may be told as an entry point tells them ("module:name").  What is
+    told so is imported when it is first taken out; of another distribution it is refused in one
+    line, with the distribution's name, if it cannot be or is not of the right shape.
     """
 
     def __init__(
-        self, group: str, own: dict[str, Part], *, what: str, check: Callable[[Part], str | None]
+        self,
+        group: str,
+        own: Mapping[str, Part | str],
+        *,
+        what: str,
+        check: Callable[[Part], str | None],
     ) -> None:
         """check: what is wrong with a part, in a few words; None: nothing.  what: as people say."""
         self._group, self._what, self._check = group, what, check
-        self._parts = own
+        self._parts: dict[str, Part | str] = dict(own)
 
     def __getitem__(self, name: str) -> Part:
         """The part.  Raises KeyError if there is none, InputError if it is broken."""
-        if name not in self._parts:
-            self._parts[name] = self._loaded(_found(self._group)[name])
-        return self._parts[name]
+        part = self._parts.get(name)
+        if part is None:
+            part = self._loaded(_found(self._group)[name])
+        elif isinstance(part, str):
+            part = cast("Part", EntryPoint(name, part, self._group).load())
+        self._parts[name] = part
+        return part
 
     def __setitem__(self, name: str, part: Part) -> None:
         self._parts[name] = part

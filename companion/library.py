@@ -13,16 +13,16 @@ import numpy as np
 from companion.config import load_mission, load_world
 from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.objective.scene import PROFILES
 from companion.optimise.registry import OPTIMISERS, Maker, temporarily_registered
 from companion.path.certificate import Certificate, bounds_text
 from companion.path.limits import Limits
 from companion.planner.offline import OfflineFlight, Scanner, fly_offline
 from companion.planner.on_board import OnBoard, flight_time_s
-from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
 from companion.planner.rules import check_task
 from companion.planner.settings import PlannerSettings, Task
+from companion.planning import plan
+from companion.profiles import PROFILES
 from companion.runtime.compiler import load_kernel
 from companion.sources.schema import keys_of, validated
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map

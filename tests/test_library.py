@@ -14,11 +14,11 @@ from companion.campaign import drawn_world, truth
 from companion.campaign.route_cost import curve_cost
 from companion.errors import InputError
 from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
-from companion.objective.scene import PROFILES
 from companion.path.certificate import Certificate
 from companion.planner.offline import fly_offline
 from companion.planner.on_board import OnBoard
 from companion.planner.procedure import Leg
+from companion.profiles import PROFILES
 from companion.world.known_map import KnownMap, Scan, empty_map
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"

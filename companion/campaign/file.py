@@ -21,8 +21,8 @@ from companion.campaign.rivals.flight import Knowledge
 from companion.campaign.rivals.registry import PLANNERS
 from companion.config import bundled
 from companion.errors import InputError
-from companion.objective.scene import PROFILES
 from companion.optimise.registry import OPTIMISERS
+from companion.profiles import PROFILES
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
 from companion.sources.mission_schema import Name

@@ -12,7 +12,7 @@ from companion.campaign.flight import Flight, FlightFiles, truth_of
 from companion.config import load_mission, mission_text
 from companion.entry_points import Parts
 from companion.errors import InputError
-from companion.planner.plan import plan
+from companion.planning import plan
 from companion.runtime.in_process import SimulatedVehicle, loop_in_process
 from companion.runtime.recorder import Batch, InlineWriter, Recorder
 from companion.session import Session

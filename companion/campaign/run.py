@@ -41,8 +41,8 @@ from companion.config import folder_of, load_mission, load_world, mission_text, 
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
-from companion.objective.scene import PROFILES
 from companion.planner.settings import Task
+from companion.profiles import PROFILES
 from companion.sources.files import toml_table, toml_text, with_settings
 
 _SPACING_M = 1.0

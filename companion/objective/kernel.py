@@ -14,12 +14,13 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.objective import scene as flight
-from companion.objective.scene import FlightScene, Weights
+from companion.objective.scene import FlightScene
 from companion.path.bspline import uniform_basis
 from companion.path.certificate import pack_zones
 from companion.path.limits import Limits
 from companion.path.proof_distance import ZoneTable, braked_m_s, polygon_at
 from companion.path.subpath import Pose
+from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.threats import NearCells
 

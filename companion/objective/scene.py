@@ -1,6 +1,6 @@
 """What one subpath is planned in, and what it costs in profile `flight`: the paper's six terms.
 
-What differs from `terms` (the paper as printed), and why, is in design 5.2:
+What differs from the paper as printed (`paper.terms`), and why, is in design 5.2:
 
 - the curve has five or six control points, of which the third continues the curvature of the
   subpath before it (`planner-numbers` part E), so joins are smooth to the second derivative;
@@ -24,7 +24,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
-from companion.ranges import NotNegative
+from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.threats import NearCells, Radar, Zone
 
@@ -42,40 +42,6 @@ END_SHARE = 0.25  # of the curve's parameter, counted from its end, that ought t
 MAX_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
 BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Weights:
-    """a_1 .. a_6 of eq. 5; the paper's Fig. 3 (a)."""
-
-    length: NotNegative = 0.1
-    height: NotNegative = 0.15
-    guide: NotNegative = 0.15
-    crash: NotNegative = 0.3
-    radar: NotNegative = 0.3
-    constraints: NotNegative = 1.0
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Profile:
-    """How literally the paper is taken."""
-
-    name: str
-    samples: int
-    """Points of the curve at which the terms are computed (the paper: 10)."""
-    margin: float
-    """Factor on d_s, on the turn radius and on the steepness that the search aims at."""
-    verified: bool
-    """Whether a subpath needs a certificate before it is flown."""
-    optimiser: str
-    """What searches, if the mission does not say."""
-
-
-PAPER = Profile(name="paper", samples=10, margin=1.0, verified=False, optimiser="improved-de")
-FLIGHT = Profile(name="flight", samples=40, margin=1.06, verified=True, optimiser="refined-de")
-PROFILES = {profile.name: profile for profile in (FLIGHT, PAPER)}
 
 
 @final

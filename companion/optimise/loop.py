@@ -1,14 +1,12 @@
 """The one loop that owns the budget, and what optimisers share."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Generic, Protocol, TypeVar, final
+from typing import Protocol, final
 
 import numpy as np
 
-from companion.errors import InputError
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import FloatArray
 
 
 class Optimiser(Protocol):
@@ -60,77 +58,6 @@ def minimise(
         spent += count
     order = np.argsort(optimiser.costs, kind="stable")
     return Ranked(x=optimiser.population[order], costs=optimiser.costs[order], evaluations=spent)
-
-
-class Sized(Protocol):
-    """The parameters of an optimiser."""
-
-    @property
-    def population(self) -> int:
-        """NP."""
-
-
-S = TypeVar("S", bound=Sized)
-
-
-class Generations(ABC, Generic[S]):
-    """An optimiser that asks for a whole generation at a time, the first one seeds and chance.
-
-    `population` and `costs` are its members; before the first tell() there are none.
-    """
-
-    _usual: ClassVar[type]
-    """Makes the settings if none are given."""
-
-    def __init__(
-        self,
-        dimensions: int,
-        evaluations: int,
-        rng: np.random.Generator,
-        seeds: FloatArray | None = None,
-        settings: S | None = None,
-    ) -> None:
-        """evaluations: the budget; seeds: candidates to start from, (K, D) in the unit cube."""
-        self._settings: S = settings or self._usual()
-        self._evaluations, self._rng = evaluations, rng
-        self._asked = first_members(self._settings.population, dimensions, rng, seeds)
-        self.population: FloatArray = np.empty((0, dimensions))
-        self.costs: FloatArray = np.empty(0)
-
-    def ask(self) -> FloatArray:
-        """The candidates to evaluate next.  -> (NP, D) in the unit cube."""
-        if len(self.population):
-            self._asked = self._next()
-        return self._asked
-
-    def tell(self, costs: FloatArray) -> None:
-        """The costs of the candidates of the last ask(): (NP,)."""
-        if len(self.population):
-            self._learn(costs)
-        else:
-            self.population, self.costs = self._asked.copy(), costs.copy()
-
-    @abstractmethod
-    def _next(self) -> FloatArray:
-        """The generation after the first.  -> (NP, D) in the unit cube."""
-
-    def _learn(self, costs: FloatArray) -> None:
-        """What becomes of the members."""
-        self._keep_better(costs)
-
-    def _keep_better(self, costs: FloatArray) -> BoolArray:
-        """Eq. 14: of member and candidate the better, the candidate if equal.  -> which, (NP,)."""
-        better = costs <= self.costs
-        self.population = np.where(better[:, None], self._asked, self.population)
-        self.costs = np.where(better, costs, self.costs)
-        return better
-
-
-def check_population(population: int, others: int) -> None:
-    """Refuse a population in which a member does not have that many others (InputError)."""
-    if population <= others:
-        rule = f"a mutant needs {others} members besides its own"
-        raise InputError("population", population, rule, f"Set it to {others + 1} or more.")
 
 
 def first_members(

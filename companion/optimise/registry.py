@@ -10,11 +10,7 @@ import numpy as np
 
 from companion.entry_points import Parts
 from companion.geodesy import FloatArray
-from companion.optimise.differential_evolution import ClassicalDE
-from companion.optimise.genetic import Genetic
-from companion.optimise.improved_de import ImprovedDE
 from companion.optimise.loop import Optimiser
-from companion.optimise.particle_swarm import ParticleSwarm
 from companion.optimise.refined_de import RefinedDE
 
 Maker = Callable[[int, int, np.random.Generator, FloatArray | None], Optimiser]
@@ -35,13 +31,14 @@ def _wrong_with(make: Maker) -> str | None:
     return None
 
 
-_OWN: dict[str, Maker] = {
-    "improved-de": ImprovedDE,
+_OWN: dict[str, Maker | str] = {
+    "improved-de": "companion.paper.evolution:ImprovedDE",
     "refined-de": RefinedDE,
-    "de/rand/1/bin": ClassicalDE,
-    "pso": ParticleSwarm,
-    "ga": Genetic,
+    "de/rand/1/bin": "companion.paper.evolution:ClassicalDE",
+    "pso": "companion.paper.swarm:ParticleSwarm",
+    "ga": "companion.paper.genetic:Genetic",
 }
+"""The paper's are loaded when they are asked for: who flies never meets them."""
 OPTIMISERS = Parts("companion.optimisers", _OWN, what="optimiser", check=_wrong_with)
 
 

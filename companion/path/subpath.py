@@ -2,7 +2,7 @@
 
 import bisect
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -29,6 +29,11 @@ class Pose:
         """The position as plain numbers."""
         north, east, altitude = self.position_nea_m.tolist()
         return north, east, altitude
+
+    def facing(self, bearing_rad: float) -> "Pose":
+        """The pose of a vehicle at rest, turned to a bearing: level, and without a bend."""
+        tangent = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
+        return replace(self, tangent_nea=tangent, curvature_nea_1_m=np.zeros(3))
 
 
 @final

@@ -9,7 +9,6 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import (
     Backtrack,
@@ -68,7 +67,7 @@ def fly_offline(
     start_nea_m: tuple[float, float, float],
     targets_ne_m: tuple[tuple[float, float], ...],
     seed: int,
-    planner: Callable[[PlanRequest], PlanOutcome] = plan,
+    planner: Callable[[PlanRequest], PlanOutcome],
     scanner: Scanner = simulated_scan,
     flies: Flies | None = None,
     most_legs: int | None = None,

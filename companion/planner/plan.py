@@ -27,9 +27,8 @@ from companion.planner.cost_grid import descent_m, sampled
 from companion.planner.escape import StartViolation, escape_path, start_violation
 from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.procedure import Leg, hover_pose
-from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.reachability import blocked_at
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import REACH, NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.clearance import (
     Surface,
@@ -76,7 +75,7 @@ _ASIDE = (*_SHORT, *_ANY_WAY, *_ALL_ROUND)
 
 
 def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> PlanOutcome:
-    """Search for the next subpath until one is proven safe (profile `paper`: the first).
+    """Search for the next subpath until one is proven safe.
 
     Or the way back, if that is asked for.
     stop: asked every few hundred evaluations; in real time it tells that time is up, and then the
@@ -85,8 +84,6 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
     if request.flown is not None:
         prove = kernels.compiled().prove
         return backtrack(request.flown, request.task, request.known, prove, request.plan_id)
-    if not request.task.settings.profile.verified:
-        return plan_as_published(request, kernels.compiled().prove)
     refusal = _impossible(request)
     if refusal is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
@@ -280,7 +277,7 @@ class _Plan:
         stop = (rest.length_m + task.stop_m) * self._per_metre
         if self._price(best) <= stop + self._promised_m(rest.end_nea_m) * self._per_metre:
             return False
-        start = facing(hover_pose(rest.end_nea_m), self._scene.guide_rad)
+        start = hover_pose(rest.end_nea_m).facing(self._scene.guide_rad)
         scene = replace(self._scene, start=start, from_rest=True)
         ways: tuple[_SearchVariant, ...] = (_FIRST,)
         if self._excess(best) > _MUCH_DEARER:
@@ -425,9 +422,7 @@ class _Plan:
         wider: how often the mission's number of evaluations.
         """
         request, settings = self._request, self._request.task.settings
-        rng = np.random.default_rng(
-            [request.seed, STREAM_PLAN, request.plan_id, request.attempt, self._tries]
-        )
+        rng = request.rng(self._tries)
         evaluations, self._is_cut = wider * settings.evaluations, False
         name, seeds = settings.optimiser or settings.profile.optimiser, _seeds(scene)
         if name != "refined-de":
@@ -526,7 +521,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
         margin=settings.profile.margin,
         weights=settings.weights,
         limits=task.limits,
-        start=facing(request.start, guide) if request.from_rest else request.start,
+        start=request.start.facing(guide) if request.from_rest else request.start,
         from_rest=request.from_rest,
         scan_ne_m=scan_ne,
         scan_range_m=settings.scan_range_m,
@@ -591,7 +586,7 @@ def _vary(scene: FlightScene, how: _SearchVariant) -> FlightScene:
         needed=needed,
         end_radius_m=scene.end_radius_m * how.reach,
         final_ne_m=None,
-        start=facing(scene.start, guide) if scene.from_rest else scene.start,
+        start=scene.start.facing(guide) if scene.from_rest else scene.start,
     )
 
 

@@ -4,12 +4,16 @@ import enum
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from companion.geodesy import FloatArray
 from companion.path.certificate import Certificate
 from companion.path.subpath import Pose, Subpath
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
+REACH = 1.1  # of R about p_scan: what lies farther out counts as unknown
+_STREAM_PLAN = 1  # the planner's random stream among those of one seed
 _MORE, _PATIENT_S = 3.0, 3.0  # T for each failed attempt, and at most, where it hovers anyway
 
 
@@ -63,6 +67,10 @@ class PlanRequest:
     def around(self) -> KnownMap:
         """The known map, for a plane dilated by its loiter circle."""
         return self.known.grown(self.task.limits.loiter_radius_m)
+
+    def rng(self, search: int) -> np.random.Generator:
+        """The chance of one of the searches of this plan."""
+        return np.random.default_rng([self.seed, _STREAM_PLAN, self.plan_id, self.attempt, search])
 
     @property
     def time_s(self) -> float:

@@ -10,9 +10,9 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import FLIGHT, Profile, Weights
 from companion.path.certificate import Margins
 from companion.path.limits import Limits
+from companion.profiles import FLIGHT, Profile, Weights
 from companion.ranges import NotNegative, Positive
 from companion.world.threats import Radar, Zone
 

@@ -17,7 +17,7 @@ from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
 from companion.mission.mission import Mission
-from companion.planner.plan import plan
+from companion.planning import plan
 from companion.replay.differences import frames_differ
 from companion.replay.report import Replayed
 from companion.session import Session

@@ -13,9 +13,9 @@ from companion.mavlink.link import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.start import Resume, Start, SystemId
-from companion.objective.scene import PROFILES
 from companion.planner.outcomes import outcome_of
 from companion.planner.request import PlanOutcome
+from companion.profiles import PROFILES
 from companion.session import Session
 from companion.world.known_map import unpacked_map
 

@@ -15,7 +15,7 @@ from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
 from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
-from companion.planner.plan import plan
+from companion.planning import plan
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import VehicleReport
 from companion.session import Session

@@ -16,10 +16,10 @@ from rich.text import Text
 
 from companion.mission.mission import Mission
 from companion.planner.outcomes import outcome_of
-from companion.planner.plan import plan
 from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
+from companion.planning import plan
 from companion.replay.reproduce import Replay
 from companion.replay.session_inputs import MissionOf
 

@@ -7,13 +7,13 @@ from functools import cache
 
 import numpy as np
 
-from companion.objective.scene import PAPER
 from companion.path.limits import Limits
 from companion.planner import kernels
-from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
+from companion.planning import plan
+from companion.profiles import PAPER
 from companion.world.known_map import empty_map
 
 

@@ -17,7 +17,7 @@ from typing import final
 
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
-from companion.planner.plan import plan
+from companion.planning import plan
 from companion.runtime.compiler import load_libraries
 from companion.runtime.control_loop import ControlLoop, Nobody, Person
 from companion.runtime.link import Link

@@ -20,8 +20,8 @@ import threading
 from collections.abc import Callable
 from typing import IO, Any, final
 
-from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planning import plan
 from companion.runtime.compiler import load_kernel, load_libraries
 
 _LOOK_S = 0.02

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
-from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planning import plan
 from companion.runtime.link import Link
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
 from companion.runtime.watchdog import Clock, Failure, Gate, Worker

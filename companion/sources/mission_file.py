@@ -17,10 +17,10 @@ from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
+from companion.profiles import PROFILES, Weights
 from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.elevation import height_at_m, read_known_map
 from companion.sources.files import RawTable, path_of, plain, told_path

@@ -7,10 +7,10 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.objective.scene import Weights
 from companion.optimise.registry import OPTIMISERS
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings
+from companion.profiles import Weights
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
 from companion.sources.elevation import VerticalDatum
 from companion.sources.geojson import NoZone

@@ -7,9 +7,9 @@ import math
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
-from companion.objective.scene import FLIGHT
 from companion.planner.rules import MAX_CELLS
 from companion.planner.settings import CELLS_PER_RANGE
+from companion.profiles import FLIGHT
 from companion.sources.files import RawTable
 from companion.sources.plan_file import Plan, listing
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from markupsafe import Markup
 
-from companion.objective.scene import Weights
+from companion.profiles import Weights
 from companion.telemetry.export.flight import PlannedSubpath
 from companion.telemetry.export.shapes import utc_text
 from companion.views.page import page

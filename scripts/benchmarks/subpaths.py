@@ -19,13 +19,14 @@ import numpy as np
 from companion.campaign import drawn_world, families
 from companion.campaign.drawn_world import DrawnWorld
 from companion.geodesy import FloatArray, wrap_rad
-from companion.objective import terms
-from companion.objective.scene import PAPER, FlightScene
+from companion.objective.scene import FlightScene
+from companion.paper import terms
 from companion.path.subpath import Pose
 from companion.planner import kernels, plan, published
 from companion.planner.field import cost_to_go
 from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.profiles import PAPER
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
 

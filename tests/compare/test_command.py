@@ -4,9 +4,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from companion.compare import effects, table_1
-from companion.compare.command import compare_app
 from companion.errors import InputError
+from companion.paper.compare import table_1
+from companion.paper.compare.command import compare_app
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

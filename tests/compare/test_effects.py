@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.compare import effects
-from companion.compare.missions import fly
+from companion.paper.compare.missions import fly
 
 coordinate = st.floats(-100.0, 100.0)
 Point = tuple[float, float]

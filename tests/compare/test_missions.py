@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from companion.compare.missions import Run, bundled_case, fly, planned_with
-from companion.objective.scene import PAPER
+from companion.paper.compare.missions import Run, bundled_case, fly, planned_with
+from companion.profiles import PAPER
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from companion.compare import effects, table_1
-from companion.compare.missions import Run
-from companion.compare.pictures import compose_effect, compose_table
-from companion.compare.violations import Violations
+from companion.paper.compare import table_1
+from companion.paper.compare.missions import Run
+from companion.paper.compare.pictures import compose_effect, compose_table
+from companion.paper.compare.violations import Violations
 
 CLEAN = Violations(
     route_m=150_000.0,

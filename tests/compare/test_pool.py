@@ -6,7 +6,7 @@ import subprocess
 import sys
 import textwrap
 
-from companion.compare.missions import Case, bundled_case, fly_all, planned_with
+from companion.paper.compare.missions import Case, bundled_case, fly_all, planned_with
 
 
 def cases(count: int, evaluations: int) -> list[Case]:
@@ -34,7 +34,7 @@ def test_the_results_do_not_depend_on_the_number_of_processes() -> None:
 def test_ctrl_c_ends_it_with_its_processes() -> None:
     code = """
         import multiprocessing, signal, sys
-        from companion.compare.missions import bundled_case, fly_all, planned_with
+        from companion.paper.compare.missions import bundled_case, fly_all, planned_with
         if __name__ == "__main__":
             signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
             def told(flown):

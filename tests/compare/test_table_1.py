@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.compare import table_1
-from companion.compare.missions import Run
-from companion.compare.violations import Violations
+from companion.paper.compare import table_1
+from companion.paper.compare.missions import Run
+from companion.paper.compare.violations import Violations
 
 CLEAN = Violations(
     route_m=150_000.0,

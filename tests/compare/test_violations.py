@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.compare.missions import bundled_case
-from companion.compare.violations import Violations, peak_distance_m, violations
+from companion.paper.compare.missions import bundled_case
+from companion.paper.compare.violations import Violations, peak_distance_m, violations
 from companion.path.subpath import Subpath
 from companion.planner.settings import Task
 from companion.world.terrain import Peak, PeakTerrain

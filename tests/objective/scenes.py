@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from planning import limits
 
-from companion.objective.scene import FlightScene, Weights
+from companion.objective.scene import FlightScene
 from companion.path.subpath import Pose, Subpath
+from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Radar, Zone, near_cells
 

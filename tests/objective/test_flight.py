@@ -22,11 +22,11 @@ from companion.objective.scene import (
     SHORTEST_R,
     SPREAD_RAD,
     FlightScene,
-    Weights,
     control_points,
     weight,
 )
 from companion.path.subpath import Subpath
+from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Zone
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import limits
 
-from companion.objective.scene import FLIGHT, PAPER, PROFILES, Weights
-from companion.objective.terms import VARIABLES, Scene, control_points
+from companion.paper.terms import VARIABLES, Scene, control_points
 from companion.path.subpath import Pose
+from companion.profiles import FLIGHT, PAPER, PROFILES, Weights
 from companion.world.clearance import Surface
 
 FloatArray = NDArray[np.float64]

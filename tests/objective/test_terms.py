@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import limits
 
-from companion.objective.scene import Weights
-from companion.objective.terms import (
+from companion.paper.terms import (
     TERMS,
     Scene,
     candidates,
@@ -21,6 +20,7 @@ from companion.objective.terms import (
     cost_table,
 )
 from companion.path.subpath import Pose
+from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Radar
 

@@ -2,11 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
-from numpy.typing import NDArray
-
-from companion.errors import InputError
 from companion.optimise.differential_evolution import (
     ClassicalDE,
     Settings,
@@ -16,6 +11,11 @@ from companion.optimise.differential_evolution import (
 )
 from companion.optimise.improved_de import ImprovedDE
 from companion.optimise.improved_de import Settings as ImprovedSettings
+from hypothesis import example, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from companion.errors import InputError
 
 FloatArray = NDArray[np.float64]
 

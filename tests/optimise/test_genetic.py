@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from companion.optimise.genetic import Genetic, Settings
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from companion.errors import InputError
-from companion.optimise.genetic import Genetic, Settings
 
 FloatArray = NDArray[np.float64]
 MANY = 40_000

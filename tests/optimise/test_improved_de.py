@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from companion.optimise.improved_de import ImprovedDE, Settings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from companion.errors import InputError
-from companion.optimise.improved_de import ImprovedDE, Settings
 from companion.optimise.loop import minimise
 
 FloatArray = NDArray[np.float64]

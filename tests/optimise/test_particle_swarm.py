@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from companion.optimise.particle_swarm import ParticleSwarm, Settings
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from companion.errors import InputError
-from companion.optimise.particle_swarm import ParticleSwarm, Settings
 
 FloatArray = NDArray[np.float64]
 NP, D = 6, 3

@@ -3,14 +3,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from companion.planner.published import facing, tangent_guide_rad
 from planning import ask
 
-from companion.objective.scene import PAPER
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
-from companion.planner.published import facing, tangent_guide_rad
 from companion.planner.request import Planned
 from companion.planner.settings import Task
+from companion.profiles import PAPER
 from companion.world.known_map import KnownMap
 
 START = (1_000.0, 1_000.0, 450.0)

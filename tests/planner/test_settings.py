@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.objective.scene import FLIGHT, PAPER
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
+from companion.profiles import FLIGHT, PAPER
 from companion.world.clearance import safe_surface
 from companion.world.known_map import empty_map
 

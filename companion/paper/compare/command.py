@@ -10,9 +10,9 @@ import typer
 from rich.progress import track
 from rich.table import Table
 
-from companion.compare import effects, table_1
-from companion.compare.missions import Case, Run, fly_all
 from companion.errors import InputError
+from companion.paper.compare import figures, table_1
+from companion.paper.compare.missions import Case, Run, fly_all
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
@@ -68,7 +68,7 @@ def table_1_command(
     remarks = table_1.remarks(found, per_second)
 
     def compose() -> "Figure":
-        from companion.compare.pictures import compose_table  # slow to import
+        from companion.paper.compare.pictures import compose_table  # slow to import
 
         return compose_table(found, remarks)
 
@@ -77,7 +77,7 @@ def table_1_command(
     _tell(tables, remarks, compose, numbers, files)
 
 
-def _add_figure(name: str, words: str, effect_of: Callable[[], effects.Effect]) -> None:
+def _add_figure(name: str, words: str, effect_of: Callable[[], figures.Effect]) -> None:
     @compare_app.command(name, help=words)
     def figure_command(
         runs: RunsOption = 20,
@@ -88,27 +88,27 @@ def _add_figure(name: str, words: str, effect_of: Callable[[], effects.Effect]) 
     ) -> None:
         effect = effect_of()
         files = _files(figure or Path(f"{effect.name}.png"), json_file)
-        found = effects.outcomes(effect, _flown(effects.cases(effect, runs, seed), jobs))
-        remarks = effects.remarks(effect)
+        found = figures.outcomes(effect, _flown(figures.cases(effect, runs, seed), jobs))
+        remarks = figures.remarks(effect)
 
         def compose() -> "Figure":
-            from companion.compare.pictures import compose_effect  # slow to import
+            from companion.paper.compare.pictures import compose_effect  # slow to import
 
             return compose_effect(effect, found, remarks[-1])
 
-        numbers = {"runs": runs, "seed": seed, "results": effects.facts(effect, found)}
-        _tell([effects.table(effect, found)], remarks, compose, numbers, files)
+        numbers = {"runs": runs, "seed": seed, "results": figures.facts(effect, found)}
+        _tell([figures.table(effect, found)], remarks, compose, numbers, files)
 
 
 _add_figure(
     "figure-3",
     "Fig. 3: climb over a ridge or go round it, by the weights of height and guide.",
-    effects.figure_3,
+    figures.figure_3,
 )
 _add_figure(
     "figure-4",
     "Fig. 4: fly between two overlapping radars or round both, by d_overlap.",
-    effects.figure_4,
+    figures.figure_4,
 )
 
 

@@ -1,11 +1,11 @@
 """What a route violates, looked at every 10 m: the paper's ten samples a subpath miss it.
 
 Clearance is the paper's distance to each peak to first order, (z - h) / sqrt(1 + |grad h|^2)
-(planner-numbers A, row 12, and D2), of the true peaks and not of a grid.
+(row 12 of the paper's page), of the true peaks and not of a grid.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import final
 
 import numpy as np
@@ -21,11 +21,10 @@ _TOLERANCE = 1e-6  # relative: what lies on a bound has not crossed it
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Violations:
     """Metres of a route that break a bound."""
 
-    route_m: float
     clearance_m: float
     """Nearer than d_s to a peak or to the ground."""
     radar_m: float
@@ -40,41 +39,34 @@ class Violations:
     @property
     def any(self) -> bool:
         """Whether anything at all is violated."""
-        parts = (self.clearance_m, self.radar_m, self.turn_m, self.climb_m, self.band_m)
-        return any(part > 0.0 for part in parts)
+        return any(asdict(self).values())
 
 
 def violations(
     flown: Sequence[tuple[Subpath, float]], task: Task, terrain: PeakTerrain
 ) -> Violations:
     """Measure subpaths, each as far as it was flown (metres)."""
-    limits = task.limits
-    pieces = [_measured(subpath, flown_m) for subpath, flown_m in flown]
-    points = np.concatenate([np.empty((0, 3)), *(piece[0] for piece in pieces)])
-    curvature = np.concatenate([np.empty(0), *(piece[1] for piece in pieces)])
-    climb = np.concatenate([np.empty(0), *(piece[2] for piece in pieces)])
-    step_m = np.concatenate([np.empty(0), *(piece[3] for piece in pieces)])
-    clearance = peak_distance_m(points, terrain)
-
-    def metres(broken: BoolArray) -> float:
-        return float(step_m[broken].sum())
-
-    seen = np.zeros(len(points), dtype=bool)
-    for radar in task.radars:
-        seen |= radar.distance_m(points) < radar.range_m * (1.0 - _TOLERANCE)
-    low, high = limits.floor_amsl_m, limits.ceiling_amsl_m
-    slack = _TOLERANCE * (high - low)
-    altitude = points[:, 2]
-    return Violations(
-        route_m=float(step_m.sum()),
-        clearance_m=metres(clearance < task.settings.safety_distance_m * (1.0 - _TOLERANCE)),
-        radar_m=metres(seen),
-        turn_m=metres(curvature * limits.turn_radius_m > 1.0 + _TOLERANCE),
-        climb_m=metres(
+    limits, more, less = task.limits, 1.0 + _TOLERANCE, 1.0 - _TOLERANCE
+    total = np.zeros(5)
+    for subpath, flown_m in flown:
+        points, curvature, climb, step_m = _measured(subpath, flown_m)
+        seen = np.zeros(len(points), dtype=bool)
+        for radar in task.radars:
+            seen |= radar.distance_m(points) < radar.range_m * less
+        slack = _TOLERANCE * (limits.ceiling_amsl_m - limits.floor_amsl_m)
+        altitude = points[:, 2]
+        broken: list[BoolArray] = [
+            peak_distance_m(points, terrain) < task.settings.safety_distance_m * less,
+            seen,
+            curvature * limits.turn_radius_m > more,
             (climb > limits.climb_angle_rad + _TOLERANCE)
-            | (climb < -limits.dive_angle_rad - _TOLERANCE)
-        ),
-        band_m=metres((altitude < low - slack) | (altitude > high + slack)),
+            | (climb < -limits.dive_angle_rad - _TOLERANCE),
+            (altitude < limits.floor_amsl_m - slack) | (altitude > limits.ceiling_amsl_m + slack),
+        ]
+        total += np.array(broken) @ step_m
+    clearance_m, radar_m, turn_m, climb_m, band_m = total.tolist()
+    return Violations(
+        clearance_m=clearance_m, radar_m=radar_m, turn_m=turn_m, climb_m=climb_m, band_m=band_m
     )
 
 
@@ -86,15 +78,11 @@ def peak_distance_m(points_nea_m: FloatArray, terrain: PeakTerrain) -> FloatArra
     north, east, altitude = np.moveaxis(points_nea_m, -1, 0)
     nearest = altitude - terrain.ground_amsl_m
     for peak in terrain.peaks:
-        n, e = (
-            (north - peak.north_m) / peak.spread_north_m,
-            (east - peak.east_m) / peak.spread_east_m,
-        )
+        n = (north - peak.north_m) / peak.spread_north_m
+        e = (east - peak.east_m) / peak.spread_east_m
         height = peak.height_amsl_m * np.exp(-(n**2) - e**2)
-        slope2 = (2.0 * height) ** 2 * (
-            (n / peak.spread_north_m) ** 2 + (e / peak.spread_east_m) ** 2
-        )
-        nearest = np.minimum(nearest, (altitude - height) / np.sqrt(1.0 + slope2))
+        slope = 2.0 * height * np.hypot(n / peak.spread_north_m, e / peak.spread_east_m)
+        nearest = np.minimum(nearest, (altitude - height) / np.hypot(1.0, slope))
     return nearest
 
 
@@ -109,7 +97,7 @@ def _measured(
     edges = np.concatenate([[0.0], 0.5 * (at_m[1:] + at_m[:-1]), [whole]]).clip(max=flown_m)
     speed = np.linalg.norm(samples.first, axis=1)
     corner = speed < 1e-6 * speed.max()  # r2 = 0: the join is a corner, and has no direction
-    curvature = np.abs(horizontal_curvature_1_m(samples.first, samples.second))
+    curvature = horizontal_curvature_1_m(samples.first, samples.second)
     climb = climb_angle_rad(samples.first)
     return (
         samples.points_nea_m[flown],

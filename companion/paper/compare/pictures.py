@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.compare import effects, table_1
+from companion.paper.compare import figures, table_1
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
 
@@ -19,15 +19,14 @@ _WIDELY = 3.0  # spread of costs from which on their scale is logarithmic
 _WIDE = 160  # characters in a line of the text under the panels
 
 
-def compose_effect(effect: effects.Effect, found: Sequence[effects.Outcome], remark: str) -> Figure:
+def compose_effect(effect: figures.Effect, found: Sequence[figures.Outcome], remark: str) -> Figure:
     """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
     canvas.text(0.03, 0.967, effect.title, fontsize=18, weight="bold", parse_math=False)
     profiles = not any(outcome.setting.case.task.radars for outcome in found)
-    for at, outcome in enumerate(found):
+    for at, (outcome, letters) in enumerate(zip(found, ("ac", "bd"), strict=True)):
         flight, left = _flight(outcome), 0.02 + 0.49 * at
-        letters = ("ab", "cd")[0][at], ("ab", "cd")[1][at]
         box = (left, 0.525, 0.47, 0.42)
         views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
         heading = f"({letters[0]}) {outcome.setting.words}: {_most(outcome)}"
@@ -73,7 +72,7 @@ def _draw_row(axes: Axes, row: table_1.Row) -> None:
         axes.plot(at - 0.2 + spread, outcome.costs, **dots, **label)
         bars: dict[str, Any] = {"fmt": "_", "ms": 16, "capsize": 5, "lw": 1.6}
         label = {} if at else {"label": "mean ± standard deviation, here (left scale)"}
-        mean, deviation = outcome.mean_cost, outcome.deviation
+        mean, deviation = outcome.mean(), outcome.deviation
         below = min(deviation, mean - min(outcome.costs, default=mean))  # none lies below that
         ends = np.nan_to_num([[below], [deviation]])
         axes.errorbar(at, mean, ends, color=_OURS, **bars, **label)
@@ -91,7 +90,7 @@ def _draw_row(axes: Axes, row: table_1.Row) -> None:
     other.tick_params(axis="y", colors=_PAPERS)
 
 
-def _most(outcome: effects.Outcome) -> str:
+def _most(outcome: figures.Outcome) -> str:
     """What most runs do, and how many."""
     way = max(set(outcome.ways), key=outcome.ways.count)
     return f"{way} ({outcome.ways.count(way)} of {len(outcome.ways)} runs)"
@@ -103,7 +102,7 @@ def _write_below(canvas: Figure, paragraphs: Sequence[str]) -> None:
     canvas.text(0.03, 0.012, "\n".join(lines), color="#333333", **style)
 
 
-def _flight(outcome: effects.Outcome) -> FlightFigure:
+def _flight(outcome: figures.Outcome) -> FlightFigure:
     case, run = outcome.setting.case, outcome.shown
     limits = case.task.limits
     north, east = (np.linspace(*ends, _CELLS + 1) for ends in (limits.north_m, limits.east_m))

@@ -5,12 +5,13 @@ import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import scipy
+from rich import box
 from rich.table import Table
 
-from companion.compare.missions import Case, Run, bundled_case, planned_with
+from companion.paper.compare.missions import Case, Run, bundled_case, planned_with
 
 ALGORITHMS = {
     "improved DE": "improved-de",
@@ -32,7 +33,6 @@ _KINDS = {
 _SURE = 0.05  # significance at which costs count as different,
 _LEAST = 0.005  # if their medians differ by this part
 
-
 PAPERS = {
     ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
     ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
@@ -51,28 +51,19 @@ class Outcome:
     runs: tuple[Run, ...]
 
     @property
-    def arrived(self) -> tuple[Run, ...]:
-        """The runs that reached the target: only they have a cost from start to target."""
-        return tuple(run for run in self.runs if run.arrived)
-
-    @property
     def costs(self) -> list[float]:
-        """Of the runs that arrived."""
-        return [run.cost for run in self.arrived]
-
-    @property
-    def mean_cost(self) -> float:
-        """Mean of the costs; not a number when none arrived."""
-        return _mean(self.costs)
+        """Of the runs that reached the target: only they have a cost from start to target."""
+        return [run.cost for run in self.runs if run.arrived]
 
     @property
     def deviation(self) -> float:
         """Standard deviation of the costs; not a number with fewer than two."""
-        return statistics.stdev(self.costs) if len(self.costs) > 1 else float("nan")
+        return statistics.stdev(self.costs) if len(self.costs) > 1 else math.nan
 
-    def mean_of(self, measure: Callable[[Run], float]) -> float:
-        """Mean of a measure over the runs that arrived."""
-        return _mean([measure(run) for run in self.arrived])
+    def mean(self, measure: Callable[[Run], float] = lambda run: run.cost) -> float:
+        """Mean of a measure over the runs that arrived; not a number when none did."""
+        values = [measure(run) for run in self.runs if run.arrived]
+        return statistics.fmean(values) if values else math.nan
 
 
 @final
@@ -100,7 +91,7 @@ class Row:
 
         Those that never arrived come last.
         """
-        ranked = sorted(self.outcomes, key=lambda each: (not each.costs, each.mean_cost))
+        ranked = sorted(self.outcomes, key=lambda each: (not each.costs, each.mean()))
         words = ranked[0].algorithm
         for better, worse in itertools.pairwise(ranked):
             words += (" < " if surely_less(better, worse) else " ~ ") + worse.algorithm
@@ -122,8 +113,7 @@ class Row:
         return confirmed, contradicted
 
     def _papers(self) -> list[str]:
-        ranked = sorted(zip(self.papers, ALGORITHMS, strict=True))
-        return [algorithm for _, algorithm in ranked]
+        return [algorithm for _, algorithm in sorted(zip(self.papers, ALGORITHMS, strict=True))]
 
 
 def surely_less(one: Outcome, other: Outcome) -> bool:
@@ -159,8 +149,8 @@ def cases(runs: int, seed: int, per_second: int = PER_SECOND) -> list[Case]:
 
 def rows(flown: Sequence[Run]) -> list[Row]:
     """The table, from the runs of all cases in their order."""
-    each = len(flown) // (len(ENVIRONMENTS) * len(PLANNING_TIMES_S) * len(ALGORITHMS))
-    left = iter(flown)
+    places = list(itertools.product(ENVIRONMENTS, PLANNING_TIMES_S))
+    each, left = len(flown) // (len(places) * len(ALGORITHMS)), iter(flown)
     return [
         Row(
             environment=environment,
@@ -170,50 +160,49 @@ def rows(flown: Sequence[Run]) -> list[Row]:
                 for algorithm in ALGORITHMS
             ),
         )
-        for environment in ENVIRONMENTS
-        for planning_time_s in PLANNING_TIMES_S
+        for environment, planning_time_s in places
     ]
 
 
 def table(found: Sequence[Row]) -> Table:
     """Our numbers beside the paper's."""
-    result = Table(title="Table 1: cost from start to target, mean ± standard deviation")
-    result.add_column("environment, T")
-    for heading in ("algorithm", "cost", "paper", "arrived", "length"):
-        left = heading == "algorithm"
-        result.add_column(heading, justify="left" if left else "right", no_wrap=True)
+    title = "Table 1: cost from start to target, mean ± standard deviation"
+    result = narrow_table(title, "cost", "paper", "arrived", "length")
     for row in found:
+        result.add_row(row.place)
         for outcome, (mean, deviation) in zip(row.outcomes, row.papers, strict=True):
             result.add_row(
-                row.place if outcome is row.outcomes[0] else "",
-                outcome.algorithm,
-                f"{outcome.mean_cost:.2f} ± {outcome.deviation:.2f}",
+                f"  {outcome.algorithm}",
+                f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
                 f"{mean:.1f} ± {deviation:.1f}",
                 f"{len(outcome.costs)}/{len(outcome.runs)}",
-                f"{outcome.mean_of(lambda run: run.length_m) / 1000:.1f} km",
+                f"{outcome.mean(lambda run: run.length_m) / 1000:.1f} km",
             )
-        result.add_section()
     return result
 
 
 def violations_table(found: Sequence[Row]) -> Table:
     """What the routes break when they are looked at every 10 m."""
-    result = Table(title="Missions that break a bound somewhere, and the mean length that does")
-    result.add_column("environment, T")
-    for heading in ("algorithm", *_KINDS.values()):
-        result.add_column(heading, justify="left" if heading == "algorithm" else "right")
+    title = "Missions that break a bound somewhere, and the mean metres that do"
+    result = narrow_table(title, *_KINDS.values())
     for row in found:
+        result.add_row(row.place)
         for outcome in row.outcomes:
             broken = violation_facts(outcome.runs).values()
-            result.add_row(
-                row.place if outcome is row.outcomes[0] else "",
-                outcome.algorithm,
-                *(
-                    f"{math.ceil(100.0 * kind['missions'] - 1e-6)}%, {kind['mean_m']:,.0f} m"
-                    for kind in broken
-                ),
-            )
-        result.add_section()
+            result.add_row(f"  {outcome.algorithm}", *(_share(**each) for each in broken))
+    return result
+
+
+def _share(missions: float, mean_m: float) -> str:
+    return f"{math.ceil(100.0 * missions - 1e-6)}% {mean_m:6,.0f}"
+
+
+def narrow_table(title: str, *headings: str) -> Table:
+    """A table whose cells stay whole in a terminal of 80 columns."""
+    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
+    result.add_column("", no_wrap=True)
+    for heading in headings:
+        result.add_column(heading, justify="right")
     return result
 
 
@@ -239,16 +228,16 @@ def remarks(found: Sequence[Row], per_second: int = PER_SECOND) -> list[str]:
     return lines
 
 
-def facts(found: Sequence[Row], per_second: int = PER_SECOND) -> list[dict[str, object]]:
+def facts(found: Sequence[Row], per_second: int = PER_SECOND) -> list[dict[str, Any]]:
     """Everything in the table, and more, for --json; null for what is not a number."""
     return [
-        {name: value if value == value else None for name, value in each.items()}
+        {name: None if value != value else value for name, value in each.items()}
         for row in found
         for each in _facts_of_row(row, per_second)
     ]
 
 
-def _facts_of_row(row: Row, per_second: int) -> Iterator[dict[str, object]]:
+def _facts_of_row(row: Row, per_second: int) -> Iterator[dict[str, Any]]:
     best = row.outcomes[0]
     for outcome, (mean, deviation) in zip(row.outcomes, row.papers, strict=True):
         yield {
@@ -259,16 +248,15 @@ def _facts_of_row(row: Row, per_second: int) -> Iterator[dict[str, object]]:
             "optimiser": ALGORITHMS[outcome.algorithm],
             "runs": len(outcome.runs),
             "arrived": len(outcome.costs),
-            "mean_cost": outcome.mean_cost,
+            "mean_cost": outcome.mean(),
             "st_dev_cost": outcome.deviation,
             "paper_mean_cost": mean,
             "paper_st_dev_cost": deviation,
             "improved_de_is_surely_less": surely_less(best, outcome),
             "is_surely_less_than_improved_de": surely_less(outcome, best),
             "costs": [run.cost if run.arrived else None for run in outcome.runs],
-            "length_m": outcome.mean_of(lambda run: run.length_m),
-            "subpaths": outcome.mean_of(lambda run: run.legs),
-            "violating_missions": _mean([run.violations.any for run in outcome.runs]),
+            "length_m": outcome.mean(lambda run: run.length_m),
+            "subpaths": outcome.mean(lambda run: run.legs),
             "violations": violation_facts(outcome.runs),
         }
 
@@ -279,11 +267,7 @@ def violation_facts(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
     return {
         kind.removesuffix("_m"): {
             "missions": sum(value > 0.0 for value in values) / len(values),
-            "mean_m": _mean(values),
+            "mean_m": statistics.fmean(values),
         }
         for kind, values in metres.items()
     }
-
-
-def _mean(values: Sequence[float]) -> float:
-    return statistics.fmean(values) if values else float("nan")

@@ -8,26 +8,21 @@ and their radars are not passed where they overlap.  So each figure has a small 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from rich.table import Table
 
-from companion.compare.missions import Case, Run, bundled_case, planned_with
-from companion.compare.table_1 import violation_facts
 from companion.geodesy import FloatArray
-from companion.objective.scene import Weights
+from companion.paper.compare.missions import Case, Run, bundled_case, planned_with
+from companion.paper.compare.table_1 import narrow_table, violation_facts
+from companion.profiles import Weights
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import Radar
 
-_DIAGONAL = math.sqrt(0.5)
-_T_S, _EVALUATIONS = 3.0, 3000
+_T_S, _EVALUATIONS = 3.0, 3000  # as in Table 1
 _RADAR_RANGE_M, _RADARS_OVERLAP_M, _RADARS_ASIDE_M = 16_000.0, 2_500.0, 1_000.0
-_RIDGE = (
-    (42_000.0, 58_000.0, 3_900.0, 10_000.0),
-    (50_000.0, 50_000.0, 3_900.0, 10_000.0),
-    (58_000.0, 42_000.0, 3_900.0, 10_000.0),
-)
+_RIDGE = tuple((k * 1e3, 100e3 - k * 1e3, 3_900.0, 10_000.0) for k in (42.0, 50.0, 58.0))
 _HILLS = (
     (88_000.0, 25_000.0, 4_200.0, 6_000.0),
     (22_000.0, 86_000.0, 4_800.0, 6_000.0),
@@ -42,10 +37,9 @@ Point = tuple[float, float]
 class Setting:
     """One panel of a figure."""
 
-    panel: str
     words: str
     papers_way: str
-    """Which way the paper's panel goes: `across` or `round` of the effect."""
+    """Which way the paper's panel goes: `across` or `round` of the figure."""
     case: Case
 
 
@@ -68,67 +62,6 @@ class Effect:
         return self.across if crosses(run.route_nea_m, *self.line_ne_m) else self.round
 
 
-def figure_3() -> Effect:
-    """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
-    base = _world("ridge", _RIDGE, ())
-    first, *_, last = base.terrain.peaks
-    over, past = "climbs over", "goes round"
-
-    def weighted(panel: str, height: float, guide: float, papers_way: str) -> Setting:
-        words, weights = f"a2 = {height:g}, a3 = {guide:g}", Weights(height=height, guide=guide)
-        case = planned_with(base, weights=weights)
-        return Setting(panel=panel, words=words, papers_way=papers_way, case=case)
-
-    return Effect(
-        name="figure-3",
-        title="Fig. 3: 3D path and vertical profile for two weightings",
-        paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
-        "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
-        line_ne_m=((first.north_m, first.east_m), (last.north_m, last.east_m)),
-        settings=(weighted("a", 0.15, 0.15, over), weighted("b", 0.25, 0.05, past)),
-        across=over,
-        round=past,
-    )
-
-
-def figure_4() -> Effect:
-    """Fly between two overlapping radars, or round both: d_overlap."""
-    half_m = _RADAR_RANGE_M - 0.5 * _RADARS_OVERLAP_M
-    centres = [
-        (50_000.0 - offset_m * _DIAGONAL, 50_000.0 + offset_m * _DIAGONAL)
-        for offset_m in (_RADARS_ASIDE_M - half_m, _RADARS_ASIDE_M + half_m)
-    ]
-    radars = tuple(
-        Radar(name=f"radar {number}", centre_nea_m=(*centre, 0.0), range_m=_RADAR_RANGE_M)
-        for number, centre in enumerate(centres, start=1)
-    )
-    base = _world("two radars", _HILLS, radars)
-    between, past = "flies between", "goes round"
-
-    def overlapping(panel: str, overlap_km: float, papers_way: str) -> Setting:
-        case = planned_with(base, overlap_m=1000.0 * overlap_km)
-        words = f"d_overlap = {overlap_km:g} km"
-        return Setting(panel=panel, words=words, papers_way=papers_way, case=case)
-
-    return Effect(
-        name="figure-4",
-        title="Fig. 4: 3D path for two values of d_overlap",
-        paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
-        "traverse through the intersection of two radars”",
-        line_ne_m=(centres[0], centres[1]),
-        settings=(overlapping("a", 2.0, past), overlapping("b", 6.0, between)),
-        across=between,
-        round=past,
-    )
-
-
-def cases(effect: Effect, runs: int, seed: int) -> list[Case]:
-    """Every mission of a figure, setting by setting."""
-    return [
-        replace(setting.case, seed=seed + run) for setting in effect.settings for run in range(runs)
-    ]
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
@@ -144,37 +77,82 @@ class Outcome:
         """The run of median cost: the one in the picture."""
         return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
 
-    @property
-    def as_the_paper(self) -> int:
-        """How many runs go the paper's way."""
-        return self.ways.count(self.setting.papers_way)
+
+def figure_3() -> Effect:
+    """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
+    base, over, past = _world("ridge", _RIDGE, ()), "climbs over", "goes round"
+
+    def weighted(height: float, guide: float, papers_way: str) -> Setting:
+        words, weights = f"a2 = {height:g}, a3 = {guide:g}", Weights(height=height, guide=guide)
+        case = planned_with(base, weights=weights)
+        return Setting(words=words, papers_way=papers_way, case=case)
+
+    return Effect(
+        name="figure-3",
+        title="Fig. 3: 3D path and vertical profile for two weightings",
+        paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
+        "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
+        line_ne_m=(_RIDGE[0][:2], _RIDGE[-1][:2]),
+        settings=(weighted(0.15, 0.15, over), weighted(0.25, 0.05, past)),
+        across=over,
+        round=past,
+    )
+
+
+def figure_4() -> Effect:
+    """Fly between two overlapping radars, or round both: d_overlap."""
+    half_m, between, past = _RADAR_RANGE_M - 0.5 * _RADARS_OVERLAP_M, "flies between", "goes round"
+    aside_m = [math.sqrt(0.5) * (_RADARS_ASIDE_M + side * half_m) for side in (-1.0, 1.0)]
+    centres = [(50_000.0 - each_m, 50_000.0 + each_m) for each_m in aside_m]
+    radars = tuple(
+        Radar(name=f"radar {number}", centre_nea_m=(*centre, 0.0), range_m=_RADAR_RANGE_M)
+        for number, centre in enumerate(centres, start=1)
+    )
+    base = _world("two radars", _HILLS, radars)
+
+    def overlapping(overlap_km: float, papers_way: str) -> Setting:
+        case = planned_with(base, overlap_m=1000.0 * overlap_km)
+        return Setting(words=f"d_overlap = {overlap_km:g} km", papers_way=papers_way, case=case)
+
+    return Effect(
+        name="figure-4",
+        title="Fig. 4: 3D path for two values of d_overlap",
+        paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
+        "traverse through the intersection of two radars”",
+        line_ne_m=(centres[0], centres[1]),
+        settings=(overlapping(2.0, past), overlapping(6.0, between)),
+        across=between,
+        round=past,
+    )
+
+
+def cases(effect: Effect, runs: int, seed: int) -> list[Case]:
+    """Every mission of a figure, setting by setting."""
+    return [
+        replace(setting.case, seed=seed + run) for setting in effect.settings for run in range(runs)
+    ]
 
 
 def outcomes(effect: Effect, flown: Sequence[Run]) -> list[Outcome]:
     """The runs of all cases, in their order, by setting."""
-    each = len(flown) // len(effect.settings)
+    half = len(flown) // 2
+    parts = (tuple(flown[:half]), tuple(flown[half:]))
     return [
-        Outcome(
-            setting=setting,
-            runs=(runs := tuple(flown[at * each : (at + 1) * each])),
-            ways=tuple(effect.way(run) for run in runs),
-        )
-        for at, setting in enumerate(effect.settings)
+        Outcome(setting=setting, runs=runs, ways=tuple(map(effect.way, runs)))
+        for setting, runs in zip(effect.settings, parts, strict=True)
     ]
 
 
 def table(effect: Effect, found: Sequence[Outcome]) -> Table:
     """What each setting leads to."""
-    result = Table(title=effect.title)
-    result.add_column("")
-    for heading in ("way", "arrived", "cost", "length", "highest", "inside radars"):
-        result.add_column(heading, justify="right")
+    headings = ("way", "arrived", "cost", "length", "highest", "in radars")
+    result = narrow_table(effect.title, *headings)
     for outcome in found:
-        shown = outcome.shown
+        shown, way, runs = outcome.shown, outcome.setting.papers_way, len(outcome.runs)
         result.add_row(
-            f"({outcome.setting.panel}) {outcome.setting.words}",
-            f"{outcome.setting.papers_way}: {outcome.as_the_paper} of {len(outcome.runs)}",
-            f"{sum(run.arrived for run in outcome.runs)}/{len(outcome.runs)}",
+            outcome.setting.words,
+            f"{way}: {outcome.ways.count(way)}/{runs}",
+            f"{sum(run.arrived for run in outcome.runs)}/{runs}",
             f"{shown.cost:.1f}",
             f"{shown.length_m / 1000:.1f} km",
             f"{shown.route_nea_m[:, 2].max() / 1000:.2f} km",
@@ -192,12 +170,11 @@ def remarks(effect: Effect) -> list[str]:
     ]
 
 
-def facts(effect: Effect, found: Sequence[Outcome]) -> list[dict[str, object]]:
+def facts(effect: Effect, found: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Everything in the table, and more, for --json."""
     return [
         {
             "figure": effect.name,
-            "panel": outcome.setting.panel,
             "setting": outcome.setting.words,
             "papers_way": outcome.setting.papers_way,
             "ways": list(outcome.ways),

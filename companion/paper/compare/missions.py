@@ -6,13 +6,14 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from companion.compare.violations import Violations, violations
 from companion.config import load_mission, load_world
 from companion.errors import CompanionError, InputError
 from companion.geodesy import FloatArray
-from companion.objective.scene import PAPER
-from companion.planner.offline import fly_offline
+from companion.paper.compare.violations import Violations, violations
+from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.settings import Task
+from companion.planning import Planner, plan
+from companion.profiles import PAPER
 from companion.runtime.worker_pool import worker_pool
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
@@ -41,17 +42,13 @@ class Run:
 
     arrived: bool
     cost: float
-    """Sum of the subpaths' f: the "fitness from start to target" (part A, row 24)."""
+    """Sum of the subpaths' f: the "fitness from start to target" (row 24)."""
     legs: int
+    length_m: float
     route_nea_m: FloatArray  # (S, 3)
     """The path as flown, every 100 m."""
     scans_nea_m: tuple[tuple[float, float, float], ...]
     violations: Violations
-
-    @property
-    def length_m(self) -> float:
-        """Length of the route, metres."""
-        return self.violations.route_m
 
 
 def bundled_case(name: str) -> Case:
@@ -75,43 +72,52 @@ def planned_with(case: Case, *, seed: int = 1, **settings: Any) -> Case:
     return replace(case, task=task, seed=seed)
 
 
-def fly(case: Case) -> Run:
-    """Fly a case: simulated scans, perfect tracking, nothing verified before it is flown."""
+def flown(case: Case, planner: Planner = plan) -> OfflineFlight:
+    """Fly a case: simulated scans and perfect tracking."""
     limits = case.task.limits
     blank = empty_map(case.task.cell_m, limits.north_m, limits.east_m)
-    flight = fly_offline(
+    return fly_offline(
         case.task,
         blank=blank,
         truth=true_map(case.terrain, blank),
         start_nea_m=case.start_nea_m,
         targets_ne_m=(case.target_ne_m,),
         seed=case.seed,
+        planner=planner,
     )
-    subpaths = [leg.subpath for leg in flight.legs]
-    flown = list(zip(subpaths, flight.flown_m, strict=True))
+
+
+def fly(case: Case) -> Run:
+    """Fly a case as the paper does: nothing is verified before it is flown."""
+    flight = flown(case)
+    pieces = [(leg.subpath, m) for leg, m in zip(flight.legs, flight.flown_m, strict=True)]
     return Run(
         arrived=flight.failure is None and bool(flight.legs) and flight.legs[-1].reaches_target,
-        cost=sum(plan.cost for plan in flight.plans),
+        cost=sum(planned.cost for planned in flight.plans),
         legs=len(flight.legs),
+        length_m=sum(flight.flown_m),
         route_nea_m=flight.route_nea_m(_SPACING_M),
         scans_nea_m=flight.scans_nea_m,
-        violations=violations(flown, case.task, case.terrain),
+        violations=violations(pieces, case.task, case.terrain),
     )
 
 
 def fly_all(
-    cases: Sequence[Case], jobs: int, shown: Callable[[Iterable[Any]], Iterable[Any]]
-) -> list[Run]:
+    cases: Sequence[Any],
+    jobs: int,
+    shown: Callable[[Iterable[Any]], Iterable[Any]],
+    one: Callable[[Any], Any] = fly,
+) -> list[Any]:
     """Fly all cases, in that many processes; the results in the order of the cases.
 
     They do not depend on the number of processes, and these end with their parent.  shown: what is
-    iterated over goes through it, to show how far it is.
+    iterated over goes through it, to show how far it is.  one: flies one of them.
     """
     if jobs == 1:
-        return [fly(case) for case in shown(cases)]
+        return [one(case) for case in shown(cases)]
     try:
         with worker_pool(min(jobs, len(cases))) as submit:
-            futures = [submit(fly, case) for case in cases]
+            futures = [submit(one, case) for case in cases]
             for done in shown(as_completed(futures)):
                 done.result()
             return [future.result() for future in futures]

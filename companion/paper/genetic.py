@@ -5,44 +5,28 @@ crossover (Deb and Agrawal, Complex Systems 9 (1995)), polynomial mutation of on
 (Deb and Goyal, Computer Science and Informatics 26 (1996)), and the best member kept.
 """
 
-from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.optimise.loop import Generations
+from companion.paper.evolution import Generations
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """The genetic algorithm's parameters."""
-
-    population: int = 60
-    """As many as the paper gives its improved DE; even."""
-    crossover: float = 0.9
-    """Probability that a pair of parents is crossed."""
-    crossover_index: float = 15.0
-    """Distribution index of the crossover: the larger, the more like their parents children are."""
-    mutation_index: float = 20.0
-    """Distribution index of the mutation: the larger, the smaller its steps."""
-
-    def __post_init__(self) -> None:
-        if self.population < 2 or self.population % 2:
-            rule = "parents come in pairs"
-            raise InputError("population", self.population, rule, "Set it to 2, 4, 6 or more.")
-
-
-@final
-class Genetic(Generations[Settings]):
+class Genetic(Generations):
     """Generations of children; the best member so far takes the place of the worst child."""
 
-    _usual = Settings
+    fewest = multiple = 2  # parents come in pairs
+    crossover = 0.9
+    """Probability that a pair of parents is crossed."""
+    crossover_index = 15.0
+    """Distribution index of the crossover: the larger, the more like their parents children are."""
+    mutation_index = 20.0
+    """Distribution index of the mutation: the larger, the smaller its steps."""
 
     def _next(self) -> FloatArray:
-        return np.clip(self._mutated(self._crossed(self._parents())), 0.0, 1.0)
+        return self._mutated(self._crossed(self._parents()))
 
     def _learn(self, costs: FloatArray) -> None:
         """Children take over from the parents, but for the best of them."""
@@ -62,9 +46,9 @@ class Genetic(Generations[Settings]):
         """Simulated binary crossover of each half with the other.  (NP, D) -> (NP, D)."""
         one, two = np.split(parents, 2)
         u = self._rng.random(one.shape)
-        power = 1.0 / (self._settings.crossover_index + 1.0)
+        power = 1.0 / (self.crossover_index + 1.0)
         spread = np.where(u <= 0.5, (2.0 * u) ** power, (2.0 * (1.0 - u)) ** -power)
-        crossed = self._rng.random((len(one), 1)) < self._settings.crossover
+        crossed = self._rng.random((len(one), 1)) < self.crossover
         spread = np.where(crossed & (self._rng.random(one.shape) < 0.5), spread, 1.0)
         middle, half = 0.5 * (one + two), 0.5 * spread * (one - two)
         return np.concatenate([middle + half, middle - half])
@@ -72,7 +56,7 @@ class Genetic(Generations[Settings]):
     def _mutated(self, children: FloatArray) -> FloatArray:
         """Polynomial mutation, each variable with probability 1 / D.  (NP, D) -> (NP, D)."""
         u = self._rng.random(children.shape)
-        power = 1.0 / (self._settings.mutation_index + 1.0)
+        power = 1.0 / (self.mutation_index + 1.0)
         step = np.where(u < 0.5, (2.0 * u) ** power - 1.0, 1.0 - (2.0 * (1.0 - u)) ** power)
         chosen = self._rng.random(children.shape) < 1.0 / children.shape[1]
         return np.where(chosen, children + step, children)

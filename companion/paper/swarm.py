@@ -8,57 +8,37 @@ Propagation 52 (2004)).
 """
 
 import math
-from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.optimise.loop import Generations, check_population
+from companion.paper.evolution import Generations
 
 _PHI = 2.05
 _CHI = 2.0 / (2.0 * _PHI - 2.0 + math.sqrt(4.0 * _PHI**2 - 8.0 * _PHI))  # 0.7298
+_FASTEST = 0.5  # greatest step in one variable, in the unit cube
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """The swarm's parameters."""
-
-    population: int = 60
-    """As many as the paper gives its improved DE."""
-    inertia: float = _CHI
-    own: float = _PHI * _CHI
-    """Pull towards the best place of the particle itself, c1."""
-    swarm: float = _PHI * _CHI
-    """Pull towards the best place of all, c2."""
-    fastest: float = 0.5
-    """Greatest step in one variable, in the unit cube."""
-
-    def __post_init__(self) -> None:
-        check_population(self.population, 0)
-
-
-@final
-class ParticleSwarm(Generations[Settings]):
+class ParticleSwarm(Generations):
     """Particles that remember where each, and where all together, found the least cost.
 
     `population` and `costs` are the best places of the particles, not where they are now.
     """
 
-    _usual = Settings
     _velocity: FloatArray | float = 0.0
 
     def _next(self) -> FloatArray:
         """Where the particles go next."""
-        settings, x = self._settings, self._asked
+        x, pull = self._asked, _PHI * _CHI
         best = self.population[np.argmin(self.costs)]
         velocity = (
-            settings.inertia * self._velocity
-            + settings.own * self._rng.random(x.shape) * (self.population - x)
-            + settings.swarm * self._rng.random(x.shape) * (best - x)
+            _CHI * self._velocity
+            + pull * self._rng.random(x.shape) * (self.population - x)
+            + pull * self._rng.random(x.shape) * (best - x)
         )
-        velocity = np.clip(velocity, -settings.fastest, settings.fastest)
+        velocity = np.clip(velocity, -_FASTEST, _FASTEST)
         free = x + velocity
         moved = np.clip(free, 0.0, 1.0)
         self._velocity = np.where(moved == free, velocity, 0.0)

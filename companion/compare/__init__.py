@@ -1,1 +1,0 @@
-"""The paper's comparison again: Table 1, Fig. 3 and Fig. 4."""

@@ -1,0 +1,69 @@
+"""The guide direction (paper 2.6, f3): towards the target, or along a tangent of radars."""
+
+import math
+
+from companion.geodesy import wrap_rad
+from companion.world.threats import Radar
+
+_WIDEST_RAD = math.radians(135.0)  # row 15: a cluster may span more than half a turn
+
+Place = tuple[float, float]
+
+
+def tangent_guide_rad(
+    scan_ne_m: Place, target_ne_m: Place, radars: tuple[Radar, ...], overlap_m: float
+) -> float:
+    """Bearing of the guide direction from p_scan, radians clockwise from the frame's north.
+
+    Case 1: S-T crosses no radar circle: towards the target.  Case 2: the circle that S-T enters
+    first (row 32), with all circles that overlap it by more than d_overlap, and those that overlap
+    these, and so on (row 17); of its two outer tangents the one with the smaller angle to S-T
+    (row 16).  Circles of the whole range (row 14); a radar around S is ignored (row 15).
+    """
+    straight = _bearing_rad(scan_ne_m, target_ne_m)
+    reach_m = math.hypot(target_ne_m[0] - scan_ne_m[0], target_ne_m[1] - scan_ne_m[1])
+    around = [radar for radar in radars if _apart_m(scan_ne_m, radar) > radar.range_m]
+    entries = [(_entry_m(scan_ne_m, radar, straight), radar) for radar in around]
+    entered = [(entry_m, radar) for entry_m, radar in entries if entry_m < reach_m]
+    if not entered:
+        return straight
+    nearest = min(entered, key=lambda pair: pair[0])[1]
+    left, right = 0.0, 0.0
+    for radar in _cluster(nearest, around, overlap_m):
+        offset = wrap_rad(_bearing_rad(scan_ne_m, radar.centre_nea_m) - straight)
+        half_width = math.asin(radar.range_m / _apart_m(scan_ne_m, radar))
+        left, right = min(left, offset - half_width), max(right, offset + half_width)
+    left, right = max(left, -_WIDEST_RAD), min(right, _WIDEST_RAD)
+    return wrap_rad(straight + (left if -left < right else right))
+
+
+def _bearing_rad(here: Place, there: tuple[float, ...]) -> float:
+    return math.atan2(there[1] - here[1], there[0] - here[0])
+
+
+def _apart_m(place: Place, radar: Radar) -> float:
+    """Horizontal distance to a radar."""
+    return math.hypot(radar.centre_nea_m[0] - place[0], radar.centre_nea_m[1] - place[1])
+
+
+def _entry_m(scan_ne_m: Place, radar: Radar, bearing_rad: float) -> float:
+    """Distance along a ray from S to where it enters a radar's circle; inf if it does not."""
+    offset = wrap_rad(_bearing_rad(scan_ne_m, radar.centre_nea_m) - bearing_rad)
+    apart_m = _apart_m(scan_ne_m, radar)
+    along, aside = apart_m * math.cos(offset), apart_m * math.sin(offset)
+    if along <= 0.0 or abs(aside) >= radar.range_m:
+        return math.inf
+    return along - math.sqrt(radar.range_m**2 - aside**2)
+
+
+def _cluster(first: Radar, radars: list[Radar], overlap_m: float) -> list[Radar]:
+    """All radars joined to the first by overlaps of more than d_overlap, transitively."""
+    cluster, waiting = [first], [first]
+    while waiting:
+        here = waiting.pop()
+        for other in radars:
+            apart_m = _apart_m((here.centre_nea_m[0], here.centre_nea_m[1]), other)
+            if other not in cluster and apart_m < here.range_m + other.range_m - overlap_m:
+                cluster.append(other)
+                waiting.append(other)
+    return cluster

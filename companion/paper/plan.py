@@ -1,0 +1,82 @@
+"""One plan as the paper has it (profile `paper`): for comparison, not for flight.
+
+Four control points, six variables, ten samples, the tangent guide, one search; what it finds is
+flown as it is.  Its certificate is only a report.
+"""
+
+import math
+
+from companion.optimise.loop import minimise
+from companion.optimise.registry import OPTIMISERS
+from companion.paper import terms
+from companion.paper.guide import tangent_guide_rad
+from companion.paper.terms import VARIABLES, Scene, control_points
+from companion.path.certificate import Prover, certify, pack_surroundings
+from companion.path.subpath import Subpath
+from companion.planner.request import REACH, Planned, PlanRequest
+from companion.world.clearance import terrain_surface
+
+
+def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
+    """The best candidate of one search."""
+    task, settings = request.task, request.task.settings
+    scene = scene_of(request)
+    name = settings.optimiser or settings.profile.optimiser
+    optimiser = OPTIMISERS[name](VARIABLES, settings.evaluations, request.rng(0), None)
+    ranked = minimise(optimiser, lambda x: terms.cost(x, scene), settings.evaluations)
+    best = ranked.x[:1]
+    subpath = Subpath(control_nea_m=control_points(best, scene)[0])
+    surroundings = pack_surroundings(
+        request.known,
+        task.limits,
+        task.radars,
+        task.zones,
+        task.margins,
+        centre_ne_m=request.scan_nea_m[:2],
+        reach_m=REACH * settings.scan_range_m,
+    )
+    return Planned(
+        plan_id=request.plan_id,
+        kernel="numpy",
+        subpath=subpath,
+        reaches_target=scene.final_ne_m is not None,
+        cost=float(ranked.costs[0]),
+        to_go=0.0,
+        terms={name: float(column[0]) for name, column in terms.cost_table(best, scene).items()},
+        certificate=certify(subpath, surroundings, from_rest=request.from_rest, prover=prove),
+        guide_rad=scene.guide_rad,
+        route_ne_m=(),
+        evaluations=ranked.evaluations,
+        rank=0,
+        tries=1,
+    )
+
+
+def scene_of(request: PlanRequest) -> Scene:
+    """What the search of a plan is about.
+
+    The first tangent is the guide direction (row 34), as from each place where the vehicle rests.
+    """
+    task, settings = request.task, request.task.settings
+    scan_ne, target = request.scan_nea_m[:2], request.target_ne_m
+    guide = tangent_guide_rad(scan_ne, target, task.radars, settings.overlap_m)
+    north, east = target[0] - scan_ne[0], target[1] - scan_ne[1]
+    final = math.hypot(north, east) <= settings.scan_range_m and request.known.is_known(*target)
+    if final:
+        guide = math.atan2(east, north)
+    return Scene(
+        samples=settings.profile.samples,
+        weights=settings.weights,
+        limits=task.limits,
+        start=request.start.facing(guide) if request.from_rest else request.start,
+        scan_ne_m=scan_ne,
+        scan_range_m=settings.scan_range_m,
+        guide_rad=guide,
+        final_ne_m=target if final else None,
+        safety_distance_m=settings.safety_distance_m,
+        surface=terrain_surface(
+            request.known, centre_ne_m=scan_ne, reach_m=REACH * settings.scan_range_m
+        ),
+        radars=task.radars,
+        zones=task.zones,
+    )
