@@ -17,8 +17,8 @@ from companion.compare.missions import Case, Run, bundled_case, planned_with
 from companion.compare.table_1 import violation_facts
 from companion.geodesy import FloatArray
 from companion.objective.scene import Weights
+from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import Radar
 
 _DIAGONAL = math.sqrt(0.5)
 _T_S, _EVALUATIONS = 3.0, 3000

@@ -19,7 +19,8 @@ from companion.path.bspline import climb_angle_rad, uniform_basis
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
-from companion.world.threats import Radar, Zone, detection_probability
+from companion.world.radars import Radar, detection_probability
+from companion.world.zones import Zone
 
 VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4
 _PAPER_SAMPLES = 10

@@ -20,7 +20,7 @@ ways over it are flown high and in short legs, and a way round is rarely dearer.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -28,10 +28,12 @@ import numpy.typing as npt
 import scipy
 
 from companion.geodesy import BoolArray, FloatArray
+from companion.planner.kernels import compiled
 from companion.planner.settings import Task
 from companion.world.guess import Guess, taken
 from companion.world.known_map import KnownMap
-from companion.world.threats import Zone, detection_probability, is_near
+from companion.world.radars import detection_probability
+from companion.world.zones import too_near
 
 Place = tuple[float, float]
 IndexArray = npt.NDArray[np.int32]
@@ -334,20 +336,5 @@ def _in_zone(task: Task, north: FloatArray, east: FloatArray) -> BoolArray:
     """Where zones forbid to be, or are nearer than the search keeps from them."""
     if not task.zones:
         return np.zeros((north.shape[0], east.shape[1]), dtype=bool)
-    places = tuple(north[:, 0].tolist()), tuple(east[0].tolist())
-    return _zones_at(task.zones, *places, task.zone_search_clearance_m)
-
-
-@lru_cache(maxsize=4)
-def _zones_at(
-    zones: tuple[Zone, ...],
-    north_m: tuple[float, ...],
-    east_m: tuple[float, ...],
-    distance_m: float,
-) -> BoolArray:
-    """Kept, as zones and lattice are often those of the plan before."""
-    inside = np.zeros((len(north_m), len(east_m)), dtype=bool)
-    for zone in zones:
-        inside |= is_near(zone, np.array(north_m), np.array(east_m), distance_m)
-    inside.setflags(write=False)
-    return inside
+    places, gaps = (tuple(north[:, 0].tolist()), tuple(east[0].tolist())), compiled().zone_gaps
+    return too_near(task.zones, *places, task.zone_search_clearance_m, gaps)

@@ -26,6 +26,8 @@ from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
+from companion.world import columns, zones
+from companion.world.zones import LatticeGaps
 
 
 @final
@@ -41,6 +43,8 @@ class Kernel:
     """The terms of a candidate, (D,), by name, unweighted."""
     prove: Prover
     """Proves a subpath (`path.certificate`)."""
+    zone_gaps: LatticeGaps
+    """Distances to zones on a lattice (`world.zones`)."""
 
 
 @cache
@@ -97,6 +101,7 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         costs=lambda x, scene: costs(x, pack(scene)),
         terms=terms_of,
         prove=jit(proof.prove),
+        zone_gaps=jit(zones.lattice_gaps),
     )
 
 
@@ -108,7 +113,7 @@ def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
     return cast("Callable[..., Any]", numba.njit(function))
 
 
-SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape)
+SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape, columns, zones)
 """The modules whose code is compiled: a cache made from others is stale."""
 
 

@@ -19,7 +19,7 @@ from companion.path.certificate import Prover, certify, pack_surroundings
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import terrain_surface
-from companion.world.threats import Radar
+from companion.world.radars import Radar
 
 REACH = 1.1  # of R about p_scan: what lies farther out counts as unknown
 STREAM_PLAN = 1  # the planner's random stream among those of one seed
