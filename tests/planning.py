@@ -1,9 +1,11 @@
 """What tests of curves, costs and plans begin with."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
@@ -14,6 +16,7 @@ from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.zones import CircleZone, Zone
 
 FloatArray = NDArray[np.float64]
 
@@ -102,6 +105,20 @@ def spline(control_nea_m: FloatArray) -> Any:
     spans = len(control_nea_m) - 3
     knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
     return BSpline(knots, control_nea_m, 3)
+
+
+def zone_distance_m(zone: Zone, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+    """Signed distance to a zone: to edges by shapely, inside by the winding number.  (K,) x2."""
+    if isinstance(zone, CircleZone):
+        beyond = np.hypot(north_m - zone.north_m, east_m - zone.east_m) - zone.radius_m
+        return np.asarray(-beyond if zone.keep_in else beyond)
+    ring = shapely.LinearRing(zone.vertices_ne_m)
+    nearest = shapely.distance(ring, shapely.points(north_m, east_m))
+    seen = np.array(zone.vertices_ne_m) @ [1.0, 1j] - (north_m + 1j * east_m)[:, None]
+    with np.errstate(all="ignore"):  # on a corner the distance is 0, and its sign does not matter
+        turns = np.nan_to_num(np.angle(np.roll(seen, -1, axis=1) / seen).sum(axis=1)) / math.tau
+    inside = np.round(turns) % 2 == 1
+    return np.where(inside != zone.keep_in, -nearest, nearest)
 
 
 def column_distance_m(known: KnownMap, points: FloatArray, within_m: float = np.inf) -> FloatArray:

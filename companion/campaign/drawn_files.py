@@ -16,8 +16,9 @@ from companion.mission.mission import AutopilotName, EndAction, Mission
 from companion.sources.elevation import write_elevation
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionVehicleTable, PlannerTable
+from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain
-from companion.world.threats import CircleZone, Radar, Zone
+from companion.world.zones import CircleZone, Zone
 
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 """Where drawn worlds lie: with the environments."""

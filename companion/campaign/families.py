@@ -20,9 +20,10 @@ from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.radars import Radar
 from companion.world.simulated_scan import Truth
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
-from companion.world.threats import CircleZone, Radar
+from companion.world.zones import CircleZone
 
 SPREAD = "spread"
 """A family whose index is how many obstacles there are, always as densely."""

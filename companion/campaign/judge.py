@@ -39,7 +39,7 @@ from companion.mavlink.frames import decoded, number_of, sender_of
 from companion.mission.state import Reason
 from companion.telemetry.run_folder import Records
 from companion.world.terrain import PeakTerrain
-from companion.world.threats import CircleZone, Zone
+from companion.world.zones import CircleZone, Zone
 
 GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})

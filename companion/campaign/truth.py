@@ -19,8 +19,9 @@ from scipy.spatial import cKDTree
 from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.planner.settings import Task
+from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
-from companion.world.threats import CircleZone, Radar, Zone
+from companion.world.zones import CircleZone, Zone
 
 _STEEPEST = math.sqrt(2.0) * math.exp(-0.5)  # of exp(-x^2), times height over spread: 0.858
 _NEWTON_STEPS = 25

@@ -35,7 +35,7 @@ from companion.session import Session
 from companion.sources.files import answer
 from companion.telemetry import inputs
 from companion.telemetry.run_folder import known_map
-from companion.world.clearance import distance_to_terrain_m
+from companion.world.columns import distance_to_terrain_m
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap
 

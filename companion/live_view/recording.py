@@ -30,7 +30,7 @@ from companion.telemetry.journal import Journal
 from companion.telemetry.logs import open_log
 from companion.telemetry.run_folder import Records
 from companion.views.words import entry_words
-from companion.world.threats import Zone
+from companion.world.zones import Zone
 
 BATTERY: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
 SECTORS: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE

@@ -18,7 +18,7 @@ from companion.path.subpath import Subpath
 from companion.telemetry.export.flight import Decided
 from companion.telemetry.export.shapes import circle_ne_m, local_nea_m, outline_ne_m
 from companion.views.words import metres
-from companion.world.threats import Zone
+from companion.world.zones import Zone
 
 Rgb = tuple[int, int, int]
 PATH: Final[Rgb] = (0, 80, 181)

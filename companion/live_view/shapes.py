@@ -17,7 +17,8 @@ from companion.geodesy import FloatArray
 from companion.live_view.ground import GUESSED, PROVEN, Ground
 from companion.live_view.recording import Recording
 from companion.telemetry.export.shapes import ball_nea_m, walls_nea_m
-from companion.world.threats import Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import Zone
 
 WIDTH: Final = 100.0  # of the scene
 _HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: mountains are seen

@@ -20,8 +20,7 @@ from companion.mavlink.polygons import Point, cleaned, crosses_itself, hull, off
 from companion.mission.events import FenceChanged, Vector
 from companion.mission.mission import EndAction
 from companion.planner.settings import Task
-from companion.world.threats import CircleZone, PolygonZone, Zone
-from companion.world.zone_index import index_of
+from companion.world.zones import CircleZone, PolygonZone, Zone, near
 
 RETURN_POINT: Final = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
@@ -404,8 +403,7 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
     found = [fence.refusal] if fence.refusal else []
     for number, target in enumerate(targets_ne_m, start=1):
-        near = index_of(fence.zones).near(target, target, task.zone_clearance_m)
-        for zone in near:
+        for zone in near(fence.zones, target, target, task.zone_clearance_m):
             short_m = task.zone_clearance_m - _distance_m(zone, target)
             if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"

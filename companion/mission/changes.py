@@ -52,7 +52,7 @@ from companion.mission.state import (
 from companion.mission.stopped import fence_breached, resumed
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
-from companion.world.zone_index import index_of
+from companion.world.zones import nearest
 
 _GOING_UP = (Phase.ARMING, Phase.TAKING_OFF)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
@@ -236,7 +236,7 @@ def _inside(state: State) -> str:
     here = state.vehicle.position_nea_m
     if here is None:
         return ""
-    zone, gap_m = index_of(state.task.zones).nearest(here[0], here[1])
+    zone, gap_m = nearest(state.task.zones, here[0], here[1])
     return zone.name if zone is not None and gap_m < 0.0 else ""
 
 

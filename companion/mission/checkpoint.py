@@ -32,7 +32,7 @@ from companion.planner.procedure import Leg
 from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 Values = dict[str, Any]
 

@@ -33,7 +33,7 @@ from companion.mission.state import (
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
-from companion.world.zone_index import index_of
+from companion.world.zones import nearest
 
 Step = tuple[State, list[Command], Trigger | None]
 """The new state, commands, and the trigger of a phase change."""
@@ -168,7 +168,7 @@ def _is_out_of_its_fence(state: State) -> bool:
     error_m = state.task.error_m
     if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
         return True
-    return index_of(fence.zones).nearest(here[0], here[1])[1] < error_m
+    return nearest(fence.zones, here[0], here[1])[1] < error_m
 
 
 def waits_for_fence(state: State, context: Context) -> bool:

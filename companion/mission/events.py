@@ -14,7 +14,7 @@ from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import Scan
 from companion.world.near_map import NearMap, Sight
-from companion.world.threats import Zone
+from companion.world.zones import Zone
 
 Vector = tuple[float, float, float]
 

@@ -43,9 +43,9 @@ from companion.mission.state import (
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
-from companion.world.clearance import distance_to_terrain_m
+from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
-from companion.world.zone_index import index_of
+from companion.world.zones import nearest
 
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
@@ -112,7 +112,7 @@ def circling_near_zone(state: State, event: Position) -> Step | None:
     task, place = flight.loiter_checked or (None, None)
     if (task is state.task and place == hover) or cannot_fly(state, event) is not None:
         return None
-    zone, gap_m = index_of(state.task.zones).nearest(hover[0], hover[1])
+    zone, gap_m = nearest(state.task.zones, hover[0], hover[1])
     says: list[Command] = []
     if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
         says.append(StatusText(text=f"circling too near to zone {zone.name}", warning=True))

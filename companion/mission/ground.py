@@ -49,7 +49,8 @@ from companion.mission.events import (
 from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import TakeoffSequence
-from companion.world.zone_index import index_of
+from companion.world.zones import gaps_m as zone_gaps_m
+from companion.world.zones import packed
 
 _PREPARE_S = 120.0
 _ASKED_FOR = (Item.PARAMETERS, Item.PLANS)  # of the autopilot itself, in the air as well
@@ -370,7 +371,7 @@ def may_take_off(state: State) -> bool:
         if not low <= value <= high:
             return False
     north, east = _climb_out_ne_m(state, here)
-    gaps_m = index_of(task.zones).gaps_m(north, east, 2.0 * task.zone_clearance_m)
+    gaps_m = zone_gaps_m(packed(task.zones), north, east, 2.0 * task.zone_clearance_m)
     return bool(gaps_m.min() >= task.zone_clearance_m)
 
 

@@ -18,7 +18,7 @@ from msgspec import Meta, Struct
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.request import Rest
-from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 SCHEMA: Final = "companion-journal"
 VERSION: Final = 3

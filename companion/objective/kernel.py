@@ -16,13 +16,12 @@ from companion.geodesy import FloatArray
 from companion.objective import scene as flight
 from companion.objective.scene import FlightScene
 from companion.path.bspline import uniform_basis
-from companion.path.certificate import pack_zones
 from companion.path.limits import Limits
-from companion.path.proof_distance import ZoneTable, braked_m_s, polygon_at
+from companion.path.proof_distance import braked_m_s
 from companion.path.subpath import Pose
 from companion.profiles import Weights
 from companion.world.clearance import Surface
-from companion.world.threats import NearCells
+from companion.world.zones import NearCells, ZoneTable, packed, polygon_at
 
 _FAR = 1e12
 
@@ -42,7 +41,7 @@ class Pack(NamedTuple):
 
 def pack(scene: FlightScene) -> Pack:
     """The scene as plain numbers and arrays."""
-    at, zones = uniform_basis(scene.samples, scene.points), pack_zones(scene.zones)
+    at, zones = uniform_basis(scene.samples, scene.points), packed(scene.zones)
     radars = [(*r.centre_nea_m, r.range_m, r.range_m + scene.radar_margin_m) for r in scene.radars]
     return Pack(
         scene=_plain(scene),

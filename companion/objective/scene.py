@@ -26,7 +26,8 @@ from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.profiles import Weights
 from companion.world.clearance import Surface
-from companion.world.threats import NearCells, Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import NearCells, Zone
 
 SPREAD_RAD = math.radians(110.0)  # azimuths of control points, to each side of the tangent
 LONGEST_R2, LONGEST_S, LONGEST_R = 0.3, 0.6, 1.0  # upper limits of r2, s and r, in units of R

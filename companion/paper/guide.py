@@ -3,7 +3,7 @@
 import math
 
 from companion.geodesy import wrap_rad
-from companion.world.threats import Radar
+from companion.world.radars import Radar
 
 _WIDEST_RAD = math.radians(135.0)  # row 15: a cluster may span more than half a turn
 

@@ -18,7 +18,8 @@ from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.profiles import Weights
 from companion.world.clearance import Surface
-from companion.world.threats import Radar, Zone, detection_probability
+from companion.world.radars import Radar, detection_probability
+from companion.world.zones import Zone
 
 VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4
 _PAPER_SAMPLES = 10  # 4.1

@@ -17,17 +17,18 @@ from companion.geodesy import FloatArray
 from companion.path.bspline import basis
 from companion.path.limits import Limits
 from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, prove
-from companion.path.proof_distance import Surroundings, ZoneTable
+from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.world.columns import pack_columns
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleZone, Radar, Zone, edges_of
+from companion.world.radars import Radar
+from companion.world.zones import Zone, packed
 
 Prover = Callable[[FloatArray, Surroundings, bool], FloatArray]
 """`proof.prove`, or the same compiled."""
 
 _SANE_M = 1e8
 """No control point is farther out than this: the arithmetic of the proof stays finite."""
-_GROUP = 8  # edges of a polygon to a box
 
 
 @final
@@ -178,17 +179,15 @@ def pack_surroundings(
     brakes_m = limits.speed_m_s**2 / (2.0 * limits.acceleration_m_s2)
     farther_m = limits.speed_m_s * margins.dead_man_s + brakes_m + 3.0 * margins.clearance_m
     registration_m = known.registration_m + limits.loiter_radius_m
-    south_west, heights = _window(known, centre_ne_m, reach_m + farther_m + registration_m)
-    block = max(2, min(16, round(0.75 * margins.clearance_m / known.cell_m)))
     return Surroundings(
-        heights_m=heights,
-        blocks_m=_block_maxima(heights, block),
-        block=block,
-        south_m=south_west[0],
-        west_m=south_west[1],
-        cell_m=known.cell_m,
-        registration_m=float(registration_m),
-        zones=pack_zones(zones),
+        columns=pack_columns(
+            known,
+            centre_ne_m=centre_ne_m,
+            reach_m=reach_m + farther_m + registration_m,
+            block=max(2, min(16, round(0.75 * margins.clearance_m / known.cell_m))),
+            registration_m=registration_m,
+        ),
+        zones=packed(zones),
         loiter_m=float(limits.loiter_radius_m),
         radars=_table([(*radar.centre_nea_m, radar.range_m) for radar in radars], 4),
         clearance_m=float(margins.clearance_m),
@@ -235,67 +234,6 @@ def cubics_of(control_nea_m: FloatArray) -> FloatArray:
     result[:, 0] = value @ control_nea_m
     result[:, 1:] = (by_legs @ np.diff(control_nea_m, axis=0)).reshape(-1, 3, 3)
     return result
-
-
-def _window(
-    known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float
-) -> tuple[tuple[float, float], FloatArray]:
-    """The part of the map within reach: its south-west corner and its heights, inf if unknown."""
-    rows, columns = known.upper_m.shape
-    row, column = known.cell_of(*centre_ne_m)
-    half = math.ceil(reach_m / known.cell_m) + 1
-    south, north = min(max(row - half, 0), rows), max(min(row + half + 1, rows), 0)
-    west, east = min(max(column - half, 0), columns), max(min(column + half + 1, columns), 0)
-    heights = np.array(known.upper_m[south:north, west:east], dtype=np.float64, order="C")
-    heights[np.isnan(heights)] = np.inf
-    corner = known.north_min_m + south * known.cell_m, known.east_min_m + west * known.cell_m
-    return (float(corner[0]), float(corner[1])), heights
-
-
-def _block_maxima(heights_m: FloatArray, block: int) -> FloatArray:
-    """Highest of each block x block cells.  (rows, columns) -> (rows / block, columns / block)."""
-    rows, columns = heights_m.shape
-    tall, wide = -(-rows // block), -(-columns // block)
-    padded = np.full((tall * block, wide * block), -np.inf)
-    padded[:rows, :columns] = heights_m
-    return np.ascontiguousarray(padded.reshape(tall, block, wide, block).max(axis=(1, 3)))
-
-
-@lru_cache(maxsize=8)
-def pack_zones(zones: tuple[Zone, ...]) -> ZoneTable:
-    """Zones as plain arrays; kept, not to be changed."""
-    circles: list[tuple[float, ...]] = [
-        (z.north_m, z.east_m, z.radius_m, _sign(z)) for z in zones if isinstance(z, CircleZone)
-    ]
-    edges: list[FloatArray] = []
-    groups: list[tuple[float, ...]] = []
-    polygons: list[tuple[float, ...]] = []
-    count = 0
-    for zone in zones:
-        if isinstance(zone, CircleZone):
-            continue
-        mine = edges_of(zone.vertices_ne_m)
-        before = len(groups)
-        for first in range(0, len(mine), _GROUP):
-            part = mine[first : first + _GROUP]
-            north, east = part[:, 0::2], part[:, 1::2]
-            box = (north.min(), north.max(), east.min(), east.max())
-            groups.append((count + first, count + first + len(part), *map(float, box)))
-        polygons.append((before, len(groups), _sign(zone)))
-        edges.append(mine)
-        count += len(mine)
-    every = np.ascontiguousarray(np.concatenate(edges)) if edges else np.empty((0, 4))
-    return ZoneTable(
-        circles=_table(circles, 4),
-        edges=every,
-        groups=_table(groups, 6),
-        polygons=_table(polygons, 3),
-    )
-
-
-def _sign(zone: Zone) -> float:
-    """1 for a zone to stay out of, -1 for one to stay inside of."""
-    return -1.0 if zone.keep_in else 1.0
 
 
 def _table(rows: list[tuple[float, ...]], width: int) -> FloatArray:

@@ -2,8 +2,9 @@
 
 A piece of a cubic lies near its chord: its points within `sag` of the segment between its ends (a
 bound that falls to a quarter with each halving), its tangents within a cone about the chord.  The
-distance of that segment from terrain and zones is exact (`path.proof_distance`).  Branch and bound
-over the pieces does the rest: a piece is done when its lower bound suffices, and halved when not.
+distance of that segment from terrain and zones is exact (`world.columns`, `world.zones`).  Branch
+and bound over the pieces does the rest: a piece is done when its lower bound suffices, and halved
+when not.
 
 Everything runs as plain Python, and compiles with numba as it is.
 """
@@ -13,14 +14,10 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.proof_distance import (
-    Segment,
-    Surroundings,
-    braked_m_s,
-    terrain_distance,
-    zone_distance,
-)
+from companion.path.proof_distance import Surroundings, braked_m_s
 from companion.path.proof_shape import extremes, largest
+from companion.world.columns import Segment, terrain_distance
+from companion.world.zones import zone_distance
 
 ROUNDING = 1e-9
 """A bound missed by no more than this, relative, is missed by arithmetic and not by the curve."""
@@ -141,7 +138,7 @@ def piece_distance(
     tolerance = 1e-3 * here.clearance_m
     lower, upper = limit, limit
     if what != _ZONES:
-        far = terrain_distance(here, segment, limit + slack, tolerance, found)
+        far = terrain_distance(here.columns, segment, limit + slack, tolerance, found)
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
         within = max(limit + slack + here.loiter_m, 0.0)
@@ -211,7 +208,7 @@ def least_distance(
     """
     need = here.contact_m if what == _DEAD_MAN else here.clearance_m
     tolerance = (0.02 if what == _DEAD_MAN else 0.01) * here.clearance_m
-    smallest = min(0.0015 * here.clearance_m, 0.1 * here.cell_m)
+    smallest = min(0.0015 * here.clearance_m, 0.1 * here.columns.cell_m)
     rows = table.shape[0]
     lowers, slacks = np.empty(rows), np.empty(rows)
     upper, result, count = cap, cap, rows
@@ -312,7 +309,7 @@ def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray
     straight dead-man stretches: it circles wherever it is sent to last.
     """
     table = first_pieces(cubics)
-    found = np.empty((here.blocks_m.size, 3))
+    found = np.empty((here.columns.blocks_m.size, 3))
     result = np.empty(RESULTS)
     result[1], pieces = math.inf, 0
     for what in range(3):  # terrain, zones, dead man; in a loop, so that it is compiled once

@@ -30,7 +30,7 @@ from companion.planner.cheapest_ways import Grid, IndexArray
 from companion.planner.settings import Task
 from companion.world.guess import Guess
 from companion.world.known_map import KnownMap
-from companion.world.threats import is_near
+from companion.world.zones import too_near
 
 Place = tuple[float, float]
 
@@ -247,8 +247,12 @@ def _close(grid: CostGrid) -> None:
     """Where zones forbid to be, are nearer than the search keeps from them, or the map ends so."""
     known, task = grid.known, grid.task
     north, east = grid.samples_m
-    for zone in task.zones:
-        grid.shut[:] |= is_near(zone, north[:, 0], east[0], task.zone_search_clearance_m)
+    if task.zones:
+        places, gaps = (
+            (tuple(north[:, 0].tolist()), tuple(east[0].tolist())),
+            kernels.compiled().zone_gaps,
+        )
+        grid.shut[:] |= too_near(task.zones, *places, task.zone_search_clearance_m, gaps)
     rows, columns = known.upper_m.shape
     gap_m = [
         np.minimum(at - low, low + count * known.cell_m - at)

@@ -20,9 +20,9 @@ from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner.request import PlanRequest
 from companion.planner.settings import Task
-from companion.world.clearance import distance_to_terrain_m
+from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap
-from companion.world.threats import Zone
+from companion.world.zones import Zone
 
 _BEARINGS = 72
 _LENGTHS, _LONGER = 24, 12

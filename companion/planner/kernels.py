@@ -27,6 +27,8 @@ from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
 from companion.planner import cheapest_ways
+from companion.world import columns, zones
+from companion.world.zones import LatticeGaps
 
 
 @final
@@ -44,6 +46,8 @@ class Kernel:
     """Proves a subpath (`path.certificate`)."""
     guidance: Any
     """What guidance calls of `cheapest_ways`, by name."""
+    zone_gaps: LatticeGaps
+    """Distances to zones on a lattice (`world.zones`)."""
 
 
 @cache
@@ -101,6 +105,7 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         terms=terms_of,
         prove=jit(proof.prove),
         guidance=SimpleNamespace(**{each.__name__: jit(each) for each in cheapest_ways.ENTRIES}),
+        zone_gaps=jit(zones.lattice_gaps),
     )
 
 
@@ -112,7 +117,17 @@ def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
     return cast("Callable[..., Any]", numba.njit(function))
 
 
-SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape, cheapest_ways)
+SOURCES = (
+    scene,
+    objective,
+    refined_de,
+    proof,
+    proof_distance,
+    proof_shape,
+    columns,
+    zones,
+    cheapest_ways,
+)
 """The modules whose code is compiled: a cache made from others is stale."""
 
 

@@ -2,22 +2,20 @@
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import islice
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.settings import Task
-from companion.world.clearance import (
-    distance_to_terrain_m,
-    distances_to_terrain_m,
-    sees_anything,
-)
+from companion.world.clearance import sees_anything
+from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
 from companion.world.known_map import KnownMap
-from companion.world.zone_field import ZoneField, zone_field
-from companion.world.zone_index import ZoneIndex, index_of
+from companion.world.zones import ZoneTable, gaps_m, near, nearest, packed
 
 Vector = tuple[float, float, float]
 Ways = tuple[FloatArray, FloatArray, BoolArray]
@@ -31,6 +29,7 @@ _LOOKED_AT, _MIN_LOOKED_AT = 40, 3  # ways that are looked at closely, the best 
 _AT_ONCE = 16  # circles that are held against the terrain
 _INTRUDING = 5.0  # metres of way for each metre of it that has no clearance left
 _SLACK_M = 1.0
+_NODES = 48
 _TURNS = (0.5, 1.0)  # of the turn radius of paths: autopilots turn more tightly to a point
 _EITHER_SIDE_RAD = math.radians(135.0)  # so far behind that it may turn either way
 _AHEAD_RAD = 1e-6
@@ -58,28 +57,27 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
     - it clears zones by the errors, or comes no nearer than the vehicle is.
 
     Unknown ground is never clear.  None: there is no such place, or none among the best by
-    approximate distances (`ZoneField`): only those are checked exactly.
+    approximate distances (`_Field`): only those are checked exactly.
     """
     reach_m = _FARTHEST * task.settings.scan_range_m
     here, spot = np.asarray(motion.here_nea_m), motion.here_nea_m[:2]
     if not sees_anything(known, spot, reach_m):
         return None
     places, loiter_m = _places_ne_m(here, reach_m, preferred), task.limits.loiter_radius_m
-    index = index_of(task.zones)
-    allowed_m = min(task.error_m, index.nearest(*spot)[1] - _SLACK_M)
-    field = _field(task, index, places, here[:2])
-    clear_at = field.keeps(places[:, 0], places[:, 1], task.error_m + loiter_m)
+    allowed_m = min(task.error_m, nearest(task.zones, *spot)[1] - _SLACK_M)
+    field, place_m = _field(task, places, here[:2])
+    clear_at = place_m >= task.error_m + loiter_m
     if not clear_at.any():
         return None
     rank, nearest_m = np.full((2, len(places)), -np.inf)
     rank[clear_at], nearest_m[clear_at] = _judged(task, motion, field, places[clear_at])
-    may_be_open = (nearest_m + field.error_m >= allowed_m) | (allowed_m < -field.most_m)
-    open_ = np.flatnonzero(clear_at & may_be_open)
+    open_ = np.flatnonzero(clear_at & (nearest_m + field.error_m >= allowed_m))
     prefers = _keeps_off_zones(task, motion, field, places[0], task.required_clearance_m)
     heights = _heights_m(task, motion)
-    looks = max(_LOOKED_AT // max(len(index.near(spot, spot, task.error_m)), 1), _MIN_LOOKED_AT)
+    here_too = len(near(task.zones, spot, spot, task.error_m))
+    looks = max(_LOOKED_AT // max(here_too, 1), _MIN_LOOKED_AT)
     for clearance_m in (task.required_clearance_m, task.error_m):
-        keeps = field.keeps(places[open_, 0], places[open_, 1], clearance_m + loiter_m)
+        keeps = place_m[open_] >= clearance_m + loiter_m
         points = (
             (float(places[k, 0]), float(places[k, 1]), height_m)
             for k in _in_order(open_[keeps], rank, first=0 if prefers else None)
@@ -95,7 +93,7 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
 
 
 def _is_open(
-    known: KnownMap, task: Task, motion: Motion, field: ZoneField, point: Vector, gap_m: float
+    known: KnownMap, task: Task, motion: Motion, field: "_Field", point: Vector, gap_m: float
 ) -> bool:
     """Whether all possible ways to a point clear zones and terrain."""
     place = np.array(point[:2])
@@ -126,15 +124,57 @@ def _in_order(index: NDArray[np.intp], rank: FloatArray, first: int | None) -> I
 # --- ways, and zones
 
 
-def _field(task: Task, index: ZoneIndex, places: FloatArray, here: FloatArray) -> ZoneField:
-    """Distances to zones about the ways: none leads farther than its place, or its turn."""
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Field:
+    """Distances to zones at the nodes of a lattice, exact up to that which paths keep."""
+
+    zones: ZoneTable
+    corner_ne_m: FloatArray  # (2,): its south-western node
+    node_m: float
+    gap_m: FloatArray  # (nodes, nodes)
+
+    @property
+    def error_m(self) -> float:
+        """How far `gaps_m` may be wrong: distances differ by no more than their places do."""
+        return math.sqrt(0.5) * self.node_m
+
+    def gaps_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """About the distance to the nearest zone, bilinear between nodes.  (...) x2 -> (...)."""
+        at = np.stack([north_m - self.corner_ne_m[0], east_m - self.corner_ne_m[1]]) / self.node_m
+        return np.asarray(map_coordinates(self.gap_m, at, order=1, mode="nearest"))
+
+    def keeps(self, points_ne_m: FloatArray, gap_m: float) -> bool:
+        """Whether all points are no nearer to zones, exactly; the worst is asked about first."""
+        about_m = self.gaps_m(*points_ne_m.T)
+        order = np.argsort(about_m)[: np.count_nonzero(about_m - self.error_m < gap_m)]
+        for some in (points_ne_m[order[:1]], points_ne_m[order[1:]]):
+            told_m = gaps_m(self.zones, some[:, 0], some[:, 1], max(gap_m, 0.0) + _SLACK_M)
+            if (told_m < gap_m).any():
+                return False
+        return True
+
+
+def _field(task: Task, places: FloatArray, here: FloatArray) -> tuple[_Field, FloatArray]:
+    """Distances to zones about the ways: none leads farther than its place, or its turn.
+
+    And those of the places: many points at once are the cheaper.  (N, 2), (2,) -> (N,)
+    """
     farthest_m = float(np.hypot(*(places - here).T).max())
     reach_m = max(farthest_m, 2.0 * task.limits.turn_radius_m)
-    return zone_field(index, here - reach_m, here + reach_m, task.zone_clearance_m)
+    zones, node_m = packed(task.zones), 2.0 * reach_m / (_NODES - 1)
+    nodes = here - reach_m + node_m * np.indices((_NODES, _NODES)).reshape(2, -1).T
+    within_m = np.full(len(nodes) + len(places), task.zone_clearance_m)
+    within_m[: len(nodes)] = task.required_clearance_m + node_m  # no way is asked to keep more
+    north, east = np.concatenate([nodes, places]).T
+    told_m = gaps_m(zones, north, east, within_m)
+    gap_m = told_m[: len(nodes)].reshape(_NODES, _NODES)
+    field = _Field(zones=zones, corner_ne_m=here - reach_m, node_m=node_m, gap_m=gap_m)
+    return field, told_m[len(nodes) :]
 
 
 def _judged(
-    task: Task, motion: Motion, field: ZoneField, places: FloatArray
+    task: Task, motion: Motion, field: "_Field", places: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Of the ways to each place: how bad they are, about, and their least distance to zones, about.
 
@@ -155,12 +195,11 @@ def _judged(
 
 
 def _keeps_off_zones(
-    task: Task, motion: Motion, field: ZoneField, place: FloatArray, gap_m: float
+    task: Task, motion: Motion, field: "_Field", place: FloatArray, gap_m: float
 ) -> bool:
     """Whether all that may be flown to a place keeps this distance from zones."""
     ways = [each for each, _, _ in _ways_ne_m(task, motion, place[None], _SAMPLES)]
-    points = np.concatenate(ways).reshape(-1, 2)
-    return bool(field.keeps(points[:, 0], points[:, 1], gap_m).all())
+    return field.keeps(np.concatenate(ways).reshape(-1, 2), gap_m)
 
 
 def _ways_ne_m(task: Task, motion: Motion, places: FloatArray, samples: int) -> Iterator[Ways]:

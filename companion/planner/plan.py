@@ -30,13 +30,9 @@ from companion.planner.procedure import Leg, hover_pose
 from companion.planner.reachability import blocked_at
 from companion.planner.request import REACH, NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
-from companion.world.clearance import (
-    Surface,
-    distance_to_terrain_m,
-    safe_surface,
-    sees_anything,
-)
-from companion.world.threats import NearCells, PolygonZone, near_cells
+from companion.world.clearance import Surface, safe_surface, sees_anything
+from companion.world.columns import distance_to_terrain_m
+from companion.world.zones import NearCells, PolygonZone, near_cells
 
 _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
@@ -550,7 +546,8 @@ def _near_polygons(task: Task) -> NearCells | None:
     if not polygons:
         return None
     limits = task.limits
-    return near_cells(polygons, limits.north_m, limits.east_m, task.zone_search_clearance_m)
+    clearance_m, gaps = task.zone_search_clearance_m, kernels.compiled().zone_gaps
+    return near_cells(polygons, limits.north_m, limits.east_m, clearance_m, gaps)
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:

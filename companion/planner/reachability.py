@@ -10,9 +10,10 @@ from companion.geodesy import BoolArray
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.cost_grid import Place, sampled
 from companion.planner.field import CostToGo
+from companion.planner.kernels import compiled
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.threats import is_near
+from companion.world.zones import too_near
 
 _EVERYWHERE = np.ones((3, 3), dtype=bool)
 
@@ -52,19 +53,18 @@ def _barred(known: KnownMap, task: Task) -> BoolArray:
     """The cells about whose middles no curve can be proven, at any altitude.  (rows, columns)."""
     ceiling_m = task.limits.ceiling_amsl_m - task.error_m
     clearance_m, half_m = task.required_clearance_m, math.sqrt(0.5) * known.cell_m
-    top = np.where(known.firm, known.upper_m, -np.inf)
-    barred = np.zeros(top.shape, dtype=bool)
+    rows, columns = known.upper_m.shape
+    north, east = known.middles_m(0, 0, (rows, columns))
+    places, far_m = (tuple(north[:, 0].tolist()), tuple(east[0].tolist())), task.zone_clearance_m
+    barred = too_near(task.zones, *places, far_m - half_m, compiled().zone_gaps).copy()
     reach = math.ceil(clearance_m / known.cell_m)
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            away_m = math.hypot(max(abs(i) - 0.5, 0.0), max(abs(j) - 0.5, 0.0)) * known.cell_m
-            away_m += half_m
-            if away_m < clearance_m:
-                enough_m = ceiling_m - math.sqrt(clearance_m**2 - away_m**2)
-                barred |= _shifted(top > enough_m, i, j)
-    north, east = known.middles_m(0, 0, (top.shape[0], top.shape[1]))
-    for zone in task.zones:
-        barred |= is_near(zone, north[:, 0], east[0], task.zone_clearance_m - half_m)
+    top = np.pad(np.where(known.firm, known.upper_m, -np.inf), reach, constant_values=-np.inf)
+    for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        gaps = (max(abs(at - reach) - 0.5, 0.0) * known.cell_m for at in (i, j))
+        away_m = math.hypot(*gaps) + half_m
+        if away_m < clearance_m:
+            enough_m = ceiling_m - math.sqrt(clearance_m**2 - away_m**2)
+            barred |= top[i : i + rows, j : j + columns] > enough_m
     return barred
 
 
@@ -78,13 +78,3 @@ def _finer(known: KnownMap) -> KnownMap:
         given=None,
         guess_m=None,
     )
-
-
-def _shifted(cells: BoolArray, rows: int, columns: int) -> BoolArray:
-    """The cells so many rows and columns further; False beyond the edge."""
-    result = np.zeros_like(cells)
-    height, width = cells.shape
-    result[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)] = cells[
-        max(-rows, 0) : height + min(-rows, 0), max(-columns, 0) : width + min(-columns, 0)
-    ]
-    return result

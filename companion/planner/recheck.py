@@ -8,14 +8,12 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.certificate import cubics_of, pack_zones
+from companion.path.certificate import cubics_of
 from companion.path.proof import piece_of
-from companion.path.proof_distance import ZoneTable, zone_distance
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
 from companion.world.near_map import NearMap
-from companion.world.threats import Zone
-from companion.world.zone_index import index_of
+from companion.world.zones import Zone, ZoneTable, gaps_m, near, packed, zone_distance
 
 _PIECES = 48
 _LEEWAY = 2e-3  # of the required distance: a certificate is not exact either
@@ -66,14 +64,13 @@ def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m:
     cubics = cubics_of(leg.subpath.control_nea_m)
     pieces = _pieces(leg.subpath.parameter_at(from_m), len(cubics))
     middles, radii = _discs(cubics[..., :2], pieces)
-    index = index_of(zones)
     enough_m = max(wanted_m + float(radii.max()), 0.0) + _LEEWAY_M
-    gaps = index.gaps_m(middles[:, 0], middles[:, 1], enough_m)
+    gaps = gaps_m(packed(zones), middles[:, 0], middles[:, 1], enough_m)
     if gaps.min() < wanted_m:
         return True
     for k in np.flatnonzero(gaps - radii < wanted_m):
         middle = float(middles[k, 0]), float(middles[k, 1])
-        table = pack_zones(index.near(middle, middle, wanted_m + float(radii[k])))
+        table = packed(tuple(near(zones, middle, middle, wanted_m + float(radii[k]))))
         if not _is_clear(cubics, pieces[k].tolist(), table, wanted_m):
             return True
     return False

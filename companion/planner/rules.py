@@ -13,7 +13,7 @@ import numpy as np
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.planner.settings import Task
-from companion.world.threats import Zone
+from companion.world.zones import Zone
 
 Place = tuple[float, float]
 

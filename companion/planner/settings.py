@@ -14,7 +14,8 @@ from companion.path.certificate import Margins
 from companion.path.limits import Limits
 from companion.profiles import FLIGHT, Profile, Weights
 from companion.ranges import NotNegative, Positive
-from companion.world.threats import Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import Zone
 
 CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
 

@@ -9,7 +9,7 @@ import numpy as np
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.sources.mission_schema import TargetTable
-from companion.world.clearance import distance_to_terrain_m
+from companion.world.columns import distance_to_terrain_m
 
 _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0

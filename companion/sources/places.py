@@ -10,7 +10,8 @@ from companion.geodesy import LocalFrame, Window, short_way, wrap_deg
 from companion.planner.rules import check_polygon
 from companion.planner.settings import Task
 from companion.sources.mission_schema import MissionRadarTable, MissionTable, PlaceTable, ZoneTable
-from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 Place = tuple[float, float]
 """North, east, metres; or latitude, longitude, degrees."""

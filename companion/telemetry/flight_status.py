@@ -17,7 +17,7 @@ from companion.mission.state import IN_AIR, ON_PATH, Phase, Reason, State, Taken
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.planner.procedure import off_path_m
 from companion.telemetry.flight_summary import FlightSummary
-from companion.world.clearance import distance_to_terrain_m
+from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap
 
 _LOOKS = 0.5  # of the scan range R: what is farther away is not looked for

@@ -22,7 +22,8 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from companion.geodesy import BoolArray, FloatArray
 from companion.telemetry.export import shapes
 from companion.world.known_map import KnownMap
-from companion.world.threats import Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import Zone
 
 SIZE_IN = (14.0, 10.0)
 DPI = 150

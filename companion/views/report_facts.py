@@ -17,9 +17,9 @@ from companion.telemetry.export.flight import Moment, RecordedFlight
 from companion.telemetry.export.health import FlightHealth
 from companion.telemetry.export.shapes import local_nea_m
 from companion.telemetry.export.track import IntArray
-from companion.world.clearance import distances_to_terrain_m
+from companion.world.columns import distances_to_terrain_m
 from companion.world.known_map import KnownMap
-from companion.world.threats import detection_probability
+from companion.world.radars import detection_probability
 
 _ON_THE_WAY = {
     phase.value

@@ -18,7 +18,8 @@ from companion.campaign import truth
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.route_cost import Rates
 from companion.geodesy import FloatArray
-from companion.world.threats import CircleZone, Radar
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone
 
 _SAMPLES_PER_POINT = 10
 

@@ -38,7 +38,7 @@ from companion.mission import checkpoint, entries, machine
 from companion.mission.state import Phase
 from companion.runtime.loop import prompt_threads
 from companion.session import Session
-from companion.world.threats import PolygonZone
+from companion.world.zones import PolygonZone
 from vehicle_sim.plans import PlanItem, PlanKind
 
 _BAR_MS, _TURN_BAR_MS = 20.0, 50.0  # a turn is shorter than the period of a stream of 20 Hz

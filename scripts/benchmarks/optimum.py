@@ -47,7 +47,7 @@ from companion.campaign.route_cost import Rates, curve_cost
 from companion.campaign.row import Row
 from companion.campaign.run import drawn_of
 from companion.geodesy import FloatArray
-from companion.world.threats import Radar
+from companion.world.radars import Radar
 
 _EACH, _MOST, _DEARER = 3, 6, 1.12  # ways of each kind, in all, and how much dearer
 _OF_GRID = 0.996  # of a cost over the grid: below it no curve is

@@ -28,9 +28,10 @@ from companion.planner.field import cost_to_go
 from companion.planner.request import Planned, PlanRequest
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
+from companion.world.radars import Radar
 from companion.world.simulated_scan import simulated_scan, true_map
 from companion.world.terrain import PeakTerrain
-from companion.world.threats import CircleZone, Radar
+from companion.world.zones import CircleZone
 
 _SIDE_M = 60_000.0
 _PEAKS, _RADARS, _KEEP_OUTS = 10, 7, 3

@@ -16,7 +16,7 @@ from companion.mission.journal import KINDS, VERSION
 from companion.path.certificate import Certificate
 from companion.telemetry.flight_status import VERSION as FLY_JSON
 from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
-from companion.world.threats import CircleZone, PolygonZone
+from companion.world.zones import CircleZone, PolygonZone
 
 _HEAD = f"""# The journal
 

@@ -11,8 +11,8 @@ from subpaths import world_of
 
 from companion.campaign import drawn_world, truth
 from companion.campaign.route_cost import Rates, cost_rate, curve_cost
+from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import Radar
 
 
 def small(

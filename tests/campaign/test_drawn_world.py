@@ -7,8 +7,8 @@ import pytest
 from companion.campaign import drawn_world, families
 from companion.campaign.truth import height_m
 from companion.config import bundled, load_world
+from companion.world.radars import Radar
 from companion.world.terrain import Peak
-from companion.world.threats import Radar
 
 
 def test_the_fingerprint_follows_what_the_optimum_depends_on() -> None:

@@ -17,7 +17,7 @@ from companion.campaign.file import load_campaign, runs_of
 from companion.campaign.flight import Flight, FlightFiles
 from companion.campaign.run import fly_run
 from companion.config import load_mission
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 from vehicle_sim.faults.catalogue import FAULTS
 from vehicle_sim.faults.timeline import Timeline
 

@@ -21,8 +21,8 @@ from companion.campaign.rivals.registry import PLANNERS
 from companion.campaign.route_cost import Rates, cost_rate
 from companion.errors import InputError
 from companion.planner.kernels import compiled_alone
+from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import Radar
 
 FloatArray = NDArray[np.float64]
 SIZE, SPACING_M = 161, 10.0

@@ -7,8 +7,9 @@ from scipy.spatial import cKDTree
 
 from companion.campaign import drawn_world, truth
 from companion.path.limits import Limits
+from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleZone, PolygonZone, Radar
+from companion.world.zones import CircleZone, PolygonZone
 
 FloatArray = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from companion.paper.compare.missions import bundled_case
 from companion.paper.compare.violations import Violations, peak_distance_m, violations
 from companion.path.subpath import Subpath
 from companion.planner.settings import Task
+from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import Radar
 
 FloatArray = NDArray[np.float64]
 FLAT = PeakTerrain(peaks=(), ground_amsl_m=0.0)

@@ -26,7 +26,7 @@ from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
-from companion.world.threats import CircleZone, PolygonZone
+from companion.world.zones import CircleZone, PolygonZone
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.fence import Fence as ArduPilotFence
 from vehicle_sim.autopilots.px4.mission import Fence as Px4Fence

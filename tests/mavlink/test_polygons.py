@@ -15,7 +15,7 @@ from companion.mavlink.polygons import (
     offset,
     signed_area_m2,
 )
-from companion.world.threats import PolygonZone
+from companion.world.zones import PolygonZone
 
 SQUARE = ((0.0, 0.0), (0.0, 100.0), (100.0, 100.0), (100.0, 0.0))
 coordinates = st.floats(-200.0, 200.0).map(lambda value: round(value, 1))

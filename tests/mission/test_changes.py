@@ -51,7 +51,7 @@ from companion.mission.flying import on_scan
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Backtracking, Phase, Reason, Scanning
 from companion.mission.vehicle_traits import VehicleTraits
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
 AT_ONCE = {

@@ -29,7 +29,7 @@ from companion.mission.events import (
 )
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 UP = (SetMode, Arm, TakeOff)
 EACH = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)

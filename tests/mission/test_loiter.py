@@ -26,7 +26,7 @@ from companion.mission.events import (
 from companion.mission.state import Flight, Phase, State, Vehicle
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.known_map import empty_map
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 FloatArray = NDArray[np.float64]
 V, LOITER_M, HOVER = 18.0, 100.0, (0.0, 0.0, 100.0)

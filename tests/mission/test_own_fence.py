@@ -24,7 +24,7 @@ from companion.mission.events import (
 )
 from companion.mission.state import Phase, Reason, TakenOver
 from companion.mission.vehicle_traits import VehicleTraits
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 PX4S = pytest.mark.parametrize(
     "traits", [PX4_MULTICOPTER.traits, PX4_FIXED_WING.traits], ids=lambda d: d.name

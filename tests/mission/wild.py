@@ -67,7 +67,7 @@ from companion.path.subpath import Subpath
 from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import empty_map
-from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 HOME_AMSL_M = 3000.0
 LEG_M = 300.0

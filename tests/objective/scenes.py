@@ -10,8 +10,10 @@ from planning import limits
 from companion.objective.scene import FlightScene
 from companion.path.subpath import Pose, Subpath
 from companion.profiles import Weights
+from companion.planner.kernels import compiled
 from companion.world.clearance import Surface
-from companion.world.threats import CircleZone, PolygonZone, Radar, Zone, near_cells
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells
 
 FloatArray = NDArray[np.float64]
 
@@ -66,6 +68,7 @@ def random_scene(
         LIMITS.north_m,
         LIMITS.east_m,
         75.0,
+        compiled().zone_gaps,
     )
     names = ("length", "height", "guide", "crash", "radar", "constraints")
     return FlightScene(

@@ -28,7 +28,7 @@ from companion.objective.scene import (
 from companion.path.subpath import Subpath
 from companion.profiles import Weights
 from companion.world.clearance import Surface
-from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from scenes import cube, random_scene
 
 from companion.objective import kernel
 from companion.objective import scene as flight
-from companion.world.threats import Radar
+from companion.world.radars import Radar
 
 seeds = st.integers(0, 10**6)
 

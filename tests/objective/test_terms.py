@@ -22,7 +22,8 @@ from companion.paper.terms import (
 from companion.path.subpath import Pose
 from companion.profiles import Weights
 from companion.world.clearance import Surface
-from companion.world.threats import CircleZone, PolygonZone, Radar
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, PolygonZone
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float, float]

@@ -19,9 +19,10 @@ from companion.path.certificate import Margins, pack_surroundings
 from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 FloatArray = NDArray[np.float64]
 
@@ -346,7 +347,8 @@ def truth(case: Case, samples: int = 200) -> Truth:
     keep_out = np.inf
     for zone in case.zones:
         keep_out = min(
-            keep_out, _least(lambda at, _=0.0, z=zone: z.distance_m(*spline(at).T[:2]), u)[0]
+            keep_out,
+            _least(lambda at, _=0.0, z=zone: planning.zone_distance_m(z, *spline(at).T[:2]), u)[0],
         )  # type: ignore[misc]
     keep_out -= case.limits.loiter_radius_m
     fine = np.linspace(0.0, 1.0, 3_001)
@@ -432,7 +434,7 @@ def _dead_man(
     def distance(points: FloatArray, far: float = np.inf) -> FloatArray:
         result = column_distance_m(case.known, points, far)
         for zone in case.zones:
-            result = np.minimum(result, zone.distance_m(points[:, 0], points[:, 1]))
+            result = np.minimum(result, planning.zone_distance_m(zone, *points.T[:2]))
         return result
 
     u, share = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 50), np.linspace(0, 1, 14)))

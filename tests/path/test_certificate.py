@@ -10,7 +10,8 @@ from companion.path.certificate import Certificate, Margins, certify, pack_surro
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 LIMITS = limits(
     turn_radius_m=200.0,

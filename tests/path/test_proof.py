@@ -5,20 +5,15 @@ import pytest
 from brute_force import Case, FloatArray, column_distance_m, curve, random_case
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import zone_distance_m
 
 from companion.path import proof
-from companion.path.certificate import cubics_of, pack_zones
+from companion.path.certificate import cubics_of
 from companion.path.proof import exposure, first_pieces, piece_of, stretch_of
-from companion.path.proof_distance import (
-    column_distance,
-    edge_distance,
-    polygon_at,
-    terrain_distance,
-    zone_distance,
-)
 from companion.path.proof_shape import extremes, largest, runs_forward
 from companion.planner import kernels
-from companion.world.threats import CircleZone, PolygonZone
+from companion.world.columns import column_distance, terrain_distance
+from companion.world.zones import CircleZone, edge_distance, zone_distance
 
 seeds = st.integers(0, 10**6)
 T = np.linspace(0.0, 1.0, 801)
@@ -101,18 +96,17 @@ def test_the_distance_from_the_terrain_is_that_of_the_nearest_column(
 ) -> None:
     case = a_case(seed)
     here = case.surroundings()
-    rows, columns = here.heights_m.shape
+    rows, columns = here.columns.heights_m.shape
     tall, wide = -(-rows // block), -(-columns // block)
     maxima = np.full((tall, wide), -np.inf)
     for i in range(tall):
         for j in range(wide):
-            maxima[i, j] = here.heights_m[
-                i * block : (i + 1) * block, j * block : (j + 1) * block
-            ].max()
-    here = here._replace(block=block, blocks_m=maxima)
+            part = slice(i * block, (i + 1) * block), slice(j * block, (j + 1) * block)
+            maxima[i, j] = here.columns.heights_m[part].max()
+    columns_ = here.columns._replace(block=block, blocks_m=maxima)
     segment, _, _, length = piece_of(cubics_of(case.control_nea_m), 0, 0.2, 0.7)
     limit *= here.clearance_m
-    told = terrain_distance(here, segment, limit, 0.1, np.empty((maxima.size, 3)))
+    told = terrain_distance(columns_, segment, limit, 0.1, np.empty((maxima.size, 3)))
     points = np.array(segment[:3]) + np.linspace(0, 1, 200)[:, None] * np.array(segment[3:])
     around = case.known.grown(case.limits.loiter_radius_m)
     brute = min(float(column_distance_m(around, points).min()), limit)
@@ -140,22 +134,12 @@ def test_zones_are_as_far_as_their_own_distance_says_along_the_segment(seed: int
     here = Case(**{**{f: getattr(case, f) for f in case.__dataclass_fields__}, "zones": zones})
     segment, _, _, length = piece_of(cubics_of(case.control_nea_m), 0, 0.0, 1.0)
     n, e, _ = along(segment).T
-    brute = min(float(zone.distance_m(n, e).min()) for zone in zones)
+    brute = min(float(zone_distance_m(zone, n, e).min()) for zone in zones)
     lower, upper = zone_distance(here.surroundings().zones, segment, 1e9)
     assert lower <= brute + 1e-6
     assert upper >= lower
     if brute > 0.0:
         assert lower >= brute - length / 800.0
-
-
-@given(seed=seeds)
-def test_a_point_is_inside_a_polygon_where_the_zone_says_so(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    corners = tuple((a, b) for a, b in rng.uniform(-10, 10, (int(rng.integers(3, 8)), 2)).tolist())
-    zone = PolygonZone(name="p", vertices_ne_m=corners)
-    for n, e in rng.uniform(-12, 12, (20, 2)).tolist():
-        told = polygon_at(pack_zones((zone,)), 0, n, e, 1e9, 1e9)
-        assert told == pytest.approx(float(zone.distance_m(np.array(n), np.array(e))))
 
 
 @given(

@@ -12,9 +12,10 @@ from planning import limits
 
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleZone, PolygonZone, Radar
+from companion.world.zones import CircleZone, PolygonZone
 
 
 @pytest.fixture(autouse=True)

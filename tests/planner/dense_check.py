@@ -13,7 +13,7 @@ from planning import column_distance_m, spline
 
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleZone, Zone
+from companion.world.zones import CircleZone, Zone
 
 FloatArray = NDArray[np.float64]
 

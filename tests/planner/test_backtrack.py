@@ -14,7 +14,7 @@ from companion.planner.plan import plan
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 START, TARGET = (1_000.0, 1_200.0, 500.0), (4_800.0, 2_600.0)
 

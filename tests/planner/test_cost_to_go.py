@@ -12,7 +12,8 @@ from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.clearance import Surface
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 Place = tuple[float, float]
 

@@ -10,7 +10,8 @@ from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 REQUIRED_M = 70.0  # d_s 60 m, tracking 5 m, navigation 5 m
 

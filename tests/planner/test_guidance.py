@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from companion.world.threats import Radar
+from companion.world.radars import Radar
 
 Place = tuple[float, float]
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +10,9 @@ from planning import PLANE_TASK
 from companion.geodesy import FloatArray
 from companion.planner.loiter_search import Motion, Vector, loiter_point
 from companion.planner.settings import Task
+from companion.world import zones as zones_module
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.threats import CircleZone, PolygonZone, Zone
-from companion.world.zone_index import ZoneIndex
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 V, TURN_M, LOITER_M = 18.0, 100.0, 80.0
 TASK = PLANE_TASK
@@ -173,23 +172,20 @@ def test_a_hill_on_the_way_counts_at_the_height_that_the_plane_has() -> None:
 def test_among_fifty_zones_of_a_hundred_corners_it_looks_at_no_more_than_it_can(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Counted are pairs of a point and an edge: 30 ns each.  The watchdog allows 0.2 s."""
+    """Counted are pairs of a point and a box: some 30 ns each, with what is looked at in them.
+
+    The watchdog allows 0.2 s.
+    """
     looked_at = 0
-    far, pairs_of = PolygonZone.distance_m, ZoneIndex._pairs_of
+    boxes = zones_module._box_gaps_m2
 
-    def whole(zone: PolygonZone, north: FloatArray, east: FloatArray) -> FloatArray:
+    def counted(*arrays: FloatArray) -> FloatArray:
         nonlocal looked_at
-        looked_at += np.broadcast(north, east).size * len(zone.vertices_ne_m)
-        return far(zone, north, east)
-
-    def part(index: ZoneIndex, *pairs: Any) -> Any:
-        nonlocal looked_at
-        found = pairs_of(index, *pairs)
-        looked_at += len(found.pair)
+        found = boxes(*arrays)
+        looked_at += found.size
         return found
 
-    monkeypatch.setattr(PolygonZone, "distance_m", whole)
-    monkeypatch.setattr(ZoneIndex, "_pairs_of", part)
+    monkeypatch.setattr(zones_module, "_box_gaps_m2", counted)
     rng = np.random.default_rng(3)
     zones = []
     for k in range(50):

@@ -13,8 +13,8 @@ from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
+from companion.world.radars import Radar
 from companion.world.terrain import PeakTerrain
-from companion.world.threats import Radar
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)

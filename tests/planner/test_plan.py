@@ -23,7 +23,7 @@ from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import PolygonZone
+from companion.world.zones import PolygonZone
 
 FloatArray = NDArray[np.float64]
 

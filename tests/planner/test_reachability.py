@@ -21,7 +21,7 @@ from companion.planner.reachability import blocked_at
 from companion.planner.request import Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 _BASE = load_mission("environment-1").task
 SIZE_M, CELL_M = 40e3, 250.0

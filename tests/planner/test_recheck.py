@@ -11,7 +11,7 @@ from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.recheck import comes_too_near, is_touched
 from companion.planner.settings import Task
-from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.zones import CircleZone, PolygonZone, Zone
 
 FloatArray = NDArray[np.float64]
 

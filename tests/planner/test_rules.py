@@ -10,7 +10,7 @@ from companion.errors import InputError
 from companion.path.limits import Limits
 from companion.planner.rules import check_polygon, check_target, check_task, first_crossing
 from companion.planner.settings import PlannerSettings, Task
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 COPTER = Limits(
     speed_m_s=8.0,

@@ -6,9 +6,9 @@ from planning import fly
 
 from companion.config import load_mission
 from companion.world.known_map import empty_map
+from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import Radar
 
 # a saddle that nobody sees into before the vehicle is below it; behind it three radars
 PEAKS = (

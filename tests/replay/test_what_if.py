@@ -13,7 +13,7 @@ from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
 from companion.replay.what_if import WhatIf, what_if, with_changes
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 FLIGHT = GOLDENS / "copter-loses-gps"
 MISSION = str(FLIGHT / "mission.toml")

@@ -29,7 +29,7 @@ from companion.mission.mission import EndAction, Fallback, Mission
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionTable, ZoneTable
 from companion.sources.places import zones_of
-from companion.world.threats import CircleZone, PolygonZone
+from companion.world.zones import CircleZone, PolygonZone
 
 COPTER = """
 schema = 1

@@ -13,7 +13,8 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 from companion.geodesy import FloatArray
 from companion.views import figure as views
 from companion.views.figure import DPI, SIZE_IN, FlightFigure, TerrainPicture, compose, draw
-from companion.world.threats import CircleZone, PolygonZone, Radar
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, PolygonZone
 
 CELL_M = 25.0
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -9,10 +9,10 @@ from scipy.interpolate import RegularGridInterpolator
 
 from companion.world.clearance import (
     Surface,
-    distance_to_terrain_m,
     safe_surface,
     terrain_surface,
 )
+from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
 
 FloatArray = NDArray[np.float64]

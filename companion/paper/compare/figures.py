@@ -17,8 +17,8 @@ from companion.geodesy import FloatArray
 from companion.paper.compare.missions import Case, Run, bundled_case, planned_with
 from companion.paper.compare.table_1 import narrow_table, violation_facts
 from companion.profiles import Weights
+from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import Radar
 
 _T_S, _EVALUATIONS = 3.0, 3000  # as in Table 1
 _RADAR_RANGE_M, _RADARS_OVERLAP_M, _RADARS_ASIDE_M = 16_000.0, 2_500.0, 1_000.0

@@ -11,7 +11,7 @@ from companion.geodesy import FloatArray
 from companion.telemetry.export import shapes
 from companion.telemetry.export.flight import PlannedSubpath, RecordedFlight
 from companion.telemetry.export.track import IntArray
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 Facts = dict[str, str | int | float | bool | None]
 """For people who click on it: names with units, plain values; None: not known, or none."""

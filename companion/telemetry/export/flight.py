@@ -18,7 +18,7 @@ from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
 from companion.mission.state import Phase as MissionPhase
 from companion.telemetry.export.track import Track
-from companion.world.threats import Zone
+from companion.world.zones import Zone
 
 _LEG_POINTS = 2001
 _LATER_S = 60.0  # an autopilot that was restarted while no companion ran has a clock that fell

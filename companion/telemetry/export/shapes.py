@@ -10,7 +10,8 @@ from companion.geodesy import FloatArray, LocalFrame
 from companion.mission.events import Vector
 from companion.path.subpath import Subpath
 from companion.telemetry.export.track import IntArray, Track
-from companion.world.threats import CircleZone, Radar, Zone
+from companion.world.radars import Radar
+from companion.world.zones import CircleZone, Zone
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CURVE_POINTS = 2000

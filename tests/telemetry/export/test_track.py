@@ -17,7 +17,7 @@ from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.kml import write_kml
 from companion.telemetry.export.track import Track, track_of
 from companion.telemetry.logs import Record
-from companion.world.threats import Radar
+from companion.world.radars import Radar
 
 EPOCH_US = 1_790_000_000_000_000
 MISSION = load_mission("environment-1")

@@ -1,0 +1,285 @@
+"""Columns of terrain: each cell of the known map is as high, all over its square, as its highest.
+
+Unknown ground, and what lies off the map, has no top.  Every distance between the vehicle and
+known ground is a distance to columns: of many points at once (`distances_to_terrain_m`), of a
+segment for the proof, and, seen from above, of points to cells.
+
+What is about a segment is plain scalar code that numba can compile as it is (`planner.kernels`).
+A column is convex, so the distance to one is a convex function along the segment.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.world.known_map import KnownMap
+
+_FAR_M = 1e12
+"""Farther than anything on earth, and small enough to calculate with."""
+_BRACKETINGS = 60
+"""Of `column_distance`, which halves its bracket at least every other time: double precision."""
+Segment = tuple[float, float, float, float, float, float]
+"""North, east, altitude of its start, and from there to its end."""
+Box = tuple[float, float, float, float, float, float]
+"""A column: its edges to the south, north, west and east, its top, the registration error."""
+
+
+class Columns(NamedTuple):
+    """A window of the known map.  What lies outside of it has no top."""
+
+    heights_m: FloatArray  # (rows, columns), C order; inf where there is no top
+    blocks_m: FloatArray  # (block rows, block columns): highest of block x block cells
+    block: int
+    south_m: float
+    west_m: float
+    cell_m: float
+    registration_m: float
+    """How far a column may stand from its cell; of a plane the radius of its circle as well."""
+
+
+def pack_columns(
+    known: KnownMap,
+    *,
+    centre_ne_m: tuple[float, float],
+    reach_m: float,
+    block: int,
+    registration_m: float,
+) -> Columns:
+    """The columns within reach of a point; without a top beyond."""
+    row, column = known.cell_of(*centre_ne_m)
+    half = math.ceil(reach_m / known.cell_m) + 1
+    rows, columns = (
+        slice(min(max(at - half, 0), size), max(min(at + half + 1, size), 0))
+        for at, size in zip((row, column), known.upper_m.shape, strict=True)
+    )
+    heights_m = np.array(known.upper_m[rows, columns], dtype=np.float64, order="C")
+    heights_m[np.isnan(heights_m)] = np.inf
+    return Columns(
+        heights_m=heights_m,
+        blocks_m=_block_maxima(heights_m, block),
+        block=block,
+        south_m=float(known.north_min_m + rows.start * known.cell_m),
+        west_m=float(known.east_min_m + columns.start * known.cell_m),
+        cell_m=known.cell_m,
+        registration_m=float(registration_m),
+    )
+
+
+def _block_maxima(heights_m: FloatArray, block: int) -> FloatArray:
+    """Highest of each block x block cells.  (rows, columns) -> (rows / block, columns / block)."""
+    rows, columns = heights_m.shape
+    tall, wide = -(-rows // block), -(-columns // block)
+    padded = np.full((tall * block, wide * block), -np.inf)
+    padded[:rows, :columns] = heights_m
+    return np.ascontiguousarray(padded.reshape(tall, block, wide, block).max(axis=(1, 3)))
+
+
+# --- many points at once
+
+
+def distance_to_terrain_m(
+    known: KnownMap, point_nea_m: FloatArray, most_m: float, *, seen_only: bool = False
+) -> float:
+    """`distances_to_terrain_m` of one point."""
+    point = np.asarray(point_nea_m, dtype=np.float64)[None]
+    return float(distances_to_terrain_m(known, point, most_m, seen_only=seen_only)[0])
+
+
+def distances_to_terrain_m(
+    known: KnownMap, points_nea_m: FloatArray, most_m: float, *, seen_only: bool = False
+) -> FloatArray:
+    """Distance of points to the columns of the known map, metres; most_m if it is farther.
+
+    (N, 3) -> (N,).  Cells count with their highest terrain over their whole square, grown by the
+    registration error; unknown ones, and those off the map, as if they had no top.  seen_only: only
+    what a scan has seen, or is known in advance, counts, not what may be there.
+    """
+    north, east, up = points_nea_m.T
+    half = math.ceil((most_m + known.registration_m) / known.cell_m) + 1
+    around = np.arange(-half, half + 1)
+    rows, columns = (
+        np.floor((at - low) / known.cell_m).astype(np.intp)[:, None] + around
+        for at, low in ((north, known.north_min_m), (east, known.east_min_m))
+    )
+    gap_n, gap_e = (
+        np.maximum(np.maximum(first - at[:, None], at[:, None] - first - known.cell_m), 0.0)
+        for first, at in (
+            (known.north_min_m + rows * known.cell_m, north),
+            (known.east_min_m + columns * known.cell_m, east),
+        )
+    )
+    height, width = known.upper_m.shape
+    on_map = ((rows >= 0) & (rows < height))[:, :, None]
+    on_map = on_map & ((columns >= 0) & (columns < width))[:, None, :]
+    cells = np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :]
+    upper, counts = known.upper_m[cells], on_map
+    if seen_only:
+        counts = on_map & known.firm[cells]
+    upper = np.where(counts & np.isfinite(upper), upper, -np.inf if seen_only else np.inf)
+    apart = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
+    above = np.maximum(up[:, None, None] - upper, 0.0)
+    return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)
+
+
+# --- a segment: compiled with the planner's kernel
+
+
+def column_gap(at: float, segment: Segment, box: Box) -> tuple[float, float]:
+    """Distance of the point `at` (0 to 1) along a segment from a column, and its rate by `at`."""
+    n0, e0, z0, dn, de, dz = segment
+    south, north, west, east, top, registration = box
+    n, e, z = n0 + at * dn, e0 + at * de, z0 + at * dz
+    gap_n, rate_n = 0.0, 0.0
+    if n < south:
+        gap_n, rate_n = south - n, -dn
+    elif n > north:
+        gap_n, rate_n = n - north, dn
+    gap_e, rate_e = 0.0, 0.0
+    if e < west:
+        gap_e, rate_e = west - e, -de
+    elif e > east:
+        gap_e, rate_e = e - east, de
+    flat = math.sqrt(gap_n * gap_n + gap_e * gap_e)
+    gap, rate = 0.0, 0.0
+    if flat > registration:
+        gap, rate = flat - registration, (gap_n * rate_n + gap_e * rate_e) / flat
+    if z > top:
+        above = z - top
+        far = math.sqrt(gap * gap + above * above)
+        return far, (gap * rate + above * dz) / far
+    return gap, rate
+
+
+def column_distance(segment: Segment, box: Box, limit: float, tolerance: float) -> float:
+    """Least distance of a segment from a column: a lower bound, at most `tolerance` too low.
+
+    The distance is convex along the segment: its tangents are below it, and where those of both
+    ends of a bracket meet bounds what lies between.  From `limit` on any bound will do.
+    """
+    low, high = 0.0, 1.0
+    f0, s0 = column_gap(low, segment, box)
+    if s0 >= 0.0:
+        return f0
+    f1, s1 = column_gap(high, segment, box)
+    if s1 <= 0.0:
+        return f1
+    bound = 0.0
+    for _ in range(_BRACKETINGS):
+        at = low + (f1 - f0 - s1 * (high - low)) / (s0 - s1)
+        bound = max(f0 + s0 * (at - low), 0.0)
+        if bound >= limit:
+            return bound
+        f, s = column_gap(at, segment, box)
+        if s == 0.0 or f - bound <= tolerance:
+            return bound
+        if s < 0.0:
+            low, f0, s0 = at, f, s
+        else:
+            high, f1, s1 = at, f, s
+    return bound
+
+
+def strip(
+    n0: float, e0: float, dn: float, de: float, south: float, north: float, wide: float
+) -> tuple[float, float]:
+    """From where to where, east, columns of a row may be within `wide` of a segment.
+
+    Nowhere (the first beyond the last) where the segment passes the row by.
+    """
+    first, last = 0.0, 1.0
+    if dn != 0.0:
+        one, other = (south - wide - n0) / dn, (north + wide - n0) / dn
+        first, last = max(first, min(one, other)), min(last, max(one, other))
+        if first > last:
+            return _FAR_M, -_FAR_M
+    elif n0 < south - wide or n0 > north + wide:
+        return _FAR_M, -_FAR_M
+    one, other = e0 + first * de, e0 + last * de
+    return min(one, other) - wide, max(one, other) + wide
+
+
+def nearest_column(
+    tops: FloatArray,
+    part: tuple[int, int, int, int],
+    lattice: tuple[float, float, float, float],
+    segment: Segment,
+    limit: float,
+    tolerance: float,
+    found: FloatArray,
+) -> tuple[float, int]:
+    """Least distance of a segment from columns (rows from, to, columns from, to), at most `limit`.
+
+    lattice: its southern and western edge, the side of a column and the registration error, metres.
+    found: if it has room, the columns within `limit` are listed there (row, column, distance) and
+    the limit is not lowered.  -> the distance and how many were listed.
+    """
+    n0, e0, z0, dn, de, dz = segment
+    south_m, west_m, side, registration = lattice
+    lowest = min(z0, z0 + dz)
+    flat = math.sqrt(dn * dn + de * de)
+    along_n, along_e = (dn / flat, de / flat) if flat > 0.0 else (0.0, 0.0)
+    half = 0.5 * side * (abs(along_n) + abs(along_e))
+    best, count = limit, 0
+    for row in range(part[0], part[1]):
+        south = south_m + row * side
+        wide = best + registration
+        west_most, east_most = strip(n0, e0, dn, de, south, south + side, wide)
+        first = max(part[2], math.floor((west_most - west_m) / side))
+        last = min(part[3], math.floor((east_most - west_m) / side) + 1)
+        for column in range(first, last):
+            top = float(tops[row, column])
+            if lowest - top >= best:
+                continue
+            west = west_m + column * side
+            aside = (south + 0.5 * side - n0) * along_e - (west + 0.5 * side - e0) * along_n
+            if abs(aside) - half >= best + registration:
+                continue
+            box = (south, south + side, west, west + side, top, registration)
+            far = column_distance(segment, box, best, tolerance)
+            if far < best:
+                if len(found) > 0:
+                    found[count, 0], found[count, 1], found[count, 2] = row, column, far
+                    count += 1
+                else:
+                    best = far
+    return best, count
+
+
+def terrain_distance(
+    here: Columns, segment: Segment, limit: float, tolerance: float, found: FloatArray
+) -> float:
+    """Least distance of a segment from the terrain, at most `limit` and `tolerance` too low.
+
+    found (blocks, 3): scratch.
+    """
+    n0, e0, _, dn, de, _ = segment
+    rows, columns = here.heights_m.shape
+    south, west, cell = here.south_m, here.west_m, here.cell_m
+    north, east = south + rows * cell, west + columns * cell
+    inside_n = min(min(n0, n0 + dn) - south, north - max(n0, n0 + dn))
+    inside_e = min(min(e0, e0 + de) - west, east - max(e0, e0 + de))
+    best = min(limit, max(min(inside_n, inside_e) - here.registration_m, 0.0))
+    if best <= 0.0:
+        return min(best, limit)
+    wide, side = best + here.registration_m, cell * here.block
+    first = max(math.floor((min(n0, n0 + dn) - wide - south) / side), 0)
+    last = math.floor((max(n0, n0 + dn) + wide - south) / side) + 1
+    part = (first, min(last, here.blocks_m.shape[0]), 0, here.blocks_m.shape[1])
+    lattice = (south, west, side, here.registration_m)
+    _, count = nearest_column(here.blocks_m, part, lattice, segment, best, tolerance, found)
+    lattice = (south, west, cell, here.registration_m)
+    nearest = 0
+    for k in range(1, count):
+        if found[k, 2] < found[nearest, 2]:
+            nearest = k
+    for k in range(count):
+        other = nearest if k == 0 else (0 if k == nearest else k)
+        if float(found[other, 2]) >= best:
+            continue
+        row, column = int(found[other, 0]) * here.block, int(found[other, 1]) * here.block
+        part = (row, min(row + here.block, rows), column, min(column + here.block, columns))
+        none = found[:0]
+        best, _ = nearest_column(here.heights_m, part, lattice, segment, best, tolerance, none)
+    return best

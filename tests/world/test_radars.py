@@ -1,0 +1,37 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.world.radars import Radar, detection_probability
+
+
+def test_a_radar_sees_with_certainty_at_its_place_and_half_at_its_range() -> None:
+    seen = detection_probability(np.array([0.0, 5_000.0, 10_000.0]), 10_000.0)
+    assert seen == pytest.approx([1.0, 1.0 / (1.0 + 1.0 / 16.0), 0.5])
+
+
+@given(range_m=st.floats(1.0, 1e5), fraction=st.floats(0.0, 1.0))
+def test_detection_within_the_range_is_equation_3(range_m: float, fraction: float) -> None:
+    d = fraction * range_m
+    expected = range_m**4 / (range_m**4 + d**4)
+    assert detection_probability(np.array(d), range_m) == pytest.approx(expected)
+
+
+@given(range_m=st.floats(1.0, 1e5))
+def test_detection_falls_from_a_half_to_nothing_at_the_range(range_m: float) -> None:
+    d = np.array([range_m, np.nextafter(range_m, np.inf)])
+    inside, outside = detection_probability(d, range_m)
+    assert inside == 0.5
+    assert outside == 0.0
+
+
+def test_distance_from_a_radar_is_euclidean_for_any_shape_of_points() -> None:
+    radar = Radar(name="r", centre_nea_m=(100.0, -200.0, 50.0), range_m=1.0)
+    points = np.random.default_rng(1).normal(size=(3, 4, 3)) * 1_000.0
+    distance = radar.distance_m(points)
+    assert distance.shape == (3, 4)
+    for index in np.ndindex(3, 4):
+        assert distance[index] == pytest.approx(math.dist(points[index], radar.centre_nea_m))

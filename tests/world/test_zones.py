@@ -1,0 +1,178 @@
+"""Distances to zones, in each form they have, against shapely and the winding number."""
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from planning import zone_distance_m
+
+from companion.objective.kernel import may_be_near
+from companion.planner.kernels import compiled
+from companion.world import zones as module
+from companion.world.zones import (
+    CircleZone,
+    PolygonZone,
+    Zone,
+    gaps_m,
+    lattice_gaps,
+    near,
+    near_cells,
+    nearest,
+    packed,
+    polygon_at,
+    too_near,
+    zone_distance,
+)
+
+FloatArray = NDArray[np.float64]
+seeds = st.integers(0, 10**6)
+
+
+def polygon(rng: np.random.Generator, corners: int, radius_m: float) -> PolygonZone:
+    """Jagged, some with corners at whole numbers, some crossing themselves, some to stay inside."""
+    turns = np.linspace(0.0, math.tau, corners, endpoint=False)
+    turns = rng.permutation(turns) if rng.random() < 0.3 else turns
+    reach = rng.uniform(0.3, 1.0, corners) * radius_m
+    middle = rng.uniform(-800.0, 800.0, 2)
+    places = middle + reach[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    places = np.round(places, int(rng.choice([-2, -1, 9])))
+    keep_in = bool(rng.random() < 0.2)
+    return PolygonZone(
+        name="p", vertices_ne_m=tuple((n, e) for n, e in places.tolist()), keep_in=keep_in
+    )
+
+
+def some_zones(rng: np.random.Generator) -> tuple[Zone, ...]:
+    zones: list[Zone] = []
+    for _ in range(rng.integers(0, 8)):
+        zones.append(polygon(rng, int(rng.integers(3, 60)), float(rng.uniform(20.0, 600.0))))
+    for _ in range(rng.integers(0, 4)):
+        n, e = rng.uniform(-800.0, 800.0, 2).tolist()
+        radius_m, keep_in = float(rng.uniform(10.0, 400.0)), bool(rng.random() < 0.2)
+        zones.append(CircleZone(name="c", north_m=n, east_m=e, radius_m=radius_m, keep_in=keep_in))
+    return tuple(zones[k] for k in rng.permutation(len(zones)))
+
+
+def some_points(rng: np.random.Generator, zones: tuple[Zone, ...], count: int) -> FloatArray:
+    """Anywhere, and corners of zones and middles of their edges.  -> (N, 2)."""
+    points = [rng.uniform(-1_500.0, 1_500.0, (count, 2))]
+    for zone in zones:
+        if isinstance(zone, PolygonZone):
+            corners = np.array(zone.vertices_ne_m)
+            points += [corners[:3], 0.5 * (corners + np.roll(corners, 1, axis=0))[:3]]
+    return np.concatenate(points)
+
+
+def truth_m(zones: tuple[Zone, ...], points: FloatArray) -> FloatArray:
+    gaps = [zone_distance_m(zone, points[:, 0], points[:, 1]) for zone in zones]
+    return np.min([np.full(len(points), np.inf), *gaps], axis=0)
+
+
+@given(seed=seeds, within_m=st.sampled_from([0.0, 5.0, 80.0, math.inf]))
+def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
+    seed: int, within_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    zones = some_zones(rng)
+    points = some_points(rng, zones, 60)
+    truth, (north, east) = truth_m(zones, points), points.T
+    told = gaps_m(packed(zones), north, east, within_m)
+    assert told == pytest.approx(np.minimum(truth, within_m), abs=1e-6)
+    each_m = rng.choice([0.0, 40.0, math.inf], len(points))
+    told = gaps_m(packed(zones), north, east, each_m)
+    assert told == pytest.approx(np.minimum(truth, each_m), abs=1e-6)
+    for zone in zones:
+        expected = pytest.approx(truth_m((zone,), points), abs=1e-6)
+        assert zone.distance_m(north, east) == expected
+
+
+@given(seed=seeds)
+def test_the_nearest_zone_and_those_near_an_area_are_found(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    zones = some_zones(rng)
+    for point in rng.uniform(-1_500.0, 1_500.0, (5, 2)):
+        gaps = {zone: float(truth_m((zone,), point[None])[0]) for zone in zones}
+        zone, gap_m = nearest(zones, *point.tolist())
+        assert (zone is None) == (not zones)
+        assert gap_m == pytest.approx(min(gaps.values(), default=math.inf), abs=1e-6)
+        assert zone is None or gap_m == pytest.approx(gaps[zone], abs=1e-6)
+        about = near(zones, tuple(point - 30.0), tuple(point + 30.0), 50.0)
+        assert {zone for zone, gap in gaps.items() if gap < 50.0} <= set(about) <= set(zones)
+
+
+@given(seed=seeds, within_m=st.sampled_from([5.0, 80.0, 3_000.0]))
+def test_the_scalar_form_that_is_compiled_tells_the_same(seed: int, within_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    zones = some_zones(rng)
+    points = some_points(rng, zones, 10)
+    table, truth = packed(zones), truth_m(zones, points)
+    told = [lattice_gaps(table, point[:1], point[1:], within_m)[0, 0] for point in points]
+    assert told == pytest.approx(np.clip(truth, -within_m, within_m), abs=1e-6)
+    north, east = np.sort(points[:, 0]), np.sort(points[:, 1])
+    fast = compiled().zone_gaps(table, north, east, within_m)
+    assert fast == pytest.approx(lattice_gaps(table, north, east, within_m), abs=1e-9)
+    only = tuple(zone for zone in zones if isinstance(zone, PolygonZone))
+    for k, zone in enumerate(only):
+        at = [polygon_at(packed(only), k, n, e, 1e9, 1e9) for n, e in points.tolist()]
+        assert at == pytest.approx(truth_m((zone,), points), abs=1e-6)
+
+
+@given(seed=seeds)
+def test_a_segment_is_as_far_as_its_nearest_point_and_no_bound_is_optimistic(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    zones = some_zones(rng)
+    begin, end = rng.uniform(-1_500.0, 1_500.0, (2, 2))
+    way = begin + np.linspace(0.0, 1.0, 2_001)[:, None] * (end - begin)
+    truth, step_m = float(truth_m(zones, way).min()), math.dist(begin, end) / 2_000.0
+    segment = (*begin.tolist(), 0.0, *(end - begin).tolist(), 0.0)
+    lower, upper = zone_distance(packed(zones), segment, 1e9)
+    assert lower <= min(truth, 1e9) + 1e-6
+    assert upper >= min(truth, 1e9) - step_m
+    if truth > step_m:  # it is wholly where it may be
+        assert lower == upper >= min(truth, 1e9) - step_m
+    rings = [shapely.LinearRing(z.vertices_ne_m) for z in zones if isinstance(z, PolygonZone)]
+    only = tuple(zone for zone in zones if isinstance(zone, PolygonZone))
+    if only and truth_m(only, way).min() > step_m:
+        exact = min(shapely.LineString([begin, end]).distance(ring) for ring in rings)
+        assert zone_distance(packed(only), segment, 1e9)[0] == pytest.approx(exact, abs=1e-6)
+
+
+@given(seed=seeds, distance_m=st.floats(-60.0, 300.0))
+def test_no_place_near_a_zone_is_left_out_of_a_lattice(seed: int, distance_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    zones, gaps = some_zones(rng), compiled().zone_gaps
+    places = np.arange(-1_300.0, 1_300.0, 90.0), np.arange(-1_200.0, 1_100.0, 70.0)
+    north, east = np.meshgrid(*places, indexing="ij")
+    truth = truth_m(zones, np.stack([north.ravel(), east.ravel()], axis=-1)).reshape(north.shape)
+    found = too_near(zones, *(tuple(axis.tolist()) for axis in places), distance_m, gaps)
+    sure = np.abs(truth - distance_m) > 1e-6
+    assert (found == (truth < distance_m))[sure].all()
+    if distance_m > 20.0:
+        cells = near_cells(zones, (-2_000.0, 2_000.0), (-1_000.0, 2_000.0), distance_m, gaps)
+        points = rng.uniform(-2_500.0, 2_500.0, (300, 2))
+        told = np.array([may_be_near(cells, *point) for point in points])
+        assert told[truth_m(zones, points) < distance_m].all()
+        assert zones or not cells.near.any()
+
+
+def test_points_in_portions_are_told_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    table = packed(tuple(polygon(rng, 40, 300.0) for _ in range(9)))
+    north, east = rng.uniform(-1_200.0, 1_200.0, (2, 300))
+    whole = gaps_m(table, north, east)
+    monkeypatch.setattr(module, "_AT_ONCE", 11)
+    assert (gaps_m(table, north, east) == whole).all()
+
+
+def test_a_corner_that_is_given_twice_and_an_edge_to_the_north_change_nothing() -> None:
+    square = ((0.0, 0.0), (0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0), (0.0, 0.0))
+    zone = PolygonZone(name="s", vertices_ne_m=square)
+    north, east = np.array([50.0, 50.0, -10.0, 50.0]), np.array([50.0, 0.0, 50.0, -30.0])
+    expected = [-50.0, 0.0, 10.0, 30.0]
+    assert zone.distance_m(north, east) == pytest.approx(expected)
+    table, points = packed((zone,)), np.stack([north, east], axis=-1)
+    assert [polygon_at(table, 0, *point, 1e9, 1e9) for point in points] == pytest.approx(expected)
