@@ -9,8 +9,8 @@ from planning import limits
 
 from companion.objective.scene import FlightScene
 from companion.path.subpath import Pose, Subpath
-from companion.profiles import Weights
 from companion.planner.kernels import compiled
+from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells
