@@ -17,6 +17,7 @@ from companion.world.known_map import KnownMap, Scan
 from companion.world.near_map import NearMap, NearSensor, Rules, Window, both, top_amsl_m
 from companion.world.simulated_sweep import NearScene
 
+_ROUNDING = 1e-6  # of a sweep
 _LOOKS_FIRST_S = 2.0
 """At the start: a vehicle that takes off has looked about for longer than that."""
 
@@ -47,8 +48,7 @@ class OnBoard:
         if self._rests:
             looks_s = resting_s(self._task)
             looks_s = max(looks_s, _LOOKS_FIRST_S) if self.began_s is None else looks_s
-            for _ in range(math.ceil(looks_s * self._scene.rate_hz)):
-                self._look((at_nea_m[0], at_nea_m[1]), 0.0)
+            self.look((at_nea_m[0], at_nea_m[1]), self._heading_rad, 0.0, seconds=looks_s)
         changed, self._changed = self._changed, None
         return self.near.scan(changed, self._ground_m, self._top_m)
 
@@ -66,7 +66,7 @@ class OnBoard:
             self._reference, at_m = reference, reference.length_m
             pose = leg.subpath.pose(at_m)
             self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
-            self._look(pose.point_nea_m[:2], reference.speed_m_s)
+            self.look(pose.point_nea_m[:2], self._heading_rad, reference.speed_m_s, seconds=step_s)
             if meets_near_things(leg, at_m, self.near, kept_m):
                 stop_m = at_m + task.limits.stopping_m(reference.speed_m_s)
                 self._now_s += reference.speed_m_s / task.limits.acceleration_m_s2
@@ -76,12 +76,20 @@ class OnBoard:
             self._reference = Reference()
         return until_m
 
-    def _look(self, place_ne_m: tuple[float, float], speed_m_s: float) -> None:
-        self._now_s += 1.0 / self._scene.rate_hz
-        sweep = self._scene.sweep(
-            self._sensor, self._now_s, place_ne_m, self._heading_rad, speed_m_s
-        )
-        self._changed = both(self._changed, self.near.add(sweep))
+    def look(
+        self,
+        place_ne_m: tuple[float, float],
+        heading_rad: float,
+        speed_m_s: float,
+        *,
+        seconds: float,
+    ) -> None:
+        """Look about at a place for a while."""
+        period_s = 1.0 / self._scene.rate_hz
+        for _ in range(math.ceil(seconds / period_s - _ROUNDING)):
+            self._now_s += period_s
+            sweep = self._scene.sweep(self._sensor, self._now_s, place_ne_m, heading_rad, speed_m_s)
+            self._changed = both(self._changed, self.near.add(sweep))
 
 
 def resting_s(task: Task) -> float:

@@ -1,11 +1,15 @@
 """Fly the bundled lidar missions among trees drawn anew: arrivals, clearance, time, holds.
 
     scripts/bench woods [--flights 50] [--first 201] [--pilot companion] [--world forest] [--json F]
+                        [--library]
 
 Seed k draws the trees of `forest` and the lidar's noise; the houses of `street` stay.  The
 companion and its rivals (`woods_rivals`) fly without sockets, in the same worlds, with the same
 lidar, the same map of what it has seen and the same speed.  Distances are true ones: every 0.1 m
 of the way to all things there are.  Held: not arrived, nothing touched.
+
+--library: through `companion.library`, a tenth of the time (`woods_library`); also the world
+`posts`; no bendy ruler.
 """
 
 import math
@@ -15,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import running
+import woods_library
 import woods_rivals
 from numpy.typing import NDArray
 from popup import Flight
@@ -23,7 +28,7 @@ from companion.config import folder_of, load_mission
 from companion.mission.state import OVER, Phase
 from vehicle_sim.world import World, read_world
 
-WORLDS = ("forest", "street")
+WORLDS = ("forest", "street", "posts")
 RIVALS: dict[str, type[woods_rivals.Bendy | woods_rivals.AStar]] = {
     "bendy ruler": woods_rivals.Bendy,
     "A*": woods_rivals.AStar,
@@ -99,13 +104,22 @@ def true_gap_m(world: World, track_nea_m: NDArray[np.float64]) -> float:
 def main() -> int:
     """Fly them, print the table; 1 if the companion came too near or ended without a reason."""
     options, console = running.begin(
-        __doc__, flights=10, first=1, jobs=2, world=["both", *WORLDS], pilot=["all", *PILOTS]
+        __doc__,
+        flights=10,
+        first=1,
+        jobs=2,
+        world=["both", *WORLDS],
+        pilot=["all", *PILOTS],
+        library=False,
     )
-    worlds = WORLDS if options.world == "both" else (options.world,)
+    worlds = WORLDS[:2] if options.world == "both" else (options.world,)
     pilots = PILOTS if options.pilot == "all" else (options.pilot,)
+    if options.library:
+        pilots = [each for each in pilots if each != "bendy ruler"]
     seeds = range(options.first, options.first + options.flights)
+    flies = woods_library.fly if options.library else fly
     todo = [(name, pilot, seed) for name in worlds for pilot in pilots for seed in seeds]
-    flights = running.in_processes(fly, todo, options.jobs, "woods", console)
+    flights = running.in_processes(flies, todo, options.jobs, "woods", console)
     found = [future.result() for _, future in flights]
     headings = (
         "arrived",

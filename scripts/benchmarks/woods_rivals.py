@@ -32,7 +32,7 @@ from companion.world.near_map import NearMap
 from vehicle_sim.world import World
 
 _DEAR = 20.0  # what a metre costs nearer than the clearance: A* would find no way out else
-_DECIDES_S, _SENDS_S, _LIMIT_S, _TAKEN_OFF_S = 0.2, 0.05, 600.0, 90.0
+DECIDES_S, _SENDS_S, LIMIT_S, _TAKEN_OFF_S = 0.2, 0.05, 600.0, 90.0
 _AT_M, _SLOW_M_S = 1.0, 0.2
 _LOOK_AHEAD_M, _RATIO, _RESISTS_RAD = 15.0, 1.5, math.radians(75.0)  # OA_BR_* as by default
 _PAST_M = 2.0  # OA_BENDYRULER_LOOKAHEAD_PAST_DEST, and _STEP2_MIN
@@ -194,7 +194,7 @@ class _RivalFlight(Flight):
                 self._pilot = self._kind(seen.near, self.target, self._margin_m, self._range_m)
             self._pilot.look(seen.near, self._here, self._range_m + 2.0)
         if self._pilot is not None and self.now_s >= self._decides_s:
-            self._decides_s = self.now_s + _DECIDES_S
+            self._decides_s = self.now_s + DECIDES_S
             self._aim = self._pilot.aim(self._here, self._course)
         if self._here is not None and self.now_s >= self._sends_s:
             self._sends_s = self.now_s + _SENDS_S
@@ -231,7 +231,7 @@ def fly(name: str, world: World, seed: int, kind: type[Bendy | AStar]) -> tuple[
         it.step()
         assert it.now_s < _TAKEN_OFF_S, it.session.state.phase
     began_s, track = it.now_s, [it.simulation._place_nea_m()]
-    while it.now_s < began_s + _LIMIT_S and it.simulation.nearest_m > 0.0:
+    while it.now_s < began_s + LIMIT_S and it.simulation.nearest_m > 0.0:
         it.on(track[0][2])
         track.append(it.simulation._place_nea_m())
         if abs(complex(*track[-1][:2]) - it.target) < _AT_M:

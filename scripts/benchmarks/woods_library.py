@@ -1,0 +1,103 @@
+"""The flights of `woods` through `companion.library`: no MAVLink, no simulator, perfect tracking.
+
+Trees are drawn as the simulator draws them.  A* flies a point that changes its velocity no faster
+than the mission's acceleration, by the same sensor and map.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from woods_rivals import DECIDES_S, LIMIT_S, AStar
+
+from companion.config import folder_of, load_mission, load_world
+from companion.library import Flown, NearScene, PlanOutcome, PlanRequest, Thing
+from companion.library import fly as fly_in_library
+from companion.planner.on_board import OnBoard
+from companion.planner.plan import plan
+from vehicle_sim.world import read_world
+
+_AT_M = 1.0
+_STEP_S = 0.1  # of the sensor: 10 Hz
+
+
+def scene_of(name: str, seed: int) -> NearScene:
+    """What stands in a bundled world, with the trees of a seed, as the companion's own scene.
+
+    Of that what a lidar sees at the lowest altitude of the mission.
+    """
+    world = read_world(folder_of(name) / "world.toml").with_woods_of(seed)
+    floor_m = load_mission(name).task.limits.floor_amsl_m
+    things = world.scene(world.truth()).things
+    seen = [thing for thing in things if thing.visible and thing.top_amsl_m > floor_m]
+    return NearScene(
+        [
+            Thing(
+                corners_ne_m=np.array(thing.corners_ne_m, float).tolist(),
+                half_width_m=thing.half_width_m,
+                closed=thing.closed,
+            )
+            for thing in seen
+        ],
+        rate_hz=1.0 / _STEP_S,
+    )
+
+
+def fly(
+    name: str, pilot: str, seed: int, planner: Callable[[PlanRequest], PlanOutcome] = plan
+) -> dict[str, Any]:
+    """One flight: what came of it."""
+    scene = scene_of(name, seed)
+    if pilot == "A*":
+        seconds, way = _by_a_star(name, scene)
+        told = {"seconds": seconds, "holds": None, "end": None}
+    else:
+        flown: Flown = fly_in_library(name, name, scene=scene, seed=seed, planner=planner)
+        way = flown.points_nea_m[:, :2]
+        told = {
+            "seconds": flown.seconds if flown.arrived else math.inf,
+            "holds": flown.details.holds,
+            "end": flown.why or None,
+        }
+    return {
+        "world": name,
+        "pilot": pilot,
+        "seed": seed,
+        **told,
+        "flown_m": float(np.hypot(*np.diff(way, axis=0).T).sum()),
+        "straight_m": math.dist(way[0], way[-1]),
+        "nearest_m": float(scene.gaps_m(way).min()),
+    }
+
+
+def _by_a_star(name: str, scene: NearScene) -> tuple[float, Any]:
+    """How many seconds it took, inf if it did not arrive or touched something; and its way."""
+    mission = load_mission(name)
+    task, start = mission.task, load_world(name).start_ne_m
+    assert mission.known is not None
+    assert mission.near is not None
+    on_board = OnBoard(mission.near, scene, task, mission.known)
+    target, here, velocity = complex(*mission.targets_ne_m[0]), complex(*start), 0j
+    range_m, limits = task.settings.scan_range_m, task.limits
+    pilot = AStar(on_board.near, target, task.required_clearance_m, range_m)
+    on_board.look(start, 0.0, 0.0, seconds=2.0)
+    way, seconds, aim = [here], 0.0, here
+    while abs(here - target) >= _AT_M:
+        pilot.look(on_board.near, here, range_m + 2.0)
+        if round(seconds / _STEP_S) % round(DECIDES_S / _STEP_S) == 0:
+            aim = pilot.aim(here, velocity)
+        away = aim - here
+        speed_m_s = math.sqrt(limits.acceleration_m_s2 * abs(target - here))
+        speed_m_s = min(limits.speed_m_s, speed_m_s, 2.0 * abs(away))
+        change = speed_m_s * away / max(abs(away), 1e-6) - velocity
+        most = limits.acceleration_m_s2 * _STEP_S
+        velocity += change * min(most / max(abs(change), 1e-6), 1.0)
+        here, seconds = here + velocity * _STEP_S, seconds + _STEP_S
+        heading_rad = math.atan2(velocity.imag, velocity.real)
+        on_board.look((here.real, here.imag), heading_rad, abs(velocity), seconds=_STEP_S)
+        way.append(here)
+        if seconds > LIMIT_S or scene.gaps_m(np.array([[here.real, here.imag]]))[0] <= 0.0:
+            seconds = math.inf
+            break
+    return seconds, np.stack([np.real(way), np.imag(way)], axis=-1)
