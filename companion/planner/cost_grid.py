@@ -128,20 +128,22 @@ class CostGrid:
         return corner + 2.0 * self.step_m * np.stack([rows, columns], axis=-1)
 
     def around(self, place: Place, reach: int = _REACH_CELLS) -> IndexArray:
-        """The lattice points about a place, or the nearest ones if it lies outside."""
+        """The lattice points about a place, or about the one nearest to it.  -> (K,)."""
         rows, columns = self.box_about(place, reach)
         across = self.shape[1]
         row, column = np.arange(rows.start, rows.stop), np.arange(columns.start, columns.stop)
         return np.add.outer(row * across, column).ravel()
 
     def box_about(self, place: Place, reach: int) -> _Box:
-        """Rows and columns of the lattice points up to so many from a place, or nearest to it."""
-        middle = np.rint(self.sample_of(np.array(place)) / 2.0)
+        """Rows and columns of the lattice points up to so many from the one nearest to a place."""
+        middle = np.clip(
+            np.rint(self.sample_of(np.array(place)) / 2.0), 0, np.array(self.shape) - 1
+        )
         rows, columns = (
-            slice(*(int(np.clip(m + by, 0, n - 1)) for by in (-reach, reach)))
+            slice(max(int(m) - reach, 0), min(int(m) + reach + 1, n))
             for m, n in zip(middle, self.shape, strict=True)
         )
-        return slice(rows.start, rows.stop + 1), slice(columns.start, columns.stop + 1)
+        return rows, columns
 
     def lines_m(self, from_ne_m: FloatArray, to_ne_m: FloatArray) -> FloatArray:
         """Costs of straight lines.  (K, 2) or (1, 2), (K, 2) -> (K,)."""

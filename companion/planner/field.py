@@ -40,8 +40,6 @@ _DISCOUNT = 0.03
 _ONE_SIDE_CELLS = 4.0
 """Free neighbours of a point differ by less than so many cells of way if they lie on one side of
 it: they are two cells apart at most, and not on ground that costs more than twice the least."""
-_AT_ONCE = 40
-"""Points of a way over which it is straightened at once: 2 R, what a leg may use of it."""
 _MANY = 0.25  # of all points: if more are touched, solving anew is faster than repairing
 
 
@@ -296,14 +294,16 @@ def _route(
 def _straightened(grid: CostGrid, points_ne_m: FloatArray) -> FloatArray:
     """Without the points that a straight line may pass by at no more cost.  (K, 2) -> (J, 2).
 
-    From each point the line goes as far as it can, over a certain number of points at most.
+    From each point the line goes as far as it can, from those beyond R over 2 R at most: only where
+    the way leaves R is its direction asked for.
     """
     count = len(points_ne_m)
     along = np.append(0.0, np.cumsum(grid.lines_m(points_ne_m[:-1], points_ne_m[1:])))
-    keep = [0]
+    keep, cell_m = [0], 2.0 * grid.step_m
     while keep[-1] < count - 1:
         last = keep[-1]
-        until = min(last + 1 + _AT_ONCE, count)
+        is_far = math.dist(points_ne_m[0], points_ne_m[last]) > _CELLS_PER_RANGE * cell_m
+        until = min(last + 1 + 2 * _CELLS_PER_RANGE, count) if is_far else count
         straight = grid.lines_m(points_ne_m[last : last + 1], points_ne_m[last + 1 : until])
         may = np.flatnonzero(straight <= (along[last + 1 : until] - along[last]) * (1.0 + 1e-9))
         keep.append(last + 1 + int(may.max(initial=0)))

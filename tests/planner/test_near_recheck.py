@@ -1,16 +1,20 @@
 """What bars the way, seen near by or believed: against brute force."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import PLANE_TASK, limits
 
 from companion.path.subpath import Subpath
-from companion.planner.cost_grid import BLOCKED, Lattice, bars
+from companion.planner.cost_grid import BLOCKED, CostGrid, Extent, bars
 from companion.planner.procedure import Leg
 from companion.planner.recheck import meets_near_things
 from companion.world import rays
+from companion.world.guess import guess_of
+from companion.world.known_map import empty_map
 from companion.world.near_map import NearMap, Rules
 
 CELL_M = 0.25
@@ -89,34 +93,30 @@ def test_what_is_too_near_is_left_by_a_leg_that_leads_away_soon_and_to_nothing_e
 # --- routes
 
 
-def costs(rng: np.random.Generator, rows: int, step_m: float, corner_m: float) -> Lattice:
-    cost = np.where(rng.random((rows, rows)) < 0.04, BLOCKED + rng.random((rows, rows)), 30.0)
-    nothing = np.zeros_like(cost)
-    return Lattice(
-        north_min_m=corner_m,
-        east_min_m=corner_m,
-        step_m=step_m,
-        cost=cost,
-        height=nothing,
-        ramp_m=nothing,
-        lowest_m=nothing,
-        costly=cost >= BLOCKED,
-        covers_map=False,
-    )
+def costs(rng: np.random.Generator, rows: int, step_m: float, corner_m: float) -> CostGrid:
+    """Of a map whose cells are a step wide, some blocked."""
+    low_m, high_m = corner_m, corner_m + (rows - 1) * step_m
+    task = replace(PLANE_TASK, limits=limits(north_m=(low_m, high_m), east_m=(low_m, high_m)))
+    known = empty_map(step_m, (low_m, high_m), (low_m, high_m))
+    grid = CostGrid.of(known, guess_of(known, (0.0, 0.0), 1.0), task, Extent.whole(known, 1))
+    blocked = rng.random(len(grid.samples.cost)) < 0.04
+    grid.samples.cost[:] = np.where(blocked, BLOCKED + rng.random(len(blocked)), 30.0)
+    return grid
 
 
-def any_blocked(lattices: list[Lattice], points: np.ndarray, within: float) -> bool:  # type: ignore[type-arg]
+def any_blocked(grids: list[CostGrid], points: np.ndarray, within: float) -> bool:  # type: ignore[type-arg]
     """Whether any of (N, 2) points lies within so much of a step, each way, of a blocked sample.
 
-    In the first lattice that holds it.
+    In the first grid that holds it.
     """
-    for lattice in lattices:
-        at = (points - (lattice.north_min_m, lattice.east_min_m)) / lattice.step_m
-        last = np.array(lattice.cost.shape) - 1
+    for grid in grids:
+        cost = grid.sheet(grid.samples.cost)
+        at = (points - (grid.north_min_m, grid.east_min_m)) / grid.step_m
+        last = np.array(cost.shape) - 1
         inside = ((at >= -0.5) & (at <= last + 0.5)).all(axis=1)
         cells = np.clip(np.floor(at[inside] + 0.5).astype(int), 0, last)
         near = np.abs(at[inside] - cells).max(axis=1) <= within
-        if (near & (lattice.cost[cells[:, 0], cells[:, 1]] >= BLOCKED)).any():
+        if (near & (cost[cells[:, 0], cells[:, 1]] >= BLOCKED)).any():
             return True
         points = points[~inside]
     return False
@@ -124,25 +124,25 @@ def any_blocked(lattices: list[Lattice], points: np.ndarray, within: float) -> b
 
 @given(seed=st.integers(0, 10**6))
 def test_a_route_is_barred_where_it_passes_a_blocked_sample(seed: int) -> None:
-    """The fine lattice counts where there is one, the wide one elsewhere."""
+    """The fine grid counts where there is one, the wide one elsewhere."""
     rng = np.random.default_rng(seed)
-    lattices = [costs(rng, 21, 1.0, -10.0), costs(rng, 21, 4.0, -40.0)]
+    grids = [costs(rng, 21, 1.0, -10.0), costs(rng, 21, 4.0, -40.0)]
     route = rng.uniform(-35.0, 35.0, (int(rng.integers(2, 6)), 2))
     legs = np.hypot(*np.diff(route, axis=0).T)
     along = np.append(0.0, np.cumsum(legs))
     at = np.linspace(0.0, along[-1] - 0.51, 6000)
     points = np.stack([np.interp(at, along, route[:, k]) for k in (0, 1)], axis=-1)
-    if bars(lattices, route):
+    if bars(grids, route):
         more = np.linspace(0.0, along[-1], 6000)
         ends = np.stack([np.interp(more, along, route[:, k]) for k in (0, 1)], axis=-1)
-        assert any_blocked(lattices, ends, 0.51)
+        assert any_blocked(grids, ends, 0.51)
     else:
-        assert not any_blocked(lattices, points, 0.24)
+        assert not any_blocked(grids, points, 0.24)
 
 
-def test_no_way_at_all_and_a_way_outside_of_all_lattices_are_not_barred() -> None:
-    lattices = [costs(np.random.default_rng(1), 5, 1.0, 0.0)]
-    lattices[0].cost[:] = BLOCKED
-    assert not bars(lattices, np.array([[2.0, 2.0]]))
-    assert not bars(lattices, np.array([[50.0, 2.0], [60.0, 2.0]]))
-    assert bars(lattices, np.array([[2.0, 2.0], [2.0, 3.0]]))
+def test_no_way_at_all_and_a_way_outside_of_all_grids_are_not_barred() -> None:
+    grids = [costs(np.random.default_rng(1), 5, 1.0, 0.0)]
+    grids[0].samples.cost[:] = BLOCKED
+    assert not bars(grids, np.array([[2.0, 2.0]]))
+    assert not bars(grids, np.array([[50.0, 2.0], [60.0, 2.0]]))
+    assert bars(grids, np.array([[2.0, 2.0], [2.0, 3.0]]))

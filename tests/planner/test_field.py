@@ -1,3 +1,4 @@
+import itertools
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -8,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.path.limits import Limits
-from companion.planner.field import CostToGo, cost_to_go
+from companion.planner import field as planner_field
+from companion.planner.field import CostToGo, Memory, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.clearance import Surface
 from companion.world.known_map import KnownMap, empty_map
@@ -72,6 +74,19 @@ def value(field: CostToGo, place: Place) -> float:
     return float(field.at_m(np.array(place[0]), np.array(place[1])))
 
 
+def values_m(
+    known: KnownMap, task: Task, target: Place, north_m: np.ndarray, east_m: np.ndarray
+) -> np.ndarray:
+    """Costs all over a map of 60 km: each quarter as it is given about its middle."""
+    result = np.full(np.broadcast_shapes(north_m.shape, east_m.shape), np.nan)
+    north_m, east_m = np.broadcast_arrays(north_m, east_m)
+    for here in itertools.product((15e3, 45e3), repeat=2):
+        field = cost_to_go(known, task, here, target)
+        quarter = (np.abs(north_m - here[0]) <= 15e3) & (np.abs(east_m - here[1]) <= 15e3)
+        result[quarter] = field.at_m(north_m[quarter], east_m[quarter])
+    return result
+
+
 def length(route: tuple[Place, ...]) -> float:
     return sum(math.dist(a, b) for a, b in pairwise(route))
 
@@ -106,12 +121,13 @@ def test_over_a_free_plane_the_cost_is_the_distance(here: Place, target: Place) 
     field = cost_to_go(a_map(task), task, here, target)
     apart = math.dist(here, target)
     assert value(field, here) == pytest.approx(apart, rel=0.01, abs=0.75 * CELL)
-    assert field.route_ne_m == (here, target)
+    assert (field.route_ne_m[0], field.route_ne_m[-1]) == (here, target)
+    assert length(field.route_ne_m) <= 1.003 * apart
 
 
 def test_the_error_of_the_metric_is_under_one_per_cent_in_every_direction() -> None:
     task, target = a_task(), (30_000.0, 30_000.0)
-    field = cost_to_go(a_map(task), task, (0.0, 0.0), target)
+    field = cost_to_go(a_map(task), task, target, target)
     bearing = np.linspace(0.0, 2.0 * math.pi, 721)
     for far in (5e3, 12e3, 29e3):
         got = field.at_m(target[0] + far * np.cos(bearing), target[1] + far * np.sin(bearing))
@@ -240,7 +256,6 @@ def test_values_are_those_of_a_fine_eikonal_solver(seed: int) -> None:
         [h + 700.0 - 700.0 * ((n - a) ** 2 + (e - b) ** 2) / s**2 for a, b, s, h in hills], axis=0
     )
     target = (57e3, 55e3)
-    field = cost_to_go(seen(task, terrain), task, (2e3, 2e3), target)
     step = 250.0
     north, east = np.arange(0.0, 60e3 + 1, step)[:, None], np.arange(0.0, 60e3 + 1, step)[None, :]
     high = np.max(
@@ -257,7 +272,7 @@ def test_values_are_those_of_a_fine_eikonal_solver(seed: int) -> None:
         slowness += RADAR * np.where(d <= each.range_m, 1.0 / (1.0 + (d / each.range_m) ** 4), 0.0)
         inside |= d <= each.range_m + CELL
     oracle = eikonal(slowness, step, (round(target[0] / step), round(target[1] / step)))
-    got = field.at_m(*np.broadcast_arrays(north, east))
+    got = values_m(seen(task, terrain), task, target, north, east)
     compared = ~inside & (oracle > 8e3)
     ratio = got[compared] / oracle[compared]
     assert ratio.min() > 0.97
@@ -303,11 +318,11 @@ def a_scene(seed: int) -> tuple[Task, KnownMap]:
 @pytest.mark.parametrize("seed", range(6))
 def test_along_the_route_the_cost_falls_all_the_way(seed: int) -> None:
     task, known = a_scene(seed)
-    field = cost_to_go(known, task, (2e3, 2e3), (58e3, 57e3))
-    points = along(field.route_ne_m, 250.0)
-    values = field.at_m(points[:, 0], points[:, 1])
+    target = 58e3, 57e3
+    points = along(cost_to_go(known, task, (2e3, 2e3), target).route_ne_m, 250.0)
+    values = values_m(known, task, target, points[:, 0], points[:, 1])
     assert values[0] > 70e3
-    assert np.diff(values).max() <= 0.4 * CELL  # interpolation beside threats is not exact
+    assert np.diff(values).max() <= 0.7 * CELL  # interpolation beside threats is not exact
     later = np.minimum.accumulate(values)
     assert (values - later).max() <= CELL
 
@@ -332,6 +347,40 @@ def test_a_mirrored_world_has_a_mirrored_field(seed: int) -> None:
     flipped = replace(known, upper_m=known.upper_m[::-1], seen=known.seen[::-1])
     mirrored = cost_to_go(flipped, other, turned(here), turned(target))
     np.testing.assert_allclose(mirrored.value.vertex_m, field.value.vertex_m[::-1], rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scans, other targets, zones and places, with the ground told or guessed; a moved window."""
+    rng = np.random.default_rng(seed)
+    if seed % 2:  # the map is larger than what is looked at whole
+        for name, value in (("_WHOLE_CELLS", 20), ("_WINDOW_CELLS", 32), ("_SNAP_CELLS", 8)):
+            monkeypatch.setattr(planner_field, name, value)
+    task, known = a_scene(seed)
+    n, e = middles(task)
+    if seed % 4 < 2:
+        known = replace(known, guess_m=None)
+    memory, target, route = Memory(), (58e3, 57e3), ()
+    for step in range(12):
+        here = (float(rng.uniform(5e3, 30e3)), float(rng.uniform(5e3, 30e3)))
+        kind = rng.integers(0, 5)
+        at = rng.uniform(0.0, 60e3, 2)
+        scanned = np.hypot(n - at[0], e - at[1]) < rng.uniform(0.0, 8e3)
+        if kind < 3:
+            upper_m = np.where(scanned, rng.uniform(0.0, 5e3), known.upper_m)
+            known = replace(known, upper_m=upper_m, seen=known.seen | scanned)
+        elif kind == 3:
+            target = (float(at[0]), float(at[1]))
+        else:
+            zone = CircleZone(name="new", north_m=at[0], east_m=at[1], radius_m=2e3)
+            task = replace(task, zones=(*task.zones, zone))
+        anew = cost_to_go(known, task, here, target, route, Memory())
+        repaired = cost_to_go(known, task, here, target, route, memory)
+        assert repaired.value.vertex_m.tobytes() == anew.value.vertex_m.tobytes()
+        assert repaired.needed.vertex_m.tobytes() == anew.needed.vertex_m.tobytes()
+        assert repaired.route_ne_m == anew.route_ne_m
+        assert repaired.is_barred == anew.is_barred
+        route = anew.route_ne_m if step % 3 else ((0.0, 0.0), target)  # disputed now and then
 
 
 def test_ground_that_has_not_been_seen_is_free() -> None:

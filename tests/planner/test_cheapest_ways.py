@@ -1,0 +1,201 @@
+"""Cheapest ways over a grid of costs: against scipy's Dijkstra, and repaired against anew."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import scipy
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from companion.planner import kernels
+from companion.planner.cheapest_ways import DIRECTIONS, Costs, Grid
+
+FloatArray = NDArray[np.float64]
+ALL = np.empty(0, dtype=np.int64)
+STEP_M = 10.0
+
+found = kernels.compiled().guidance
+
+
+def a_grid(rng: np.random.Generator, rows: int, columns: int) -> Grid:
+    """Level ground, a wall, and hills, of which some are steep."""
+    grid = Grid.empty(2 * rows - 1, 2 * columns - 1, STEP_M)
+    grid.cost[:] = 1.0
+    change(grid, rng, len(grid.cost) // 20)
+    return grid
+
+
+def change(grid: Grid, rng: np.random.Generator, count: int) -> None:
+    """Draw some samples anew."""
+    at = rng.integers(0, len(grid.cost), count)
+    height = rng.choice([0.0, 0.3, 1.0], count)
+    wall = np.where(rng.random(count) < 0.3, 300.0, 0.0)
+    grid.cost[at], grid.height[at] = 1.0 + height + wall, height
+    grid.ramp_m[at] = 300.0 * height**2
+    steep = rng.random(count) < 0.5
+    grid.barring[:] = np.maximum(grid.barring, grid.cost)
+    grid.barring[at] = grid.cost[at] + 1e4 * steep
+
+
+def edge_m(grid: Grid, begin: tuple[int, int], end: tuple[int, int]) -> float:
+    """Sampled finely: trapezoids between samples, what is steeper than the ramp besides."""
+    shape = 2 * grid.rows - 1, 2 * grid.columns - 1
+    most = max(abs(end[0] - begin[0]), abs(end[1] - begin[1]))
+    u, v = (np.linspace(2 * a, 2 * b, 2 * most + 1) for a, b in zip(begin, end, strict=True))
+
+    def along(values: FloatArray) -> FloatArray:
+        place = np.array([u, v])
+        result: FloatArray = scipy.ndimage.map_coordinates(values.reshape(shape), place, order=1)
+        return result
+
+    piece_m = STEP_M * math.dist(begin, end) / most
+    cost = along(grid.cost if most <= 2 else grid.barring)
+    total = float(np.trapezoid(cost)) * piece_m
+    if most <= 2:
+        height = along(grid.height)
+        rise_m = np.abs(np.diff(along(grid.ramp_m)))
+        total += np.maximum(rise_m - 0.5 * (height[1:] + height[:-1]) * piece_m, 0.0).sum()
+    return float(total)
+
+
+def dijkstra(grid: Grid, seeds: dict[int, float]) -> FloatArray:
+    """scipy's, from one more point joined to the seeds."""
+    count = grid.rows * grid.columns
+    graph = scipy.sparse.lil_array((count + 1, count + 1))
+    for u in range(count):
+        begin = divmod(u, grid.columns)
+        for north, east in DIRECTIONS.tolist():
+            end = begin[0] + north, begin[1] + east
+            if 0 <= end[0] < grid.rows and 0 <= end[1] < grid.columns:
+                graph[u, end[0] * grid.columns + end[1]] = edge_m(grid, begin, end)
+    for u, cost in seeds.items():
+        graph[count, u] = cost
+    result: FloatArray = scipy.sparse.csgraph.dijkstra(graph.tocsr(), indices=count)[:count]
+    return result
+
+
+def solved(grid: Grid, seeds: dict[int, float]) -> Costs:
+    seed = np.full(grid.rows * grid.columns, np.inf)
+    seed[list(seeds)] = list(seeds.values())
+    costs = Costs.unknown(seed)
+    found.repair(grid, costs, np.flatnonzero(np.isfinite(seed)), ALL)
+    return costs
+
+
+def test_the_directions_are_those_up_to_four_points_away_each_once() -> None:
+    expected = {(i, j) for i in range(-4, 5) for j in range(-4, 5) if math.gcd(i, j) == 1}
+    assert {(i, j) for i, j in DIRECTIONS.tolist()} == expected
+    assert len(DIRECTIONS) == len(expected)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_costs_are_those_of_another_dijkstra_over_the_same_edges(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = a_grid(rng, 9, 13)
+    seeds = {int(u): float(rng.uniform(1.0, 90.0)) for u in rng.integers(0, 9 * 13, 3)}
+    costs = solved(grid, seeds)
+    np.testing.assert_allclose(costs.cost, dijkstra(grid, seeds), rtol=1e-12)
+    for start in range(0, 9 * 13, 5):
+        way = found.way_from(grid, costs, start).tolist()
+        total = costs.seed[way[-1]]
+        for u, v in itertools.pairwise(way):
+            total += edge_m(grid, divmod(u, 13), divmod(v, 13))
+        assert total == pytest.approx(costs.cost[start], rel=1e-12)
+
+
+@given(seed=st.integers(0, 10**6), rows=st.integers(2, 20), columns=st.integers(2, 20))
+def test_what_is_repaired_is_what_is_found_anew_to_the_last_digit(
+    seed: int, rows: int, columns: int
+) -> None:
+    """After any sequence of changes of costs and seeds; and so are the ways."""
+    rng = np.random.default_rng(seed)
+    grid = a_grid(rng, rows, columns)
+    seeds = {int(u): float(rng.uniform(0.0, 50.0)) for u in rng.integers(0, rows * columns, 4)}
+    costs = solved(grid, seeds)
+    shape = 2 * rows - 1, 2 * columns - 1
+    for _ in range(6):
+        before = [each.copy() for each in grid[3:7]]
+        change(grid, rng, int(rng.integers(0, 9)))
+        changed = np.any([a != b for a, b in zip(before, grid[3:7], strict=True)], axis=0)
+        if rng.random() < 0.5:
+            seeds[int(rng.integers(rows * columns))] = float(rng.uniform(0.0, 200.0))
+            seeds.pop(int(rng.choice(list(seeds))))
+        anew = solved(grid, seeds or {0: 1.0})
+        touched = np.zeros((rows, columns), dtype=bool)
+        found.touched(changed.reshape(shape), (0, 0), touched)
+        dirty = touched.ravel() | (anew.seed != costs.seed)
+        costs.seed[:] = anew.seed
+        found.repair(grid, costs, np.flatnonzero(dirty), ALL)
+        for mine, other in zip(costs[:4], anew[:4], strict=True):
+            assert mine.tobytes() == other.tobytes()
+
+
+def test_where_nothing_has_changed_nothing_is_looked_at_and_far_changes_are_not_led_on() -> None:
+    grid = a_grid(np.random.default_rng(2), 60, 60)
+    costs = solved(grid, {0: 0.0})
+    assert found.repair(grid, costs, ALL, ALL) == 0
+    grid.cost[-1] = grid.barring[-1] = 250.0  # in the far corner
+    touched = np.zeros((60, 60), dtype=bool)
+    changed = np.zeros((119, 119), dtype=bool)
+    changed[-1, -1] = True
+    found.touched(changed, (0, 0), touched)
+    assert 0 < found.repair(grid, costs, np.flatnonzero(touched), ALL) < 60
+
+
+@given(seed=st.integers(0, 10**6))
+def test_cheaper_costs_are_right_where_they_are_wanted(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = a_grid(rng, 40, 40)
+    costs = solved(grid, {0: 0.0})
+    less = grid.cost * np.where(rng.random(len(grid.cost)) < 0.1, 0.03, 0.0)
+    cheaper = grid._replace(cost=grid.cost - less, barring=grid.barring - less, least=0.97)
+    anew, wanted = solved(cheaper, {0: 0.0}), np.unique(rng.integers(0, 1600, 40))
+    looked = found.repair(cheaper, costs, np.arange(1600), wanted)
+    assert costs.cost[wanted].tobytes() == anew.cost[wanted].tobytes()
+    assert looked <= 1600
+
+
+@given(seed=st.integers(0, 10**6))
+def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climbed(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    grid = a_grid(rng, 12, 10)
+    grid.lowest_m[:] = rng.uniform(100.0, 200.0, len(grid.lowest_m))
+    costs, steepness, floor_m = solved(grid, {35: 0.0, 77: 12.0}), 0.3, 120.0
+    target = 7.0, 11.0, 180.0
+    window = 2, 11, 0, 9
+    needed_m = found.needed_m(grid, costs, window, steepness, floor_m, target)
+    lowest_m = grid.lowest_m.reshape(23, 19)
+    for row in range(window[0], window[1]):
+        for column in range(window[2], window[3]):
+            way = found.way_from(grid, costs, row * 10 + column).tolist()
+            places = [(2 * (u // 10), 2 * (u % 10)) for u in way]
+            most, flown_m = floor_m, 0.0
+            for a, b in itertools.pairwise(places):
+                far_m = STEP_M * math.dist(a, b)
+                for p in range(1, 9):
+                    i, j = (
+                        math.floor(x + (y - x) * p / 8 + 0.5) for x, y in zip(a, b, strict=True)
+                    )
+                    most = max(most, lowest_m[i, j] - steepness * (flown_m + far_m * p / 8))
+                flown_m += far_m
+            flown_m += STEP_M * math.dist(places[-1], target[:2])
+            most = max(most, target[2] - steepness * flown_m)
+            assert needed_m[row - 2, column] == pytest.approx(most, abs=1e-9)
+
+
+def test_compiled_and_as_plain_python_it_is_the_same() -> None:
+    plain = kernels.kernel_by(lambda function: function).guidance
+    rng = np.random.default_rng(5)
+    grid = a_grid(rng, 12, 15)
+    fast = solved(grid, {17: 3.0})
+    slow = Costs.unknown(fast.seed.copy())
+    plain.repair(grid, slow, np.array([17]), ALL)
+    for mine, other in zip(fast[:4], slow[:4], strict=True):
+        assert mine.tobytes() == other.tobytes()
+    ends = rng.uniform(-5.0, 40.0, (2, 20, 2))
+    np.testing.assert_allclose(found.lines_m(grid, *ends), plain.lines_m(grid, *ends), rtol=1e-12)
