@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 from inspect import isfunction
 from pathlib import Path
 from types import ModuleType
-from typing import Any, cast, final
+from typing import Any, final
 
 import numpy as np
 
@@ -98,14 +98,6 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         terms=terms_of,
         prove=jit(proof.prove),
     )
-
-
-@cache
-def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is not of the planner's kernel, compiled."""
-    import numba
-
-    return cast("Callable[..., Any]", numba.njit(function))
 
 
 SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape)
