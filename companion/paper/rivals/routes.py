@@ -15,7 +15,7 @@ from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import binary_closing, maximum_filter1d
 
 from companion.entry_points import Parts
 from companion.errors import InputError
@@ -250,12 +250,15 @@ def _flown(
     )
     floor, ceiling = task.band_amsl_m
     points = resampled(route, 0.5 * problem.field.spacing_m)
-    may_be = np.isfinite(problem.field.rate_at(points)) & (surface.altitude_m(*points.T) <= ceiling)
-    may_be &= np.hypot(*(points - scan_ne_m).T) < range_m
+    nodes = problem.field.index(points)
+    places = problem.field.place_m(nodes)
+    may_be = np.isfinite(problem.field.rate_at(points)) & (surface.altitude_m(*places.T) <= ceiling)
     cells = np.array([known.cell_of(*point) for point in points.tolist()])
     row, column = np.clip(cells, 0, np.array(known.upper_m.shape) - 1).T
     may_be &= known.firm[row, column] | (not seen)
-    may_be[0] = True
+    may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
+    may_be |= binary_closing(may_be, np.ones(_LEAST + 1))  # a graze, that is within the spare
+    may_be &= np.hypot(*(points - scan_ne_m).T) < range_m
     arrives = bool(may_be.all())
     points = points if arrives else points[: np.argmin(may_be)]
     if len(points) < _LEAST:
