@@ -3,11 +3,13 @@
 from collections.abc import Callable
 
 from companion.paper.plan import plan_as_published
+from companion.paper.rivals.routes import PLANNERS, leg_by_leg
 from companion.planner import kernels
 from companion.planner import plan as flight
 from companion.planner.request import PlanOutcome, PlanRequest
 
 Planner = Callable[[PlanRequest], PlanOutcome]
+OURS = "ours"
 
 
 def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> PlanOutcome:
@@ -18,3 +20,10 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
     if request.flown is None and not request.task.settings.profile.verified:
         return plan_as_published(request, kernels.compiled().prove)
     return flight.plan(request, stop)
+
+
+def planner_of(name: str, field: str = "planner") -> Planner:
+    """What plans under this name: ours, or a rival; InputError about a field if there is none."""
+    if name == OURS:
+        return plan
+    return leg_by_leg(PLANNERS.chosen(name, field), kernels.compiled().prove)

@@ -15,13 +15,14 @@ from typing import Annotated, Any, Literal, final
 from pydantic import Field
 
 from companion.campaign import bundled_campaigns, drawn_faults
+from companion.campaign.alone import Knowledge
 from companion.campaign.drawn_faults import FaultScript
 from companion.campaign.families import FAMILIES, SPREAD
-from companion.campaign.rivals.flight import Knowledge
-from companion.campaign.rivals.registry import PLANNERS
 from companion.config import bundled
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
+from companion.paper.rivals.routes import PLANNERS
+from companion.planning import OURS
 from companion.profiles import PROFILES
 from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
@@ -33,7 +34,7 @@ Over = Literal["process", "planner"]
 Keep = Literal["all", "failures", "none"]
 Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane"]
 
-_NONE, _OURS = "none", "ours"
+_NONE = "none"
 _MOST_RUNS = 1_000_000
 _OF_VEHICLES = ("vehicle", "sensor", "faults", "wind", "noise")
 _CHOSEN = ("sensor", "faults", "wind", "noise")
@@ -144,7 +145,7 @@ class Run:
     profile: str | None = None
     optimiser: str | None = None
     budget: int | None = None
-    planner: str = "ours"
+    planner: str = OURS
     knowledge: str = "scans"
     sensor: str | None = None
     faults: str | None = None
@@ -186,8 +187,8 @@ def _check(campaign: CampaignTable, where: str) -> None:
             remedy = f"One of: {', '.join(OPTIMISERS)}."
             raise InputError(f"{where}: factors.optimiser", name, "there is none", remedy)
     for name in factors.planner or ():
-        if name != _OURS and name not in PLANNERS:
-            remedy = f"One of: {_OURS}, {', '.join(PLANNERS)}."
+        if name != OURS and name not in PLANNERS:
+            remedy = f"One of: {OURS}, {', '.join(PLANNERS)}."
             raise InputError(f"{where}: factors.planner", name, "there is none", remedy)
     known = [choice.name for choice in campaign.choices]
     for factor in _CHOSEN:
@@ -258,10 +259,10 @@ def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
             remedy = 'Leave it out, or fly: over = "process".'
             raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
     for factor in ("optimiser", "profile"):
-        if getattr(campaign.factors, factor) and _OURS not in (campaign.factors.planner or [_OURS]):
-            rule, remedy = "rivals have none", f"Leave it out, or add {_OURS!r} to the planners."
+        if getattr(campaign.factors, factor) and OURS not in (campaign.factors.planner or [OURS]):
+            rule, remedy = "rivals have none", f"Leave it out, or add {OURS!r} to the planners."
             raise InputError(f"{where}: factors.{factor}", campaign.factors.planner, rule, remedy)
-    for factor, ours in (("planner", [_OURS]), ("knowledge", ["scans"])):
+    for factor, ours in (("planner", [OURS]), ("knowledge", ["scans"])):
         if over != "planner" and (getattr(campaign.factors, factor) or ours) != ours:
             rule = "rivals and full knowledge are of the planner alone"
             raise InputError(f"{where}: factors.{factor}", over, rule, 'Write over = "planner".')

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from companion.campaign import (
+    alone,
     drawn_faults,
     families,
     in_process,
@@ -32,16 +33,13 @@ from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld, judgeable
 from companion.campaign.file import Place, Run
 from companion.campaign.flight import Flight, FlightFiles, crash_of, in_the_air
-from companion.campaign.rivals import flight as rivals
-from companion.campaign.rivals import ours
-from companion.campaign.rivals.measure import measured
-from companion.campaign.rivals.registry import PLANNERS
 from companion.campaign.row import Row
 from companion.config import folder_of, load_mission, load_world, mission_text, world_table
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
 from companion.planner.settings import Task
+from companion.planning import OURS
 from companion.profiles import PROFILES
 from companion.sources.files import toml_table, toml_text, with_settings
 
@@ -49,6 +47,7 @@ _SPACING_M = 1.0
 """Between the points of a subpath at which it is checked, as far as that makes a few thousand."""
 _MOST_POINTS = 20_000
 _OF_SHAPE = ("turn radius", "climb angle", "dive angle")
+_OF_PLACES = ("terrain clearance", "keep-out zone", "edge of the map")
 _TOUCHED = "flown: touched something"
 _FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
 _OF_PLACE = ("mission", "family", "family_seed", "family_index")
@@ -145,39 +144,22 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
     if run.keep != "none":
         write(drawn, folder)
     knowledge: Any = run.knowledge
-    if run.planner == "ours":
-        flown = ours.fly(drawn, knowledge=knowledge, seed=run.seed)
-    else:
-        planner, most = PLANNERS[run.planner], run.budget
-        flown = rivals.fly(drawn, planner, knowledge=knowledge, evaluations=most, seed=run.seed)
+    flown = alone.fly(drawn, run.planner, knowledge=knowledge, seed=run.seed)
     found = _of_task(drawn.task) | {
         "outcome": "arrived" if flown.arrived else "failed",
         "reason": flown.why or None,
         "arrived": flown.arrived,
         "plans": len(flown.plan_s),
-        "holds": len(flown.stops),
+        "holds": flown.holds,
         "plan_ms_median": 1e3 * float(np.median(flown.plan_s)) if flown.plan_s else None,
         "plan_ms_p99": 1e3 * float(np.quantile(flown.plan_s, 0.99)) if flown.plan_s else None,
         "straight_m": _straight_m(drawn.start_nea_m, drawn.targets_ne_m),
     }
-    if len(flown.points_nea_m) < 2:
-        return found
-    found |= _of_track(flown.points_nea_m, drawn)
-    if run.planner == "ours":
-        subpaths = flown.subpaths_nea_m
-        return found | {"subpaths": len(subpaths)} | _checked(subpaths, drawn, joined=True)
-    measures = measured(drawn, flown.points_nea_m, flown.stops)
-    kept = {
-        "clearance": measures.keeps_clearance,
-        "turn": measures.keeps_turns,
-        "slope": measures.keeps_slopes,
-    }
-    broken = [name for name, is_kept in kept.items() if not is_kept]
-    return found | {
-        "violations": len(broken),
-        "violated": "; ".join(broken) or None,
-        "clearance_least_m": measures.clearance_m,
-    }
+    subpaths = flown.subpaths_nea_m
+    if subpaths:
+        found |= {"subpaths": len(subpaths)} | _of_track(flown.points_nea_m, drawn)
+    bounds = None if run.planner == OURS else _OF_PLACES  # rivals turn on the spot
+    return found | _checked(subpaths, drawn, joined=run.planner == OURS, bounds=bounds)
 
 
 def drawn_of(place: Place) -> DrawnWorld:

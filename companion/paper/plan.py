@@ -5,6 +5,7 @@ flown as it is.  Its certificate is only a report.
 """
 
 import math
+from dataclasses import replace
 
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
@@ -19,13 +20,30 @@ from companion.world.clearance import terrain_surface
 
 def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
     """The best candidate of one search."""
-    task, settings = request.task, request.task.settings
-    scene = scene_of(request)
+    settings, scene = request.task.settings, scene_of(request)
     name = settings.optimiser or settings.profile.optimiser
     optimiser = OPTIMISERS[name](VARIABLES, settings.evaluations, request.rng(0), None)
     ranked = minimise(optimiser, lambda x: terms.cost(x, scene), settings.evaluations)
     best = ranked.x[:1]
-    subpath = Subpath(control_nea_m=control_points(best, scene)[0])
+    return replace(
+        reported(
+            request,
+            Subpath(control_nea_m=control_points(best, scene)[0]),
+            prove,
+            scene.final_ne_m is not None,
+        ),
+        cost=float(ranked.costs[0]),
+        terms={name: float(column[0]) for name, column in terms.cost_table(best, scene).items()},
+        guide_rad=scene.guide_rad,
+        evaluations=ranked.evaluations,
+    )
+
+
+def reported(
+    request: PlanRequest, subpath: Subpath, prove: Prover, reaches_target: bool
+) -> Planned:
+    """A subpath that is flown as it is; its certificate says what could be proven."""
+    task = request.task
     surroundings = pack_surroundings(
         request.known,
         task.limits,
@@ -33,20 +51,20 @@ def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
         task.zones,
         task.margins,
         centre_ne_m=request.scan_nea_m[:2],
-        reach_m=REACH * settings.scan_range_m,
+        reach_m=REACH * task.settings.scan_range_m,
     )
     return Planned(
         plan_id=request.plan_id,
         kernel="numpy",
         subpath=subpath,
-        reaches_target=scene.final_ne_m is not None,
-        cost=float(ranked.costs[0]),
+        reaches_target=reaches_target,
+        cost=0.0,
         to_go=0.0,
-        terms={name: float(column[0]) for name, column in terms.cost_table(best, scene).items()},
+        terms={},
         certificate=certify(subpath, surroundings, from_rest=request.from_rest, prover=prove),
-        guide_rad=scene.guide_rad,
+        guide_rad=0.0,
         route_ne_m=(),
-        evaluations=ranked.evaluations,
+        evaluations=0,
         rank=0,
         tries=1,
     )

@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 from inspect import isfunction
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any, cast, final
+from typing import Any, final
 
 import numpy as np
 
@@ -107,14 +107,6 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         guidance=SimpleNamespace(**{each.__name__: jit(each) for each in cheapest_ways.ENTRIES}),
         zone_gaps=jit(zones.lattice_gaps),
     )
-
-
-@cache
-def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is not of the planner's kernel, compiled."""
-    import numba
-
-    return cast("Callable[..., Any]", numba.njit(function))
 
 
 SOURCES = (

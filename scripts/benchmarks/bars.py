@@ -22,10 +22,9 @@ import running
 from running import Bar
 from tapped import fly_campaign
 
-from companion.campaign import truth
+from companion.campaign import alone, truth
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.report import read_campaign
-from companion.campaign.rivals import ours
 from companion.campaign.run import drawn_of
 
 FAMILIES = ("dense", "gathered", "walls", "relief", "copter", "plane")
@@ -83,7 +82,7 @@ def routes(bench: Bench) -> Iterator[Bar]:
 
 def _jumps(world: DrawnWorld, seed: int) -> Iterator[float]:
     """Of a mission: where each leg goes over to the next (`truth.jumps`)."""
-    for before, after in pairwise(ours.fly(world, seed=seed).subpaths_nea_m):
+    for before, after in pairwise(alone.fly(world, seed=seed).subpaths_nea_m):
         yield from truth.jumps(before, after, world.task) or ()  # None: from rest
 
 

@@ -21,8 +21,9 @@ from companion.campaign.drawn_world import DrawnWorld
 from companion.geodesy import FloatArray, wrap_rad
 from companion.objective.scene import FlightScene
 from companion.paper import terms
+from companion.paper.plan import scene_of
 from companion.path.subpath import Pose
-from companion.planner import kernels, plan, published
+from companion.planner import kernels, plan
 from companion.planner.field import cost_to_go
 from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -206,7 +207,7 @@ def _scene(request: PlanRequest) -> FlightScene:
 def _as_published(request: PlanRequest, world: str, *, for_tuning: bool) -> list[Problem]:
     """The same question with the paper's four points, ten samples and tangent guide."""
     settings = replace(request.task.settings, profile=PAPER)
-    scene = published._scene(replace(request, task=replace(request.task, settings=settings)))
+    scene = scene_of(replace(request, task=replace(request.task, settings=settings)))
     north, east, _ = scene.start.tangent_nea
     guide = 0.5 + wrap_rad(scene.guide_rad - math.atan2(east, north)) / math.pi
     seeds = [

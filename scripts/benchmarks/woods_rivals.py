@@ -21,13 +21,13 @@ import scipy.ndimage
 from numpy.typing import NDArray
 from popup import Flight
 from pymavlink.dialects.v20 import all as wire
+from scipy.sparse import csr_array
 
-from companion.campaign.rivals.a_star import EIGHT, step_costs
-from companion.campaign.rivals.a_star import a_star as search
+from companion.caches import compiled
 from companion.geodesy import FloatArray
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import Phase
-from companion.planner.kernels import compiled_alone
+from companion.paper.rivals.roadmaps import EIGHT, grid, search, step_costs
 from companion.world.near_map import NearMap
 from vehicle_sim.world import World
 
@@ -160,11 +160,12 @@ def a_star(
     """
     rate = rate.copy()
     rate[start] = 1.0
-    costs, ways = step_costs(rate, 1, EIGHT), np.array(EIGHT)
-    found: tuple[float, NDArray[np.int64]] = compiled_alone(search)(
-        costs, ways, np.array([start]), np.zeros(1), np.array(end)
-    )
-    return found
+    before, after, cost = grid(step_costs(rate, 1, EIGHT), EIGHT)
+    graph = csr_array((cost, (before, after)), shape=(rate.size, rate.size))
+    left = np.hypot(*(np.indices(rate.shape).reshape(2, -1).T - end).T)
+    nodes = (start[0] * rate.shape[1] + start[1], end[0] * rate.shape[1] + end[1])
+    found, way = compiled(search)(graph.indptr, graph.indices, graph.data, left, *nodes)
+    return found, np.stack(np.divmod(way, rate.shape[1]), axis=-1)
 
 
 @final

@@ -10,12 +10,11 @@ from pathlib import Path
 import pytest
 
 from companion import entry_points, library
-from companion.campaign import families
-from companion.campaign.rivals import flight
-from companion.campaign.rivals.registry import PLANNERS
+from companion.campaign import alone, families
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.optimise.registry import OPTIMISERS
+from companion.paper.rivals.routes import PLANNERS
 
 CODE = '''
 import numpy as np
@@ -47,7 +46,7 @@ class Flat(Scatter):
 
 
 def straight(problem, rng):
-    return problem.route(np.array([problem.start_ne_m, problem.target_ne_m]))
+    return np.array([problem.start_ne_m, problem.target_ne_m])
 
 
 def of_nothing():
@@ -110,7 +109,7 @@ def test_its_names_stand_beside_ours_and_ours_win() -> None:
     assert {"scatter", "flat", "gone", "refined-de"} <= set(OPTIMISERS)
     assert "scatter" in library.OPTIMISERS
     assert {"straight", "a-star"} <= set(PLANNERS)
-    assert OPTIMISERS["pso"].__module__ == "companion.optimise.particle_swarm"
+    assert OPTIMISERS["pso"].__module__ == "companion.paper.swarm"
 
 
 def test_a_mission_file_flies_with_its_optimiser(tmp_path: Path) -> None:
@@ -151,7 +150,7 @@ def test_an_unknown_optimiser_is_told_the_strangers_names_too(tmp_path: Path) ->
 
 def test_its_planner_flies_and_a_wrong_one_is_refused() -> None:
     world = families.world("copter", 5, 1)
-    found = flight.fly(world, PLANNERS["straight"], knowledge="full")
+    found = alone.fly(world, "straight", knowledge="full")
     assert len(found.points_nea_m) > 1  # the straight line is barred in every drawn world
     with pytest.raises(InputError, match=r"a-strangers-search.*does not take a problem"):
         PLANNERS["of-nothing"]

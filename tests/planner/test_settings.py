@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
-from companion.profiles import FLIGHT, PAPER
+from companion.profiles import FLIGHT, PAPER, PROFILES, Weights
 from companion.world.clearance import safe_surface
 from companion.world.known_map import empty_map
 
@@ -164,3 +164,13 @@ def test_a_vehicle_that_is_left_alone_near_the_end_of_sight_stays_over_ground_th
     cell_diagonal_m = math.hypot(task.cell_m, task.cell_m)  # a cell is seen by its middle
     assert farthest_m <= task.settings.scan_range_m - cell_diagonal_m
     assert task.end_radius_m + task.required_clearance_m <= 20_000.0 - cell_diagonal_m
+
+
+def test_the_paper_profile_is_the_papers() -> None:
+    assert PROFILES == {"paper": PAPER, "flight": FLIGHT}
+    assert (PAPER.samples, PAPER.margin, PAPER.optimiser) == (10, 1.0, "improved-de")
+    assert not PAPER.verified
+    assert FLIGHT.verified
+    figure_3a = (0.1, 0.15, 0.15, 0.3, 0.3, 1.0)
+    names = ("length", "height", "guide", "crash", "radar", "constraints")
+    assert tuple(getattr(Weights(), name) for name in names) == figure_3a

@@ -4,15 +4,15 @@ import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import track
 from rich.table import Table
 
 from companion.errors import InputError
-from companion.paper.compare import figures, table_1
-from companion.paper.compare.missions import Case, Run, fly_all
+from companion.paper.compare import figures, routes, table_1
+from companion.paper.compare.missions import Case, Run, fly, fly_all
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
@@ -24,7 +24,7 @@ compare_app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode="markdown",
-    help="Compute the paper's Table 1, Fig. 3 and Fig. 4 again, beside what the paper says.",
+    help="Compute the paper's Table 1, Fig. 3 and Fig. 4 again; fly the planners that it names.",
 )
 
 RunsOption = Annotated[
@@ -112,7 +112,32 @@ _add_figure(
 )
 
 
+@compare_app.command("routes")
+def routes_command(
+    runs: RunsOption = 1,
+    jobs: JobsOption = None,
+    seed: SeedOption = 1,
+    json_file: JsonOption = None,
+    planners: Annotated[
+        list[str] | None,
+        typer.Option("--planner", help="Only these; by default ours and all that are installed."),
+    ] = None,
+) -> None:
+    """The planners that the paper's introduction names, beside ours, in both environments."""
+    json_file = json_file and writable("--json", json_file)
+    names = planners or routes.installed()
+    found = _shown(routes.cases(names, runs, seed), jobs, routes.fly)
+    plain_console().print(routes.table(found))
+    plain_console().print(routes.REMARK, highlight=False, markup=False)
+    _write({"runs": runs, "seed": seed, "results": found}, json_file)
+
+
 def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:
+    """Fly them all as the paper does."""
+    return _shown(cases, jobs, fly)
+
+
+def _shown(cases: Sequence[Any], jobs: int | None, one: Callable[[Any], Any]) -> list[Any]:
     """Fly them all, with a bar that shows how far it is."""
     shown = partial(
         track,
@@ -121,7 +146,7 @@ def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:
         console=plain_console(stderr=True),
         transient=True,
     )
-    return fly_all(cases, jobs or processors(), shown)
+    return fly_all(cases, jobs or processors(), shown, one)
 
 
 def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:
@@ -136,7 +161,7 @@ def _tell(
     tables: Sequence[Table],
     remarks: Sequence[str],
     compose: Callable[[], "Figure"],
-    numbers: dict[str, object],
+    numbers: dict[str, Any],
     files: tuple[Path, Path | None],
 ) -> None:
     """Print the tables and what they cannot say, and write the picture and the numbers."""
@@ -150,7 +175,11 @@ def _tell(
     with writing("--figure", picture):
         save(compose(), picture)
     console.out(f"picture: {picture}", highlight=False)
+    _write(numbers, json_file)
+
+
+def _write(numbers: dict[str, Any], json_file: Path | None) -> None:
     if json_file is not None:
         with writing("--json", json_file):
             json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-        console.out(f"numbers: {json_file}", highlight=False)
+        plain_console().out(f"numbers: {json_file}", highlight=False)

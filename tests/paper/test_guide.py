@@ -3,11 +3,11 @@ import math
 
 import numpy as np
 import pytest
-from companion.planner.published import tangent_guide_rad
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
+from companion.paper.guide import tangent_guide_rad
 from companion.world.radars import Radar
 
 Place = tuple[float, float]

@@ -1,26 +1,48 @@
-"""Our own planner in a drawn world, flown without a vehicle, told of as rivals are."""
+"""The planner alone, ours or a rival, flown through a drawn world without a vehicle."""
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal, final
 
 import numpy as np
 
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.families import unseen, unseen_with_elevation
-from companion.campaign.rivals.flight import Knowledge, RouteFlight
+from companion.geodesy import FloatArray
 from companion.planner.offline import fly_offline
-from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planning import OURS, planner_of
 from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import Truth, simulated_scan, true_map
 
+Knowledge = Literal["scans", "elevation", "full"]
+"""Of the ground before the flight: none; a poor elevation file, for guidance; all of it."""
 _POINTS_PER_RANGE = 1_000
-_STOPS_M = 1.0  # who has flown a leg to within this of its end has stopped there
 
 
-def fly(world: DrawnWorld, *, knowledge: Knowledge = "scans", seed: int = 1) -> RouteFlight:
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AloneFlight:
+    """What was flown."""
+
+    points_nea_m: FloatArray
+    """(S, 3), from the start as far as it came."""
+    arrived: bool
+    why: str
+    """Why it did not arrive; empty if it did."""
+    plan_s: tuple[float, ...]
+    """Processor time of each plan."""
+    holds: int
+    """How often it stopped at the end of a leg, for want of a successor."""
+    subpaths_nea_m: tuple[FloatArray, ...]
+    """Control points (N, 3) of each, tail included."""
+
+
+def fly(
+    world: DrawnWorld, planner: str = OURS, *, knowledge: Knowledge = "scans", seed: int = 1
+) -> AloneFlight:
     """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
-    plan_s, blank = list[float](), _known(world, knowledge)
+    plan_s, blank, plan = list[float](), _known(world, knowledge), planner_of(planner)
     truth = Truth.of(world.terrain, blank)
 
     def timed(request: PlanRequest) -> PlanOutcome:
@@ -42,17 +64,13 @@ def fly(world: DrawnWorld, *, knowledge: Knowledge = "scans", seed: int = 1) -> 
         seed=seed,
         planner=timed,
     )
-    step_m = world.task.settings.scan_range_m / _POINTS_PER_RANGE
-    flown_m, failure = np.array(flight.flown_m), flight.failure
-    lengths_m = np.array([leg.subpath.length_m for leg in flight.legs])
-    ends = np.cumsum(np.maximum(np.ceil(flown_m / step_m), 1.0)).astype(int)  # points so far
-    return RouteFlight(
-        points_nea_m=flight.route_nea_m(step_m),
+    failure = flight.failure
+    return AloneFlight(
+        points_nea_m=flight.route_nea_m(world.task.settings.scan_range_m / _POINTS_PER_RANGE),
         arrived=failure is None,
         why="" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}",
-        scans=len(flight.scans_nea_m),
         plan_s=tuple(plan_s),
-        stops=tuple(ends[lengths_m - flown_m < _STOPS_M].tolist()),
+        holds=flight.holds,
         subpaths_nea_m=tuple(leg.subpath.control_nea_m for leg in flight.legs),
     )
 

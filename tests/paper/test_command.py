@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.errors import InputError
-from companion.paper.compare import table_1
+from companion.paper.compare import figures, table_1
 from companion.paper.compare.command import compare_app
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -24,7 +24,7 @@ def called(*words: str) -> str:
 def test_figure_4_prints_a_table_and_writes_a_picture_and_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(effects, "_EVALUATIONS", 200)
+    monkeypatch.setattr(figures, "_EVALUATIONS", 200)
     picture, numbers = tmp_path / "figure.pdf", tmp_path / "figure.json"
     words = ["figure-4", "--runs", "1", "--jobs", "1", "--seed", "3"]
     shown = called(*words, "--figure", str(picture), "--json", str(numbers))
@@ -35,7 +35,7 @@ def test_figure_4_prints_a_table_and_writes_a_picture_and_numbers(
     for each in written["results"]:
         assert each["ways"] in (["goes round"], ["flies between"])
         way = each["papers_way"]
-        assert f"{way}: {each['ways'].count(way)} of 1" in shown
+        assert f"{way}: {each['ways'].count(way)}/1" in shown
 
 
 def test_table_1_prints_our_numbers_beside_the_papers(

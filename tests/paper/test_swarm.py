@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from companion.optimise.particle_swarm import ParticleSwarm, Settings
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.errors import InputError
+from companion.paper.swarm import ParticleSwarm
 
 FloatArray = NDArray[np.float64]
 NP, D = 6, 3
@@ -16,7 +15,7 @@ CHI = 0.7298437881283576  # the root for phi = 4.1, to all digits
 
 @given(seed=st.integers(0, 10**6))
 def test_every_particle_moves_by_the_equations_of_clerc_and_kennedy(seed: int) -> None:
-    swarm = ParticleSwarm(D, 0, np.random.default_rng(seed), settings=Settings(population=NP))
+    swarm = ParticleSwarm(D, 0, np.random.default_rng(seed), members=NP)
     draws = np.random.default_rng(seed)  # the same numbers, drawn by hand
     costs_of = np.random.default_rng(seed + 1)
     x = draws.random((NP, D))
@@ -44,12 +43,3 @@ def test_every_particle_moves_by_the_equations_of_clerc_and_kennedy(seed: int) -
                 x[i, j] = min(max(free, 0.0), 1.0)
                 if x[i, j] != free:
                     v[i, j] = 0.0
-
-
-def test_a_swarm_of_none_is_refused() -> None:
-    with pytest.raises(InputError, match="population = 0"):
-        Settings(population=0)
-    swarm = ParticleSwarm(D, 0, np.random.default_rng(1), settings=Settings(population=1))
-    for _ in range(3):
-        swarm.tell(swarm.ask().sum(axis=1))
-    assert swarm.population.shape == (1, D)

@@ -2,20 +2,21 @@
 
 import numpy as np
 import pytest
-from companion.optimise.differential_evolution import (
-    ClassicalDE,
-    Settings,
-    blend,
-    crossed,
-    distinct_others,
-)
-from companion.optimise.improved_de import ImprovedDE
-from companion.optimise.improved_de import Settings as ImprovedSettings
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from companion.errors import InputError
+from companion.paper.evolution import (
+    ClassicalDE,
+    Generations,
+    ImprovedDE,
+    blend,
+    crossed,
+    distinct_others,
+)
+from companion.paper.genetic import Genetic
+from companion.paper.swarm import ParticleSwarm
 
 FloatArray = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ def twin(seed: int) -> np.random.Generator:
 def test_the_same_draws_make_the_trials_of_equations_12_to_14(seed: int) -> None:
     x = np.random.default_rng(seed).random((NP, D))
     costs = np.random.default_rng(seed + 1).random(NP)
-    de = ClassicalDE(D, 0, twin(seed), x, Settings(population=NP))
+    de = ClassicalDE(D, 0, twin(seed), x, NP)
     de.ask()
     de.tell(costs)
     draws = twin(seed)  # the same numbers, drawn by hand
@@ -60,54 +61,15 @@ def test_the_same_draws_make_the_trials_of_equations_12_to_14(seed: int) -> None
 def test_the_blend_is_the_sum_that_equation_15_prints(
     seed: int, a: float, f1: float, f2: float
 ) -> None:
-    rng = np.random.default_rng(seed)
-    x = rng.random((NP, D))
-    others = distinct_others(NP, 3, rng)
-    mutants = blend([x[r] for r in others], x[0], a, f1, f2)
+    x, costs = (np.random.default_rng(seed).random(shape) for shape in ((NP, D), NP))
+    others = distinct_others(NP, 3, twin(seed))
+    mutants = blend(x, costs, a, f1, f2, twin(seed))
+    best = x[costs.tolist().index(min(costs))]
     for i in range(NP):
         for j in range(D):
             r1, r2, r3 = (x[r[i], j] for r in others)
-            printed = a * r1 + (1 - a) * x[0, j] + f1 * (x[0, j] - r1) + f2 * (r2 - r3)
+            printed = a * r1 + (1 - a) * best[j] + f1 * (best[j] - r1) + f2 * (r2 - r3)
             assert mutants[i, j] == pytest.approx(printed, abs=1e-14)
-
-
-class Fixed:
-    """A generator whose normal deviates are all one number: a, then Cr, of the improved DE."""
-
-    def __init__(self, seed: int, values: list[float]) -> None:
-        self.rng, self.values = np.random.default_rng(seed), values
-
-    def normal(self, _mean: float, _spread: float, size: int) -> FloatArray:
-        return np.full(size, self.values.pop(0))
-
-    def random(self, shape: tuple[int, int]) -> FloatArray:
-        return self.rng.random(shape)
-
-    def integers(self, high: int, size: int) -> NDArray[np.int64]:
-        return self.rng.integers(high, size=size)
-
-
-@given(seed=st.integers(0, 10**6), a=st.floats(0.0, 1.0))
-def test_the_improved_de_with_fixed_parameters_is_equation_15(seed: int, a: float) -> None:
-    # eq. 16: F1 = k1 (1 - a), F2 = k2 a; with the same draws by hand
-    x = np.random.default_rng(seed).random((NP, D))
-    costs = np.random.default_rng(seed + 1).random(NP)
-    k1, k2 = 0.3, 0.8
-    improved = ImprovedDE(
-        D,
-        9 * NP,
-        Fixed(seed, [a, 0.7]),  # type: ignore[arg-type]
-        x,
-        ImprovedSettings(population=NP, k1=(k1, k1), k2=(k2, k2)),
-    )
-    improved.ask()
-    improved.tell(costs)
-    draws = np.random.default_rng(seed)
-    draws.random((NP, D))
-    others = [x[r] for r in distinct_others(NP, 3, draws)]
-    mutants = np.clip(blend(others, x[costs.argmin()], a, k1 * (1 - a), k2 * a), 0.0, 1.0)
-    trials = crossed(x, mutants, np.full(NP, 0.7), draws)
-    assert improved.ask() == pytest.approx(trials, abs=1e-14)
 
 
 @pytest.mark.parametrize("cr", [0.0, 0.3, 1.0])
@@ -140,7 +102,20 @@ def test_every_ordered_triple_of_others_is_drawn_about_as_often() -> None:
     assert abs(counts - 1_000).max() < 6 * np.sqrt(1_000)
 
 
-def test_a_population_too_small_for_its_mutation_is_refused() -> None:
-    with pytest.raises(InputError, match=r"population = 3: .* Set it to 4 or"):
-        Settings(population=3)
-    Settings(population=4)
+@pytest.mark.parametrize(
+    ("make", "wrong", "right"),
+    [
+        (ClassicalDE, 3, 4),
+        (ImprovedDE, 3, 4),
+        (ParticleSwarm, 0, 1),
+        (Genetic, 0, 2),
+        (Genetic, 7, 8),
+    ],
+)
+def test_too_few_members_are_refused(make: type[Generations], wrong: int, right: int) -> None:
+    with pytest.raises(InputError, match=f"members = {wrong}: .* Set it to 60"):
+        make(D, 100, twin(1), members=wrong)
+    optimiser = make(D, 200, twin(1), members=right)
+    for _ in range(3):
+        optimiser.tell(optimiser.ask().sum(axis=1))
+    assert optimiser.population.shape == (right, D)

@@ -41,7 +41,6 @@ def measured(
 def test_a_level_straight_line_over_a_plain_violates_nothing(task: Task) -> None:
     found = measured(straight((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0)), task)
     assert not found.any
-    assert found.route_m == pytest.approx(20_000.0)
 
 
 @given(range_m=st.floats(4_000.0, 15_000.0), off=st.floats(0.0, 0.95))
@@ -110,7 +109,6 @@ def test_what_is_not_flown_is_not_measured(task: Task) -> None:
     with_radar = replace(task, radars=(radar,))
     assert measured(line, with_radar).radar_m > 3_900.0
     found = measured(line, with_radar, flown_m=15_000.0)
-    assert found.route_m == pytest.approx(15_000.0)
     assert found.radar_m == 0.0
 
 
@@ -118,9 +116,8 @@ def test_subpaths_add_up(task: Task) -> None:
     one = straight((0.0, 0.0, 2900.0), (5_000.0, 0.0, 2900.0))
     two = straight((5_000.0, 0.0, 3000.0), (9_000.0, 0.0, 3000.0))
     found = violations([(one, 4_000.0), (two, two.length_m)], task, FLAT)
-    assert found.route_m == pytest.approx(8_000.0)
     assert found.band_m == pytest.approx(4_000.0)
-    assert violations([], task, FLAT).route_m == 0.0
+    assert not violations([], task, FLAT).any
 
 
 @given(

@@ -2,19 +2,21 @@
 
 import numpy as np
 import pytest
-from companion.optimise.genetic import Genetic, Settings
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.errors import InputError
+from companion.paper.genetic import Genetic
 
 FloatArray = NDArray[np.float64]
 MANY = 40_000
 
 
-def told(settings: Settings, x: FloatArray, costs: FloatArray, seed: int = 1) -> Genetic:
-    ga = Genetic(x.shape[1], 0, np.random.default_rng(seed), x, settings)
+def told(x: FloatArray, costs: FloatArray, seed: int = 1, **operators: float) -> Genetic:
+    ga = Genetic(x.shape[1], 0, np.random.default_rng(seed), x, len(x))
+    for name, value in operators.items():
+        assert hasattr(ga, name)
+        setattr(ga, name, value)
     assert (ga.ask() == x).all()
     ga.tell(costs)
     return ga
@@ -23,7 +25,7 @@ def told(settings: Settings, x: FloatArray, costs: FloatArray, seed: int = 1) ->
 def test_children_without_crossover_are_parents_but_for_mutations_of_one_in_d() -> None:
     d = 5
     x = np.full((MANY, d), 0.5)
-    ga = told(Settings(population=MANY, crossover=0.0), x, np.zeros(MANY))
+    ga = told(x, np.zeros(MANY), crossover=0.0)
     changed = ga.ask() != 0.5
     # 200,000 draws of 1 / 5: 5 standard deviations are 0.0045
     assert changed.mean() == pytest.approx(1 / d, abs=0.0045)
@@ -32,7 +34,7 @@ def test_children_without_crossover_are_parents_but_for_mutations_of_one_in_d() 
 def test_mutations_have_the_polynomial_distribution() -> None:
     index = 20.0
     x = np.full((MANY, 1), 0.5)  # one variable: it is always mutated
-    ga = told(Settings(population=MANY, crossover=0.0, mutation_index=index), x, np.zeros(MANY))
+    ga = told(x, np.zeros(MANY), crossover=0.0, mutation_index=index)
     step = np.sort(ga.ask()[:, 0] - 0.5)
     assert np.abs(step).max() < 0.5  # nothing was clipped
     # density (n + 1) / 2 (1 - |s|)^n: the distribution function by hand
@@ -46,7 +48,7 @@ def test_crossed_children_have_the_binary_distribution_about_the_middle_of_their
     index = 15.0
     x = np.tile([[0.4], [0.6]], (MANY // 2, 1))
     # mutations of no size; parents in both halves are drawn at random
-    ga = told(Settings(population=MANY, crossover=1.0, mutation_index=1e12), x, np.zeros(MANY))
+    ga = told(x, np.zeros(MANY), crossover=1.0, mutation_index=1e12)
     children = ga.ask()[:, 0]
     one, two = np.split(children, 2)
     assert (one + two)[np.abs(one - two) > 1e-9] == pytest.approx(1.0, abs=1e-9)
@@ -67,8 +69,7 @@ def test_crossed_children_have_the_binary_distribution_about_the_middle_of_their
 def test_a_parent_is_the_better_of_two() -> None:
     ranks = np.arange(MANY) / MANY
     # neither crossover nor mutations of any size: children are parents
-    settings = Settings(population=MANY, crossover=0.0, mutation_index=1e12)
-    children = told(settings, ranks[:, None], ranks).ask()[:, 0]
+    children = told(ranks[:, None], ranks, crossover=0.0, mutation_index=1e12).ask()[:, 0]
     # the lesser of two uniform numbers has mean 1/3 and median 1 - sqrt(1/2)
     assert children.mean() == pytest.approx(1 / 3, abs=0.006)
     assert np.median(children) == pytest.approx(1.0 - np.sqrt(0.5), abs=0.009)
@@ -80,7 +81,7 @@ def test_the_best_parent_takes_the_place_of_the_worst_child_unless_a_child_is_as
 ) -> None:
     rng = np.random.default_rng(seed)
     x, costs = rng.random((6, 2)), rng.random(6)
-    ga = told(Settings(population=6), x, costs, seed)
+    ga = told(x, costs, seed)
     children, after = ga.ask().copy(), rng.random(6)
     ga.tell(after)
     expected, expected_costs = children.tolist(), after.tolist()
@@ -90,9 +91,3 @@ def test_the_best_parent_takes_the_place_of_the_worst_child_unless_a_child_is_as
         expected_costs[worst] = costs.min()
     assert ga.population.tolist() == expected
     assert ga.costs.tolist() == expected_costs
-
-
-@pytest.mark.parametrize("population", [0, 1, 7])
-def test_an_odd_population_is_refused(population: int) -> None:
-    with pytest.raises(InputError, match=f"population = {population}: parents come in pairs"):
-        Settings(population=population)

@@ -1,4 +1,4 @@
-"""Every term against a scalar implementation of the paper's equations, with Python's math only."""
+"""Every term against the paper's equations for one candidate, with Python's math only."""
 
 import math
 from dataclasses import replace
@@ -13,6 +13,7 @@ from planning import limits
 
 from companion.paper.terms import (
     TERMS,
+    VARIABLES,
     Scene,
     candidates,
     control_points,
@@ -241,3 +242,71 @@ def test_denser_samples_leave_the_scale_of_sums_as_it_is(seed: int) -> None:
     for name in ("height", "crash"):
         a, b = float(TERMS[name](coarse, scene)[0]), float(TERMS[name](fine, scene)[0])
         assert a == pytest.approx(b, rel=0.02, abs=2.0)
+
+
+# --- from six variables to four control points (2.4, 2.5)
+
+
+def cube(seed: int, count: int = 20) -> FloatArray:
+    """Candidates, some of them on faces and corners of the cube."""
+    rng = np.random.default_rng(seed)
+    return np.clip(rng.uniform(-0.3, 1.3, (count, VARIABLES)), 0.0, 1.0)
+
+
+def azimuth_from_tangent(scene: Scene, offset: FloatArray) -> float:
+    t = scene.start.tangent_nea
+    turned = complex(offset[0], offset[1]) / complex(t[0], t[1])
+    return math.atan2(turned.imag, turned.real)
+
+
+@given(seed=seeds)
+def test_a_subpath_begins_along_the_tangent_and_ends_on_the_circle_about_p_scan(
+    seed: int,
+) -> None:
+    scene = a_scene(seed)
+    for points in control_points(cube(seed), scene):
+        assert points[0] == pytest.approx(scene.start.position_nea_m)
+        leg = points[1] - points[0]
+        along = leg @ scene.start.tangent_nea
+        assert leg == pytest.approx(along * scene.start.tangent_nea, abs=1e-6)
+        assert -1e-6 <= along <= 0.4 * R_M + 1e-6
+        for offset, nearest_m, farthest_m in (
+            ((points[2] - points[0])[:2], 0.4 * R_M, 0.8 * R_M),  # a ring ahead of p_prog
+            (points[3, :2] - scene.scan_ne_m, R_M, R_M),  # the circle about p_scan
+        ):
+            assert nearest_m - 1e-6 <= np.hypot(*offset) <= farthest_m + 1e-6
+            assert abs(azimuth_from_tangent(scene, offset)) <= math.pi / 2 + 1e-9
+        assert 300.0 - 1e-9 <= points[2:, 2].min() <= points[2:, 2].max() <= 800.0 + 1e-9
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_variables_at_0_and_1_are_the_limits_of_section_2_5(end: float) -> None:
+    scene = a_scene(0)
+    points = control_points(np.full((1, VARIABLES), end), scene)[0]
+    r2, r3 = (0.4, 0.8) if end else (0.0, 0.4)
+    altitude = 800.0 if end else 300.0
+    quarter = math.pi / 2 if end else -math.pi / 2
+    assert np.linalg.norm(points[1] - points[0]) == pytest.approx(r2 * R_M)
+    assert np.hypot(*(points[2] - points[0])[:2]) == pytest.approx(r3 * R_M)
+    assert azimuth_from_tangent(scene, points[2] - points[0]) == pytest.approx(quarter)
+    assert azimuth_from_tangent(scene, points[3, :2] - scene.scan_ne_m) == pytest.approx(quarter)
+    assert points[2:, 2] == pytest.approx([altitude, altitude])
+
+
+@given(seed=seeds)
+def test_the_last_subpath_ends_at_the_target_and_is_no_larger_than_the_way_there(seed: int) -> None:
+    scene = a_scene(seed)
+    start = scene.start.position_nea_m
+    target = (float(start[0] + 300.0), float(start[1] - 400.0))
+    scene = replace(scene, final_ne_m=target)
+    for points in control_points(cube(seed), scene):
+        assert points[3, :2] == pytest.approx(target)
+        assert np.linalg.norm(points[1] - points[0]) <= 0.4 * 500.0 + 1e-6
+        assert 0.4 * 500.0 - 1e-6 <= np.hypot(*(points[2] - start)[:2]) <= 0.8 * 500.0 + 1e-6
+
+
+def test_the_last_subpath_is_never_larger_than_the_scan_range() -> None:
+    near = a_scene(0)
+    far = replace(near, final_ne_m=(50_000.0, 50_000.0))
+    x = cube(1)
+    assert control_points(x, far)[:, :3] == pytest.approx(control_points(x, near)[:, :3])

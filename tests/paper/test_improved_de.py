@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from companion.optimise.improved_de import ImprovedDE, Settings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.errors import InputError
-from companion.optimise.loop import minimise
+from companion.paper.evolution import MEMBERS, ImprovedDE
 
 FloatArray = NDArray[np.float64]
 
@@ -42,20 +40,23 @@ class Dice:
 
 
 def started(
-    dice: Dice, settings: Settings, generations: int = 10, seed: int = 0
+    dice: Dice, generations: int = 10, seed: int = 0, **factors: tuple[float, float]
 ) -> tuple[ImprovedDE, FloatArray, FloatArray]:
     """An optimiser with a population and costs, and both."""
     rng = np.random.default_rng(seed)
-    x = rng.uniform(*INNER, (settings.population, D))
+    x = rng.uniform(*INNER, (NP, D))
     de = ImprovedDE(
         D,
-        generations * settings.population,
+        generations * NP,
         dice,  # type: ignore[arg-type]
         seeds=x,
-        settings=settings,
+        members=NP,
     )
+    for name, ends in factors.items():
+        assert hasattr(de, name)
+        setattr(de, name, ends)
     assert (de.ask() == x).all()
-    costs = rng.random(settings.population)
+    costs = rng.random(NP)
     de.tell(costs)
     return de, x, costs
 
@@ -89,17 +90,16 @@ def test_every_mutant_is_equation_17_of_three_other_members(
     seed: int, a: float, k1: float, k2: float
 ) -> None:
     dice = Dice(seed, a, 1.0)  # Cr = 1: the trial is the mutant
-    fixed = Settings(population=NP, k1=(k1, k1), k2=(k2, k2))
-    de, x, costs = started(dice, fixed, seed=seed)
+    de, x, costs = started(dice, seed=seed, k1=(k1, k1), k2=(k2, k2))
     best = x[costs.argmin()]
     for i, trial in enumerate(de.ask()):
         assert is_eq_17(trial, x, best, i, a, k1, k2)
 
 
 def test_a_beyond_0_and_1_is_clipped() -> None:
-    low, x, costs = started(Dice(1, -0.3, 1.0), Settings(population=NP, k1=(0.0, 0.0)))
+    low, x, costs = started(Dice(1, -0.3, 1.0), k1=(0.0, 0.0))
     assert low.ask() == pytest.approx(np.tile(x[costs.argmin()], (NP, 1)))
-    high, x, costs = started(Dice(1, 1.4, 1.0), Settings(population=NP, k2=(0.7, 0.7)))
+    high, x, costs = started(Dice(1, 1.4, 1.0), k2=(0.7, 0.7))
     for i, trial in enumerate(high.ask()):
         assert is_eq_17(trial, x, x[costs.argmin()], i, 1.0, 0.0, 0.7)
 
@@ -107,7 +107,7 @@ def test_a_beyond_0_and_1_is_clipped() -> None:
 @pytest.mark.parametrize("generation", [0, 1, 4, 9])
 def test_k1_rises_and_k2_falls_with_the_square_of_the_generation(generation: int) -> None:
     """Eq. 18, with the paper's ranges: k1 from 0 to 0.5, k2 from 1 to 0.5."""
-    de, x, costs = started(Dice(3, 0.5, 1.0), Settings(population=NP), generations=10)
+    de, x, costs = started(Dice(3, 0.5, 1.0), generations=10)
     for _ in range(generation):
         de.ask()
         de.tell(np.full(NP, np.inf))  # nothing succeeds: the members stay
@@ -120,7 +120,7 @@ def test_k1_rises_and_k2_falls_with_the_square_of_the_generation(generation: int
 
 def test_a_starts_about_1_and_cr_about_a_half_with_deviation_a_fifth() -> None:
     dice = Dice(1, 0.5, 0.5)
-    de, _, _ = started(dice, Settings(population=NP))
+    de, _, _ = started(dice)
     de.ask()
     assert dice.asked == [(1.0, 0.2), (0.5, 0.2)]
 
@@ -129,7 +129,7 @@ def test_the_means_of_a_and_cr_become_those_of_the_trials_that_succeeded() -> No
     a = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
     cr = np.array([0.9, 0.1, 0.8, 0.2, 0.7, 0.3, 0.6])
     dice = Dice(1, a, cr)
-    de, _, costs = started(dice, Settings(population=NP))
+    de, _, costs = started(dice)
     de.ask()
     succeeded = np.array([True, False, True, False, False, True, False])
     de.tell(np.where(succeeded, costs - 1.0, costs + 1.0))
@@ -140,33 +140,12 @@ def test_the_means_of_a_and_cr_become_those_of_the_trials_that_succeeded() -> No
 
 def test_the_means_stay_when_no_trial_succeeded() -> None:
     dice = Dice(1, 0.3, 0.9)
-    de, _, costs = started(dice, Settings(population=NP))
+    de, _, costs = started(dice)
     de.ask()
     de.tell(costs + 1.0)
     de.ask()
     assert dice.asked[2:] == [(1.0, 0.2), (0.5, 0.2)]
 
 
-def test_the_settings_are_the_papers() -> None:
-    assert Settings() == Settings(population=60, k1=(0.0, 0.5), k2=(1.0, 0.5))
-
-
-@pytest.mark.parametrize("population", [-1, 0, 3])
-def test_fewer_than_4_members_are_refused_by_name(population: int) -> None:
-    with pytest.raises(InputError, match=r"population = -?\d: .* Set it to 4 or more"):
-        Settings(population=population)
-    Settings(population=4)
-
-
-@pytest.mark.parametrize("ends", [(0.0, np.nan), (-0.1, 0.5), (0.0, np.inf)])
-def test_factors_that_scale_nothing_sensible_are_refused(ends: tuple[float, float]) -> None:
-    with pytest.raises(InputError, match=r"k1 = "):
-        Settings(k1=ends)
-    with pytest.raises(InputError, match=r"k2 = "):
-        Settings(k2=ends)
-
-
-def test_four_members_search_too() -> None:
-    de = ImprovedDE(2, 200, np.random.default_rng(1), settings=Settings(population=4))
-    ranked = minimise(de, lambda x: ((x - 0.3) ** 2).sum(axis=1), 200)
-    assert ranked.x.shape == (4, 2)
+def test_the_parameters_are_the_papers() -> None:
+    assert (MEMBERS, ImprovedDE.k1, ImprovedDE.k2) == (60, (0.0, 0.5), (1.0, 0.5))

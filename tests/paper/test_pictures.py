@@ -1,13 +1,12 @@
 import numpy as np
 import pytest
 
-from companion.paper.compare import table_1
+from companion.paper.compare import figures, table_1
 from companion.paper.compare.missions import Run
 from companion.paper.compare.pictures import compose_effect, compose_table
 from companion.paper.compare.violations import Violations
 
 CLEAN = Violations(
-    route_m=150_000.0,
     clearance_m=0.0,
     radar_m=0.0,
     turn_m=0.0,
@@ -25,18 +24,19 @@ def run(cost: float, aside_m: float = 0.0) -> Run:
         arrived=True,
         cost=cost,
         legs=8,
+        length_m=150_000.0,
         route_nea_m=route,
         scans_nea_m=((0.0, 0.0, 3_500.0),),
         violations=CLEAN,
     )
 
 
-@pytest.mark.parametrize("effect", [effects.figure_3(), effects.figure_4()], ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", [figures.figure_3(), figures.figure_4()], ids=lambda e: e.name)
 def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
-    effect: effects.Effect,
+    effect: figures.Effect,
 ) -> None:
     flown = [run(30.0), run(20.0), run(40.0, 4e4), run(1.0, 4e4), run(9.0, 4e4), run(5.0, 4e4)]
-    found = effects.outcomes(effect, flown)
+    found = figures.outcomes(effect, flown)
     figure = compose_effect(effect, found, "a remark")
     words = [text.get_text() for text in figure.texts]
     assert any(
@@ -73,7 +73,7 @@ def test_the_picture_of_the_table_shows_every_run_and_every_mean() -> None:
         lines = [np.asarray(line.get_ydata()).tolist() for line in axes.lines]
         for outcome in row.outcomes:
             assert outcome.costs in lines
-            assert any(line == pytest.approx([outcome.mean_cost]) for line in lines if line)
+            assert any(line == pytest.approx([outcome.mean()]) for line in lines if line)
 
 
 def test_a_table_without_arrivals_can_be_drawn() -> None:
@@ -81,6 +81,7 @@ def test_a_table_without_arrivals_can_be_drawn() -> None:
         arrived=False,
         cost=1.0,
         legs=60,
+        length_m=0.0,
         route_nea_m=np.zeros((1, 3)),
         scans_nea_m=(),
         violations=CLEAN,

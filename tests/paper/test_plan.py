@@ -3,22 +3,49 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from companion.planner.published import facing, tangent_guide_rad
-from planning import ask
+from planning import ask, limits
 
-from companion.planner.plan import plan
+from companion.paper.guide import tangent_guide_rad
 from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned
-from companion.planner.settings import Task
+from companion.planner.settings import PlannerSettings, Task
+from companion.planning import plan
 from companion.profiles import PAPER
-from companion.world.known_map import KnownMap
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.radars import Radar
+from companion.world.simulated_scan import true_map
+from companion.world.terrain import Peak, PeakTerrain
 
 START = (1_000.0, 1_000.0, 450.0)
 
 
 @pytest.fixture(scope="module")
-def papers(task: Task) -> Task:
-    return replace(task, settings=replace(task.settings, profile=PAPER, evaluations=400))
+def papers() -> Task:
+    return Task(
+        limits=limits(),
+        settings=PlannerSettings(
+            scan_range_m=2_000.0,
+            safety_distance_m=60.0,
+            planning_time_s=2.0,
+            overlap_m=200.0,
+            evaluations=400,
+            profile=PAPER,
+        ),
+        radars=(Radar(name="r", centre_nea_m=(6_500.0, 3_300.0, 0.0), range_m=900.0),),
+    )
+
+
+@pytest.fixture(scope="module")
+def blank(papers: Task) -> KnownMap:
+    return empty_map(papers.cell_m, papers.limits.north_m, papers.limits.east_m)
+
+
+@pytest.fixture(scope="module")
+def truth(blank: KnownMap) -> KnownMap:
+    hill = Peak(
+        north_m=3e3, east_m=2.6e3, height_amsl_m=900.0, spread_north_m=500.0, spread_east_m=400.0
+    )
+    return true_map(PeakTerrain(peaks=(hill,), ground_amsl_m=100.0), blank)
 
 
 def planned(task: Task, known: KnownMap, **changes: object) -> Planned:
@@ -78,7 +105,7 @@ def test_the_same_question_has_the_same_answer_and_another_seed_another(
 
 def test_a_pose_at_rest_turns_level_and_without_a_bend() -> None:
     pose = replace(hover_pose(START), curvature_nea_1_m=np.array([0.0, 0.01, 0.0]))
-    turned = facing(pose, 2.0)
+    turned = pose.facing(2.0)
     assert turned.position_nea_m is pose.position_nea_m
     assert turned.tangent_nea == pytest.approx([math.cos(2.0), math.sin(2.0), 0.0])
     assert not turned.curvature_nea_1_m.any()

@@ -1,0 +1,238 @@
+"""Laws of the planners of whole routes that ours is held against, and of how they are flown."""
+
+import functools
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from companion import extras
+from companion.caches import compiled
+from companion.campaign import alone, drawn_world, families, truth
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.route_cost import Rates, cost_rate
+from companion.errors import InputError
+from companion.paper.rivals import roadmaps, routes
+from companion.paper.rivals.routes import PLANNERS, Field, RouteProblem
+from companion.path.proof import RESULTS
+from companion.planner.procedure import hover_pose
+from companion.planner.request import NotPlanned, PlanRequest
+from companion.world.simulated_scan import true_map
+
+FloatArray = NDArray[np.float64]
+SIZE, SPACING_M = 161, 10.0
+NIGHTLY = pytest.mark.nightly
+every_planner = pytest.mark.parametrize("name", sorted(PLANNERS))
+
+
+def problem_in(rate: FloatArray) -> RouteProblem:
+    """A question in a small world, 1,600 m wide."""
+    corner = np.array([-100.0, 50.0])
+    return RouteProblem(
+        task=families.world("copter", 5, 0).task,
+        field=Field(corner_ne_m=corner, spacing_m=SPACING_M, rate=rate),
+        start_ne_m=corner + np.array([103.0, 98.0]),
+        target_ne_m=corner + np.array([1_480.0, 1_512.0]),
+        lines=5_000,
+        ahead_m=math.inf,
+    )
+
+
+def with_discs(seed: int) -> FloatArray:
+    """Closed discs and dear ones, none about the ends."""
+    rng, axis = np.random.default_rng(seed), SPACING_M * np.arange(SIZE)
+    rate = np.ones((SIZE, SIZE))
+    for k in range(14):
+        north, east = rng.uniform(250.0, 1_350.0, 2)
+        away = np.hypot(axis[:, None] - north, axis[None, :] - east)
+        rate[away < rng.uniform(40.0, 130.0)] = np.inf if k % 3 else 4.0
+    return rate
+
+
+def planned(name: str, problem: RouteProblem) -> FloatArray:
+    route = PLANNERS[name](problem, np.random.default_rng(1))
+    assert not isinstance(route, str), route
+    return route
+
+
+@functools.cache
+def among_discs(name: str, seed: int) -> tuple[RouteProblem, FloatArray]:
+    problem = problem_in(with_discs(seed))
+    return problem, planned(name, problem)
+
+
+@every_planner
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=NIGHTLY), pytest.param(2, marks=NIGHTLY)]
+)
+def test_routes_go_from_start_to_target_and_are_free_by_brute_force(name: str, seed: int) -> None:
+    problem, route = among_discs(name, seed)
+    np.testing.assert_allclose(route[0], problem.start_ne_m, atol=1e-9)
+    np.testing.assert_allclose(route[-1], problem.target_ne_m, atol=1e-9)
+    closed = problem.field.place_m(np.argwhere(np.isinf(problem.field.rate)))
+    for a, b in pairwise(route):
+        for share in np.linspace(0.0, 1.0, max(math.ceil(math.dist(a, b)), 2)):
+            at = a + share * (b - a)
+            # off by a quarter of a spacing between the places that are looked at
+            assert np.abs(closed - at).max(axis=1).min() > 0.25 * SPACING_M
+
+
+@every_planner
+def test_in_an_empty_world_the_route_is_the_straight_line(name: str) -> None:
+    problem = problem_in(np.ones((SIZE, SIZE)))
+    length = np.linalg.norm(np.diff(planned(name, problem), axis=0), axis=1).sum()
+    assert length <= 1.005 * math.dist(problem.start_ne_m, problem.target_ne_m)
+
+
+@every_planner
+def test_a_plan_is_a_function_of_problem_and_seed(name: str) -> None:
+    problem, first = among_discs(name, 0)
+    assert np.array_equal(first, planned(name, problem))
+
+
+@every_planner
+def test_who_is_shut_in_says_so(name: str) -> None:
+    rate = np.ones((SIZE, SIZE))
+    rate[60:70, :] = np.inf
+    answer = PLANNERS[name](problem_in(rate), np.random.default_rng(1))
+    assert isinstance(answer, str)
+    assert answer
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_star_over_the_grid_costs_what_dijkstra_finds(seed: int) -> None:
+    rate = with_discs(seed)
+    costs = roadmaps.step_costs(rate, 4, roadmaps.SIXTEEN)
+    rows, columns, _ = costs.shape
+    edges = []
+    for i, j in np.ndindex(rows, columns):
+        for k, (up, right) in enumerate(roadmaps.SIXTEEN):
+            line = [(4 * i + s * up, 4 * j + s * right) for s in range(5)]
+            if 0 <= i + up < rows and 0 <= j + right < columns:
+                mean = sum(w * rate[at] for w, at in zip((1, 2, 2, 2, 1), line, strict=True)) / 8
+                assert costs[i, j, k] == pytest.approx(4 * math.hypot(up, right) * mean)
+                if math.isfinite(mean):
+                    edges.append((costs[i, j, k], i * columns + j, (i + up) * columns + j + right))
+            else:
+                assert costs[i, j, k] == math.inf
+    cost, here, there = zip(*edges, strict=True)
+    expected = coo_array((cost, (here, there)), shape=(rows * columns, rows * columns))
+    start, end = 2 * columns + 2, 37 * columns + 38
+    before, after, found = roadmaps.grid(costs, roadmaps.SIXTEEN)
+    graph = csr_array((found, (before, after)), shape=expected.shape)
+    left = 4.0 * np.hypot(*(np.indices((rows, columns)).reshape(2, -1).T - (37, 38)).T)
+    for search in (roadmaps.search, compiled(roadmaps.search)):
+        paid, way = search(graph.indptr, graph.indices, graph.data, left, start, end)
+        assert paid == pytest.approx(dijkstra(expected, indices=start)[end])
+        assert (way[0], way[-1]) == (start, end)
+        assert sum(graph[a, b] for a, b in pairwise(way.tolist())) == pytest.approx(paid)
+
+
+# --- flown
+
+
+@functools.cache
+def copter_world() -> DrawnWorld:
+    """A drawn world of copters as far as 40 % of its way, with 700 m about it."""
+    world = families.world("copter", 5, 0)
+    start = np.array(world.start_nea_m[:2])
+    target = start + 0.4 * (np.array(world.targets_ne_m[0]) - start)
+    (south, north), (west, east) = (
+        (max(limit[0], min(ends) - 700.0), min(limit[1], max(ends) + 700.0))
+        for limit, ends in zip(
+            (world.task.limits.north_m, world.task.limits.east_m),
+            np.stack([start, target], axis=-1).tolist(),
+            strict=True,
+        )
+    )
+    limits = replace(world.task.limits, north_m=(south, north), east_m=(west, east))
+    task, (to_north, to_east) = replace(world.task, limits=limits), target.tolist()
+    near = replace(world, task=task, targets_ne_m=((to_north, to_east),))
+    assert not drawn_world.is_straight_line_free(near)
+    return near
+
+
+@pytest.mark.parametrize("knowledge", ["full", "scans"])
+def test_a_rival_arrives_and_keeps_its_clearance(knowledge: alone.Knowledge) -> None:
+    world = copter_world()
+    flown = alone.fly(world, "a-star", knowledge=knowledge)
+    points = flown.points_nea_m
+    assert flown.arrived, flown.why
+    assert math.dist(points[-1, :2], world.targets_ne_m[0]) < 1e-6
+    need = world.task.required_clearance_m
+    assert truth.terrain_distance_m(points, world.terrain, 2.0 * need).min() >= 0.99 * need
+    assert points[:, 2].min() >= world.floor_amsl_m - 1e-6
+    assert points[:, 2].max() <= world.ceiling_amsl_m + 1e-6
+
+
+@functools.cache
+def asked() -> PlanRequest:
+    """What is asked at the start of a dense world, of which everything is known."""
+    world = families.world("dense", 0, 0)
+    return PlanRequest(
+        plan_id=1,
+        seed=1,
+        task=world.task,
+        known=true_map(world.terrain, families.unseen(world)),
+        scan_nea_m=world.start_nea_m,
+        start=hover_pose(world.start_nea_m),
+        from_rest=True,
+        target_ne_m=world.targets_ne_m[0],
+    )
+
+
+def test_a_field_costs_at_its_points_no_less_than_the_measure_says() -> None:
+    world, field = families.world("dense", 0, 0), routes.problem_of(asked()).field
+    index = np.random.default_rng(2).integers(0, min(field.rate.shape), (3_000, 2))
+    rate = field.rate[tuple(index.T)]
+    free = np.isfinite(rate)
+    assert 0 < free.sum() < len(free)
+    # not below the lowest altitude that keeps the clearance, in places in the open at the floor
+    need = world.task.required_clearance_m
+    least = drawn_world.lowest_safe_m(world, field.spacing_m, need)[tuple(index[free].T)]
+    altitude = np.maximum(least, world.floor_amsl_m)
+    points = np.column_stack([field.place_m(index[free]), altitude])
+    lowest = cost_rate(points, replace(world, task=replace(world.task, radars=())))
+    assert (rate[free] >= lowest / Rates.of(world).unit - 1e-9).all()
+    flat = least < world.floor_amsl_m - 2.0 * world.task.cell_m
+    expected = cost_rate(points[flat], world) / Rates.of(world).unit
+    close = np.isclose(rate[free][flat], expected, rtol=1e-9)
+    assert close.mean() > 0.8
+
+
+def test_unseen_ground_is_free_in_the_plan_and_never_flown_over() -> None:
+    request = asked()
+    start = np.array(request.start.point_nea_m[:2])
+    blank = replace(request.known, upper_m=np.full_like(request.known.upper_m, np.inf))
+    rows, columns = request.known.middles_m(0, 0, blank.upper_m.shape)
+    near = np.hypot(rows - start[0], columns - start[1]) < 6_000.0
+    seen = replace(blank, upper_m=np.where(near, 0.0, np.inf), seen=near)
+    plan = routes.leg_by_leg(PLANNERS["a-star"], lambda *_: np.zeros(RESULTS))
+    outcome = plan(replace(request, known=seen))
+    assert not isinstance(outcome, NotPlanned)
+    assert not outcome.reaches_target
+    assert not outcome.certificate.proven
+    away = np.hypot(*(outcome.subpath.control_nea_m[:, :2] - start).T)
+    assert 4_500.0 < away.max() < 6_000.0 + 1.5 * seen.cell_m
+    answer = plan(replace(request, known=replace(seen, upper_m=np.where(near, 9e3, np.inf))))
+    assert isinstance(answer, NotPlanned)
+
+
+@pytest.mark.parametrize(
+    "answer", [np.zeros((3, 3)), np.full((4, 2), np.nan), np.zeros((4, 2)), np.zeros((1, 2))]
+)
+def test_an_answer_that_is_no_route_is_refused(answer: FloatArray) -> None:
+    plan = routes.leg_by_leg(lambda _problem, _rng: answer, lambda *_: np.empty(0))
+    with pytest.raises(InputError, match="a route is"):
+        plan(asked())
+
+
+def test_without_ompl_its_planners_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda _name: None)
+    with pytest.raises(InputError, match=r"RRTstar.*ompl.*companion\[compare\]"):
+        PLANNERS["rrt-star"](problem_in(np.ones((SIZE, SIZE))), np.random.default_rng(1))
