@@ -61,7 +61,6 @@ def mission_of(drawn: DrawnWorld, autopilot: AutopilotName = "ardupilot") -> Mis
         task=drawn.task,
         end_action=EndAction.HOLD,
         autopilot=autopilot,
-        kind=_kind(drawn),
         position_rate_hz=20.0 if often else 10.0,
     )
 
@@ -125,14 +124,10 @@ def _zone(zone: Zone) -> dict[str, Any]:
     return {"name": zone.name, "vertices_m": [list(corner) for corner in zone.vertices_ne_m]}
 
 
-def _kind(drawn: DrawnWorld) -> str:
-    return "copter" if drawn.task.limits.hovers else "plane"
-
-
 def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     """The truth, and a vehicle that can do what the mission asks of it."""
     task, terrain = drawn.task, drawn.terrain
-    strategy = named(autopilot, _kind(drawn))
+    strategy = named(autopilot, drawn.task.limits.kind)
     start, target = np.array(drawn.start_nea_m[:2]), np.array(drawn.targets_ne_m[0])
     ahead = target - start if task.limits.hovers else start - target
     """A plane climbs out over ground on which nothing stands."""
@@ -149,7 +144,7 @@ def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
         "origin": {"latitude_deg": FRAME.latitude_deg, "longitude_deg": FRAME.longitude_deg},
         "terrain": ground,
         "vehicle": {
-            "kind": _kind(drawn),
+            "kind": drawn.task.limits.kind,
             "autopilot": autopilot,
             "north_m": float(start[0]),
             "east_m": float(start[1]),

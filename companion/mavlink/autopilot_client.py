@@ -130,7 +130,7 @@ class AutopilotClient:
         """The client for the sender of this heartbeat; None if the mission is not for it."""
         mission = context.mission
         autopilot = autopilot_of(heartbeat)
-        if autopilot is None or autopilot.traits.hovers != (mission.kind == "copter"):
+        if autopilot is None or autopilot.traits.kind != mission.kind:
             return None
         if mission.autopilot not in (None, autopilot.firmware.name):
             return None

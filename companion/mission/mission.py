@@ -7,6 +7,7 @@ from typing import Annotated, Literal, final
 from annotated_types import Ge, Le
 
 from companion.geodesy import LocalFrame
+from companion.path.limits import VehicleKind
 from companion.planner.settings import Task
 from companion.ranges import Positive
 from companion.world.known_map import KnownMap
@@ -52,8 +53,6 @@ class Mission:
     """MAVLink system id of the vehicle; None: the one autopilot that is heard."""
     autopilot: AutopilotName | None = None
     """If the mission is for one of them only."""
-    kind: str = "copter"
-    """ "copter" or "plane"."""
     scanner_component_id: int | None = 100
     """MAVLink component id of its terrain radar; None: it has none."""
     scanner_complete: bool = True
@@ -90,6 +89,11 @@ class Mission:
     """Places to return to that a plan names."""
     notes: tuple[str, ...] = ()
     """Assumptions and ignored parts when the mission was read, as text for the operator."""
+
+    @property
+    def kind(self) -> VehicleKind:
+        """The kind of vehicle that it is for."""
+        return self.task.limits.kind
 
     def task_to(self, target: int, task: Task) -> Task:
         """The task on the way to a target: with its altitude as the lowest to plan for.

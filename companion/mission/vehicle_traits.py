@@ -8,6 +8,8 @@ import enum
 from dataclasses import dataclass
 from typing import Final, final
 
+from companion.path.limits import VehicleKind
+
 
 class TakeoffSequence(enum.Enum):
     """The take-off sequence of an autopilot."""
@@ -24,8 +26,8 @@ class VehicleTraits:
 
     name: str
     """Display name: ArduCopter, ArduPlane, PX4 multicopter, PX4 fixed wing."""
-    hovers: bool
-    """Whether it can hover; planes hold by loitering."""
+    kind: VehicleKind
+    """What flies: a copter hovers, a plane holds by loitering."""
     take_off: TakeoffSequence
     lead_s: float = 0.0
     """How far ahead of the reference point the setpoint lies."""
@@ -40,6 +42,11 @@ class VehicleTraits:
     lands: bool = True
     """Whether it has a mode to land in place."""
 
+    @property
+    def hovers(self) -> bool:
+        """Whether it can hover."""
+        return self.kind == "copter"
 
-UNKNOWN: Final = VehicleTraits(name="", hovers=True, take_off=TakeoffSequence.GUIDED_THEN_CLIMB)
+
+UNKNOWN: Final = VehicleTraits(name="", kind="copter", take_off=TakeoffSequence.GUIDED_THEN_CLIMB)
 """Before there is a vehicle."""

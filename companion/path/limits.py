@@ -2,10 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
 from companion.path.proof_distance import braked_m_s
 from companion.ranges import NotNegative, Positive
+
+VehicleKind = Literal["copter", "plane"]
+"""The kind of vehicle: a copter hovers and stops, a plane holds on circles."""
 
 
 @final
@@ -41,9 +44,14 @@ class Limits:
     """How far ahead along the path, in seconds of flight, a plane is sent to at most."""
 
     @property
+    def kind(self) -> VehicleKind:
+        """The kind of vehicle: only a plane has a circle to hold on."""
+        return "copter" if self.loiter_radius_m == 0.0 else "plane"
+
+    @property
     def hovers(self) -> bool:
         """Whether the vehicle can stand still in the air."""
-        return self.loiter_radius_m == 0.0
+        return self.kind == "copter"
 
     def reach_m(self, speed_m_s: float) -> float:
         """How far the vehicle comes when the setpoints end, metres.

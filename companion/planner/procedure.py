@@ -66,12 +66,12 @@ class Leg:
         )
 
     def scan_at_m(self, task: Task) -> float:
-        """Length flown at p_scan: L before the end, or at once on a short leg."""
+        """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
         return max(self.subpath.length_m - task.scan_distance_m, 0.0)
 
     def wants_successor(self, at_m: float, task: Task) -> bool:
         """Whether to scan and plan for the next leg, at this length flown: from p_scan on."""
-        is_past_scan = at_m >= self.subpath.length_m - task.scan_distance_m
+        is_past_scan = at_m >= self.scan_at_m(task)
         return is_past_scan and not self.reaches_target and self.can_be_left(task)
 
     def leaving(self, task: Task) -> tuple[float, float]:
@@ -84,7 +84,7 @@ class Leg:
         if self.through:
             return length_m, speed_m_s
         least_m = task.shortest_scan_distance_m
-        earliest_m = max(length_m - task.scan_distance_m, 0.0) + least_m - task.tail_m
+        earliest_m = self.scan_at_m(task) + least_m - task.tail_m
         at_m = min(max(length_m - task.tail_m, earliest_m), length_m)
         if length_m >= least_m or not task.settings.is_near:
             return at_m, speed_m_s

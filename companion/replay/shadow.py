@@ -209,8 +209,7 @@ def _of_no_use(log: Log, name: str) -> InputError:
 def _check_fits(mission: Mission, look: _LogOverview) -> None:
     """Raise InputError if the mission is none for this vehicle at this place."""
     remedy = "Give the mission of this flight, or leave --mission out for its health alone."
-    hovers, family = look.autopilot.traits.hovers, look.autopilot.firmware.name
-    kind = "copter" if hovers else "plane"
+    kind, family = look.autopilot.traits.kind, look.autopilot.firmware.name
     if mission.kind != kind or mission.autopilot not in (None, family):
         wanted = f"{mission.autopilot or 'any autopilot'}, {mission.kind}"
         rule = f"it is for {wanted}; the log is of {described(look.heartbeat)}"
@@ -253,7 +252,6 @@ def _health_alone(look: _LogOverview) -> Mission:
         targets_ne_m=(),
         task=Task(limits=limits, settings=settings),
         end_action=EndAction.HOLD,
-        kind="copter" if hovers else "plane",
         scanner_component_id=None,
         fence_from_vehicle=False,
     )

@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.optimise.registry import OPTIMISERS
-from companion.path.limits import Limits
+from companion.path.limits import Limits, VehicleKind
 from companion.planner.settings import PlannerSettings
 from companion.profiles import Weights
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
@@ -84,7 +84,7 @@ class MissionVehicleTable(
 ):
     """What the vehicle can fly, and how it is to be flown."""
 
-    kind: Literal["copter", "plane"]
+    kind: VehicleKind
     scanner: bool = True
     scanner_component_id: Annotated[int, Field(ge=2, le=250)] | None = None
     loiter_radius_m: Positive | None = None

@@ -13,6 +13,7 @@ from companion.mission.events import Outcome
 from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
+from companion.planner.settings import Task
 from companion.telemetry.flight_summary import FlightSummary
 from companion.views.words import rounded_down, share_of
 from companion.world.near_map import NearSensor
@@ -105,22 +106,26 @@ def _sight(mission: Mission) -> str:
         )
         gaps = f" It may miss ground in its sight: {bounds} what it does not show."
     return (
-        f"The radar sees {_m(settings.scan_range_m)} (R).{gaps} {_m(task.scan_distance_m)} (L) "
-        f"before the end of each subpath it scans for up to {settings.scan_time_s:g} s, plans for "
-        f"{settings.planning_time_s:g} s (T), and goes over to the next subpath "
-        f"{_m(task.tail_m)} before the end.{known}"
+        f"The radar sees {_m(settings.scan_range_m)} (R).{gaps} "
+        f"{_handover(task, f'scans for up to {settings.scan_time_s:g} s, ')}{known}"
+    )
+
+
+def _handover(task: Task, scans: str = "") -> str:
+    """Where on a subpath the next one is planned and taken, p_scan and p_prog (`Leg.scan_at_m`)."""
+    return (
+        f"{_m(task.scan_distance_m)} (L) before the end of each subpath it {scans}plans for "
+        f"{task.settings.planning_time_s:g} s (T), and goes over to the next subpath "
+        f"{_m(task.tail_m)} before the end."
     )
 
 
 def _near_sight(mission: Mission, sensor: NearSensor) -> str:
     """What looks about, and what that proves."""
-    task, settings = mission.task, mission.task.settings
     return (
         f"{sensor.kind.upper()} of component {sensor.component_id} shows what stands within "
         f"{_m(sensor.range_m)} (R) at the height of flight; what it has not passed is unknown. "
-        f"{_m(task.scan_distance_m)} (L) before the end of each subpath the next is planned for "
-        f"{settings.planning_time_s:g} s (T), and taken {_m(task.tail_m)} before the end. What "
-        "stands in the way stops the vehicle at once."
+        f"{_handover(mission.task)} What stands in the way stops the vehicle at once."
     )
 
 

@@ -129,7 +129,6 @@ def mission(autopilot: str, kind: str) -> Mission:
         task=Task(limits=limits, settings=settings),
         end_action=EndAction.LAND,
         autopilot=autopilot,
-        kind=kind,
     )
 
 

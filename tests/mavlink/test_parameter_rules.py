@@ -61,7 +61,6 @@ def mission(kind: Kind = "copter", *, sets: bool = True, **limits: float) -> Mis
         targets_ne_m=((1000.0, 0.0),),
         task=Task(limits=Limits(**(usual | limits)), settings=settings),
         end_action=EndAction.HOLD,
-        kind=kind,
         sets_parameters=sets,
     )
 

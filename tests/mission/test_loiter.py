@@ -40,7 +40,7 @@ class Circling:
     """A plane that climbs on a circle about HOVER in guided mode, and has not scanned yet."""
 
     def __init__(self, traits: VehicleTraits, *, known_m: float | None = None) -> None:
-        mission = replace(MISSION, task=TASK, targets_ne_m=((1_500.0, 0.0),), kind="plane")
+        mission = replace(MISSION, task=TASK, targets_ne_m=((1_500.0, 0.0),))
         self.context = Context(mission=mission, seed=1, go=True)
         known = empty_map(TASK.cell_m, TASK.limits.north_m, TASK.limits.east_m)
         if known_m is not None:

@@ -103,7 +103,6 @@ def mission_for(traits: VehicleTraits, rng: np.random.Generator) -> Mission:
         targets_ne_m=_TARGETS[: int(rng.integers(1, 4))],
         end_action=list(EndAction)[rng.integers(3)],
         fallback=list(Fallback)[rng.integers(3)],
-        kind="copter" if traits.hovers else "plane",
         endurance_s=[None, 400.0][rng.integers(2)],
         yaw_rad=[None, 1.0][rng.integers(2)],
     )

@@ -2,7 +2,7 @@
 
 from companion.mavlink.autopilots.arducopter import ARDUCOPTER as ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE as ARDUPLANE
-from companion.mavlink.autopilots.common import ROTORCRAFT
+from companion.mavlink.autopilots.common import KINDS
 from companion.mavlink.autopilots.common import Autopilot as Autopilot
 from companion.mavlink.autopilots.common import LaunchPose as LaunchPose
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING as PX4_FIXED_WING
@@ -14,21 +14,19 @@ NAMES = tuple(autopilot.name for autopilot in ALL)
 """What the companion flies, for people."""
 
 FIRMWARES = tuple(dict.fromkeys(autopilot.firmware for autopilot in ALL))
-_BY_KIND = {(each.firmware.number, each.traits.hovers): each for each in ALL}
+_BY_KIND = {(each.firmware.number, each.traits.kind): each for each in ALL}
 
 
 def autopilot_of(heartbeat: Message) -> Autopilot | None:
     """The strategy for the sender of this; None: not supported (VTOL, rover, ...)."""
-    hovers = heartbeat.type in ROTORCRAFT
-    if not hovers and heartbeat.type != wire.MAV_TYPE_FIXED_WING:
-        return None
-    return _BY_KIND.get((heartbeat.autopilot, hovers))
+    kind = KINDS.get(heartbeat.type)
+    return None if kind is None else _BY_KIND.get((heartbeat.autopilot, kind))
 
 
 def named(firmware: str, kind: str) -> Autopilot:
     """The strategy for a mission's `autopilot` and `kind`."""
     ways = (each for each in ALL if each.firmware.name == firmware)
-    return next(each for each in ways if each.traits.hovers == (kind == "copter"))
+    return next(each for each in ways if each.traits.kind == kind)
 
 
 def described(heartbeat: Message) -> str:

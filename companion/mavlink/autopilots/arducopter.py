@@ -202,7 +202,7 @@ ARDUCOPTER = Autopilot(
     firmware=ardupilot.FIRMWARE,
     traits=VehicleTraits(
         name="ArduCopter",
-        hovers=True,
+        kind="copter",
         take_off=TakeoffSequence.GUIDED_THEN_CLIMB,
         turn_lag_s2=0.5,  # of its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; 0.6 to 0.8 was measured
     ),

@@ -20,10 +20,10 @@ from companion.mission.events import (
     VehicleStatus,
 )
 from companion.mission.vehicle_traits import VehicleTraits
-from companion.path.limits import Limits
+from companion.path.limits import Limits, VehicleKind
 
-ROTORCRAFT = frozenset(
-    {
+KINDS: dict[int, VehicleKind] = {wire.MAV_TYPE_FIXED_WING: "plane"} | dict.fromkeys(
+    (
         wire.MAV_TYPE_QUADROTOR,
         wire.MAV_TYPE_COAXIAL,
         wire.MAV_TYPE_HELICOPTER,
@@ -33,9 +33,10 @@ ROTORCRAFT = frozenset(
         wire.MAV_TYPE_DODECAROTOR,
         wire.MAV_TYPE_DECAROTOR,
         wire.MAV_TYPE_GENERIC_MULTIROTOR,
-    }
+    ),
+    "copter",
 )
-"""MAV_TYPE of multicopters. A VTOL is neither this nor a plane, and is not supported."""
+"""Kinds of vehicle by MAV_TYPE.  A VTOL is neither, and is not supported."""
 
 _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 

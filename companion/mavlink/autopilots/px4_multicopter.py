@@ -64,7 +64,7 @@ PX4_MULTICOPTER = Autopilot(
     firmware=px4.FIRMWARE,
     traits=VehicleTraits(
         name="PX4 multicopter",
-        hovers=True,
+        kind="copter",
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
         needs_setpoints_before_offboard=True,
     ),
