@@ -16,7 +16,8 @@ import scipy
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner import kernels
 from companion.planner.cheapest_ways import Costs, IndexArray
-from companion.planner.cost_grid import BLOCKED, CostGrid, Extent, Place, bars
+from companion.planner.cost_grid import CostGrid, Extent, Place, bars
+from companion.planner.cost_samples import BLOCKED
 from companion.planner.settings import Task
 from companion.world.clearance import Surface
 from companion.world.guess import Guess, guess_of
@@ -258,7 +259,7 @@ class _Solver:
         result, guidance = _Solver(), kernels.compiled().guidance
         result.grid = replace(self.grid, samples=cheaper)
         result.costs = self.costs.copied()
-        guidance.touched(inside, (0, 0), touched)
+        guidance.touch_all(inside, touched)
         cost = self.costs.cost.reshape(self.grid.shape)
         most_m = cost.ravel()[self.grid.around(here_ne_m)].min() + 2.0 * BLOCKED * samples.step_m
         matters = np.zeros(cost.shape, dtype=bool)

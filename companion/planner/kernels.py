@@ -26,7 +26,7 @@ from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
-from companion.planner import cheapest_ways
+from companion.planner import cheapest_ways, cost_samples
 
 
 @final
@@ -43,7 +43,7 @@ class Kernel:
     prove: Prover
     """Proves a subpath (`path.certificate`)."""
     guidance: Any
-    """What guidance calls of `cheapest_ways`, by name."""
+    """What guidance calls of `cheapest_ways` and `cost_samples`, by name."""
 
 
 @cache
@@ -100,7 +100,9 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         costs=lambda x, scene: costs(x, pack(scene)),
         terms=terms_of,
         prove=jit(proof.prove),
-        guidance=SimpleNamespace(**{each.__name__: jit(each) for each in cheapest_ways.ENTRIES}),
+        guidance=SimpleNamespace(
+            **{each.__name__: jit(each) for each in cheapest_ways.ENTRIES + cost_samples.ENTRIES}
+        ),
     )
 
 
@@ -112,7 +114,16 @@ def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
     return cast("Callable[..., Any]", numba.njit(function))
 
 
-SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape, cheapest_ways)
+SOURCES = (
+    scene,
+    objective,
+    refined_de,
+    proof,
+    proof_distance,
+    proof_shape,
+    cheapest_ways,
+    cost_samples,
+)
 """The modules whose code is compiled: a cache made from others is stale."""
 
 
