@@ -24,6 +24,7 @@ IndexArray = NDArray[np.int64]
 _FARTHEST = 4  # lattice points north or east that an edge leads at most
 _SHORT = 2  # the most that one of the 16 leads that serve on steep ground
 _ROUNDED = 1.0 - 1e-9  # a mean of costs may be lower than the least of them by so much
+_ROUNDED_UP = 1.0 + 1e-9  # and a line along a way may seem to cost more than its parts
 _LOOKS = 500  # between two looks whether what is wanted is right: each takes as long as some ten
 _PARTS = 8  # of an edge, at whose ends its ground is looked at: one for each sample of the longest
 
@@ -343,28 +344,54 @@ def lines_m(grid: Grid, begin: FloatArray, end: FloatArray) -> FloatArray:
     Places beside the grid count as the nearest on it.
     """
     result = np.empty(len(end))
-    rows, columns = 2 * grid.rows - 1, 2 * grid.columns - 1
     for k in range(len(end)):
-        north, east = end[k, 0] - begin[k, 0], end[k, 1] - begin[k, 1]
-        far = math.sqrt(north * north + east * east)
-        pieces = min(max(math.ceil(far), 1), _MAX_PIECES)
-        piece_m = far * grid.step_m / pieces
-        total = ramp = height = 0.0
-        for p in range(pieces + 1):
-            share = p / pieces
-            u = min(max(begin[k, 0] + share * north, 0.0), rows - 1.0)
-            v = min(max(begin[k, 1] + share * east, 0.0), columns - 1.0)
-            i, j = min(int(u), rows - 2), min(int(v), columns - 2)
-            u, v, at = u - i, v - j, i * columns + j
-            here = _between(grid.cost, at, columns, u, v)
-            total += 0.5 * here if p in (0, pieces) else here
-            ramp2 = _between(grid.ramp_m, at, columns, u, v)
-            height2 = _between(grid.height, at, columns, u, v)
-            if p > 0 and piece_m > 0.0:
-                total += max(abs(ramp2 - ramp) / piece_m - 0.5 * (height + height2), 0.0)
-            ramp, height = ramp2, height2
-        result[k] = total * piece_m
+        result[k] = _line_m(grid, begin[k], end[k], math.inf)
     return result
+
+
+def _line_m(grid: Grid, begin: FloatArray, end: FloatArray, most_m: float) -> float:
+    """Cost of a straight line; infinite if it is more than most_m."""
+    rows, columns = 2 * grid.rows - 1, 2 * grid.columns - 1
+    north, east = end[0] - begin[0], end[1] - begin[1]
+    far = math.sqrt(north * north + east * east)
+    pieces = min(max(math.ceil(far), 1), _MAX_PIECES)
+    piece_m = far * grid.step_m / pieces
+    total = before = ramp = height = 0.0
+    for p in range(pieces + 1):
+        u = min(max(begin[0] + p / pieces * north, 0.0), rows - 1.0)
+        v = min(max(begin[1] + p / pieces * east, 0.0), columns - 1.0)
+        i, j = min(int(u), rows - 2), min(int(v), columns - 2)
+        u, v, at = u - i, v - j, i * columns + j
+        here = _between(grid.cost, at, columns, u, v)
+        ramp2 = _between(grid.ramp_m, at, columns, u, v)
+        height2 = _between(grid.height, at, columns, u, v)
+        if p > 0:
+            total += 0.5 * (before + here) * piece_m
+            total += max(abs(ramp2 - ramp) - 0.5 * (height + height2) * piece_m, 0.0)
+        if total > most_m:
+            return math.inf
+        before, ramp, height = here, ramp2, height2
+    return total
+
+
+def straightened(grid: Grid, points: FloatArray) -> IndexArray:
+    """Which points of a way are left if a straight line passes by others at no more cost.
+
+    From each point the line goes as far as it can.  Rows and columns among the samples, (K, 2).
+    """
+    count, keep = len(points), [0]
+    along_m = np.zeros(count)
+    for k in range(1, count):
+        along_m[k] = along_m[k - 1] + _line_m(grid, points[k - 1], points[k], math.inf)
+    while keep[-1] < count - 1:
+        last, to = keep[-1], count - 1
+        while to > last + 1:
+            most_m = (along_m[to] - along_m[last]) * _ROUNDED_UP
+            if _line_m(grid, points[last], points[to], most_m) <= most_m:
+                break
+            to -= 1
+        keep.append(to)
+    return np.array(keep)
 
 
 _MAX_PIECES = 1_600  # of a straight line: of a sample each on a grid of 800 across, and beyond it
@@ -422,5 +449,5 @@ def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
                     value[r, c] = min(value[r, c], beside)
 
 
-ENTRIES = (repair, touch_all, way_from, needed_m, lines_m, aside_m, smooth_edges)
+ENTRIES = (repair, touch_all, way_from, needed_m, lines_m, straightened, aside_m, smooth_edges)
 """What is called from elsewhere."""

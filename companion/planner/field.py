@@ -293,21 +293,8 @@ def _route(
 
 
 def _straightened(grid: CostGrid, points_ne_m: FloatArray) -> FloatArray:
-    """Without the points that a straight line may pass by at no more cost.  (K, 2) -> (J, 2).
-
-    From each point the line goes as far as it can, from those beyond R over 2 R at most: only where
-    the way leaves R is its direction asked for.
-    """
-    count = len(points_ne_m)
-    along = np.append(0.0, np.cumsum(grid.lines_m(points_ne_m[:-1], points_ne_m[1:])))
-    keep, cell_m = [0], 2.0 * grid.step_m
-    while keep[-1] < count - 1:
-        last = keep[-1]
-        is_far = math.dist(points_ne_m[0], points_ne_m[last]) > _CELLS_PER_RANGE * cell_m
-        until = min(last + 1 + 2 * _CELLS_PER_RANGE, count) if is_far else count
-        straight = grid.lines_m(points_ne_m[last : last + 1], points_ne_m[last + 1 : until])
-        may = np.flatnonzero(straight <= (along[last + 1 : until] - along[last]) * (1.0 + 1e-9))
-        keep.append(last + 1 + int(may.max(initial=0)))
+    """A way without the points that are not needed.  (K, 2) -> (J, 2)."""
+    keep = kernels.compiled().guidance.straightened(grid.samples, grid.sample_of(points_ne_m))
     return points_ne_m[keep]
 
 
