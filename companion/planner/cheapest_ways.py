@@ -24,7 +24,7 @@ IndexArray = NDArray[np.int64]
 _FARTHEST = 4  # lattice points north or east that an edge leads at most
 _SHORT = 2  # the most that one of the 16 leads that serve on steep ground
 _ROUNDED = 1.0 - 1e-9  # a mean of costs may be lower than the least of them by so much
-_ROUNDED_UP = 1.0 + 1e-9  # and a line along a way may seem to cost more than its parts
+_ROUNDED_UP = 1.0 + 1e-9  # and a line along a way may cost more than its parts by so much
 _LOOKS = 500  # between two looks whether what is wanted is right: each takes as long as some ten
 _PARTS = 8  # of an edge, at whose ends its ground is looked at: one for each sample of the longest
 
@@ -374,15 +374,13 @@ def _line_m(grid: Grid, begin: FloatArray, end: FloatArray, most_m: float) -> fl
     return total
 
 
-def straightened(grid: Grid, points: FloatArray) -> IndexArray:
+def straightened(grid: Grid, points: FloatArray, along_m: FloatArray) -> IndexArray:
     """Which points of a way are left if a straight line passes by others at no more cost.
 
-    From each point the line goes as far as it can.  Rows and columns among the samples, (K, 2).
+    From each point the line goes as far as it can.  points: rows and columns among the samples,
+    (K, 2); along_m: the cost of the way to each.
     """
     count, keep = len(points), [0]
-    along_m = np.zeros(count)
-    for k in range(1, count):
-        along_m[k] = along_m[k - 1] + _line_m(grid, points[k - 1], points[k], math.inf)
     while keep[-1] < count - 1:
         last, to = keep[-1], count - 1
         while to > last + 1:

@@ -284,18 +284,18 @@ def _route(
     """The cheapest way from here to the target, straightened where the grid is fine."""
     grid, way = solved.grid, solved.way(here_ne_m)
     near = np.concatenate([[here_ne_m], grid.points_m(way)])
+    along_m = np.concatenate([grid.lines_m(near[:1], near[1:2]), -np.diff(solved.costs.cost[way])])
     if far is not None and not np.isin(way[-1], grid.around(target_ne_m)):
-        beyond = far.grid.points_m(far.way((float(near[-1, 0]), float(near[-1, 1]))))
-        points = np.concatenate([_straightened(grid, near), beyond, [target_ne_m]])
+        wide = far.grid.points_m(far.way((float(near[-1, 0]), float(near[-1, 1]))))
+        beyond = np.concatenate([wide, [target_ne_m]])
     else:
-        points = _straightened(grid, np.concatenate([near, [target_ne_m]]))
+        beyond, near = np.empty((0, 2)), np.concatenate([near, [target_ne_m]])
+        along_m = np.append(along_m, grid.lines_m(near[-2:-1], near[-1:]))
+    keep = kernels.compiled().guidance.straightened(
+        grid.samples, grid.sample_of(near), np.append(0.0, np.cumsum(along_m))
+    )
+    points = np.concatenate([near[keep], beyond])
     return tuple((float(north), float(east)) for north, east in points)
-
-
-def _straightened(grid: CostGrid, points_ne_m: FloatArray) -> FloatArray:
-    """A way without the points that are not needed.  (K, 2) -> (J, 2)."""
-    keep = kernels.compiled().guidance.straightened(grid.samples, grid.sample_of(points_ne_m))
-    return points_ne_m[keep]
 
 
 def _given(
