@@ -27,6 +27,7 @@ from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
 from companion.planner import cheapest_ways, cost_samples
+from companion.world import clearance
 
 
 @final
@@ -42,6 +43,8 @@ class Kernel:
     """The terms of a candidate, (D,), by name, unweighted."""
     prove: Prover
     """Proves a subpath (`path.certificate`)."""
+    dilated_m: Callable[..., FloatArray]
+    """Of `world.clearance`."""
     guidance: Any
     """What guidance calls of `cheapest_ways` and `cost_samples`, by name."""
 
@@ -100,6 +103,7 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         costs=lambda x, scene: costs(x, pack(scene)),
         terms=terms_of,
         prove=jit(proof.prove),
+        dilated_m=jit(clearance.dilated_m),
         guidance=SimpleNamespace(
             **{each.__name__: jit(each) for each in cheapest_ways.ENTRIES + cost_samples.ENTRIES}
         ),
@@ -123,6 +127,7 @@ SOURCES = (
     proof_shape,
     cheapest_ways,
     cost_samples,
+    clearance,
 )
 """The modules whose code is compiled: a cache made from others is stale."""
 
