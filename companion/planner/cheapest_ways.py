@@ -10,6 +10,7 @@ neighbour + edge)), to the last digit, whatever was there before: edges cost the
 their ends, and of ways that cost the same the first direction is taken.
 """
 
+import heapq
 import math
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ IndexArray = NDArray[np.int64]
 _FARTHEST = 4  # lattice points north or east that an edge leads at most
 _SHORT = 2  # the most that one of the 16 leads that serve on steep ground
 _ROUNDED = 1.0 - 1e-9  # a mean of costs may be lower than the least of them by so much
+_ROUNDED_UP = 1.0 + 1e-9  # and a line along a way may cost more than its parts by so much
 _LOOKS = 500  # between two looks whether what is wanted is right: each takes as long as some ten
 _PARTS = 8  # of an edge, at whose ends its ground is looked at: one for each sample of the longest
 
@@ -110,7 +112,7 @@ class Grid(NamedTuple):
 
 
 class Costs(NamedTuple):
-    """Of every lattice point, (rows * columns,), and the workspace of `repair`."""
+    """Of every lattice point, (rows * columns,)."""
 
     seed: FloatArray
     """Cost of the way on from points where it is known; infinite elsewhere."""
@@ -119,11 +121,6 @@ class Costs(NamedTuple):
     """By the costs of the neighbours: once all is repaired, the same."""
     via: IndexArray
     """The direction that `ahead` comes from, the first of equals; -1: the seed."""
-    heap: IndexArray
-    key: FloatArray
-    """Of what is in the heap, in its order."""
-    at: IndexArray
-    """Where in the heap a point is; -1: it is not."""
 
     @staticmethod
     def unknown(seed: FloatArray) -> "Costs":
@@ -134,16 +131,12 @@ class Costs(NamedTuple):
             np.full(count, np.inf),
             np.full(count, np.inf),
             np.full(count, -1),
-            np.empty(count, dtype=np.int64),
-            np.empty(count),
-            np.full(count, -1),
         )
 
     def copied(self) -> "Costs":
         """The same, to be changed."""
         seed, cost, ahead = self.seed.copy(), self.cost.copy(), self.ahead.copy()
-        heap, key, at = self.heap.copy(), self.key.copy(), self.at.copy()
-        return Costs(seed, cost, ahead, self.via.copy(), heap, key, at)
+        return Costs(seed, cost, ahead, self.via.copy())
 
 
 def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
@@ -189,14 +182,15 @@ def repair(grid: Grid, costs: Costs, dirty: IndexArray, wanted: IndexArray) -> i
     rows, columns = grid.rows, grid.columns
     cost, ahead, via = costs.cost, costs.ahead, costs.via
     least_m = _ROUNDED * grid.least * 2.0 * grid.step_m * _LENGTHS
-    size = looked = 0
+    heap, looked = [(math.inf, -1)], 0
     for u in dirty:
-        size = _again(u, grid, costs, least_m, size)
-    while size:
-        u = costs.heap[0]
-        if len(wanted) and looked % _LOOKS == 0 and costs.key[0] > ahead[wanted].max():
+        _again(u, grid, costs, least_m, heap)
+    while heap[0][1] >= 0:
+        if len(wanted) and looked % _LOOKS == 0 and heap[0][0] > ahead[wanted].max():
             break
-        size = _removed(u, costs, size)
+        key, u = heapq.heappop(heap)
+        if cost[u] == ahead[u] or key != min(cost[u], ahead[u]):
+            continue  # since it was put there, it was put there again
         looked += 1
         row, column = u // columns, u % columns
         is_within = _is_within(row, rows) and _is_within(column, columns)
@@ -211,17 +205,18 @@ def repair(grid: Grid, costs: Costs, dirty: IndexArray, wanted: IndexArray) -> i
                 by_u, back = cost[u] + edge_m(grid, row, column, k), (k + _HALF) % len(DIRECTIONS)
                 if by_u < ahead[v]:
                     ahead[v], via[v] = by_u, back
-                    size = _filed(v, costs, size)
+                    if by_u != cost[v]:
+                        heapq.heappush(heap, (by_u, v))
                 elif by_u == ahead[v] and back < via[v]:
                     via[v] = back
         else:
             cost[u] = math.inf
-            size = _again(u, grid, costs, least_m, size)
+            _again(u, grid, costs, least_m, heap)
             for k in range(len(DIRECTIONS)):
                 if is_within or _leads_on(row, column, rows, columns, k):
                     v = u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]
                     if via[v] == (k + _HALF) % len(DIRECTIONS):
-                        size = _again(v, grid, costs, least_m, size)
+                        _again(v, grid, costs, least_m, heap)
     return looked
 
 
@@ -236,8 +231,10 @@ def _leads_on(row: int, column: int, rows: int, columns: int, k: int) -> bool:
     return 0 <= i < rows and 0 <= j < columns
 
 
-def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray, size: int) -> int:
-    """Look at a point again, by all of its neighbours.  The new size of the heap."""
+def _again(
+    u: int, grid: Grid, costs: Costs, least_m: FloatArray, heap: list[tuple[float, int]]
+) -> None:
+    """Look at a point again, by all of its neighbours."""
     rows, columns = grid.rows, grid.columns
     row, column = u // columns, u % columns
     is_within = _is_within(row, rows) and _is_within(column, columns)
@@ -252,71 +249,25 @@ def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray, size: int) -> 
             if by_it < best or (by_it == best and k < via):
                 best, via = by_it, k
     costs.ahead[u], costs.via[u] = best, via
-    return _filed(u, costs, size)
+    if best != costs.cost[u]:
+        heapq.heappush(heap, (min(best, costs.cost[u]), u))
 
 
-def _filed(u: int, costs: Costs, size: int) -> int:
-    """Keep a point in the heap as long as its cost is to change.  The heap's new size."""
-    if costs.cost[u] == costs.ahead[u]:
-        return _removed(u, costs, size)
-    if costs.at[u] < 0:
-        costs.at[u] = size
-        size += 1
-    _put(u, min(costs.cost[u], costs.ahead[u]), costs, size)
-    return size
+def touch(row: int, column: int, touched: BoolArray) -> None:
+    """Mark the lattice points, (rows, columns), that have an edge over a sample."""
+    rows, columns = touched.shape
+    row, column = row // 2, column // 2
+    for i in range(max(row - _FARTHEST, 0), min(row + _FARTHEST + 2, rows)):
+        for j in range(max(column - _FARTHEST, 0), min(column + _FARTHEST + 2, columns)):
+            touched[i, j] = True
 
 
-def _put(u: int, key: float, costs: Costs, size: int) -> None:
-    """Put a point of the heap to where it now belongs in it."""
-    heap, keys, at = costs.heap, costs.key, costs.at
-    place = at[u]
-    while place > 0:
-        above = (place - 1) // 2
-        if keys[above] <= key:
-            break
-        heap[place], keys[place] = heap[above], keys[above]
-        at[heap[place]] = place
-        place = above
-    while 2 * place + 1 < size:
-        below = 2 * place + 1
-        if below + 1 < size and keys[below + 1] < keys[below]:
-            below += 1
-        if keys[below] >= key:
-            break
-        heap[place], keys[place] = heap[below], keys[below]
-        at[heap[place]] = place
-        place = below
-    heap[place], keys[place], at[u] = u, key, place
-
-
-def _removed(u: int, costs: Costs, size: int) -> int:
-    """Take a point out of the heap, if it is in it.  The heap's new size."""
-    if costs.at[u] < 0:
-        return size
-    size -= 1
-    last = costs.heap[size]
-    if last != u:
-        costs.at[last] = costs.at[u]
-        _put(last, costs.key[size], costs, size)
-    costs.at[u] = -1
-    return size
-
-
-def touched(changed: BoolArray, first: tuple[int, int], is_point: BoolArray) -> None:
-    """Mark the lattice points that have an edge over a changed sample.
-
-    changed: of samples from row and column `first` on; is_point: (rows, columns), of the lattice.
-    """
-    rows, columns = is_point.shape
+def touch_all(changed: BoolArray, touched: BoolArray) -> None:
+    """The same of all changed samples, (2 rows - 1, 2 columns - 1)."""
     for i in range(changed.shape[0]):
         for j in range(changed.shape[1]):
             if changed[i, j]:
-                row, column = (first[0] + i) // 2, (first[1] + j) // 2
-                for r in range(max(row - _FARTHEST, 0), min(row + _FARTHEST + 2, rows)):
-                    for c in range(
-                        max(column - _FARTHEST, 0), min(column + _FARTHEST + 2, columns)
-                    ):
-                        is_point[r, c] = True
+                touch(i, j, touched)
 
 
 def next_of(grid: Grid, costs: Costs, u: int) -> int:
@@ -393,28 +344,52 @@ def lines_m(grid: Grid, begin: FloatArray, end: FloatArray) -> FloatArray:
     Places beside the grid count as the nearest on it.
     """
     result = np.empty(len(end))
-    rows, columns = 2 * grid.rows - 1, 2 * grid.columns - 1
     for k in range(len(end)):
-        north, east = end[k, 0] - begin[k, 0], end[k, 1] - begin[k, 1]
-        far = math.sqrt(north * north + east * east)
-        pieces = min(max(math.ceil(far), 1), _MAX_PIECES)
-        piece_m = far * grid.step_m / pieces
-        total = ramp = height = 0.0
-        for p in range(pieces + 1):
-            share = p / pieces
-            u = min(max(begin[k, 0] + share * north, 0.0), rows - 1.0)
-            v = min(max(begin[k, 1] + share * east, 0.0), columns - 1.0)
-            i, j = min(int(u), rows - 2), min(int(v), columns - 2)
-            u, v, at = u - i, v - j, i * columns + j
-            here = _between(grid.cost, at, columns, u, v)
-            total += 0.5 * here if p in (0, pieces) else here
-            ramp2 = _between(grid.ramp_m, at, columns, u, v)
-            height2 = _between(grid.height, at, columns, u, v)
-            if p > 0 and piece_m > 0.0:
-                total += max(abs(ramp2 - ramp) / piece_m - 0.5 * (height + height2), 0.0)
-            ramp, height = ramp2, height2
-        result[k] = total * piece_m
+        result[k] = _line_m(grid, begin[k], end[k], math.inf)
     return result
+
+
+def _line_m(grid: Grid, begin: FloatArray, end: FloatArray, most_m: float) -> float:
+    """Cost of a straight line; infinite if it is more than most_m."""
+    rows, columns = 2 * grid.rows - 1, 2 * grid.columns - 1
+    north, east = end[0] - begin[0], end[1] - begin[1]
+    far = math.sqrt(north * north + east * east)
+    pieces = min(max(math.ceil(far), 1), _MAX_PIECES)
+    piece_m = far * grid.step_m / pieces
+    total = before = ramp = height = 0.0
+    for p in range(pieces + 1):
+        u = min(max(begin[0] + p / pieces * north, 0.0), rows - 1.0)
+        v = min(max(begin[1] + p / pieces * east, 0.0), columns - 1.0)
+        i, j = min(int(u), rows - 2), min(int(v), columns - 2)
+        u, v, at = u - i, v - j, i * columns + j
+        here = _between(grid.cost, at, columns, u, v)
+        ramp2 = _between(grid.ramp_m, at, columns, u, v)
+        height2 = _between(grid.height, at, columns, u, v)
+        if p > 0:
+            total += 0.5 * (before + here) * piece_m
+            total += max(abs(ramp2 - ramp) - 0.5 * (height + height2) * piece_m, 0.0)
+        if total > most_m:
+            return math.inf
+        before, ramp, height = here, ramp2, height2
+    return total
+
+
+def straightened(grid: Grid, points: FloatArray, along_m: FloatArray) -> IndexArray:
+    """Which points of a way are left if a straight line passes by others at no more cost.
+
+    From each point the line goes as far as it can.  points: rows and columns among the samples,
+    (K, 2); along_m: the cost of the way to each.
+    """
+    count, keep = len(points), [0]
+    while keep[-1] < count - 1:
+        last, to = keep[-1], count - 1
+        while to > last + 1:
+            most_m = (along_m[to] - along_m[last]) * _ROUNDED_UP
+            if _line_m(grid, points[last], points[to], most_m) <= most_m:
+                break
+            to -= 1
+        keep.append(to)
+    return np.array(keep)
 
 
 _MAX_PIECES = 1_600  # of a straight line: of a sample each on a grid of 800 across, and beyond it
@@ -472,97 +447,5 @@ def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
                     value[r, c] = min(value[r, c], beside)
 
 
-def raise_to(
-    lowest_m: FloatArray,
-    tops_m: FloatArray,
-    rows: IndexArray,
-    columns: IndexArray,
-    first: tuple[int, int],
-    every: int,
-    rises_m: FloatArray,
-    least_m: float,
-) -> None:
-    """Raise the altitudes of samples to what keeps the clearance from cells.
-
-    Samples are at vertices of the cells, `every` of them from row and column `first`.
-    tops_m: (N, M), of the cells of these rows and columns; none above least_m asks for more.
-    rises_m: by how much over a cell, so many cells away north and east; -inf beyond the clearance.
-    """
-    reach = len(rises_m)
-    for r in range(len(rows)):
-        cell_row = rows[r] - first[0]
-        south = max(-((reach - 1 - cell_row) // every), 0)
-        north = min((cell_row + reach) // every, lowest_m.shape[0] - 1)
-        for c in range(len(columns)):
-            top_m = tops_m[r, c]
-            if top_m > least_m:
-                cell_column = columns[c] - first[1]
-                west = max(-((reach - 1 - cell_column) // every), 0)
-                east = min((cell_column + reach) // every, lowest_m.shape[1] - 1)
-                for i in range(south, north + 1):
-                    gap_n = max(i * every - cell_row - 1, cell_row - i * every)
-                    for j in range(west, east + 1):
-                        gap_e = max(j * every - cell_column - 1, cell_column - j * every)
-                        up_m = top_m + rises_m[gap_n, gap_e]
-                        if up_m > lowest_m[i, j]:
-                            lowest_m[i, j] = up_m
-
-
-def bound_m(
-    upper_m: FloatArray,
-    rows: IndexArray,
-    columns: IndexArray,
-    rises_m: FloatArray,
-    most_m: float,
-) -> FloatArray:
-    """What keeps the clearance from the bounds of all cells, at some of their vertices; (N,).
-
-    No more than most_m.
-    """
-    reach = len(rises_m)
-    result = np.full(len(rows), -math.inf)
-    for k in range(len(rows)):
-        for i in range(max(rows[k] - reach, 0), min(rows[k] + reach, upper_m.shape[0])):
-            gap_n = max(rows[k] - i - 1, i - rows[k])
-            for j in range(max(columns[k] - reach, 0), min(columns[k] + reach, upper_m.shape[1])):
-                gap_e = max(columns[k] - j - 1, j - columns[k])
-                result[k] = max(result[k], upper_m[i, j] + rises_m[gap_n, gap_e])
-            if result[k] >= most_m:
-                break
-    return np.minimum(result, most_m)
-
-
-def add_detection(
-    total: FloatArray,
-    north_m: FloatArray,
-    east_m: FloatArray,
-    altitude_m: FloatArray,
-    radar: tuple[float, float, float, float],
-    margin_m: float,
-) -> None:
-    """Add eq. 3 of a radar, its place and range, at samples within its range and a margin."""
-    reach = radar[3] + margin_m
-    for i in range(len(north_m)):
-        north = north_m[i] - radar[0]
-        if abs(north) <= reach:
-            for j in range(len(east_m)):
-                east, up = east_m[j] - radar[1], altitude_m[i, j] - radar[2]
-                squared = north * north + east * east + up * up
-                if squared <= reach * reach:
-                    ratio = squared / (radar[3] * radar[3])
-                    total[i, j] += 1.0 / (1.0 + ratio * ratio)
-
-
-ENTRIES = (
-    repair,
-    touched,
-    way_from,
-    needed_m,
-    lines_m,
-    aside_m,
-    smooth_edges,
-    raise_to,
-    bound_m,
-    add_detection,
-)
+ENTRIES = (repair, touch_all, way_from, needed_m, lines_m, straightened, aside_m, smooth_edges)
 """What is called from elsewhere."""

@@ -27,6 +27,7 @@ import numpy as np
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner import kernels
 from companion.planner.cheapest_ways import Grid, IndexArray
+from companion.planner.cost_samples import BLOCKED, Scale
 from companion.planner.settings import Task
 from companion.world.guess import Guess
 from companion.world.known_map import KnownMap
@@ -34,10 +35,6 @@ from companion.world.zones import too_near
 
 Place = tuple[float, float]
 
-BLOCKED = 300.0
-"""Cost per metre where nothing may fly: a detour of 300 times as much is shorter on any map."""
-_GUESSED_BLOCKED = 30.0  # where that is only guessed: if all is blocked, it is looked at first
-_BARRING = 1e4  # cost per metre where an edge is not to be used: far above BLOCKED
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _TERMS = 2.4  # f1 is 100 for a way of 2.4 R, f2 for one of R at the ceiling (eq. 6, 7)
 _RADAR = 3.0  # f5 is 300 for a way of R at a radar (`scene.RADAR_SCALE` for each of ten samples)
@@ -156,12 +153,10 @@ class CostGrid:
     def of(known: KnownMap, guess: Guess, task: Task, extent: Extent) -> "CostGrid":
         """Costs over a map."""
         (rows, columns), step_m = extent.count, extent.cells * known.cell_m
-        north_min_m = known.north_min_m + extent.first[0] * known.cell_m
-        east_min_m = known.east_min_m + extent.first[1] * known.cell_m
         grid = CostGrid(
             extent=extent,
-            north_min_m=north_min_m,
-            east_min_m=east_min_m,
+            north_min_m=known.north_min_m + extent.first[0] * known.cell_m,
+            east_min_m=known.east_min_m + extent.first[1] * known.cell_m,
             samples=Grid.empty(rows, columns, step_m),
             shut=np.zeros((rows, columns), dtype=bool),
             costly=np.zeros((rows, columns), dtype=bool),
@@ -169,8 +164,22 @@ class CostGrid:
             guess=guess,
             task=task,
         )
-        _close(grid)
-        _fill(grid, (slice(0, rows), slice(0, columns)))
+        north, east = grid.samples_m
+        if task.zones:
+            places, gaps = (
+                (tuple(north[:, 0].tolist()), tuple(east[0].tolist())),
+                kernels.compiled().zone_gaps,
+            )
+            grid.shut[:] |= too_near(task.zones, *places, task.zone_search_clearance_m, gaps)
+        for at, low, size in zip(
+            (north, east),
+            (known.north_min_m, known.east_min_m),
+            known.upper_m.shape,
+            strict=True,
+        ):  # what is beyond the map may be terrain
+            edge_m = np.minimum(at - low, low + size * known.cell_m - at)
+            grid.shut[:] |= edge_m < task.search_clearance_m
+        grid._fill((slice(0, rows), slice(0, columns)), np.zeros(grid.shape, dtype=bool))
         return grid
 
     def after(
@@ -180,31 +189,16 @@ class CostGrid:
 
         None: they are to be computed anew.
         """
-        geometry, of_old = (
+        geometry, before = (
             (m.cell_m, m.north_min_m, m.east_min_m, m.registration_m, m.upper_m.shape)
             for m in (known, self.known)
         )
-        if extent != self.extent or geometry != of_old or task != self.task:
+        if extent != self.extent or geometry != before or task != self.task:
             return None
-        box = self._to_fill(known, guess)
-        grid = replace(self, known=known, guess=guess)
+        box, grid = self._to_fill(known, guess), replace(self, known=known, guess=guess)
         touched = np.zeros(self.shape, dtype=bool)
         if box is not None:
-            rows, columns = (
-                slice(max(part.start - 1, 0), part.stop + 1) for part in box
-            )  # what is steep is so beside it, too
-            samples = grid.samples
-            sheets = [
-                grid.sheet(each)[rows, columns]
-                for each in (samples.cost, samples.barring, samples.height, samples.ramp_m)
-            ]
-            before = [each.copy() for each in sheets]
-            _fill(grid, box)
-            changed: BoolArray = np.zeros(before[0].shape, dtype=bool)
-            for old, new in zip(before, sheets, strict=True):
-                changed |= old != new
-            first = rows.start, columns.start
-            kernels.compiled().guidance.touched(changed, first, touched)
+            grid._fill(box, touched)
         return grid, touched
 
     def _to_fill(self, known: KnownMap, guess: Guess) -> _Box | None:
@@ -218,7 +212,7 @@ class CostGrid:
             return None
         if cells is None or not (guess.near is None and self.guess.near is None):
             return slice(0, rows), slice(0, columns)
-        reach, parts = _reach(self), []
+        reach, parts = self._reach, []
         for part, first, count in zip(cells, self.extent.first, self.extent.count, strict=True):
             every = self.extent.cells
             low = max(-((first + reach - 1 - part.start) // every), 0)
@@ -227,6 +221,81 @@ class CostGrid:
                 return None
             parts.append(slice(low, high))
         return parts[0], parts[1]
+
+    @property
+    def _reach(self) -> int:
+        """Cells on each side of a sample that may come nearer than the clearance.
+
+        On a wide grid, whose samples are far apart, only the four cells at a sample count.
+        """
+        known = self.known
+        wide_m = self.task.search_clearance_m + known.registration_m
+        reach = math.ceil(wide_m / known.cell_m) + 1
+        return 1 if self.extent.cells > 2 * reach else reach
+
+    def _scale(self) -> Scale:
+        task, known = self.task, self.known
+        limits, weights = task.limits, task.settings.weights
+        per_length = max(weights.length, 1e-3) / _TERMS
+        per_height = weights.height / per_length
+        band_m = limits.ceiling_amsl_m - limits.floor_amsl_m
+        inset_m = task.search_clearance_m - task.settings.safety_distance_m  # as from the terrain
+        apart_m = np.arange(self._reach) * known.cell_m
+        away_m = np.hypot(apart_m[:, None], apart_m[None, :]) - known.registration_m
+        squared = task.search_clearance_m**2 - np.maximum(away_m, 0.0) ** 2
+        return Scale(
+            floor_m=limits.floor_amsl_m,
+            ceiling_m=limits.ceiling_amsl_m,
+            highest_m=limits.ceiling_amsl_m - inset_m,
+            per_height=per_height,
+            per_radar=_RADAR * weights.radar / per_length,
+            per_ramp_m=0.5 * per_height * band_m / math.tan(limits.climb_angle_rad),
+            radars=np.array(
+                [(*radar.centre_nea_m, radar.range_m) for radar in task.radars], dtype=np.float64
+            ).reshape(-1, 4),
+            rises_m=np.where(squared > 0.0, np.sqrt(np.maximum(squared, 0.0)), -np.inf),
+        )
+
+    def _fill(self, box: _Box, touched: BoolArray) -> None:
+        """Compute the costs of some samples."""
+        known, scale, every = self.known, self._scale(), self.extent.cells
+        guidance, reach = kernels.compiled().guidance, self._reach
+        vertices = [
+            first + every * np.arange(count)
+            for first, count in zip(self.extent.first, self.extent.count, strict=True)
+        ]
+        first = int(vertices[0][box[0].start]), int(vertices[1][box[1].start])
+        cells = []
+        for at, part, size in zip(vertices, box, known.upper_m.shape, strict=True):
+            low, high = at[part][0] - reach, at[part][-1] + reach
+            index = np.arange(low, high)
+            if every > 2 * reach:  # neighbours share no cells
+                index = np.add.outer(at[part], np.arange(-reach, reach)).ravel()
+            cells.append(index[(index >= 0) & (index < size)])
+        lowest_m = np.full([part.stop - part.start for part in box], -np.inf)
+        guidance.raise_to(
+            lowest_m,
+            self.guess.at(*cells),
+            tuple(cells),
+            first,
+            every,
+            scale.rises_m,
+            scale.floor_m - self.task.search_clearance_m,
+        )
+        north, east = self.samples_m
+        guidance.fill(
+            self.samples,
+            (box[0].start, box[0].stop, box[1].start, box[1].stop),
+            lowest_m,
+            tuple(vertices),
+            known.upper_m,
+            known.firm,
+            (north[:, 0], east[0]),
+            self.shut,
+            self.costly,
+            scale,
+            touched,
+        )
 
 
 def _changed(old: KnownMap, new: KnownMap) -> _Box | None:
@@ -243,182 +312,6 @@ def _changed(old: KnownMap, new: KnownMap) -> _Box | None:
     if not len(rows):
         return None
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-
-
-def _close(grid: CostGrid) -> None:
-    """Where zones forbid to be, are nearer than the search keeps from them, or the map ends so."""
-    known, task = grid.known, grid.task
-    north, east = grid.samples_m
-    if task.zones:
-        places, gaps = (
-            (tuple(north[:, 0].tolist()), tuple(east[0].tolist())),
-            kernels.compiled().zone_gaps,
-        )
-        grid.shut[:] |= too_near(task.zones, *places, task.zone_search_clearance_m, gaps)
-    rows, columns = known.upper_m.shape
-    gap_m = [
-        np.minimum(at - low, low + count * known.cell_m - at)
-        for at, low, count in ((north, known.north_min_m, rows), (east, known.east_min_m, columns))
-    ]
-    grid.shut[:] |= np.minimum(*gap_m) < task.search_clearance_m  # what is beyond may be terrain
-
-
-def _fill(grid: CostGrid, box: _Box) -> None:
-    """Compute the costs of some samples."""
-    task, samples = grid.task, grid.samples
-    limits, weights = task.limits, task.settings.weights
-    per_length = max(weights.length, 1e-3) / _TERMS
-    per_height = weights.height / per_length
-    floor_m, band_m = limits.floor_amsl_m, limits.ceiling_amsl_m - limits.floor_amsl_m
-    inset_m = task.search_clearance_m - task.settings.safety_distance_m  # as from the terrain
-    lowest_m = _lowest_m(grid, box)
-    altitude_m = np.clip(lowest_m, floor_m, limits.ceiling_amsl_m)
-    flown_m, unproven = altitude_m.copy(), (lowest_m > floor_m) & ~_seen(grid, box)
-    flown_m[unproven] = np.maximum(_bound_m(grid, box, unproven), altitude_m[unproven])
-    fraction = (altitude_m - floor_m) / band_m
-    above = np.maximum(lowest_m - (limits.ceiling_amsl_m - inset_m), 0.0) / band_m
-    shut, detection = grid.shut[box], _detection(grid, box, altitude_m)
-    blocked = (above > 0.0) | shut
-    grid.sheet(samples.cost)[box] = (
-        1.0
-        + per_height * (flown_m - floor_m) / band_m
-        + _RADAR * weights.radar / per_length * detection
-        + np.where(unproven & ~shut, _GUESSED_BLOCKED, BLOCKED) * (blocked + above)
-    )
-    grid.sheet(samples.height)[box] = per_height * fraction
-    grid.sheet(samples.ramp_m)[box] = (
-        0.5 * per_height * fraction**2 * band_m / math.tan(limits.climb_angle_rad)
-    )
-    grid.sheet(samples.lowest_m)[box] = altitude_m
-    grid.costly[box] = blocked | (detection > 0.0)
-    _bar(grid, box)
-
-
-def _bar(grid: CostGrid, box: _Box) -> None:
-    """Bar long edges from samples, in a box and one beside it, next to which ground is steep.
-
-    There the height for a ramp costs more than the height of the ground.
-    """
-    wide, inner = [], []
-    for part, count in zip(box, grid.extent.count, strict=True):
-        wide.append(slice(max(part.start - 2, 0), min(part.stop + 2, count)))
-        low, high = max(part.start - 1, 0), min(part.stop + 1, count)
-        inner.append(slice(low - wide[-1].start, high - wide[-1].start))
-    samples = grid.samples
-    ramp_m, height = (grid.sheet(each)[*wide] for each in (samples.ramp_m, samples.height))
-    steep = np.zeros(ramp_m.shape, dtype=bool)
-    if ramp_m.any():
-        for axis in (0, 1):
-            level_m = samples.step_m * 0.5 * _sums(height, axis)
-            found = np.abs(np.diff(ramp_m, axis=axis)) > level_m
-            steep[: -1 if axis == 0 else None, : -1 if axis == 1 else None] |= found
-            steep[1 if axis == 0 else 0 :, 1 if axis == 1 else 0 :] |= found
-    barring = grid.sheet(samples.cost)[*wide] + _BARRING * steep
-    grid.sheet(samples.barring)[*wide][*inner] = barring[*inner]
-
-
-def _sums(values: FloatArray, axis: int) -> FloatArray:
-    """Of neighbours along an axis."""
-    return values[1:] + values[:-1] if axis == 0 else values[:, 1:] + values[:, :-1]
-
-
-def _reach(grid: CostGrid) -> int:
-    """Cells on each side of a sample that may come nearer than the clearance.
-
-    On a wide grid, whose samples are far apart, only the four cells at a sample count.
-    """
-    reach = math.ceil(
-        (grid.task.search_clearance_m + grid.known.registration_m) / grid.known.cell_m
-    )
-    return 1 if grid.extent.cells > 2 * (reach + 1) else reach + 1
-
-
-def _rises_m(grid: CostGrid) -> FloatArray:
-    """By how much over a cell the clearance is kept, by how many cells are between, north and east.
-
-    -inf beyond the clearance.  Cells count with their highest terrain over their whole square.
-    """
-    apart = np.arange(_reach(grid)) * grid.known.cell_m
-    away_m = np.hypot(apart[:, None], apart[None, :]) - grid.known.registration_m
-    squared = grid.task.search_clearance_m**2 - np.maximum(away_m, 0.0) ** 2
-    return np.where(squared > 0.0, np.sqrt(np.maximum(squared, 0.0)), -np.inf)
-
-
-def _lowest_m(grid: CostGrid, box: _Box) -> FloatArray:
-    """The lowest altitude that keeps the clearance from terrain as it is believed to be, AMSL.
-
-    Exact above the floor of the band.
-    """
-    reach, every = _reach(grid), grid.extent.cells
-    first = [low + every * part.start for low, part in zip(grid.extent.first, box, strict=True)]
-    index = []
-    for at, part, size in zip(first, box, grid.known.upper_m.shape, strict=True):
-        vertices = at + every * np.arange(part.stop - part.start)
-        if every <= 2 * reach:  # neighbours share cells
-            cells = np.arange(at - reach, vertices[-1] + reach)
-        else:
-            cells = np.add.outer(vertices, np.arange(-reach, reach)).ravel()
-        index.append(cells[(cells >= 0) & (cells < size)])
-    lowest_m = np.full([part.stop - part.start for part in box], -np.inf)
-    least_m = grid.task.limits.floor_amsl_m - grid.task.search_clearance_m
-    tops_m = grid.guess.at(index[0], index[1])
-    kernels.compiled().guidance.raise_to(
-        lowest_m, tops_m, index[0], index[1], (first[0], first[1]), every, _rises_m(grid), least_m
-    )
-    return lowest_m
-
-
-def _vertices(grid: CostGrid, box: _Box) -> list[IndexArray]:
-    """Rows and columns of the map's vertices at some samples."""
-    return [
-        first + grid.extent.cells * np.arange(part.start, part.stop)
-        for first, part in zip(grid.extent.first, box, strict=True)
-    ]
-
-
-def _bound_m(grid: CostGrid, box: _Box, where: BoolArray) -> FloatArray:
-    """As `_lowest_m`, from what is known to bound the terrain, up to the ceiling.  -> (N,)."""
-    rows, columns = _vertices(grid, box)
-    row, column = np.nonzero(where)
-    most_m = grid.task.limits.ceiling_amsl_m
-    bound: FloatArray = kernels.compiled().guidance.bound_m(
-        grid.known.upper_m, rows[row], columns[column], _rises_m(grid), most_m
-    )
-    return bound
-
-
-def _seen(grid: CostGrid, box: _Box) -> BoolArray:
-    """Whether the terrain of the four cells at each sample is known."""
-    known = grid.known
-    result = np.ones([part.stop - part.start for part in box], dtype=bool)
-    rows, columns = _vertices(grid, box)
-    for south, west in np.ndindex(2, 2):
-        row, column = (
-            np.clip(at - before, 0, size - 1)
-            for at, before, size in zip(
-                (rows, columns), (south, west), known.seen.shape, strict=True
-            )
-        )
-        at = np.ix_(row, column)
-        result &= known.seen[at] if known.given is None else known.seen[at] | known.given[at]
-    return result
-
-
-def _detection(grid: CostGrid, box: _Box, altitude_m: FloatArray) -> FloatArray:
-    """Eq. 3, summed over the radars.
-
-    Half a step of margin: straight lines between samples outside stay out.
-    """
-    north, east = grid.samples_m
-    north, east = north[box[0], 0], east[0, box[1]]
-    total, margin_m = np.zeros(altitude_m.shape), 0.5 * grid.step_m
-    middle = 0.5 * float(north[0] + north[-1]), 0.5 * float(east[0] + east[-1])
-    across_m = math.hypot(north[-1] - north[0], east[-1] - east[0])
-    for radar in grid.task.radars_near(middle, 0.5 * across_m + margin_m):
-        kernels.compiled().guidance.add_detection(
-            total, north, east, altitude_m, (*radar.centre_nea_m, radar.range_m), margin_m
-        )
-    return total
 
 
 def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> FloatArray:

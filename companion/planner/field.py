@@ -16,7 +16,8 @@ import scipy
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner import kernels
 from companion.planner.cheapest_ways import Costs, IndexArray
-from companion.planner.cost_grid import BLOCKED, CostGrid, Extent, Place, bars
+from companion.planner.cost_grid import CostGrid, Extent, Place, bars
+from companion.planner.cost_samples import BLOCKED
 from companion.planner.settings import Task
 from companion.world.clearance import Surface
 from companion.world.guess import Guess, guess_of
@@ -258,7 +259,7 @@ class _Solver:
         result, guidance = _Solver(), kernels.compiled().guidance
         result.grid = replace(self.grid, samples=cheaper)
         result.costs = self.costs.copied()
-        guidance.touched(inside, (0, 0), touched)
+        guidance.touch_all(inside, touched)
         cost = self.costs.cost.reshape(self.grid.shape)
         most_m = cost.ravel()[self.grid.around(here_ne_m)].min() + 2.0 * BLOCKED * samples.step_m
         matters = np.zeros(cost.shape, dtype=bool)
@@ -283,31 +284,18 @@ def _route(
     """The cheapest way from here to the target, straightened where the grid is fine."""
     grid, way = solved.grid, solved.way(here_ne_m)
     near = np.concatenate([[here_ne_m], grid.points_m(way)])
+    along_m = np.concatenate([grid.lines_m(near[:1], near[1:2]), -np.diff(solved.costs.cost[way])])
     if far is not None and not np.isin(way[-1], grid.around(target_ne_m)):
-        beyond = far.grid.points_m(far.way((float(near[-1, 0]), float(near[-1, 1]))))
-        points = np.concatenate([_straightened(grid, near), beyond, [target_ne_m]])
+        wide = far.grid.points_m(far.way((float(near[-1, 0]), float(near[-1, 1]))))
+        beyond = np.concatenate([wide, [target_ne_m]])
     else:
-        points = _straightened(grid, np.concatenate([near, [target_ne_m]]))
+        beyond, near = np.empty((0, 2)), np.concatenate([near, [target_ne_m]])
+        along_m = np.append(along_m, grid.lines_m(near[-2:-1], near[-1:]))
+    keep = kernels.compiled().guidance.straightened(
+        grid.samples, grid.sample_of(near), np.append(0.0, np.cumsum(along_m))
+    )
+    points = np.concatenate([near[keep], beyond])
     return tuple((float(north), float(east)) for north, east in points)
-
-
-def _straightened(grid: CostGrid, points_ne_m: FloatArray) -> FloatArray:
-    """Without the points that a straight line may pass by at no more cost.  (K, 2) -> (J, 2).
-
-    From each point the line goes as far as it can, from those beyond R over 2 R at most: only where
-    the way leaves R is its direction asked for.
-    """
-    count = len(points_ne_m)
-    along = np.append(0.0, np.cumsum(grid.lines_m(points_ne_m[:-1], points_ne_m[1:])))
-    keep, cell_m = [0], 2.0 * grid.step_m
-    while keep[-1] < count - 1:
-        last = keep[-1]
-        is_far = math.dist(points_ne_m[0], points_ne_m[last]) > _CELLS_PER_RANGE * cell_m
-        until = min(last + 1 + 2 * _CELLS_PER_RANGE, count) if is_far else count
-        straight = grid.lines_m(points_ne_m[last : last + 1], points_ne_m[last + 1 : until])
-        may = np.flatnonzero(straight <= (along[last + 1 : until] - along[last]) * (1.0 + 1e-9))
-        keep.append(last + 1 + int(may.max(initial=0)))
-    return points_ne_m[keep]
 
 
 def _given(

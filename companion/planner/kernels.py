@@ -26,8 +26,8 @@ from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
-from companion.planner import cheapest_ways
-from companion.world import columns, zones
+from companion.planner import cheapest_ways, cost_samples
+from companion.world import clearance, columns, zones
 from companion.world.zones import LatticeGaps
 
 
@@ -44,8 +44,10 @@ class Kernel:
     """The terms of a candidate, (D,), by name, unweighted."""
     prove: Prover
     """Proves a subpath (`path.certificate`)."""
+    dilated_m: Callable[..., FloatArray]
+    """Of `world.clearance`."""
     guidance: Any
-    """What guidance calls of `cheapest_ways`, by name."""
+    """What guidance calls of `cheapest_ways` and `cost_samples`, by name."""
     zone_gaps: LatticeGaps
     """Distances to zones on a lattice (`world.zones`)."""
 
@@ -104,7 +106,10 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         costs=lambda x, scene: costs(x, pack(scene)),
         terms=terms_of,
         prove=jit(proof.prove),
-        guidance=SimpleNamespace(**{each.__name__: jit(each) for each in cheapest_ways.ENTRIES}),
+        dilated_m=jit(clearance.dilated_m),
+        guidance=SimpleNamespace(
+            **{each.__name__: jit(each) for each in cheapest_ways.ENTRIES + cost_samples.ENTRIES}
+        ),
         zone_gaps=jit(zones.lattice_gaps),
     )
 
@@ -119,6 +124,8 @@ SOURCES = (
     columns,
     zones,
     cheapest_ways,
+    cost_samples,
+    clearance,
 )
 """The modules whose code is compiled: a cache made from others is stale."""
 

@@ -590,10 +590,12 @@ def _vary(scene: FlightScene, how: _SearchVariant) -> FlightScene:
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     return safe_surface(
         request.around,
+        kernels.compiled().dilated_m,
         centre_ne_m=request.scan_nea_m[:2],
         reach_m=REACH * request.task.settings.scan_range_m,
         clearance_m=clearance_m,
         unknown_m=request.task.limits.ceiling_amsl_m,
+        floor_m=request.task.limits.floor_amsl_m,
     )
 
 

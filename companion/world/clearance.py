@@ -7,6 +7,7 @@ The search reads it; what it finds is proven against the map itself (`path.certi
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
@@ -77,11 +78,13 @@ def _window(
 
 def safe_surface(
     known: KnownMap,
+    dilated: Callable[..., FloatArray],
     *,
     centre_ne_m: tuple[float, float],
     reach_m: float,
     clearance_m: float,
     unknown_m: float,
+    floor_m: float = -math.inf,
 ) -> Surface:
     """The lowest altitude at which the clearance is sure, within reach of a point.
 
@@ -89,32 +92,55 @@ def safe_surface(
     the terrain does inside a cell: cells count with their highest terrain over their whole
     square, grown by the registration error.  Unknown ground counts as terrain of altitude
     unknown_m.  Up to a cell wider than need be: `path.certificate` is exact.
+
+    dilated: `dilated_m`, compiled.  floor_m: at lower altitudes it need not be right.
     """
     radius = clearance_m + known.registration_m
-    south, west, upper = _window(known, centre_ne_m, reach_m + radius, unknown_m)
+    south, west, upper_m = _window(known, centre_ne_m, reach_m + radius, unknown_m)
     refine = 2 if radius < _COARSE_FROM * known.cell_m else 1
     half = math.ceil(radius / known.cell_m)
-    rows, columns = upper.shape
-    padded = np.pad(upper, half, mode="edge")
-    squares = np.full((refine, refine, rows, columns), -np.inf)
-    part_m = np.empty((rows, columns))
-    for north, east in np.ndindex(refine, refine):
-        gaps_n, gaps_e = (_gaps(half, part / refine, 1.0 / refine) for part in (north, east))
-        apart = np.hypot(gaps_n[:, None], gaps_e[None, :]) * known.cell_m - known.registration_m
-        apart = np.maximum(apart, 0.0)
-        square = squares[north, east]
-        for i, j in np.argwhere(apart < clearance_m):
-            rise_m = math.sqrt(clearance_m**2 - apart[i, j] ** 2)
-            np.add(padded[i : i + rows, j : j + columns], rise_m, out=part_m)
-            np.maximum(square, part_m, out=square)
+    gaps = np.stack([_gaps(half, part / refine, 1.0 / refine)[::-1] for part in range(refine)])
+    gap = gaps.T.ravel()  # of the parts of cells from the southernmost on
+    away_m = np.hypot(gap[:, None], gap[None, :]) * known.cell_m - known.registration_m
+    rises_m = np.sqrt(np.maximum(clearance_m**2 - np.maximum(away_m, 0.0) ** 2, 0.0))
+    rises_m[away_m >= clearance_m] = -np.inf
+    squares = dilated(upper_m, rises_m, refine, floor_m - clearance_m)
     return Surface(
         north_min_m=south,
         east_min_m=west,
         cell_m=known.cell_m / refine,
-        vertex_m=_at_vertices(
-            squares.transpose(2, 0, 3, 1).reshape(rows * refine, columns * refine)
-        ),
+        vertex_m=_at_vertices(squares),
     )
+
+
+def dilated_m(upper_m: FloatArray, rises_m: FloatArray, refine: int, least_m: float) -> FloatArray:
+    """Cells dilated: for each part of a cell the most that a cell about it asks for.
+
+    Plain Python that numba compiles as it is.  (N, M) -> (N refine, M refine).
+    rises_m: (K, K), by how much over a cell, for the parts of the cells about it from the
+    southernmost and westernmost on; -inf where it asks for nothing.
+    least_m: what cells that are no higher ask for of others does not matter.
+
+    A cell among eight that are no lower asks for nothing that these do not: the line from anywhere
+    to it goes over one of them.
+    """
+    (rows, columns), across = upper_m.shape, len(rises_m)
+    margin = (across - refine) // 2  # parts on each side of a cell
+    wide = np.full((rows * refine + 2 * margin, columns * refine + 2 * margin), -math.inf)
+    for r in range(rows):
+        for c in range(columns):
+            top_m, is_edge = upper_m[r, c], False
+            if top_m > least_m:
+                for i in range(max(r - 1, 0), min(r + 2, rows)):
+                    for j in range(max(c - 1, 0), min(c + 2, columns)):
+                        is_edge |= upper_m[i, j] < top_m
+            low, high = (0, across) if is_edge else (margin, margin + refine)
+            for y in range(low, high):
+                for x in range(low, high):
+                    asked_m = top_m + rises_m[y, x]
+                    if asked_m > wide[r * refine + y, c * refine + x]:
+                        wide[r * refine + y, c * refine + x] = asked_m
+    return wide[margin : margin + rows * refine, margin : margin + columns * refine].copy()
 
 
 def _gaps(half: int, start: float, width: float) -> FloatArray:

@@ -125,7 +125,7 @@ def test_what_is_repaired_is_what_is_found_anew_to_the_last_digit(
             seeds.pop(int(rng.choice(list(seeds))))
         anew = solved(grid, seeds or {0: 1.0})
         touched = np.zeros((rows, columns), dtype=bool)
-        found.touched(changed.reshape(shape), (0, 0), touched)
+        found.touch_all(changed.reshape(shape), touched)
         dirty = touched.ravel() | (anew.seed != costs.seed)
         costs.seed[:] = anew.seed
         found.repair(grid, costs, np.flatnonzero(dirty), ALL)
@@ -141,7 +141,7 @@ def test_where_nothing_has_changed_nothing_is_looked_at_and_far_changes_are_not_
     touched = np.zeros((60, 60), dtype=bool)
     changed = np.zeros((119, 119), dtype=bool)
     changed[-1, -1] = True
-    found.touched(changed, (0, 0), touched)
+    found.touch_all(changed, touched)
     assert 0 < found.repair(grid, costs, np.flatnonzero(touched), ALL) < 60
 
 

@@ -121,8 +121,7 @@ def test_over_a_free_plane_the_cost_is_the_distance(here: Place, target: Place) 
     field = cost_to_go(a_map(task), task, here, target)
     apart = math.dist(here, target)
     assert value(field, here) == pytest.approx(apart, rel=0.01, abs=0.75 * CELL)
-    assert (field.route_ne_m[0], field.route_ne_m[-1]) == (here, target)
-    assert length(field.route_ne_m) <= 1.003 * apart
+    assert field.route_ne_m == (here, target)
 
 
 def test_the_error_of_the_metric_is_under_one_per_cent_in_every_direction() -> None:
@@ -322,7 +321,7 @@ def test_along_the_route_the_cost_falls_all_the_way(seed: int) -> None:
     points = along(cost_to_go(known, task, (2e3, 2e3), target).route_ne_m, 250.0)
     values = values_m(known, task, target, points[:, 0], points[:, 1])
     assert values[0] > 70e3
-    assert np.diff(values).max() <= 0.7 * CELL  # interpolation beside threats is not exact
+    assert np.diff(values).max() <= 0.4 * CELL  # interpolation beside threats is not exact
     later = np.minimum.accumulate(values)
     assert (values - later).max() <= CELL
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from planning import PLANE_TASK, limits
 
 from companion.path.subpath import Subpath
-from companion.planner.cost_grid import BLOCKED, CostGrid, Extent, bars
+from companion.planner.cost_grid import CostGrid, Extent, bars
+from companion.planner.cost_samples import BLOCKED
 from companion.planner.procedure import Leg
 from companion.planner.recheck import meets_near_things
 from companion.world import rays

@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -7,10 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.path.limits import Limits
+from companion.planner import kernels
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import FLIGHT, PAPER, PROFILES, Weights
-from companion.world.clearance import safe_surface
+from companion.world import clearance
 from companion.world.known_map import empty_map
+
+safe_surface = partial(clearance.safe_surface, dilated=kernels.compiled().dilated_m)
 
 LIMITS = Limits(
     speed_m_s=150.0,
