@@ -3,8 +3,6 @@
 What was proven stays proven: a leg is checked only against rules that are new or stricter.
 """
 
-import math
-
 import numpy as np
 
 from companion.geodesy import FloatArray
@@ -12,15 +10,20 @@ from companion.path.certificate import cubics_of
 from companion.path.proof import piece_of
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
+from companion.world.columns import distances_to_cells_m
 from companion.world.near_map import NearMap
 from companion.world.zones import Zone, ZoneTable, gaps_m, near, packed, zone_distance
 
 _PIECES = 48
-_LEEWAY = 2e-3  # of the required distance: a certificate is not exact either
-_LEEWAY_M = 0.01
-_FINEST = 1e-5  # of the curve's parameter: what is not clear by then is not
-_BAND_SLACK_M = 0.5  # a ceiling above home moves a little with where the autopilot has its home
+"""Of the rest of a leg at first: most are clear as wholes, by one look at all of them."""
+_LEEWAY, _LEEWAY_M = 2e-3, 0.01
+"""Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
+_FINEST = 1e-5
+"""Of the curve's parameter, 0.2 m of 20 km: what is not clear by then is not."""
+_BAND_SLACK_M = 0.5
+"""A ceiling above home moves that much with where the autopilot has its home."""
 _BAND_SAMPLES = 100
+"""A leg climbs by less than its climb angle over 1 % of its length between two of them."""
 
 
 def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
@@ -90,19 +93,12 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     lengths = np.linspace(from_m, leg.subpath.length_m, steps + 1)
     points = leg.subpath.points_nea_m(lengths)[:, :2]
     window = near.about_points(points, required_m)
-    cells = np.argwhere(near.occupied(window))
-    corner = near.lattice.north_min_m, near.lattice.east_min_m
-    first = np.array([window[0].start, window[1].start])
-    middles = (cells + first + 0.5) * cell_m + corner
-    north, east = (
-        np.maximum(np.abs(points[:, k, None] - middles[:, k]) - 0.5 * cell_m, 0.0) for k in (0, 1)
-    )
-    gaps_m2 = (north * north + east * east).min(axis=1, initial=math.inf)
-    kept = gaps_m2 >= required_m**2
+    gaps_m = distances_to_cells_m(points, near.occupied(window), window, near.lattice)
+    kept = gaps_m >= required_m
     left_at = int(np.argmax(kept)) if kept.any() else steps
     if left_at and lengths[left_at] - from_m > required_m:
         return True
-    return bool((gaps_m2[:left_at] < gaps_m2[0]).any() or not kept[left_at:].all())
+    return bool((gaps_m[:left_at] < gaps_m[0]).any() or not kept[left_at:].all())
 
 
 def _is_clear(cubics: FloatArray, piece: list[float], table: ZoneTable, wanted_m: float) -> bool:
