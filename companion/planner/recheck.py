@@ -7,12 +7,11 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.certificate import cubics_of
-from companion.path.proof import piece_of
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
 from companion.world.columns import distances_to_cells_m
 from companion.world.near_map import NearMap
-from companion.world.zones import Zone, ZoneTable, gaps_m, near, packed, zone_distance
+from companion.world.zones import Zone, gaps_m, packed
 
 _PIECES = 48
 """Of the rest of a leg at first: most are clear as wholes, by one look at all of them."""
@@ -59,23 +58,23 @@ def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m:
 
     leg, from_m: the leg, and the length from which on it matters.  required_m: what the path must
     keep (`Task.zone_clearance_m`), to 0.2 %, between samples too: pieces of the curve that are not
-    clear of all zones as wholes are bounded as in the certificate (`path.proof`), and halved.
+    clear of all zones as wholes are halved, until they are or their middle is too near.
     """
     if not zones:
         return False
     wanted_m = required_m * (1.0 - _LEEWAY) - _LEEWAY_M
-    cubics = cubics_of(leg.subpath.control_nea_m)
+    cubics = cubics_of(leg.subpath.control_nea_m)[..., :2]
     pieces = _pieces(leg.subpath.parameter_at(from_m), len(cubics))
-    middles, radii = _discs(cubics[..., :2], pieces)
-    enough_m = max(wanted_m + float(radii.max()), 0.0) + _LEEWAY_M
-    gaps = gaps_m(packed(zones), middles[:, 0], middles[:, 1], enough_m)
-    if gaps.min() < wanted_m:
-        return True
-    for k in np.flatnonzero(gaps - radii < wanted_m):
-        middle = float(middles[k, 0]), float(middles[k, 1])
-        table = packed(tuple(near(zones, middle, middle, wanted_m + float(radii[k]))))
-        if not _is_clear(cubics, pieces[k].tolist(), table, wanted_m):
+    while len(pieces):
+        middles, radii_m = _discs(cubics, pieces)
+        enough_m = np.maximum(wanted_m + radii_m, 0.0) + _LEEWAY_M
+        told_m = gaps_m(packed(zones), middles[:, 0], middles[:, 1], enough_m)
+        left = told_m - radii_m < wanted_m
+        if (told_m < wanted_m).any() or (np.diff(pieces[left]) < _FINEST).any():
             return True
+        begin, end = pieces[left].T
+        middle = 0.5 * (begin + end)
+        pieces = np.stack([np.append(begin, middle), np.append(middle, end)], axis=-1)
     return False
 
 
@@ -99,25 +98,6 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     if left_at and lengths[left_at] - from_m > required_m:
         return True
     return bool((gaps_m[:left_at] < gaps_m[0]).any() or not kept[left_at:].all())
-
-
-def _is_clear(cubics: FloatArray, piece: list[float], table: ZoneTable, wanted_m: float) -> bool:
-    """Whether a piece of a curve, from where to where, is nowhere nearer to zones than wanted."""
-    stack = [piece]
-    while stack:
-        start, end = stack.pop()
-        span = min(int(0.5 * (start + end) * len(cubics)), len(cubics) - 1)
-        segment, sag, _, _ = piece_of(
-            cubics, span, start * len(cubics) - span, end * len(cubics) - span
-        )
-        low, high = zone_distance(table, segment, max(wanted_m + sag, 0.0))
-        if low - sag >= wanted_m:
-            continue
-        if high + sag < wanted_m or end - start < _FINEST:
-            return False
-        middle = 0.5 * (start + end)
-        stack += [[middle, end], [start, middle]]
-    return True
 
 
 def _pieces(start: float, spans: int) -> FloatArray:
