@@ -55,7 +55,8 @@ def pack(scene: FlightScene) -> Pack:
     )
 
 
-_UNUSED = {"radars", "zones", "points", "samples", "variables", "radar_margin_m", "point_nea_m"}
+_UNUSED = {"radars", "zones", "points", "samples", "variables", "radar_margin_m"}
+_UNUSED |= {"point_nea_m", "kind"}
 
 
 def _record_of(kind: type) -> Any:

@@ -16,6 +16,7 @@ from companion.world.known_map import KnownMap
 from companion.world.zones import too_near
 
 _EVERYWHERE = np.ones((3, 3), dtype=bool)
+"""A curve may go on from a cell to any of the eight about it."""
 
 
 def blocked_at(

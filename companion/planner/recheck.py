@@ -3,24 +3,26 @@
 What was proven stays proven: a leg is checked only against rules that are new or stricter.
 """
 
-import math
-
 import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.certificate import cubics_of
-from companion.path.proof import piece_of
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
+from companion.world.columns import distances_to_cells_m
 from companion.world.near_map import NearMap
-from companion.world.zones import Zone, ZoneTable, gaps_m, near, packed, zone_distance
+from companion.world.zones import Zone, gaps_m, packed
 
 _PIECES = 48
-_LEEWAY = 2e-3  # of the required distance: a certificate is not exact either
-_LEEWAY_M = 0.01
-_FINEST = 1e-5  # of the curve's parameter: what is not clear by then is not
-_BAND_SLACK_M = 0.5  # a ceiling above home moves a little with where the autopilot has its home
+"""Of the rest of a leg at first: most are clear as wholes, by one look at all of them."""
+_LEEWAY, _LEEWAY_M = 2e-3, 0.01
+"""Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
+_FINEST = 1e-5
+"""Of the curve's parameter, 0.2 m of 20 km: what is not clear by then is not."""
+_BAND_SLACK_M = 0.5
+"""A ceiling above home moves that much with where the autopilot has its home."""
 _BAND_SAMPLES = 100
+"""A leg climbs by less than its climb angle over 1 % of its length between two of them."""
 
 
 def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
@@ -56,23 +58,23 @@ def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m:
 
     leg, from_m: the leg, and the length from which on it matters.  required_m: what the path must
     keep (`Task.zone_clearance_m`), to 0.2 %, between samples too: pieces of the curve that are not
-    clear of all zones as wholes are bounded as in the certificate (`path.proof`), and halved.
+    clear of all zones as wholes are halved, until they are or their middle is too near.
     """
     if not zones:
         return False
     wanted_m = required_m * (1.0 - _LEEWAY) - _LEEWAY_M
-    cubics = cubics_of(leg.subpath.control_nea_m)
+    cubics = cubics_of(leg.subpath.control_nea_m)[..., :2]
     pieces = _pieces(leg.subpath.parameter_at(from_m), len(cubics))
-    middles, radii = _discs(cubics[..., :2], pieces)
-    enough_m = max(wanted_m + float(radii.max()), 0.0) + _LEEWAY_M
-    gaps = gaps_m(packed(zones), middles[:, 0], middles[:, 1], enough_m)
-    if gaps.min() < wanted_m:
-        return True
-    for k in np.flatnonzero(gaps - radii < wanted_m):
-        middle = float(middles[k, 0]), float(middles[k, 1])
-        table = packed(tuple(near(zones, middle, middle, wanted_m + float(radii[k]))))
-        if not _is_clear(cubics, pieces[k].tolist(), table, wanted_m):
+    while len(pieces):
+        middles, radii_m = _discs(cubics, pieces)
+        enough_m = np.maximum(wanted_m + radii_m, 0.0) + _LEEWAY_M
+        told_m = gaps_m(packed(zones), middles[:, 0], middles[:, 1], enough_m)
+        left = told_m - radii_m < wanted_m
+        if (told_m < wanted_m).any() or (np.diff(pieces[left]) < _FINEST).any():
             return True
+        begin, end = pieces[left].T
+        middle = 0.5 * (begin + end)
+        pieces = np.stack([np.append(begin, middle), np.append(middle, end)], axis=-1)
     return False
 
 
@@ -90,38 +92,12 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     lengths = np.linspace(from_m, leg.subpath.length_m, steps + 1)
     points = leg.subpath.points_nea_m(lengths)[:, :2]
     window = near.about_points(points, required_m)
-    cells = np.argwhere(near.occupied(window))
-    corner = near.lattice.north_min_m, near.lattice.east_min_m
-    first = np.array([window[0].start, window[1].start])
-    middles = (cells + first + 0.5) * cell_m + corner
-    north, east = (
-        np.maximum(np.abs(points[:, k, None] - middles[:, k]) - 0.5 * cell_m, 0.0) for k in (0, 1)
-    )
-    gaps_m2 = (north * north + east * east).min(axis=1, initial=math.inf)
-    kept = gaps_m2 >= required_m**2
+    gaps_m = distances_to_cells_m(points, near.occupied(window), window, near.lattice)
+    kept = gaps_m >= required_m
     left_at = int(np.argmax(kept)) if kept.any() else steps
     if left_at and lengths[left_at] - from_m > required_m:
         return True
-    return bool((gaps_m2[:left_at] < gaps_m2[0]).any() or not kept[left_at:].all())
-
-
-def _is_clear(cubics: FloatArray, piece: list[float], table: ZoneTable, wanted_m: float) -> bool:
-    """Whether a piece of a curve, from where to where, is nowhere nearer to zones than wanted."""
-    stack = [piece]
-    while stack:
-        start, end = stack.pop()
-        span = min(int(0.5 * (start + end) * len(cubics)), len(cubics) - 1)
-        segment, sag, _, _ = piece_of(
-            cubics, span, start * len(cubics) - span, end * len(cubics) - span
-        )
-        low, high = zone_distance(table, segment, max(wanted_m + sag, 0.0))
-        if low - sag >= wanted_m:
-            continue
-        if high + sag < wanted_m or end - start < _FINEST:
-            return False
-        middle = 0.5 * (start + end)
-        stack += [[middle, end], [start, middle]]
-    return True
+    return bool((gaps_m[:left_at] < gaps_m[0]).any() or not kept[left_at:].all())
 
 
 def _pieces(start: float, spans: int) -> FloatArray:

@@ -18,14 +18,27 @@ from companion.world.zones import Zone
 Place = tuple[float, float]
 
 _GRAVITY_M_S2 = 9.81
+"""Standard gravity (ISO 80000-3), to 0.04 %."""
 MAX_CELLS = 2.5e7
+"""Of a map: 200 MB for each array of altitudes, and a plan holds several."""
 _MAX_LATERAL_M_S2 = 20.0
+"""Of a copter: 2 g, a tilt of 64 degrees; more is a slip of the pen and no way to fly."""
 _MAX_BANK_DEG = 45.0
 """Of a plane: ArduPlane's default roll limit; PX4's is 50 degrees."""
 _SCAN_REQUESTS = 33
+"""A circle of R = 80 cells touches 31 to 38 rectangles of 28 x 32 cells, as each request covers
+(`mavlink.terrain_download`), 34 in the mean; the rectangles at its rim are mostly empty."""
+_MOST_OF_SIGHT = 0.6
+"""L as a share of how far out subpaths end: a leg gains what is left, and with less than 40 % it
+would see the same ground three times."""
 _MIN_BAND_ERRORS = 4.0
+"""Between floor and ceiling: paths keep 1.1 errors from either (`Task.band_amsl_m`), and as much
+again is left to climb in."""
 _MIN_AREA_M2 = 1.0
+"""Corners of a line have that much by the rounding of degrees to 1e-7 (1 cm) over 100 m."""
 _MAX_CORNERS = 2000
+"""Of a polygon: crossings are looked for between all pairs of its edges, 0.1 s; a border of more is
+of no use at the scale of a flight."""
 
 
 def check_task(task: Task, where: str = "") -> None:
@@ -183,7 +196,7 @@ def _check_scan_distance(task: Task, where: str) -> None:
         rule = f"eq. 4: L must be at least V (T + scan time) + tail = {least:g} m"
         remedy = "Leave scan_distance_m out, or lower planning_time_s or speed_m_s."
         raise InputError(f"{where}planner.scan_distance_m", given, rule, remedy)
-    room = 0.6 * task.end_radius_m
+    room = _MOST_OF_SIGHT * task.end_radius_m
     if task.scan_distance_m > room:
         rule = (
             f"eq. 4: with V = {speed:g} m/s and d_s = {settings.safety_distance_m:g} m it needs "

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.geodesy import FloatArray
+from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
+from companion.world.rays import Lattice
 
 _FAR_M = 1e12
 """Farther than anything on earth, and small enough to calculate with."""
@@ -121,6 +122,21 @@ def distances_to_terrain_m(
     apart = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
     above = np.maximum(up[:, None, None] - upper, 0.0)
     return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)
+
+
+def distances_to_cells_m(
+    points_ne_m: FloatArray, cells: BoolArray, window: tuple[slice, slice], lattice: Lattice
+) -> FloatArray:
+    """Distance of points, seen from above, to the nearest of some cells, metres; inf without any.
+
+    (N, 2) -> (N,).  cells (rows, columns): those of a window of the lattice that count.
+    """
+    first = np.array([window[0].start, window[1].start])
+    south_west = (np.argwhere(cells) + first) * lattice.cell_m
+    south_west += lattice.north_min_m, lattice.east_min_m
+    over_m = points_ne_m[:, None] - south_west  # (N, cells, 2)
+    gaps_m = np.maximum(np.maximum(-over_m, over_m - lattice.cell_m), 0.0)
+    return np.sqrt((gaps_m * gaps_m).sum(axis=2).min(axis=1, initial=math.inf))
 
 
 # --- a segment: compiled with the planner's kernel

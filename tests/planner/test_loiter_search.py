@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning import PLANE_TASK
+from planning import PLANE_TASK, zone_distance_m
 
 from companion.geodesy import FloatArray
 from companion.planner.loiter_search import Motion, Vector, loiter_point
@@ -31,7 +31,8 @@ def flat(height_m: float = 0.0) -> KnownMap:
 
 
 def gap_m(zones: tuple[Zone, ...], north: float, east: float) -> float:
-    return min(float(zone.distance_m(np.asarray(north), np.asarray(east))) for zone in zones)
+    at = np.array([north]), np.array([east])
+    return min(float(zone_distance_m(zone, *at)[0]) for zone in zones)
 
 
 def flown_m(

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import zone_distance_m
 
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
@@ -53,7 +54,7 @@ def test_a_leg_comes_too_near_where_dense_samples_do(seed: int, required_m: floa
     zones, from_m = zones_along(rng, leg), rng.uniform(0.0, 0.5) * leg.subpath.length_m
     lengths = np.linspace(from_m, leg.subpath.length_m, 8_001)  # about 2.5 m apart
     n, e, _ = leg.subpath.points_nea_m(lengths).T
-    gap = np.min([zone.distance_m(n, e) for zone in zones], axis=0)
+    gap = np.min([zone_distance_m(zone, n, e) for zone in zones], axis=0)
     if comes_too_near(leg, from_m, zones, required_m):
         assert gap.min() < required_m + 2.0
     else:
