@@ -23,7 +23,7 @@ from companion.world.zones import Zone
 
 VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4
 _PAPER_SAMPLES = 10  # 4.1
-# Scales to "the common range (0, 100)", which the paper gives no values for: rows 10, 11, 21, 22.
+# Scales to "the common range (0, 100)", which the paper gives no values for: row 28.
 _CRASH_SCALE = 100.0  # per unit of collision probability of one sample
 _RADAR_SCALE = 30.0  # per unit of detection probability of one sample
 _ANGLE_SCALE = 100.0  # k_1, k_2 of eq. 11, per radian

@@ -1,11 +1,14 @@
 import json
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from rich.console import Console
+from runs import run, table
 from typer.testing import CliRunner
 
 from companion.errors import InputError
-from companion.paper.compare import figures, table_1
+from companion.paper.compare import figures, routes, table_1
 from companion.paper.compare.command import compare_app
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -54,6 +57,30 @@ def test_table_1_prints_our_numbers_beside_the_papers(
     assert picture.read_bytes().startswith(PNG)
     results = json.loads(numbers.read_text())["results"]
     assert [each["evaluations"] for each in results] == [600] * 4
+
+
+@pytest.mark.parametrize("columns", ["80", "120"])
+def test_no_cell_of_a_table_is_cut(columns: str) -> None:
+    found = table((run(208.55), run(596.96)))
+    with (console := Console(width=int(columns), file=StringIO())).capture() as said:
+        for each in table_1.tables(found):
+            console.print(each)
+    assert "…" not in said.get()
+    for cell in ("environment-2, 5 s", "classical DE", "402.75 ± 274.65", "150.0 km"):
+        assert cell in said.get()
+
+
+def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(routes, "ENVIRONMENTS", ("environment-1",))
+    words = ["routes", "--jobs", "1", "--planner", "paper", "--planner", "a-star"]
+    shown = called(*words, "--json", str(tmp_path / "routes.json"))
+    results = json.loads((tmp_path / "routes.json").read_text())["results"]
+    assert [each["label"] for each in results] == ["paper", "a-star"]
+    for each in results:
+        assert each["arrived"] == [True]
+        assert f"{each['j'][0]:.2f}" in shown
+    with pytest.raises(InputError, match=r"--planner = 'magic': there is no such planner"):
+        called("routes", "--planner", "magic")
 
 
 @pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.paper.compare import figures
-from companion.paper.compare.missions import fly
+from companion.paper.compare.missions import fly_all
 
 coordinate = st.floats(-100.0, 100.0)
 Point = tuple[float, float]
@@ -39,7 +39,7 @@ def test_a_route_that_crosses_beyond_the_ends_goes_round() -> None:
 
 
 def test_the_weights_of_figure_3_are_the_papers() -> None:
-    weights = [each.case.task.settings.weights for each in figures.figure_3().settings]
+    weights = [case.task.settings.weights for case in figures.figure_3().cases]
     assert [(w.height, w.guide) for w in weights] == [(0.15, 0.15), (0.25, 0.05)]
     assert all((w.length, w.crash, w.radar, w.constraints) == (0.1, 0.3, 0.3, 1) for w in weights)
 
@@ -47,7 +47,7 @@ def test_the_weights_of_figure_3_are_the_papers() -> None:
 def test_the_radars_of_figure_4_overlap_by_more_than_one_d_overlap_and_less_than_the_other() -> (
     None
 ):
-    small, large = (each.case.task for each in figures.figure_4().settings)
+    small, large = (case.task for case in figures.figure_4().cases)
     one, two = small.radars
     apart = math.dist(one.centre_nea_m, two.centre_nea_m)
     overlap = one.range_m + two.range_m - apart
@@ -59,15 +59,14 @@ def test_the_radars_of_figure_4_overlap_by_more_than_one_d_overlap_and_less_than
 def test_the_paper_s_way_is_flown_in_both_settings(
     effect: figures.Effect, runs: int, seed: int
 ) -> None:
-    flown = [fly(case) for case in figures.cases(effect, runs, seed)]
-    found = figures.outcomes(effect, flown)
+    found = fly_all(effect.cases, runs, seed, 1)
     # a search of chance: nearly always
-    for outcome in found:
-        assert outcome.ways.count(outcome.setting.papers_way) >= (runs + 1) // 2
-    assert {outcome.setting.papers_way for outcome in found} == {effect.across, effect.round}
-    assert all(run.arrived for run in flown)
+    for outcome, way in zip(found, effect.papers_ways, strict=True):
+        assert effect.ways(outcome).count(way) >= (runs + 1) // 2
+        assert outcome.arrivals == f"{runs}/{runs}"
+    assert set(effect.papers_ways) == {effect.across, effect.round}
     facts = json.loads(json.dumps(figures.facts(effect, found), allow_nan=False))
-    assert [each["ways"] for each in facts] == [list(outcome.ways) for outcome in found]
+    assert [each["ways"] for each in facts] == [effect.ways(outcome) for outcome in found]
     one, other = (outcome.shown for outcome in found)
     if effect.name == "figure-3":  # over: higher and shorter
         over, past = one, other
@@ -77,8 +76,3 @@ def test_the_paper_s_way_is_flown_in_both_settings(
         past, between = one, other
         assert past.violations.radar_m == 0.0
         assert between.violations.radar_m > 5_000.0
-
-
-def test_runs_have_seeds_of_their_own() -> None:
-    cases = figures.cases(figures.figure_4(), 3, 7)
-    assert [case.seed for case in cases] == [7, 8, 9] * 2

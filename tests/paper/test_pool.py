@@ -5,29 +5,22 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 
-from companion.paper.compare.missions import Case, bundled_case, fly_all, planned_with
+from companion.paper.compare.missions import Case, bundled_case, fly, fly_all, planned_with
 
 
-def cases(count: int, evaluations: int) -> list[Case]:
-    return [
-        planned_with(
-            bundled_case("environment-1"),
-            optimiser="improved-de",
-            planning_time_s=3.0,
-            evaluations=evaluations,
-            seed=seed,
-        )
-        for seed in range(1, count + 1)
-    ]
+def quick() -> Case:
+    settings = {"optimiser": "improved-de", "planning_time_s": 3.0, "evaluations": 60}
+    return planned_with(bundled_case("environment-1"), **settings)
 
 
 def test_the_results_do_not_depend_on_the_number_of_processes() -> None:
-    alone = fly_all(cases(2, 60), 1, iter)
-    together = fly_all(cases(2, 60), 2, iter)
-    assert [run.cost for run in alone] == [run.cost for run in together]
-    for one, other in zip(alone, together, strict=True):
+    (alone,), (together,) = (fly_all([quick()], 2, 7, jobs) for jobs in (1, 2))
+    assert alone.costs == together.costs
+    for run, (one, other) in enumerate(zip(alone.runs, together.runs, strict=True)):
         assert one.route_nea_m.tobytes() == other.route_nea_m.tobytes()
+        assert one.cost == fly(replace(quick(), seed=7 + run)).cost
     assert not multiprocessing.active_children()
 
 
@@ -41,9 +34,9 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
                 for each in flown:
                     print(*(each.pid for each in multiprocessing.active_children()), flush=True)
                     yield each
-            quick = {"optimiser": "pso", "planning_time_s": 3.0, "evaluations": 100, "seed": 1}
+            quick = {"optimiser": "pso", "planning_time_s": 3.0, "evaluations": 100}
             try:
-                fly_all([planned_with(bundled_case("environment-1"), **quick)] * 999, 2, told)
+                fly_all([planned_with(bundled_case("environment-1"), **quick)], 999, 1, 2, told)
             except KeyboardInterrupt:
                 sys.exit(130)
     """

@@ -12,6 +12,7 @@ from companion.planner.offline import OfflineFlight, fly_offline, usual_most_leg
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
+from companion.planning import OURS, planner_of
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.terrain import PeakTerrain
@@ -193,7 +194,7 @@ def test_a_flight_that_runs_out_of_legs_says_so_and_how_to_go_on(
 ) -> None:
     cut = fly_offline(
         task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3,
-        most_legs=2,
+        planner=planner_of(OURS), most_legs=2,
     )  # fmt: skip
     assert cut.failure is not None
     assert cut.failure.refusal is Refusal.TOO_MANY_LEGS

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from companion.errors import InputError
 from companion.paper.compare import figures, routes, table_1
-from companion.paper.compare.missions import Case, Run, fly, fly_all
+from companion.paper.compare.missions import Case, Outcome, fly_all
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
@@ -64,17 +64,11 @@ def table_1_command(
 ) -> None:
     """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
     files = _files(figure or Path("table-1.png"), json_file)
-    found = table_1.rows(_flown(table_1.cases(runs, seed, per_second), jobs))
+    found = _flown(table_1.cases(per_second), runs, seed, jobs)
     remarks = table_1.remarks(found, per_second)
-
-    def compose() -> "Figure":
-        from companion.paper.compare.pictures import compose_table  # slow to import
-
-        return compose_table(found, remarks)
-
-    numbers = {"runs": runs, "seed": seed, "results": table_1.facts(found, per_second)}
-    tables = [table_1.table(found), table_1.violations_table(found)]
-    _tell(tables, remarks, compose, numbers, files)
+    _tell(table_1.tables(found), remarks)
+    _draw(lambda pictures: pictures.compose_table(found, remarks), files[0])
+    _write({"runs": runs, "seed": seed, "results": table_1.facts(found)}, files[1])
 
 
 def _add_figure(name: str, words: str, effect_of: Callable[[], figures.Effect]) -> None:
@@ -88,16 +82,11 @@ def _add_figure(name: str, words: str, effect_of: Callable[[], figures.Effect]) 
     ) -> None:
         effect = effect_of()
         files = _files(figure or Path(f"{effect.name}.png"), json_file)
-        found = figures.outcomes(effect, _flown(figures.cases(effect, runs, seed), jobs))
-        remarks = figures.remarks(effect)
-
-        def compose() -> "Figure":
-            from companion.paper.compare.pictures import compose_effect  # slow to import
-
-            return compose_effect(effect, found, remarks[-1])
-
+        found, remarks = _flown(effect.cases, runs, seed, jobs), figures.remarks(effect)
+        _tell([figures.table(effect, found)], remarks)
+        _draw(lambda pictures: pictures.compose_effect(effect, found, remarks[-1]), files[0])
         numbers = {"runs": runs, "seed": seed, "results": figures.facts(effect, found)}
-        _tell([figures.table(effect, found)], remarks, compose, numbers, files)
+        _write(numbers, files[1])
 
 
 _add_figure(
@@ -125,28 +114,22 @@ def routes_command(
 ) -> None:
     """The planners that the paper's introduction names, beside ours, in both environments."""
     json_file = json_file and writable("--json", json_file)
-    names = planners or routes.installed()
-    found = _shown(routes.cases(names, runs, seed), jobs, routes.fly)
-    plain_console().print(routes.table(found))
-    plain_console().print(routes.REMARK, highlight=False, markup=False)
-    _write({"runs": runs, "seed": seed, "results": found}, json_file)
+    found = _flown(routes.cases(planners or routes.installed()), runs, seed, jobs)
+    _tell([routes.table(found)], [routes.REMARK])
+    results = [outcome.facts() for outcome in found]
+    _write({"runs": runs, "seed": seed, "results": results}, json_file)
 
 
-def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:
-    """Fly them all as the paper does."""
-    return _shown(cases, jobs, fly)
-
-
-def _shown(cases: Sequence[Any], jobs: int | None, one: Callable[[Any], Any]) -> list[Any]:
+def _flown(cases: Sequence[Case], runs: int, seed: int, jobs: int | None) -> list[Outcome]:
     """Fly them all, with a bar that shows how far it is."""
     shown = partial(
         track,
         description="flying",
-        total=len(cases),
+        total=runs * len(cases),
         console=plain_console(stderr=True),
         transient=True,
     )
-    return fly_all(cases, jobs or processors(), shown, one)
+    return fly_all(cases, runs, seed, jobs or processors(), shown)
 
 
 def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:
@@ -157,25 +140,22 @@ def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:
     return picture_file("--figure", picture), json_file and writable("--json", json_file)
 
 
-def _tell(
-    tables: Sequence[Table],
-    remarks: Sequence[str],
-    compose: Callable[[], "Figure"],
-    numbers: dict[str, Any],
-    files: tuple[Path, Path | None],
-) -> None:
-    """Print the tables and what they cannot say, and write the picture and the numbers."""
-    from companion.views.figure import save  # slow to import
-
-    console, (picture, json_file) = plain_console(), files
+def _tell(tables: Sequence[Table], remarks: Sequence[str]) -> None:
+    """Print tables, and what they cannot say."""
     for table in tables:
-        console.print(table)
+        plain_console().print(table)
     for remark in remarks:
-        console.print(remark, highlight=False, markup=False)
+        plain_console().print(remark, highlight=False, markup=False)
+
+
+def _draw(compose: Callable[[Any], "Figure"], picture: Path) -> None:
+    """Write a picture; compose makes it with the module `pictures`."""
+    from companion.paper.compare import pictures  # slow to import
+    from companion.views.figure import save
+
     with writing("--figure", picture):
-        save(compose(), picture)
-    console.out(f"picture: {picture}", highlight=False)
-    _write(numbers, json_file)
+        save(compose(pictures), picture)
+    plain_console().out(f"picture: {picture}", highlight=False)
 
 
 def _write(numbers: dict[str, Any], json_file: Path | None) -> None:

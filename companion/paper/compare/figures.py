@@ -14,8 +14,13 @@ import numpy as np
 from rich.table import Table
 
 from companion.geodesy import FloatArray
-from companion.paper.compare.missions import Case, Run, bundled_case, planned_with
-from companion.paper.compare.table_1 import narrow_table, violation_facts
+from companion.paper.compare.missions import (
+    Case,
+    Outcome,
+    bundled_case,
+    narrow_table,
+    planned_with,
+)
 from companion.profiles import Weights
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
@@ -34,17 +39,6 @@ Point = tuple[float, float]
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
-    """One panel of a figure."""
-
-    words: str
-    papers_way: str
-    """Which way the paper's panel goes: `across` or `round` of the figure."""
-    case: Case
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
     """A figure of the paper: two settings, and a line that routes cross or go round."""
 
@@ -55,45 +49,33 @@ class Effect:
     across: str
     round: str
     line_ne_m: tuple[Point, Point]
-    settings: tuple[Setting, Setting]
+    cases: tuple[Case, Case]
+    papers_ways: tuple[str, str]
+    """Which way the paper's panels go."""
 
-    def way(self, run: Run) -> str:
-        """Which way a route goes."""
-        return self.across if crosses(run.route_nea_m, *self.line_ne_m) else self.round
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Outcome:
-    """The runs of one setting."""
-
-    setting: Setting
-    runs: tuple[Run, ...]
-    ways: tuple[str, ...]
-    """Which way each run went."""
-
-    @property
-    def shown(self) -> Run:
-        """The run of median cost: the one in the picture."""
-        return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
+    def ways(self, outcome: Outcome) -> list[str]:
+        """Which way each run of a setting went."""
+        crossed = (crosses(run.route_nea_m, *self.line_ne_m) for run in outcome.runs)
+        return [self.across if each else self.round for each in crossed]
 
 
 def figure_3() -> Effect:
     """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
-    base, over, past = _world("ridge", _RIDGE, ()), "climbs over", "goes round"
-
-    def weighted(height: float, guide: float, papers_way: str) -> Setting:
-        words, weights = f"a2 = {height:g}, a3 = {guide:g}", Weights(height=height, guide=guide)
-        case = planned_with(base, weights=weights)
-        return Setting(words=words, papers_way=papers_way, case=case)
-
+    over, past = "climbs over", "goes round"
+    base = _world("ridge", _RIDGE, ())
+    settings = (Weights(height=0.15, guide=0.15), Weights(height=0.25, guide=0.05))
+    one, two = (
+        replace(planned_with(base, weights=w), label=f"a2 = {w.height:g}, a3 = {w.guide:g}")
+        for w in settings
+    )
     return Effect(
         name="figure-3",
         title="Fig. 3: 3D path and vertical profile for two weightings",
         paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
         "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
         line_ne_m=(_RIDGE[0][:2], _RIDGE[-1][:2]),
-        settings=(weighted(0.15, 0.15, over), weighted(0.25, 0.05, past)),
+        cases=(one, two),
+        papers_ways=(over, past),
         across=over,
         round=past,
     )
@@ -109,50 +91,33 @@ def figure_4() -> Effect:
         for number, centre in enumerate(centres, start=1)
     )
     base = _world("two radars", _HILLS, radars)
-
-    def overlapping(overlap_km: float, papers_way: str) -> Setting:
-        case = planned_with(base, overlap_m=1000.0 * overlap_km)
-        return Setting(words=f"d_overlap = {overlap_km:g} km", papers_way=papers_way, case=case)
-
+    one, two = (
+        replace(planned_with(base, overlap_m=1000.0 * km), label=f"d_overlap = {km:g} km")
+        for km in (2.0, 6.0)
+    )
     return Effect(
         name="figure-4",
         title="Fig. 4: 3D path for two values of d_overlap",
         paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”",
         line_ne_m=(centres[0], centres[1]),
-        settings=(overlapping(2.0, past), overlapping(6.0, between)),
+        cases=(one, two),
+        papers_ways=(past, between),
         across=between,
         round=past,
     )
-
-
-def cases(effect: Effect, runs: int, seed: int) -> list[Case]:
-    """Every mission of a figure, setting by setting."""
-    return [
-        replace(setting.case, seed=seed + run) for setting in effect.settings for run in range(runs)
-    ]
-
-
-def outcomes(effect: Effect, flown: Sequence[Run]) -> list[Outcome]:
-    """The runs of all cases, in their order, by setting."""
-    half = len(flown) // 2
-    parts = (tuple(flown[:half]), tuple(flown[half:]))
-    return [
-        Outcome(setting=setting, runs=runs, ways=tuple(map(effect.way, runs)))
-        for setting, runs in zip(effect.settings, parts, strict=True)
-    ]
 
 
 def table(effect: Effect, found: Sequence[Outcome]) -> Table:
     """What each setting leads to."""
     headings = ("way", "arrived", "cost", "length", "highest", "in radars")
     result = narrow_table(effect.title, *headings)
-    for outcome in found:
-        shown, way, runs = outcome.shown, outcome.setting.papers_way, len(outcome.runs)
+    for outcome, way in zip(found, effect.papers_ways, strict=True):
+        shown = outcome.shown
         result.add_row(
-            outcome.setting.words,
-            f"{way}: {outcome.ways.count(way)}/{runs}",
-            f"{sum(run.arrived for run in outcome.runs)}/{runs}",
+            outcome.case.label,
+            f"{way}: {effect.ways(outcome).count(way)}/{len(outcome.runs)}",
+            outcome.arrivals,
             f"{shown.cost:.1f}",
             f"{shown.length_m / 1000:.1f} km",
             f"{shown.route_nea_m[:, 2].max() / 1000:.2f} km",
@@ -173,18 +138,8 @@ def remarks(effect: Effect) -> list[str]:
 def facts(effect: Effect, found: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Everything in the table, and more, for --json."""
     return [
-        {
-            "figure": effect.name,
-            "setting": outcome.setting.words,
-            "papers_way": outcome.setting.papers_way,
-            "ways": list(outcome.ways),
-            "arrived": [run.arrived for run in outcome.runs],
-            "costs": [run.cost for run in outcome.runs],
-            "lengths_m": [run.length_m for run in outcome.runs],
-            "highest_amsl_m": [float(run.route_nea_m[:, 2].max()) for run in outcome.runs],
-            "violations": violation_facts(outcome.runs),
-        }
-        for outcome in found
+        outcome.facts() | {"papers_way": way, "ways": effect.ways(outcome)}
+        for outcome, way in zip(found, effect.papers_ways, strict=True)
     ]
 
 

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from companion.paper.compare import figures, table_1
+from companion.paper.compare.missions import Outcome
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
 
@@ -19,17 +20,17 @@ _WIDELY = 3.0  # spread of costs from which on their scale is logarithmic
 _WIDE = 160  # characters in a line of the text under the panels
 
 
-def compose_effect(effect: figures.Effect, found: Sequence[figures.Outcome], remark: str) -> Figure:
+def compose_effect(effect: figures.Effect, found: Sequence[Outcome], remark: str) -> Figure:
     """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
     canvas.text(0.03, 0.967, effect.title, fontsize=18, weight="bold", parse_math=False)
-    profiles = not any(outcome.setting.case.task.radars for outcome in found)
+    profiles = not any(outcome.case.task.radars for outcome in found)
     for at, (outcome, letters) in enumerate(zip(found, ("ac", "bd"), strict=True)):
         flight, left = _flight(outcome), 0.02 + 0.49 * at
         box = (left, 0.525, 0.47, 0.42)
         views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
-        heading = f"({letters[0]}) {outcome.setting.words}: {_most(outcome)}"
+        heading = f"({letters[0]}) {outcome.case.label}: {_most(effect.ways(outcome))}"
         canvas.text(left + 0.02, 0.93, heading, fontsize=14, weight="bold", parse_math=False)
         below = canvas.add_axes(
             (left + 0.045, 0.175, 0.41, 0.27) if profiles else (left + 0.075, 0.165, 0.30, 0.33),
@@ -47,13 +48,13 @@ def compose_effect(effect: figures.Effect, found: Sequence[figures.Outcome], rem
     return canvas
 
 
-def compose_table(found: Sequence[table_1.Row], remarks: Sequence[str]) -> Figure:
+def compose_table(found: Sequence[Outcome], remarks: Sequence[str]) -> Figure:
     """Table 1: the cost of every run, mean and standard deviation, beside the paper's."""
     canvas = Figure(figsize=(14.0, 11.5))
     FigureCanvasAgg(canvas)
     title = "Table 1: cost from start to target"
     canvas.text(0.03, 0.955, title, fontsize=18, weight="bold", parse_math=False)
-    for at, row in enumerate(found):
+    for at, row in enumerate(table_1.rows(found)):
         left, bottom = 0.07 + 0.49 * (at % 2), 0.61 - 0.365 * (at // 2)
         axes = canvas.add_axes((left, bottom, 0.37, 0.29), label="row")
         _draw_row(axes, row)
@@ -63,9 +64,9 @@ def compose_table(found: Sequence[table_1.Row], remarks: Sequence[str]) -> Figur
     return canvas
 
 
-def _draw_row(axes: Axes, row: table_1.Row) -> None:
+def _draw_row(axes: Axes, row: Sequence[Outcome]) -> None:
     other = axes.twinx()
-    for at, (outcome, papers) in enumerate(zip(row.outcomes, row.papers, strict=True)):
+    for at, outcome in enumerate(row):
         label: dict[str, Any] = {} if at else {"label": "one run"}
         spread = np.linspace(-0.08, 0.08, len(outcome.costs))
         dots: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3, "alpha": 0.45, "color": _OURS}
@@ -77,11 +78,11 @@ def _draw_row(axes: Axes, row: table_1.Row) -> None:
         ends = np.nan_to_num([[below], [deviation]])
         axes.errorbar(at, mean, ends, color=_OURS, **bars, **label)
         label = {} if at else {"label": "the paper's (right scale)"}
-        other.errorbar(at + 0.2, *papers, color=_PAPERS, **bars)
+        other.errorbar(at + 0.2, *table_1.papers(outcome), color=_PAPERS, **bars)
         axes.errorbar([], [], [], color=_PAPERS, **bars, **label)
-    axes.set_xticks(range(len(row.outcomes)), [each.algorithm for each in row.outcomes])
-    axes.set_title(f"{row.environment}, T = {row.planning_time_s:g} s")
-    costs = [cost for outcome in row.outcomes for cost in outcome.costs]
+    axes.set_xticks(range(len(row)), [each.case.label for each in row])
+    axes.set_title(row[0].case.heading.replace(", ", ", T = "))
+    costs = [cost for outcome in row for cost in outcome.costs]
     scale = "log" if max(costs, default=1.0) > _WIDELY * min(costs, default=1.0) else "linear"
     axes.set_yscale(scale)
     axes.set_ylabel(f"cost, here{' (logarithmic)' if scale == 'log' else ''}", color=_OURS)
@@ -90,10 +91,10 @@ def _draw_row(axes: Axes, row: table_1.Row) -> None:
     other.tick_params(axis="y", colors=_PAPERS)
 
 
-def _most(outcome: figures.Outcome) -> str:
+def _most(ways: list[str]) -> str:
     """What most runs do, and how many."""
-    way = max(set(outcome.ways), key=outcome.ways.count)
-    return f"{way} ({outcome.ways.count(way)} of {len(outcome.ways)} runs)"
+    way = max(sorted(set(ways)), key=ways.count)
+    return f"{way} ({ways.count(way)} of {len(ways)} runs)"
 
 
 def _write_below(canvas: Figure, paragraphs: Sequence[str]) -> None:
@@ -102,8 +103,8 @@ def _write_below(canvas: Figure, paragraphs: Sequence[str]) -> None:
     canvas.text(0.03, 0.012, "\n".join(lines), color="#333333", **style)
 
 
-def _flight(outcome: figures.Outcome) -> FlightFigure:
-    case, run = outcome.setting.case, outcome.shown
+def _flight(outcome: Outcome) -> FlightFigure:
+    case, run = outcome.case, outcome.shown
     limits = case.task.limits
     north, east = (np.linspace(*ends, _CELLS + 1) for ends in (limits.north_m, limits.east_m))
     middles = np.meshgrid((north[1:] + north[:-1]) / 2, (east[1:] + east[:-1]) / 2, indexing="ij")

@@ -3,15 +3,21 @@
 import itertools
 import math
 import statistics
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, final
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import scipy
-from rich import box
 from rich.table import Table
 
-from companion.paper.compare.missions import Case, Run, bundled_case, planned_with
+from companion.paper.compare.missions import (
+    Case,
+    Outcome,
+    add_rows,
+    bundled_case,
+    narrow_table,
+    planned_with,
+)
 
 ALGORITHMS = {
     "improved DE": "improved-de",
@@ -23,97 +29,73 @@ ENVIRONMENTS = ("environment-1", "environment-2")
 PLANNING_TIMES_S = (3.0, 5.0)  # T
 PER_SECOND = 1000
 """Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
-_KINDS = {
-    "clearance_m": "nearer than d_s",
-    "radar_m": "seen by radars",
-    "turn_m": "turn",
-    "climb_m": "climb",
-    "band_m": "altitude",
-}
 _SURE = 0.05  # significance at which costs count as different,
 _LEAST = 0.005  # if their medians differ by this part
 
 PAPERS = {
-    ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
-    ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
-    ("environment-2", 3.0): ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
-    ("environment-2", 5.0): ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
+    "environment-1, 3 s": ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
+    "environment-1, 5 s": ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
+    "environment-2, 3 s": ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
+    "environment-2, 5 s": ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
 }
 """The paper's mean and standard deviation of the cost, in the order of `ALGORITHMS`."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Outcome:
-    """The runs of one algorithm in one row of the table."""
-
-    algorithm: str
-    runs: tuple[Run, ...]
-
-    @property
-    def costs(self) -> list[float]:
-        """Of the runs that reached the target: only they have a cost from start to target."""
-        return [run.cost for run in self.runs if run.arrived]
-
-    @property
-    def deviation(self) -> float:
-        """Standard deviation of the costs; not a number with fewer than two."""
-        return statistics.stdev(self.costs) if len(self.costs) > 1 else math.nan
-
-    def mean(self, measure: Callable[[Run], float] = lambda run: run.cost) -> float:
-        """Mean of a measure over the runs that arrived; not a number when none did."""
-        values = [measure(run) for run in self.runs if run.arrived]
-        return statistics.fmean(values) if values else math.nan
+def cases(per_second: int = PER_SECOND) -> list[Case]:
+    """Every cell of the table, row by row, algorithm by algorithm."""
+    return [
+        replace(
+            planned_with(
+                bundled_case(environment),
+                optimiser=optimiser,
+                planning_time_s=planning_time_s,
+                evaluations=round(planning_time_s * per_second),
+            ),
+            heading=f"{environment}, {planning_time_s:g} s",
+            label=algorithm,
+        )
+        for environment in ENVIRONMENTS
+        for planning_time_s in PLANNING_TIMES_S
+        for algorithm, optimiser in ALGORITHMS.items()
+    ]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Row:
+def papers(outcome: Outcome) -> tuple[float, float]:
+    """The paper's mean and standard deviation of a cell."""
+    return PAPERS[outcome.case.heading][list(ALGORITHMS).index(outcome.case.label)]
+
+
+def rows(found: Sequence[Outcome]) -> list[Sequence[Outcome]]:
     """The four algorithms on one environment with one budget."""
+    each = len(ALGORITHMS)
+    return [found[k : k + each] for k in range(0, len(found), each)]
 
-    environment: str
-    planning_time_s: float
-    outcomes: tuple[Outcome, ...]
 
-    @property
-    def place(self) -> str:
-        """How it is headed."""
-        return f"{self.environment}, {self.planning_time_s:g} s"
+def order(row: Sequence[Outcome]) -> str:
+    """The algorithms by mean cost, best first; `~` where the next is not surely worse.
 
-    @property
-    def papers(self) -> tuple[tuple[float, float], ...]:
-        """The paper's mean and standard deviation of each outcome."""
-        return PAPERS[self.environment, self.planning_time_s]
+    Those that never arrived come last.
+    """
+    ranked = sorted(row, key=lambda each: (not each.costs, each.mean()))
+    words = ranked[0].case.label
+    for better, worse in itertools.pairwise(ranked):
+        words += (" < " if surely_less(better, worse) else " ~ ") + worse.case.label
+    return words
 
-    @property
-    def order(self) -> str:
-        """The algorithms by mean cost, best first; `~` where the next is not surely worse.
 
-        Those that never arrived come last.
-        """
-        ranked = sorted(self.outcomes, key=lambda each: (not each.costs, each.mean()))
-        words = ranked[0].algorithm
-        for better, worse in itertools.pairwise(ranked):
-            words += (" < " if surely_less(better, worse) else " ~ ") + worse.algorithm
-        return words
+def papers_order(row: Sequence[Outcome]) -> list[str]:
+    """The paper's order, by its means."""
+    return [outcome.case.label for outcome in sorted(row, key=papers)]
 
-    @property
-    def papers_order(self) -> str:
-        """The paper's order, by its means."""
-        return " < ".join(self._papers())
 
-    def agreement(self) -> tuple[int, list[str]]:
-        """How many of the paper's six pairs are surely as there, and which surely are not."""
-        by_name = {each.algorithm: each for each in self.outcomes}
-        confirmed, contradicted = 0, []
-        for better, worse in itertools.combinations(self._papers(), 2):
-            confirmed += surely_less(by_name[better], by_name[worse])
-            if surely_less(by_name[worse], by_name[better]):
-                contradicted.append(f"{worse} < {better}")
-        return confirmed, contradicted
-
-    def _papers(self) -> list[str]:
-        return [algorithm for _, algorithm in sorted(zip(self.papers, ALGORITHMS, strict=True))]
+def agreement(row: Sequence[Outcome]) -> tuple[int, list[str]]:
+    """How many of the paper's six pairs are surely as there, and which surely are not."""
+    confirmed, contradicted = 0, []
+    for better, worse in itertools.combinations(sorted(row, key=papers), 2):
+        confirmed += surely_less(better, worse)
+        if surely_less(worse, better):
+            contradicted.append(f"{worse.case.label} < {better.case.label}")
+    return confirmed, contradicted
 
 
 def surely_less(one: Outcome, other: Outcome) -> bool:
@@ -129,84 +111,32 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
     return bool(test.pvalue < _SURE)
 
 
-def cases(runs: int, seed: int, per_second: int = PER_SECOND) -> list[Case]:
-    """Every mission of the table, row by row, algorithm by algorithm, run by run."""
-    worlds = {environment: bundled_case(environment) for environment in ENVIRONMENTS}
-    return [
-        planned_with(
-            worlds[environment],
-            optimiser=optimiser,
-            planning_time_s=planning_time_s,
-            evaluations=round(planning_time_s * per_second),
-            seed=seed + run,
-        )
-        for environment in ENVIRONMENTS
-        for planning_time_s in PLANNING_TIMES_S
-        for optimiser in ALGORITHMS.values()
-        for run in range(runs)
-    ]
+def tables(found: Sequence[Outcome]) -> list[Table]:
+    """Our numbers beside the paper's, and what the routes break when looked at every 10 m."""
 
+    def cells(outcome: Outcome) -> list[str]:
+        mean, deviation = papers(outcome)
+        return [
+            f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+            f"{mean:.1f} ± {deviation:.1f}",
+            outcome.arrivals,
+            f"{outcome.mean(lambda run: run.length_m) / 1000:.1f} km",
+        ]
 
-def rows(flown: Sequence[Run]) -> list[Row]:
-    """The table, from the runs of all cases in their order."""
-    places = list(itertools.product(ENVIRONMENTS, PLANNING_TIMES_S))
-    each, left = len(flown) // (len(places) * len(ALGORITHMS)), iter(flown)
-    return [
-        Row(
-            environment=environment,
-            planning_time_s=planning_time_s,
-            outcomes=tuple(
-                Outcome(algorithm=algorithm, runs=tuple(itertools.islice(left, each)))
-                for algorithm in ALGORITHMS
-            ),
-        )
-        for environment, planning_time_s in places
-    ]
+    def broken(outcome: Outcome) -> list[str]:
+        return [
+            f"{math.ceil(100.0 * kind['missions'] - 1e-6)}% {kind['mean_m']:6,.0f}"
+            for kind in outcome.violations.values()
+        ]
 
-
-def table(found: Sequence[Row]) -> Table:
-    """Our numbers beside the paper's."""
     title = "Table 1: cost from start to target, mean ± standard deviation"
-    result = narrow_table(title, "cost", "paper", "arrived", "length")
-    for row in found:
-        result.add_row(row.place)
-        for outcome, (mean, deviation) in zip(row.outcomes, row.papers, strict=True):
-            result.add_row(
-                f"  {outcome.algorithm}",
-                f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
-                f"{mean:.1f} ± {deviation:.1f}",
-                f"{len(outcome.costs)}/{len(outcome.runs)}",
-                f"{outcome.mean(lambda run: run.length_m) / 1000:.1f} km",
-            )
-    return result
-
-
-def violations_table(found: Sequence[Row]) -> Table:
-    """What the routes break when they are looked at every 10 m."""
+    costs = narrow_table(title, "cost", "paper", "arrived", "length")
     title = "Missions that break a bound somewhere, and the mean metres that do"
-    result = narrow_table(title, *_KINDS.values())
-    for row in found:
-        result.add_row(row.place)
-        for outcome in row.outcomes:
-            broken = violation_facts(outcome.runs).values()
-            result.add_row(f"  {outcome.algorithm}", *(_share(**each) for each in broken))
-    return result
+    kinds = ("nearer than d_s", "seen by radars", "turn", "climb", "altitude")
+    return [add_rows(costs, found, cells), add_rows(narrow_table(title, *kinds), found, broken)]
 
 
-def _share(missions: float, mean_m: float) -> str:
-    return f"{math.ceil(100.0 * missions - 1e-6)}% {mean_m:6,.0f}"
-
-
-def narrow_table(title: str, *headings: str) -> Table:
-    """A table whose cells stay whole in a terminal of 80 columns."""
-    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
-    result.add_column("", no_wrap=True)
-    for heading in headings:
-        result.add_column(heading, justify="right")
-    return result
-
-
-def remarks(found: Sequence[Row], per_second: int = PER_SECOND) -> list[str]:
+def remarks(found: Sequence[Outcome], per_second: int = PER_SECOND) -> list[str]:
     """What the table cannot say by itself: the budget, and whose order it is."""
     budgets = ", ".join(
         f"T = {planning_time_s:g} s is {round(planning_time_s * per_second):,} evaluations"
@@ -218,56 +148,17 @@ def remarks(found: Sequence[Row], per_second: int = PER_SECOND) -> list[str]:
         "No result depends on the speed of this machine.",
         "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
     ]
-    for row in found:
-        confirmed, contradicted = row.agreement()
+    for row in rows(found):
+        confirmed, contradicted = agreement(row)
         against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
         lines.append(
-            f"{row.place}: {row.order}. The paper: {row.papers_order}. "
+            f"{row[0].case.heading}: {order(row)}. The paper: {' < '.join(papers_order(row))}. "
             f"{confirmed} of its 6 pairs are surely so here{against}."
         )
     return lines
 
 
-def facts(found: Sequence[Row], per_second: int = PER_SECOND) -> list[dict[str, Any]]:
-    """Everything in the table, and more, for --json; null for what is not a number."""
-    return [
-        {name: None if value != value else value for name, value in each.items()}
-        for row in found
-        for each in _facts_of_row(row, per_second)
-    ]
-
-
-def _facts_of_row(row: Row, per_second: int) -> Iterator[dict[str, Any]]:
-    best = row.outcomes[0]
-    for outcome, (mean, deviation) in zip(row.outcomes, row.papers, strict=True):
-        yield {
-            "environment": row.environment,
-            "planning_time_s": row.planning_time_s,
-            "evaluations": round(row.planning_time_s * per_second),
-            "algorithm": outcome.algorithm,
-            "optimiser": ALGORITHMS[outcome.algorithm],
-            "runs": len(outcome.runs),
-            "arrived": len(outcome.costs),
-            "mean_cost": outcome.mean(),
-            "st_dev_cost": outcome.deviation,
-            "paper_mean_cost": mean,
-            "paper_st_dev_cost": deviation,
-            "improved_de_is_surely_less": surely_less(best, outcome),
-            "is_surely_less_than_improved_de": surely_less(outcome, best),
-            "costs": [run.cost if run.arrived else None for run in outcome.runs],
-            "length_m": outcome.mean(lambda run: run.length_m),
-            "subpaths": outcome.mean(lambda run: run.legs),
-            "violations": violation_facts(outcome.runs),
-        }
-
-
-def violation_facts(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
-    """Of each kind of violation the share of missions and the mean metres of route."""
-    metres = {kind: [getattr(run.violations, kind) for run in runs] for kind in _KINDS}
-    return {
-        kind.removesuffix("_m"): {
-            "missions": sum(value > 0.0 for value in values) / len(values),
-            "mean_m": statistics.fmean(values),
-        }
-        for kind, values in metres.items()
-    }
+def facts(found: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Everything in the table, and more, for --json."""
+    names = ("paper_mean_cost", "paper_st_dev_cost")
+    return [outcome.facts() | dict(zip(names, papers(outcome), strict=True)) for outcome in found]
