@@ -13,6 +13,7 @@ from companion.mission import joining
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
 from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
+from companion.path.envelope import slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.procedure import (
@@ -54,7 +55,7 @@ def lead_m(state: State, reference: Reference) -> float:
         return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
     lead_m = (vehicle.traits.lead_s + delay_s) * over_ground
-    return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
+    return min(lead_m, _LONGEST_LEAD * state.task.envelope.lead_m)
 
 
 def advance_reference(state: State, event: Position) -> Flight:
@@ -72,7 +73,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             leg,
             vehicle.position_step_s,
             here,
-            task.limits,
+            task.envelope,
             goes_on=flight.next_leg is not None,
             until_m=None if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
@@ -134,7 +135,7 @@ def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, flo
     ahead = ahead_m(flight.reference, leg, here)
     across_m = off_path_m(flight.reference, leg, here) - allowed_m
     before_m = ahead - lead_m(state, flight.reference) - allowed_m
-    far_m = abs(ahead) - longest_wait_m(limits) - allowed_m
+    far_m = abs(ahead) - longest_wait_m(state.task.envelope) - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
 
@@ -147,7 +148,7 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     to hold at once, as it is farther outside than the safety distance allows for, does not come
     back, or is a plane.
     """
-    limits, now_s = state.task.limits, state.now_s
+    limits, motion, now_s = state.task.limits, state.task.envelope, state.now_s
     across_m, before_m, far_m = outside_m(state, flight, event)
     outside = max(across_m, before_m, far_m)
     if outside == 0.0:
@@ -162,7 +163,7 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     leg = flight.leg
     assert leg is not None
     left_m = leg.subpath.length_m - flight.reference.length_m
-    ends = flight.next_leg is None and left_m <= limits.slowing_m(limits.speed_m_s)
+    ends = flight.next_leg is None and left_m <= slowing_m(motion, motion.speed_m_s)
     if across_m > 0.0 and flight.stop is None and not ends:
         stopped, _, _ = stop(replace(state, flight=flight), Reason.BESIDE_PATH)
         flight = stopped.flight
@@ -303,7 +304,7 @@ def stop(state: State, reason: Reason) -> Step:
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     leg = flight.leg
     assert leg is not None
-    brakes_m = limits.stopping_m(flight.reference.speed_m_s)
+    brakes_m = 0.5 * flight.reference.speed_m_s**2 / limits.acceleration_m_s2
     stop_at_m = max(vehicle_at_m(state, leg) + brakes_m, flight.reference.length_m)
     stop_at_m = min(stop_at_m, leg.subpath.length_m)
     if flight.stop is not None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.bspline import basis
+from companion.path.envelope import Envelope, flown_on_m
 from companion.path.limits import Limits
 from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, prove
 from companion.path.proof_distance import Surroundings, ZoneTable
@@ -41,8 +42,8 @@ class Margins:
     """The dead-man stretches keep this: tracking and navigation error."""
     band_inset_m: float
     """The curve keeps this from the floor and the ceiling of the altitude band."""
-    dead_man_s: float
-    """How long the vehicle flies on after the last setpoint, before it brakes, seconds."""
+    motion: Envelope
+    """How the vehicle moves."""
 
 
 _SETTINGS = {
@@ -175,9 +176,9 @@ def pack_surroundings(
     may leave it).  What lies farther out counts as terrain without a top.
     stops: the vehicle stops at the end of a curve; else it may go on from there at full speed.
     """
-    brakes_m = limits.speed_m_s**2 / (2.0 * limits.acceleration_m_s2)
-    farther_m = limits.speed_m_s * margins.dead_man_s + brakes_m + 3.0 * margins.clearance_m
-    registration_m = known.registration_m + limits.loiter_radius_m
+    motion = margins.motion
+    farther_m = flown_on_m(motion, motion.speed_m_s) + 3.0 * margins.clearance_m
+    registration_m = known.registration_m + motion.loiter_m
     south_west, heights = _window(known, centre_ne_m, reach_m + farther_m + registration_m)
     block = max(2, min(16, round(0.75 * margins.clearance_m / known.cell_m)))
     return Surroundings(
@@ -189,14 +190,10 @@ def pack_surroundings(
         cell_m=known.cell_m,
         registration_m=float(registration_m),
         zones=pack_zones(zones),
-        loiter_m=float(limits.loiter_radius_m),
         radars=_table([(*radar.centre_nea_m, radar.range_m) for radar in radars], 4),
         clearance_m=float(margins.clearance_m),
         contact_m=float(margins.contact_m),
-        dead_man_s=float(margins.dead_man_s),
-        overrun_m=float(limits.overrun_m),
-        speed_m_s=float(limits.speed_m_s),
-        acceleration_m_s2=float(limits.acceleration_m_s2),
+        motion=motion,
         stops=stops,
         curvature_1_m=1.0 / limits.turn_radius_m,
         climb=math.tan(limits.climb_angle_rad),

@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
+from companion.path.envelope import beyond_m, ending_m_s, flown_on_m, rising_m_s
 from companion.path.proof_distance import (
     Segment,
     Surroundings,
-    braked_m_s,
     terrain_distance,
     zone_distance,
 )
@@ -91,11 +91,6 @@ def piece_of(cubics: FloatArray, span: int, start: float, end: float) -> Piece:
     return (x, y, z, dx, dy, dz), 0.25 * max(one, two), least, length
 
 
-def reach(here: Surroundings, speed: float) -> float:
-    """How far the vehicle comes straight on when the companion dies, metres."""
-    return speed * here.dead_man_s + speed * speed / (2.0 * here.acceleration_m_s2)
-
-
 def stretch_of(
     here: Surroundings, piece: Piece, flown: float, left: float
 ) -> tuple[Segment, float]:
@@ -107,17 +102,13 @@ def stretch_of(
     """
     segment, sag, cosine, length = piece
     x, y, z, dx, dy, dz = segment
-    twice, speed = 2.0 * here.acceleration_m_s2, here.speed_m_s
-    slows = speed * speed / twice + max(speed * here.dead_man_s - here.overrun_m, 0.0)
-    brakes = min(max(left - slows, 0.0), length)  # where it begins to slow down
-    fastest = braked_m_s(left, here.acceleration_m_s2, here.dead_man_s, here.overrun_m)
-    fastest = min(speed, fastest)
-    rising = min(speed, math.sqrt(twice * flown))
-    farthest = reach(here, min(fastest, rising))
+    fastest = ending_m_s(here.motion, left)
+    rising = rising_m_s(here.motion, flown)
+    farthest = flown_on_m(here.motion, min(fastest, rising))
     chord = math.sqrt(dx * dx + dy * dy + dz * dz)
     if cosine <= 0.0 or chord <= 0.0:
         return segment, sag + (farthest if cosine < 1.0 or chord > 0.0 else 0.0)
-    ahead = min(brakes + reach(here, fastest), length + reach(here, rising))
+    ahead = min(length + farthest, left + beyond_m(here.motion))
     grow = max(ahead, chord) / chord
     slack = sag + farthest * math.sqrt(max(2.0 - 2.0 * cosine, 0.0))
     return (x, y, z, dx * grow, dy * grow, dz * grow), slack
@@ -144,9 +135,9 @@ def piece_distance(
         far = terrain_distance(here, segment, limit + slack, tolerance, found)
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
-        within = max(limit + slack + here.loiter_m, 0.0)
+        within = max(limit + slack + here.motion.loiter_m, 0.0)
         low, high = zone_distance(here.zones, segment, within)
-        low, high = low - here.loiter_m, high - here.loiter_m
+        low, high = low - here.motion.loiter_m, high - here.motion.loiter_m
         if what == _DEAD_MAN:
             low, high = max(low, -_INSIDE_M), max(high, -_INSIDE_M)
         lower, upper = min(lower, low - slack), min(upper, high + slack)
@@ -319,7 +310,7 @@ def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray
         cap = 2.0 * here.clearance_m
         if what == _DEAD_MAN:
             cap = here.contact_m + 0.25 * here.clearance_m
-        if what == _DEAD_MAN and here.loiter_m > 0.0:
+        if what == _DEAD_MAN and here.motion.loiter_m > 0.0:
             result[what] = min(cap, min(result[_TERRAIN], result[_ZONES]))
         elif what != _ZONES or here.zones.circles.size + here.zones.polygons.size > 0:
             result[what], more = least_distance(cubics, here, what, table, from_rest, cap, found)

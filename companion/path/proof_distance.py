@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 from companion.geodesy import FloatArray
+from companion.path.envelope import Envelope
 
 _FAR = 1e12
 _TOUCHING = 1e-9
@@ -44,16 +45,11 @@ class Surroundings(NamedTuple):
     cell_m: float
     registration_m: float
     zones: ZoneTable
-    loiter_m: float
-    """Radius of the circle about each point of the curve that has to be as clear as the point; its
-    terrain is dealt with in `registration_m`."""
     radars: FloatArray  # (N, 4): north, east, altitude, range
     clearance_m: float
     contact_m: float
-    dead_man_s: float
-    overrun_m: float
-    speed_m_s: float
-    acceleration_m_s2: float
+    motion: Envelope
+    """Of the circle that a plane holds on, the terrain is dealt with in `registration_m`."""
     stops: bool
     """Whether the vehicle stops at the end of the curve; if not, it may be at full speed there."""
     curvature_1_m: float
@@ -66,18 +62,6 @@ class Surroundings(NamedTuple):
     map_north_m: float
     map_west_m: float
     map_east_m: float
-
-
-def braked_m_s(left: float, acceleration: float, dead_man_s: float, overrun: float) -> float:
-    """The highest speed that can be braked within `left`, and within `overrun` more after a time.
-
-    v^2 = 2 a left, but v dead_man_s + v^2 / 2a <= left + overrun.
-    """
-    speed = math.sqrt(2.0 * acceleration * left)
-    if speed * dead_man_s > overrun:
-        within = 2.0 * (left + overrun) / acceleration
-        speed = acceleration * (math.sqrt(dead_man_s * dead_man_s + within) - dead_man_s)
-    return speed
 
 
 def column_gap(at: float, segment: Segment, box: Box) -> tuple[float, float]:

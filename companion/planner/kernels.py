@@ -24,7 +24,7 @@ from companion.objective import scene
 from companion.objective.scene import FlightScene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
-from companion.path import proof, proof_distance, proof_shape
+from companion.path import envelope, proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
 
 
@@ -108,7 +108,7 @@ def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
     return cast("Callable[..., Any]", numba.njit(function))
 
 
-SOURCES = (scene, objective, refined_de, proof, proof_distance, proof_shape)
+SOURCES = (scene, objective, refined_de, envelope, proof, proof_distance, proof_shape)
 """The modules whose code is compiled: a cache made from others is stale."""
 
 
