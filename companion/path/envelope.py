@@ -14,36 +14,41 @@ from typing import NamedTuple, final
 
 from companion.path.limits import Limits
 
-EASED = 0.7
-"""Of the mission's acceleration, which the autopilot brakes with: what the reference point gains
-and loses speed with.  A vehicle whose acceleration builds up within its jerk falls behind a point
-that uses all of it, then flies up to 1.2 V to catch up (kills at EASED 1.0: 52 to 61 % of samples
-faster than the point)."""
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Handling:
     """How an autopilot flies a stream of setpoints, as measured.  Copters only, but for the name."""
 
     name: str
+    eased: float
+    """Of the mission's acceleration: what the reference point gains speed with.  Behind a point
+    that uses all of it a vehicle falls back while its own acceleration builds up, and then flies
+    up to 1.2 V to catch up."""
     settling_s: float
-    """The reference point comes to its end no faster than what is left in this time, so that the
-    vehicle, whose speed follows that of the point so much later, does not fly past it."""
+    """The reference point flies what is left of a leg, beyond its braking distance, in no less time
+    than this: it brakes softly from and to low speeds, and the vehicle, whose speed follows that of
+    the point later, does not fly past the end."""
     steady_m: float
     """How far it is from a straight path at a steady speed, in wind and gusts."""
     turning_s2: float
     """How far it is beside a bent path, metres for each m/s2 across."""
 
 
-ARDUCOPTER = Handling(name="ArduCopter", settling_s=0.4, steady_m=0.1, turning_s2=0.3)
+ARDUCOPTER = Handling(name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3)
 """turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by."""
-PX4_MULTICOPTER = Handling(name="PX4 multicopter", settling_s=0.6, steady_m=0.2, turning_s2=0.85)
+PX4_MULTICOPTER = Handling(name="PX4 multicopter", eased=0.5, settling_s=1.2, steady_m=0.2, turning_s2=0.85)
 """turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2."""
-PLANE = Handling(name="plane", settling_s=0.0, steady_m=0.0, turning_s2=0.0)
+PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, steady_m=0.0, turning_s2=0.0)
 """Its circle is proven about each point of the path, and its tracking is the mission's."""
 COPTER = PX4_MULTICOPTER
 """Where the autopilot is not known: the wider one."""
+
+
+def handling_of(autopilot: str | None, kind: str) -> Handling:
+    """That of a mission's vehicle; None: the autopilot is not known in advance."""
+    if kind == "plane":
+        return PLANE
+    return ARDUCOPTER if autopilot == "ardupilot" else COPTER
 
 
 class Envelope(NamedTuple):
@@ -52,9 +57,9 @@ class Envelope(NamedTuple):
     speed_m_s: float
     """V: the reference point is nowhere faster."""
     braking_m_s2: float
-    """What the autopilot brakes with by itself."""
-    easing_m_s2: float
-    """What the reference point gains and loses speed with."""
+    """What the autopilot brakes with by itself, and the reference point at high speed."""
+    gaining_m_s2: float
+    """What the reference point gains speed with."""
     settling_s: float
     dead_man_s: float
     """How long the autopilot flies on straight after the last setpoint, before it brakes."""
@@ -88,7 +93,7 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
     return Envelope(
         speed_m_s=float(limits.speed_m_s),
         braking_m_s2=float(limits.acceleration_m_s2),
-        easing_m_s2=EASED * limits.acceleration_m_s2,
+        gaining_m_s2=handling.eased * limits.acceleration_m_s2,
         settling_s=handling.settling_s,
         dead_man_s=float(limits.dead_man_s),
         overrun_m=float(limits.overrun_m),
@@ -119,38 +124,28 @@ def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
 
 def ending_m_s(it: Envelope, left_m: float) -> float:
     """The fastest that the reference point is so far before the end of a leg, where it stops."""
-    eased = slowed_m_s(left_m, it.easing_m_s2, it.settling_s)
+    eased = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
     dead_man = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
     return min(it.speed_m_s, min(eased, dead_man))
 
 
 def rising_m_s(it: Envelope, flown_m: float) -> float:
     """The fastest that it is so far from where it has set out from rest."""
-    return min(it.speed_m_s, math.sqrt(2.0 * it.easing_m_s2 * max(flown_m, 0.0)))
+    return min(it.speed_m_s, math.sqrt(2.0 * it.gaining_m_s2 * max(flown_m, 0.0)))
 
 
-def easing_m(it: Envelope, speed: float) -> float:
+def stopping_m(it: Envelope, speed: float) -> float:
     """How far the reference point moves while it stops, because it is told to."""
     if it.loiter_m > 0.0:
         return 0.0
-    return speed * it.settling_s + speed * speed / (2.0 * it.easing_m_s2)
+    return speed * it.settling_s + speed * speed / (2.0 * it.braking_m_s2)
 
 
 def slowing_m(it: Envelope, speed: float) -> float:
     """How far before the end of a leg it begins to slow down for it: `ending_m_s`, solved for."""
-    return max(easing_m(it, speed), flown_on_m(it, speed) - it.overrun_m)
+    return max(stopping_m(it, speed), flown_on_m(it, speed) - it.overrun_m)
 
 
 def beyond_m(it: Envelope) -> float:
-    """How far past the end of a leg any straight dead-man stretch ends.
-
-    From the speed v of `ending_m_s`: v (dead man - settling) - v^2 (1 / easing - 1 / braking) / 2.
-    """
-    gain = it.dead_man_s - it.settling_s
-    loss = 1.0 / it.easing_m_s2 - 1.0 / it.braking_m_s2
-    if gain <= 0.0:
-        return 0.0
-    speed = it.speed_m_s
-    if loss > 0.0:
-        speed = min(speed, gain / loss)
-    return min(it.overrun_m, speed * gain - 0.5 * speed * speed * loss)
+    """How far past the end of a leg any straight dead-man stretch ends: that from V the farthest."""
+    return min(it.overrun_m, it.speed_m_s * max(it.dead_man_s - it.settling_s, 0.0))

@@ -19,7 +19,7 @@ from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import certify, pack_surroundings
-from companion.path.envelope import easing_m, slowing_m
+from companion.path.envelope import stopping_m, slowing_m
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner import kernels
@@ -303,7 +303,7 @@ class _Plan:
         far_m = float(away.max(initial=0.0))
         motion, least_m = self._request.task.envelope, self._request.task.scan_distance_m
         if scene.from_rest:
-            least_m = max(easing_m(motion, motion.speed_m_s), motion.lead_m)
+            least_m = max(stopping_m(motion, motion.speed_m_s), motion.lead_m)
         elif self._request.task.settings.is_near:  # its sight ends at the next tree
             least_m = self._shortest_m
         if not least_m < far_m < scene.end_radius_m:

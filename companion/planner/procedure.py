@@ -96,7 +96,7 @@ class Leg:
 
         def slows_at_m(slow_m_s: float) -> float:
             """What it flies from V at its start on, at this speed as soon as it can."""
-            return slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / motion.easing_m_s2
+            return slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / motion.braking_m_s2
 
         slow_m_s, most_m_s = 0.0, speed_m_s  # the fastest that leaves room to slow down for the end
         for _ in range(_HALVINGS):
@@ -178,12 +178,12 @@ def advance(
         allowed = min(allowed, slowed_m_s(left_m, motion.braking_m_s2, 0.0))
     slower = motion.braking_m_s2 * elapsed_s
     if slows_to_m_s is not None:
-        allowed = min(allowed, max(slows_to_m_s, speed - motion.easing_m_s2 * elapsed_s))
+        allowed = min(allowed, max(slows_to_m_s, speed - slower))
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
     most = longest_wait_m(motion)
     if lead > most:
         return Reference(length_m=at_m, speed_m_s=0.0)
-    faster = motion.easing_m_s2 * elapsed_s * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
+    faster = motion.gaining_m_s2 * elapsed_s * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
     after = min(max(allowed, speed - 2.0 * slower), speed + faster)
     step = min(0.5 * (speed + after) * elapsed_s, left_m)
     return Reference(length_m=at_m + step, speed_m_s=after)
@@ -212,7 +212,7 @@ def _paces_m_s(subpath: Subpath, motion: Envelope) -> FloatArray:
     most = np.minimum(motion.climb_rate_m_s / steep, motion.speed_m_s)
     turns = np.sqrt(motion.lateral_m_s2 / np.maximum(bends_1_m, 1e-12))
     paces = np.minimum(most, np.maximum(turns, _SLOWEST * motion.speed_m_s))
-    gains = 2.0 * motion.easing_m_s2 * subpath.length_m / (len(paces) - 1)
+    gains = 2.0 * motion.gaining_m_s2 * subpath.length_m / (len(paces) - 1)
     for k in range(len(paces) - 2, -1, -1):
         paces[k] = min(paces[k], math.sqrt(paces[k + 1] ** 2 + gains))
     return np.asarray(paces)

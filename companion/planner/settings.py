@@ -18,7 +18,7 @@ from companion.path.envelope import (
     Envelope,
     Handling,
     beyond_m,
-    easing_m,
+    stopping_m,
     envelope_of,
     flown_on_m,
 )
@@ -117,14 +117,14 @@ class Task:
         if not settings.profile.verified:
             return settings.safety_distance_m
         motion = self.envelope
-        stop_m = easing_m(motion, speed) + motion.lead_m + settings.safety_distance_m
+        stop_m = stopping_m(motion, speed) + motion.lead_m + settings.safety_distance_m
         return max(0.15 * settings.scan_range_m, stop_m, flown_on_m(motion, speed))
 
     @property
     def stop_m(self) -> float:
         """The time for a stop, a scan and a plan from rest, as distance at cruise speed."""
         limits, settings = self.limits, self.settings
-        time_s = limits.speed_m_s / self.envelope.easing_m_s2 + self.envelope.settling_s
+        time_s = limits.speed_m_s / self.envelope.braking_m_s2 + self.envelope.settling_s
         return limits.speed_m_s * (time_s + settings.scan_time_s + settings.planning_time_s)
 
     @cached_property

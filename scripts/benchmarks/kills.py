@@ -204,6 +204,7 @@ class Flight:
         return {
             "at_s": self.now_s,
             "outside_m": float(outside[k]),
+            "estimate_m": float(np.linalg.norm(np.array(self.session.state.vehicle.position_nea_m) - where[0])),
             "at_once_m": float(outside[0]),
             "speed_m_s": begin_m_s,
             "reference_m_s": reference.speed_m_s,

@@ -109,7 +109,7 @@ def random_case(rng: np.random.Generator) -> Case:
         clearance_m=scale.distance_m + scale.error_m,
         contact_m=scale.error_m,
         band_inset_m=scale.error_m,
-        motion=envelope_of(limits, Handling(name="", settling_s=scale.settling_s, steady_m=0.0,
+        motion=envelope_of(limits, Handling(name="", eased=0.7, settling_s=scale.settling_s, steady_m=0.0,
                                             turning_s2=0.5)),
     )  # fmt: skip
     return Case(
@@ -400,11 +400,11 @@ def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None)
     low, high = np.zeros_like(left), np.full_like(left, it.speed_m_s)
     for _ in range(60):
         speed = 0.5 * (low + high)
-        eased = speed**2 / (2.0 * it.easing_m_s2)
-        ends = speed * it.dead_man_s + speed**2 / (2.0 * it.braking_m_s2) <= left + it.overrun_m
-        ends &= speed * it.settling_s + eased <= left
+        brakes = speed**2 / (2.0 * it.braking_m_s2)
+        ends = speed * it.dead_man_s + brakes <= left + it.overrun_m
+        ends &= speed * it.settling_s + brakes <= left
         if flown is not None:
-            ends &= eased <= flown
+            ends &= speed**2 / (2.0 * it.gaining_m_s2) <= flown
         low, high = np.where(ends, speed, low), np.where(ends, high, speed)
     return low
 
