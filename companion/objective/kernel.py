@@ -17,8 +17,8 @@ from companion.objective import scene as flight
 from companion.objective.scene import FlightScene, Weights
 from companion.path.bspline import uniform_basis
 from companion.path.certificate import pack_zones
-from companion.path.limits import Limits
 from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
+from companion.path.limits import Limits
 from companion.path.proof_distance import ZoneTable, polygon_at
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface

@@ -88,6 +88,12 @@ class Certificate:
     """Least distance of the dead-man stretches to terrain and zones; not above 0 inside.
 
     Of a plane, that of its circles."""
+    required_clearance_m: float
+    """What `clearance_m` and `keep_out_m` have to be."""
+    required_contact_m: float
+    """What `dead_man_m` has to be."""
+    speed_m_s: float
+    """It is proven for this speed, and for none above."""
     turn_radius_m: float
     """The ground track is nowhere tighter; inf where it is straight."""
     climb_angle_rad: float
@@ -103,7 +109,7 @@ class Certificate:
     radar_m: float
     """At most so much of the curve lies within radar ranges (a cost, not a bound)."""
     detection: float
-    """At most this probability of detection (eq. 3), anywhere."""
+    """At most this probability of detection (eq. 3), anywasked."""
     pieces: int
     """How many pieces the proof took."""
     broken: tuple[str, ...]
@@ -120,7 +126,7 @@ def certify(
 ) -> Certificate:
     """Prove a subpath, its tail included, against its surroundings.
 
-    from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
+    from_rest: the vehicle hovers at its start, and is the slower tasked.  A curve that is not
     finite is never proven, and no error.
     """
     control = subpath.control_nea_m
@@ -130,22 +136,25 @@ def certify(
         values = [math.nan] * (RESULTS - 1) + [0.0]
     clearance, keep_out, dead_man, curvature, climb, dive = values[:6]
     lowest, highest, off_map, radar, detection, pieces = values[6:]
-    here = surroundings
+    asked = surroundings
     bounds = (
-        ("terrain clearance", clearance >= here.clearance_m - ROUNDING_M),
-        ("keep-out zone", keep_out >= here.clearance_m - ROUNDING_M),
-        ("dead-man reach", dead_man >= here.contact_m - ROUNDING_M),
-        ("turn radius", curvature <= here.curvature_1_m * (1.0 + 2.0 * ROUNDING)),
-        ("climb angle", climb <= here.climb * (1.0 + 2.0 * ROUNDING)),
-        ("dive angle", dive <= here.dive * (1.0 + 2.0 * ROUNDING)),
-        ("floor of the band", lowest >= here.floor_m - ROUNDING_M),
-        ("ceiling of the band", highest <= here.ceiling_m + ROUNDING_M),
+        ("terrain clearance", clearance >= asked.clearance_m - ROUNDING_M),
+        ("keep-out zone", keep_out >= asked.clearance_m - ROUNDING_M),
+        ("dead-man reach", dead_man >= asked.contact_m - ROUNDING_M),
+        ("turn radius", curvature <= asked.curvature_1_m * (1.0 + 2.0 * ROUNDING)),
+        ("climb angle", climb <= asked.climb * (1.0 + 2.0 * ROUNDING)),
+        ("dive angle", dive <= asked.dive * (1.0 + 2.0 * ROUNDING)),
+        ("floor of the band", lowest >= asked.floor_m - ROUNDING_M),
+        ("ceiling of the band", highest <= asked.ceiling_m + ROUNDING_M),
         ("edge of the map", off_map <= ROUNDING_M),
     )
     return Certificate(
         clearance_m=clearance,
         keep_out_m=keep_out,
         dead_man_m=dead_man,
+        required_clearance_m=surroundings.clearance_m,
+        required_contact_m=surroundings.contact_m,
+        speed_m_s=surroundings.motion.speed_m_s,
         turn_radius_m=1.0 / curvature if curvature != 0.0 else math.inf,
         climb_angle_rad=math.atan(climb),
         dive_angle_rad=math.atan(dive),

@@ -186,28 +186,28 @@ def nearest_column(
 
 
 def terrain_distance(
-    here: Surroundings, segment: Segment, limit: float, tolerance: float, found: FloatArray
+    around: Surroundings, segment: Segment, limit: float, tolerance: float, found: FloatArray
 ) -> float:
     """Least distance of a segment from the terrain, at most `limit` and `tolerance` too low.
 
     found (blocks, 3): scratch.
     """
     n0, e0, _, dn, de, _ = segment
-    rows, columns = here.heights_m.shape
-    south, west, cell = here.south_m, here.west_m, here.cell_m
+    rows, columns = around.heights_m.shape
+    south, west, cell = around.south_m, around.west_m, around.cell_m
     north, east = south + rows * cell, west + columns * cell
     inside_n = min(min(n0, n0 + dn) - south, north - max(n0, n0 + dn))
     inside_e = min(min(e0, e0 + de) - west, east - max(e0, e0 + de))
-    best = min(limit, max(min(inside_n, inside_e) - here.registration_m, 0.0))
+    best = min(limit, max(min(inside_n, inside_e) - around.registration_m, 0.0))
     if best <= 0.0:
         return min(best, limit)
-    wide, side = best + here.registration_m, cell * here.block
+    wide, side = best + around.registration_m, cell * around.block
     first = max(math.floor((min(n0, n0 + dn) - wide - south) / side), 0)
     last = math.floor((max(n0, n0 + dn) + wide - south) / side) + 1
-    part = (first, min(last, here.blocks_m.shape[0]), 0, here.blocks_m.shape[1])
-    lattice = (south, west, side, here.registration_m)
-    _, count = nearest_column(here.blocks_m, part, lattice, segment, best, tolerance, found)
-    lattice = (south, west, cell, here.registration_m)
+    part = (first, min(last, around.blocks_m.shape[0]), 0, around.blocks_m.shape[1])
+    lattice = (south, west, side, around.registration_m)
+    _, count = nearest_column(around.blocks_m, part, lattice, segment, best, tolerance, found)
+    lattice = (south, west, cell, around.registration_m)
     nearest = 0
     for k in range(1, count):
         if found[k, 2] < found[nearest, 2]:
@@ -216,10 +216,10 @@ def terrain_distance(
         other = nearest if k == 0 else (0 if k == nearest else k)
         if float(found[other, 2]) >= best:
             continue
-        row, column = int(found[other, 0]) * here.block, int(found[other, 1]) * here.block
-        part = (row, min(row + here.block, rows), column, min(column + here.block, columns))
+        row, column = int(found[other, 0]) * around.block, int(found[other, 1]) * around.block
+        part = (row, min(row + around.block, rows), column, min(column + around.block, columns))
         none = found[:0]
-        best, _ = nearest_column(here.heights_m, part, lattice, segment, best, tolerance, none)
+        best, _ = nearest_column(around.heights_m, part, lattice, segment, best, tolerance, none)
     return best
 
 

@@ -19,7 +19,7 @@ from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import certify, pack_surroundings
-from companion.path.envelope import stopping_m, slowing_m
+from companion.path.envelope import slowing_m, stopping_m
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner import kernels

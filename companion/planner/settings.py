@@ -18,9 +18,9 @@ from companion.path.envelope import (
     Envelope,
     Handling,
     beyond_m,
-    stopping_m,
     envelope_of,
     flown_on_m,
+    stopping_m,
 )
 from companion.path.limits import Limits
 from companion.ranges import NotNegative, Positive

@@ -23,8 +23,8 @@ from companion.mission.events import (
     VehicleStatus,
 )
 from companion.mission.state import Phase, Reason, TakenOver
-from companion.path.envelope import flown_on_m
 from companion.mission.vehicle_traits import VehicleTraits
+from companion.path.envelope import flown_on_m
 from companion.world.threats import CircleZone
 
 PX4S = pytest.mark.parametrize(

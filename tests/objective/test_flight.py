@@ -264,7 +264,7 @@ def expected_crash(
         speed = math.sqrt(settles**2 + 2.0 * it.braking_m_s2 * left) - settles
         rising = math.sqrt(2.0 * it.gaining_m_s2 * flown) if scene.from_rest else math.inf
         speed = min(LIMITS.speed_m_s, speed, rising)
-        reach = speed * LIMITS.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
+        reach = speed * scene.motion.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
         tangent = curve(u[j], 1) / np.linalg.norm(curve(u[j], 1))
         for share in (0.5, 1.0):
             n, e, z = points[j] + share * reach * tangent

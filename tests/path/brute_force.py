@@ -5,7 +5,7 @@ refined by scipy's minimisers from dense samples.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
 from companion.path.certificate import Margins, pack_surroundings
-from companion.path.envelope import Envelope, Handling, envelope_of
+from companion.path.envelope import ARDUCOPTER, Envelope, envelope_of
 from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.world.known_map import KnownMap, empty_map
@@ -109,9 +109,8 @@ def random_case(rng: np.random.Generator) -> Case:
         clearance_m=scale.distance_m + scale.error_m,
         contact_m=scale.error_m,
         band_inset_m=scale.error_m,
-        motion=envelope_of(limits, Handling(name="", eased=0.7, settling_s=scale.settling_s, steady_m=0.0,
-                                            turning_s2=0.5)),
-    )  # fmt: skip
+        motion=envelope_of(limits, replace(ARDUCOPTER, settling_s=scale.settling_s)),
+    )
     return Case(
         control_nea_m=_control(rng, size, margins.clearance_m, known),
         from_rest=bool(rng.random() < 0.3),
@@ -416,7 +415,9 @@ def stretch_points_nea_m(
     flown = np.interp(u, fine, lengths)
     left = np.maximum(lengths[-1] - flown, 0.0)
     speed = fastest_m_s(case.margins.motion, left, flown if case.from_rest else None)
-    reach = speed * case.margins.motion.dead_man_s + speed**2 / (2.0 * case.limits.acceleration_m_s2)
+    reach = speed * case.margins.motion.dead_man_s + speed**2 / (
+        2.0 * case.limits.acceleration_m_s2
+    )
     velocity = spline(u, 1)
     size = np.linalg.norm(velocity, axis=-1)
     tangent = velocity / np.maximum(size, 1e-9)[..., None]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import ask, column_distance_m, fly, spline
 
-from companion.path.envelope import stopping_m, flown_on_m
+from companion.path.envelope import flown_on_m, stopping_m
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.loiter_search import Motion, loiter_point

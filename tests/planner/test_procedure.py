@@ -85,7 +85,9 @@ def test_the_reference_point_is_never_faster_than_v_nor_than_its_acceleration_al
 
 
 @given(tick_s=ticks)
-def test_towards_its_end_it_is_never_faster_than_the_certificate_takes_it_to_be(tick_s: float) -> None:
+def test_towards_its_end_it_is_never_faster_than_the_certificate_takes_it_to_be(
+    tick_s: float,
+) -> None:
     for reference in flown(leg_to(1_500.0, 0.0, 0.0), tick_s):
         left = 1_500.0 - reference.length_m
         # of where it was a tick before
@@ -221,7 +223,9 @@ def test_a_short_leg_is_flown_so_slowly_that_its_successor_comes_while_it_can_st
     reference, seconds = Reference(speed_m_s=0.0 if from_rest else V), 0.0
     while reference.length_m < at_m:
         here = leg.subpath.pose(reference.length_m).position_nea_m
-        reference = advance(reference, leg, tick_s, here, SHORT.envelope, goes_on=True, slows_to_m_s=slow)
+        reference = advance(
+            reference, leg, tick_s, here, SHORT.envelope, goes_on=True, slows_to_m_s=slow
+        )
         seconds += tick_s
     settings = SHORT.settings
     assert seconds >= settings.planning_time_s + settings.scan_time_s
