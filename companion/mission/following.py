@@ -13,6 +13,7 @@ from companion.mission import joining
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
 from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
+from companion.path.envelope import slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.procedure import (
@@ -30,7 +31,7 @@ from companion.planner.procedure import (
 )
 
 _NOT_TAKEN_S = 2.0
-_FARTHEST = 2.0  # tracking errors beyond the first: there it is told to hold at once
+_FARTHEST = 1.0  # tubes beyond the first: there it is told to hold at once, half of d_s at most
 _BACK_S = 3.0  # after it has come to rest: for the vehicle to be back on its path
 _ECHO_S = 1.5  # an older echo says nothing
 _LONGEST_DELAY_S = 0.5  # of a link that setpoints are sent ahead for
@@ -54,7 +55,7 @@ def lead_m(state: State, reference: Reference) -> float:
         return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
     lead_m = (vehicle.traits.lead_s + delay_s) * over_ground
-    return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
+    return min(lead_m, _LONGEST_LEAD * state.task.envelope.lead_m)
 
 
 def advance_reference(state: State, event: Position) -> Flight:
@@ -72,7 +73,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             leg,
             vehicle.position_step_s,
             here,
-            task.limits,
+            task.envelope,
             goes_on=flight.next_leg is not None,
             until_m=None if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
@@ -108,7 +109,7 @@ def is_on_path(state: State, flight: Flight, event: Position) -> bool:
         return False
     pose, (north, east, up) = leg.subpath.pose(flight.reference.length_m), event.position_nea_m
     off = np.array((north, east, up)) - pose.position_nea_m
-    along_m, error_m = float(off @ pose.tangent_nea), limits.tracking_error_m
+    along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
     across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
     bends_m = along_m**2 / limits.turn_radius_m
     return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
@@ -121,20 +122,21 @@ def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, flo
     the leg; of a plane the circle about each point of the path is proven.  Ahead: of where it was
     told to be.  Far along: farther ahead, or behind, than the reference point waits for it.
     """
-    leg, limits, here = flight.leg, state.task.limits, np.asarray(event.position_nea_m)
+    leg, here = flight.leg, np.asarray(event.position_nea_m)
     assert leg is not None
     if not (state.task.settings.profile.verified or flight.returning):
         return 0.0, 0.0, 0.0
-    allowed_m = limits.tracking_error_m
+    motion = state.task.envelope
+    allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
-        return max(off_m - allowed_m - limits.loiter_radius_m, 0.0), 0.0, 0.0
+        return max(off_m - allowed_m - motion.loiter_m, 0.0), 0.0, 0.0
     if flight.offset is not None:
         allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
     ahead = ahead_m(flight.reference, leg, here)
     across_m = off_path_m(flight.reference, leg, here) - allowed_m
     before_m = ahead - lead_m(state, flight.reference) - allowed_m
-    far_m = abs(ahead) - longest_wait_m(limits) - allowed_m
+    far_m = abs(ahead) - longest_wait_m(motion) - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
 
@@ -147,14 +149,14 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     to hold at once, as it is farther outside than the safety distance allows for, does not come
     back, or is a plane.
     """
-    limits, now_s = state.task.limits, state.now_s
+    limits, motion, now_s = state.task.limits, state.task.envelope, state.now_s
     across_m, before_m, far_m = outside_m(state, flight, event)
     outside = max(across_m, before_m, far_m)
     if outside == 0.0:
         return replace(flight, left_path_at_s=math.inf, left_path_m=0.0), None
     if math.isinf(flight.left_path_at_s):
         flight = replace(flight, left_path_at_s=now_s, left_path_m=outside)
-    most_m = min(_FARTHEST * limits.tracking_error_m, state.task.settings.safety_distance_m)
+    most_m = min(_FARTHEST * motion.tube_m, 0.5 * state.task.settings.safety_distance_m)
     stops_s = limits.speed_m_s / limits.acceleration_m_s2
     is_away = across_m > 0.0 and now_s > flight.left_path_at_s + stops_s + _BACK_S
     if not limits.hovers or across_m > most_m or far_m > 0.0 or is_away:
@@ -162,7 +164,7 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     leg = flight.leg
     assert leg is not None
     left_m = leg.subpath.length_m - flight.reference.length_m
-    ends = flight.next_leg is None and left_m <= limits.slowing_m(limits.speed_m_s)
+    ends = flight.next_leg is None and left_m <= slowing_m(motion, motion.speed_m_s)
     if across_m > 0.0 and flight.stop is None and not ends:
         stopped, _, _ = stop(replace(state, flight=flight), Reason.BESIDE_PATH)
         flight = stopped.flight
@@ -303,7 +305,7 @@ def stop(state: State, reason: Reason) -> Step:
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     leg = flight.leg
     assert leg is not None
-    brakes_m = limits.stopping_m(flight.reference.speed_m_s)
+    brakes_m = 0.5 * flight.reference.speed_m_s**2 / limits.acceleration_m_s2
     stop_at_m = max(vehicle_at_m(state, leg) + brakes_m, flight.reference.length_m)
     stop_at_m = min(stop_at_m, leg.subpath.length_m)
     if flight.stop is not None:

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from companion.mission.events import Vector
 from companion.mission.state import Answered, Flight, Reason, State
+from companion.path.envelope import ending_m_s
 from companion.planner import join
 from companion.planner.procedure import Leg, Reference
 from companion.planner.request import FlownSegment
@@ -46,7 +47,7 @@ def joined(state: State) -> Flight | None:
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
     if vehicle.traits.hovers and flight.next_leg is None:  # what it cannot brake from is offset
-        speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m, limits.overrun_m))
+        speed = min(speed, ending_m_s(state.task.envelope, leg.subpath.length_m - at_m))
     circling = not vehicle.traits.hovers and off_m > limits.tracking_error_m
     flight = replace(
         flight,

@@ -16,8 +16,8 @@ from companion.geodesy import FloatArray
 from companion.objective import scene as flight
 from companion.objective.scene import FlightScene
 from companion.path.bspline import uniform_basis
+from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
 from companion.path.limits import Limits
-from companion.path.proof_distance import braked_m_s
 from companion.path.subpath import Pose
 from companion.profiles import Weights
 from companion.world.clearance import Surface
@@ -84,6 +84,8 @@ def _plain(value: Any) -> Any:
         record = globals()[f"_{type(value).__name__}"]
         found = {name: getattr(value, name) for name in record._fields}
         return record(*(_plain(_NONE[k] if v is None else v) for k, v in found.items()))
+    if isinstance(value, Envelope):
+        return value
     if isinstance(value, tuple):
         return tuple(map(_plain, value))
     if isinstance(value, np.ndarray):
@@ -270,14 +272,12 @@ def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> flo
     Towards its end the vehicle flies no faster than it can stop there, and from a hover no faster
     than it can have become; chords stand for the curve.
     """
-    total, limits = 0.0, scene.limits
+    total = 0.0
     for j in range(1, len(points), flight.DEAD_MAN_EVERY):
-        left, overrun = points[-1, 3] - points[j, 3], limits.overrun_m
-        speed = braked_m_s(left, limits.acceleration_m_s2, limits.dead_man_s, overrun)
+        speed = ending_m_s(scene.motion, points[-1, 3] - points[j, 3])
         if scene.from_rest:
-            speed = min(speed, math.sqrt(2.0 * limits.acceleration_m_s2 * points[j, 3]))
-        speed = min(speed, limits.speed_m_s)
-        reach = speed * limits.dead_man_s + speed * speed / (2.0 * limits.acceleration_m_s2)
+            speed = min(speed, rising_m_s(scene.motion, points[j, 3]))
+        reach = flown_on_m(scene.motion, speed)
         dn, de, da = ahead[j, 0], ahead[j, 1], ahead[j, 2]
         reach /= max(math.sqrt(dn * dn + de * de + da * da), 1e-9)
         for half in range(1, 3):

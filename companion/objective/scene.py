@@ -22,6 +22,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
+from companion.path.envelope import Envelope
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.profiles import Weights
@@ -57,6 +58,7 @@ class FlightScene:
     """Factor on the turn radius and on the steepness that the search aims at."""
     weights: Weights
     limits: Limits
+    motion: Envelope
     start: Pose
     """p_prog, the tangent and the curvature there."""
     from_rest: bool

@@ -15,6 +15,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.bspline import basis
+from companion.path.envelope import Envelope, flown_on_m
 from companion.path.limits import Limits
 from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, prove
 from companion.path.proof_distance import Surroundings
@@ -42,8 +43,8 @@ class Margins:
     """The dead-man stretches keep this: tracking and navigation error."""
     band_inset_m: float
     """The curve keeps this from the floor and the ceiling of the altitude band."""
-    dead_man_s: float
-    """How long the vehicle flies on after the last setpoint, before it brakes, seconds."""
+    motion: Envelope
+    """How the vehicle moves."""
 
 
 _SETTINGS = {
@@ -88,6 +89,12 @@ class Certificate:
     """Least distance of the dead-man stretches to terrain and zones; not above 0 inside.
 
     Of a plane, that of its circles."""
+    required_clearance_m: float
+    """What `clearance_m` and `keep_out_m` have to be."""
+    required_contact_m: float
+    """What `dead_man_m` has to be."""
+    speed_m_s: float
+    """It is proven for this speed, and for none above."""
     turn_radius_m: float
     """The ground track is nowhere tighter; inf where it is straight."""
     climb_angle_rad: float
@@ -103,7 +110,7 @@ class Certificate:
     radar_m: float
     """At most so much of the curve lies within radar ranges (a cost, not a bound)."""
     detection: float
-    """At most this probability of detection (eq. 3), anywhere."""
+    """At most this probability of detection (eq. 3), anywasked."""
     pieces: int
     """How many pieces the proof took."""
     broken: tuple[str, ...]
@@ -120,7 +127,7 @@ def certify(
 ) -> Certificate:
     """Prove a subpath, its tail included, against its surroundings.
 
-    from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
+    from_rest: the vehicle hovers at its start, and is the slower tasked.  A curve that is not
     finite is never proven, and no error.
     """
     control = subpath.control_nea_m
@@ -130,22 +137,25 @@ def certify(
         values = [math.nan] * (RESULTS - 1) + [0.0]
     clearance, keep_out, dead_man, curvature, climb, dive = values[:6]
     lowest, highest, off_map, radar, detection, pieces = values[6:]
-    here = surroundings
+    asked = surroundings
     bounds = (
-        ("terrain clearance", clearance >= here.clearance_m - ROUNDING_M),
-        ("keep-out zone", keep_out >= here.clearance_m - ROUNDING_M),
-        ("dead-man reach", dead_man >= here.contact_m - ROUNDING_M),
-        ("turn radius", curvature <= here.curvature_1_m * (1.0 + 2.0 * ROUNDING)),
-        ("climb angle", climb <= here.climb * (1.0 + 2.0 * ROUNDING)),
-        ("dive angle", dive <= here.dive * (1.0 + 2.0 * ROUNDING)),
-        ("floor of the band", lowest >= here.floor_m - ROUNDING_M),
-        ("ceiling of the band", highest <= here.ceiling_m + ROUNDING_M),
+        ("terrain clearance", clearance >= asked.clearance_m - ROUNDING_M),
+        ("keep-out zone", keep_out >= asked.clearance_m - ROUNDING_M),
+        ("dead-man reach", dead_man >= asked.contact_m - ROUNDING_M),
+        ("turn radius", curvature <= asked.curvature_1_m * (1.0 + 2.0 * ROUNDING)),
+        ("climb angle", climb <= asked.climb * (1.0 + 2.0 * ROUNDING)),
+        ("dive angle", dive <= asked.dive * (1.0 + 2.0 * ROUNDING)),
+        ("floor of the band", lowest >= asked.floor_m - ROUNDING_M),
+        ("ceiling of the band", highest <= asked.ceiling_m + ROUNDING_M),
         ("edge of the map", off_map <= ROUNDING_M),
     )
     return Certificate(
         clearance_m=clearance,
         keep_out_m=keep_out,
         dead_man_m=dead_man,
+        required_clearance_m=surroundings.clearance_m,
+        required_contact_m=surroundings.contact_m,
+        speed_m_s=surroundings.motion.speed_m_s,
         turn_radius_m=1.0 / curvature if curvature != 0.0 else math.inf,
         climb_angle_rad=math.atan(climb),
         dive_angle_rad=math.atan(dive),
@@ -176,9 +186,9 @@ def pack_surroundings(
     may leave it).  What lies farther out counts as terrain without a top.
     stops: the vehicle stops at the end of a curve; else it may go on from there at full speed.
     """
-    brakes_m = limits.speed_m_s**2 / (2.0 * limits.acceleration_m_s2)
-    farther_m = limits.speed_m_s * margins.dead_man_s + brakes_m + 3.0 * margins.clearance_m
-    registration_m = known.registration_m + limits.loiter_radius_m
+    motion = margins.motion
+    farther_m = flown_on_m(motion, motion.speed_m_s) + 3.0 * margins.clearance_m
+    registration_m = known.registration_m + motion.loiter_m
     return Surroundings(
         columns=pack_columns(
             known,
@@ -188,14 +198,10 @@ def pack_surroundings(
             registration_m=registration_m,
         ),
         zones=packed(zones),
-        loiter_m=float(limits.loiter_radius_m),
         radars=_table([(*radar.centre_nea_m, radar.range_m) for radar in radars], 4),
         clearance_m=float(margins.clearance_m),
         contact_m=float(margins.contact_m),
-        dead_man_s=float(margins.dead_man_s),
-        overrun_m=float(limits.overrun_m),
-        speed_m_s=float(limits.speed_m_s),
-        acceleration_m_s2=float(limits.acceleration_m_s2),
+        motion=motion,
         stops=stops,
         curvature_1_m=1.0 / limits.turn_radius_m,
         climb=math.tan(limits.climb_angle_rad),

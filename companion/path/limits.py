@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal, final
 
-from companion.path.proof_distance import braked_m_s
 from companion.ranges import NotNegative, Positive
 
 VehicleKind = Literal["copter", "plane"]
@@ -52,36 +51,3 @@ class Limits:
     def hovers(self) -> bool:
         """Whether the vehicle can stand still in the air."""
         return self.kind == "copter"
-
-    def reach_m(self, speed_m_s: float) -> float:
-        """How far the vehicle comes when the setpoints end, metres.
-
-        It flies on, then brakes to a stop; a plane flies to the last point that it was sent to.
-        """
-        if not self.hovers:
-            return self.lead_m
-        return speed_m_s * self.dead_man_s + self.stopping_m(speed_m_s)
-
-    def stopping_m(self, speed_m_s: float) -> float:
-        """Braking distance, metres; a plane stops nowhere, and holds on a circle anywhere."""
-        if not self.hovers:
-            return 0.0
-        return speed_m_s**2 / (2.0 * self.acceleration_m_s2)
-
-    def braked_m_s(self, left_m: float, overrun_m: float = math.inf) -> float:
-        """The highest speed from which the vehicle stops within so many metres, m/s.
-
-        overrun_m: how much farther it may come if the companion dies meanwhile.
-        """
-        left_m = max(left_m, 0.0)
-        return braked_m_s(left_m, self.acceleration_m_s2, self.dead_man_s, overrun_m)
-
-    def slowing_m(self, speed_m_s: float) -> float:
-        """How far before the end of a leg the vehicle begins to slow down for it, metres."""
-        flies_on_m = speed_m_s * self.dead_man_s if self.hovers else 0.0
-        return self.stopping_m(speed_m_s) + max(flies_on_m - self.overrun_m, 0.0)
-
-    @property
-    def lead_m(self) -> float:
-        """How far along the path the point lies, at most, that a plane is sent to."""
-        return 0.0 if self.hovers else self.speed_m_s * self.lead_s

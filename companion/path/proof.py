@@ -14,7 +14,8 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.proof_distance import Surroundings, braked_m_s
+from companion.path.envelope import beyond_m, ending_m_s, flown_on_m, rising_m_s
+from companion.path.proof_distance import Surroundings
 from companion.path.proof_shape import extremes, largest
 from companion.world.columns import Segment, terrain_distance
 from companion.world.zones import zone_distance
@@ -88,13 +89,8 @@ def piece_of(cubics: FloatArray, span: int, start: float, end: float) -> Piece:
     return (x, y, z, dx, dy, dz), 0.25 * max(one, two), least, length
 
 
-def reach(here: Surroundings, speed: float) -> float:
-    """How far the vehicle comes straight on when the companion dies, metres."""
-    return speed * here.dead_man_s + speed * speed / (2.0 * here.acceleration_m_s2)
-
-
 def stretch_of(
-    here: Surroundings, piece: Piece, flown: float, left: float
+    around: Surroundings, piece: Piece, flown: float, left: float
 ) -> tuple[Segment, float]:
     """A segment near all straight stretches that leave a piece, and how near.
 
@@ -104,24 +100,20 @@ def stretch_of(
     """
     segment, sag, cosine, length = piece
     x, y, z, dx, dy, dz = segment
-    twice, speed = 2.0 * here.acceleration_m_s2, here.speed_m_s
-    slows = speed * speed / twice + max(speed * here.dead_man_s - here.overrun_m, 0.0)
-    brakes = min(max(left - slows, 0.0), length)  # where it begins to slow down
-    fastest = braked_m_s(left, here.acceleration_m_s2, here.dead_man_s, here.overrun_m)
-    fastest = min(speed, fastest)
-    rising = min(speed, math.sqrt(twice * flown))
-    farthest = reach(here, min(fastest, rising))
+    fastest = ending_m_s(around.motion, left)
+    rising = rising_m_s(around.motion, flown)
+    farthest = flown_on_m(around.motion, min(fastest, rising))
     chord = math.sqrt(dx * dx + dy * dy + dz * dz)
     if cosine <= 0.0 or chord <= 0.0:
         return segment, sag + (farthest if cosine < 1.0 or chord > 0.0 else 0.0)
-    ahead = min(brakes + reach(here, fastest), length + reach(here, rising))
+    ahead = min(length + farthest, left + beyond_m(around.motion))
     grow = max(ahead, chord) / chord
     slack = sag + farthest * math.sqrt(max(2.0 - 2.0 * cosine, 0.0))
     return (x, y, z, dx * grow, dy * grow, dz * grow), slack
 
 
 def piece_distance(
-    here: Surroundings,
+    around: Surroundings,
     what: int,
     piece: Piece,
     flown: float,
@@ -132,18 +124,18 @@ def piece_distance(
     """Lower and upper bound of a distance over a piece, both at most `limit`, and the slack."""
     segment, slack = piece[0], piece[1]
     if what == _DEAD_MAN:
-        segment, slack = stretch_of(here, piece, flown, left)
-    if slack > max(limit, 0.0) + 2.0 * here.clearance_m:
+        segment, slack = stretch_of(around, piece, flown, left)
+    if slack > max(limit, 0.0) + 2.0 * around.clearance_m:
         return (0.0 if what == _TERRAIN else -_NEVER), limit, slack  # too coarse to be worth it
-    tolerance = 1e-3 * here.clearance_m
+    tolerance = 1e-3 * around.clearance_m
     lower, upper = limit, limit
     if what != _ZONES:
-        far = terrain_distance(here.columns, segment, limit + slack, tolerance, found)
+        far = terrain_distance(around.columns, segment, limit + slack, tolerance, found)
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
-        within = max(limit + slack + here.loiter_m, 0.0)
-        low, high = zone_distance(here.zones, segment, within)
-        low, high = low - here.loiter_m, high - here.loiter_m
+        within = max(limit + slack + around.motion.loiter_m, 0.0)
+        low, high = zone_distance(around.zones, segment, within)
+        low, high = low - around.motion.loiter_m, high - around.motion.loiter_m
         if what == _DEAD_MAN:
             low, high = max(low, -_INSIDE_M), max(high, -_INSIDE_M)
         lower, upper = min(lower, low - slack), min(upper, high + slack)
@@ -169,7 +161,7 @@ def first_pieces(cubics: FloatArray) -> FloatArray:
 
 def part_distance(
     cubics: FloatArray,
-    here: Surroundings,
+    around: Surroundings,
     what: int,
     row: FloatArray,
     start: float,
@@ -184,16 +176,16 @@ def part_distance(
     flown, left = math.inf, 0.0
     if what == _DEAD_MAN:
         left = math.inf
-        if here.stops:
+        if around.stops:
             left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
         if from_rest:
             flown = row[3] + piece_of(cubics, span, float(row[1]), end)[3]
-    return piece_distance(here, what, piece, flown, left, limit, found)
+    return piece_distance(around, what, piece, flown, left, limit, found)
 
 
 def least_distance(
     cubics: FloatArray,
-    here: Surroundings,
+    around: Surroundings,
     what: int,
     table: FloatArray,
     from_rest: bool,
@@ -206,16 +198,16 @@ def least_distance(
     known to come to (five times that if the bound is broken), and suffices; or when nothing is
     left that halving it would bring.
     """
-    need = here.contact_m if what == _DEAD_MAN else here.clearance_m
-    tolerance = (0.02 if what == _DEAD_MAN else 0.01) * here.clearance_m
-    smallest = min(0.0015 * here.clearance_m, 0.1 * here.columns.cell_m)
+    need = around.contact_m if what == _DEAD_MAN else around.clearance_m
+    tolerance = (0.02 if what == _DEAD_MAN else 0.01) * around.clearance_m
+    smallest = min(0.0015 * around.clearance_m, 0.1 * around.columns.cell_m)
     rows = table.shape[0]
     lowers, slacks = np.empty(rows), np.empty(rows)
     upper, result, count = cap, cap, rows
     for k in range(rows):
         lowers[k], high, slacks[k] = part_distance(
             cubics,
-            here,
+            around,
             what,
             table[k],
             float(table[k, 1]),
@@ -244,25 +236,25 @@ def least_distance(
                 stack[depth, 0], stack[depth, 1] = 0.5 * (start + end), end
                 depth, end = depth + 1, 0.5 * (start + end)
             lower, high, slack = part_distance(
-                cubics, here, what, table[k], start, end, from_rest, upper, found
+                cubics, around, what, table[k], start, end, from_rest, upper, found
             )
             upper, count = min(upper, high), count + 1
     return result, count
 
 
-def under_radars(here: Surroundings, piece: Piece) -> tuple[bool, bool, float]:
+def under_radars(around: Surroundings, piece: Piece) -> tuple[bool, bool, float]:
     """Whether a piece is inside a radar's range for certain, perhaps; detection (eq. 3) at most."""
     (x, y, z, dx, dy, dz), sag, _, _ = piece
     inside, perhaps, detection = False, False, 0.0
     squared = dx * dx + dy * dy + dz * dz
-    for k in range(here.radars.shape[0]):
-        px, py, pz = here.radars[k, 0] - x, here.radars[k, 1] - y, here.radars[k, 2] - z
+    for k in range(around.radars.shape[0]):
+        px, py, pz = around.radars[k, 0] - x, around.radars[k, 1] - y, around.radars[k, 2] - z
         at = 0.0
         if squared > 0.0:
             at = min(max((px * dx + py * dy + pz * dz) / squared, 0.0), 1.0)
         qx, qy, qz = px - at * dx, py - at * dy, pz - at * dz
         nearest = max(math.sqrt(qx * qx + qy * qy + qz * qz) - sag, 0.0)
-        span = here.radars[k, 3]
+        span = around.radars[k, 3]
         if nearest <= span:
             detection = max(detection, 1.0 / (1.0 + (nearest / span) ** 4))
             qx, qy, qz = px - dx, py - dy, pz - dz
@@ -274,10 +266,12 @@ def under_radars(here: Surroundings, piece: Piece) -> tuple[bool, bool, float]:
     return inside, perhaps, detection
 
 
-def exposure(cubics: FloatArray, here: Surroundings, table: FloatArray) -> tuple[float, float, int]:
+def exposure(
+    cubics: FloatArray, around: Surroundings, table: FloatArray
+) -> tuple[float, float, int]:
     """Length within radar ranges at most (a stretch in two counts once); detection; pieces."""
     rows = table.shape[0]
-    if here.radars.shape[0] == 0:
+    if around.radars.shape[0] == 0:
         return 0.0, 0.0, 0
     short = 1e-3 * (table[rows - 1, 3] + 1e-9)
     within, detection, count = 0.0, 0.0, 0
@@ -289,7 +283,7 @@ def exposure(cubics: FloatArray, here: Surroundings, table: FloatArray) -> tuple
             depth -= 1
             start, end = float(stack[depth, 0]), float(stack[depth, 1])
             piece = piece_of(cubics, span, start, end)
-            inside, perhaps, most = under_radars(here, piece)
+            inside, perhaps, most = under_radars(around, piece)
             count += 1
             if perhaps and piece[3] > short and count < _BUDGET:
                 middle = 0.5 * (start + end)
@@ -301,7 +295,7 @@ def exposure(cubics: FloatArray, here: Surroundings, table: FloatArray) -> tuple
     return within, detection, count
 
 
-def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray:
+def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> FloatArray:
     """Every bound over the whole curve.  -> (RESULTS,); finite input is the caller's duty.
 
     cubics (spans, 4, 3): coefficients of 1, t, t^2, t^3 over 0 <= t <= 1, span after span.
@@ -309,29 +303,29 @@ def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray
     straight dead-man stretches: it circles wherever it is sent to last.
     """
     table = first_pieces(cubics)
-    found = np.empty((here.columns.blocks_m.size, 3))
+    found = np.empty((around.columns.blocks_m.size, 3))
     result = np.empty(RESULTS)
     result[1], pieces = math.inf, 0
     for what in range(3):  # terrain, zones, dead man; in a loop, so that it is compiled once
-        cap = 2.0 * here.clearance_m
+        cap = 2.0 * around.clearance_m
         if what == _DEAD_MAN:
-            cap = here.contact_m + 0.25 * here.clearance_m
-        if what == _DEAD_MAN and here.loiter_m > 0.0:
+            cap = around.contact_m + 0.25 * around.clearance_m
+        if what == _DEAD_MAN and around.motion.loiter_m > 0.0:
             result[what] = min(cap, min(result[_TERRAIN], result[_ZONES]))
-        elif what != _ZONES or here.zones.circles.size + here.zones.polygons.size > 0:
-            result[what], more = least_distance(cubics, here, what, table, from_rest, cap, found)
+        elif what != _ZONES or around.zones.circles.size + around.zones.polygons.size > 0:
+            result[what], more = least_distance(cubics, around, what, table, from_rest, cap, found)
             pieces += more
     for what in range(3):  # squared curvature, climb, dive
-        limit = (here.curvature_1_m**2, here.climb, here.dive)[what] * (1.0 + ROUNDING)
+        limit = (around.curvature_1_m**2, around.climb, around.dive)[what] * (1.0 + ROUNDING)
         bound, more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
         result[3 + what] = math.sqrt(bound) if what == 0 else bound
         pieces += more
     south, north = extremes(cubics, 0)
     west, east = extremes(cubics, 1)
     result[6], result[7] = extremes(cubics, 2)
-    off_n = max(here.map_south_m - south, north - here.map_north_m)
-    off_e = max(here.map_west_m - west, east - here.map_east_m)
+    off_n = max(around.map_south_m - south, north - around.map_north_m)
+    off_e = max(around.map_west_m - west, east - around.map_east_m)
     result[8] = max(0.0, max(off_n, off_e))
-    result[9], result[10], more = exposure(cubics, here, table)
+    result[9], result[10], more = exposure(cubics, around, table)
     result[11] = pieces + more
     return result

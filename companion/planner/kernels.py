@@ -24,7 +24,7 @@ from companion.objective import scene
 from companion.objective.scene import FlightScene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
-from companion.path import proof, proof_distance, proof_shape
+from companion.path import envelope, proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
 from companion.planner import cheapest_ways, cost_samples
 from companion.world import clearance, columns, zones
@@ -118,6 +118,7 @@ SOURCES = (
     scene,
     objective,
     refined_de,
+    envelope,
     proof,
     proof_distance,
     proof_shape,

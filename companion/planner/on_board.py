@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from companion.path.envelope import stopping_m
 from companion.planner.offline import OfflineFlight
 from companion.planner.procedure import Leg, Reference, advance, is_at_end
 from companion.planner.recheck import meets_near_things
@@ -68,7 +69,7 @@ class OnBoard:
             self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
             self.look(pose.point_nea_m[:2], self._heading_rad, reference.speed_m_s, seconds=step_s)
             if meets_near_things(leg, at_m, self.near, kept_m):
-                stop_m = at_m + task.limits.stopping_m(reference.speed_m_s)
+                stop_m = at_m + stopping_m(task.envelope, reference.speed_m_s)
                 self._now_s += reference.speed_m_s / task.limits.acceleration_m_s2
                 self._reference, self._rests = Reference(), True
                 return float(min(stop_m, np.nextafter(until_m, 0.0)))
@@ -115,7 +116,7 @@ def along(
             leg,
             step_s,
             here,
-            task.limits,
+            task.envelope,
             goes_on=goes_on,
             slows_to_m_s=slows_to_m_s,
         )

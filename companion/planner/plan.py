@@ -19,6 +19,7 @@ from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import certify, pack_surroundings
+from companion.path.envelope import slowing_m, stopping_m
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner import kernels
@@ -228,8 +229,8 @@ class _Plan:
             request.route_ne_m,
         )
         self._scene = _scene(request, self._field)
-        limits = request.task.limits
-        self._shortest_m = max(limits.slowing_m(limits.speed_m_s), limits.lead_m)
+        motion = request.task.envelope
+        self._shortest_m = max(slowing_m(motion, motion.speed_m_s), motion.lead_m)
         settings = request.task.settings
         self._per_metre = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
         self._evaluations = self._tries = 0
@@ -293,9 +294,9 @@ class _Plan:
         barred = np.flatnonzero(lowest > scene.band_amsl_m[1])
         away = np.hypot(*(points[: barred[0] if len(barred) else None] - scan).T)
         far_m = float(away.max(initial=0.0))
-        limits, least_m = self._request.task.limits, self._request.task.scan_distance_m
+        motion, least_m = self._request.task.envelope, self._request.task.scan_distance_m
         if scene.from_rest:
-            least_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
+            least_m = max(stopping_m(motion, motion.speed_m_s), motion.lead_m)
         elif self._request.task.settings.is_near:  # its sight ends at the next tree
             least_m = self._shortest_m
         if not least_m < far_m < scene.end_radius_m:
@@ -517,6 +518,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
         margin=settings.profile.margin,
         weights=settings.weights,
         limits=task.limits,
+        motion=task.envelope,
         start=request.start.facing(guide) if request.from_rest else request.start,
         from_rest=request.from_rest,
         scan_ne_m=scan_ne,

@@ -13,13 +13,14 @@ not commanded, are sent to a point ahead of their position (`follow`).
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
+from companion.path.envelope import Envelope, ending_m_s, slowed_m_s, slowing_m
 from companion.path.limits import Limits
-from companion.path.proof_distance import braked_m_s
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
@@ -33,6 +34,8 @@ _ROUNDING_M = 1e-6
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
+_HALVINGS = 40  # of V, to a speed
+_PACES = 100  # parts of a leg for each of which a speed is known
 _PROJECTIONS = 2  # to the nearest point of a path that hardly bends over a tracking error
 _LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
 _ON_CIRCLE = 1.0  # tracking errors beyond the circle: farther off a plane has left its path
@@ -80,7 +83,8 @@ class Leg:
         Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
         start at speed V, are done while it can still stop at the end.
         """
-        limits, length_m, speed_m_s = task.limits, self.subpath.length_m, task.limits.speed_m_s
+        motion, length_m = task.envelope, self.subpath.length_m
+        speed_m_s = motion.speed_m_s
         if self.through:
             return length_m, speed_m_s
         least_m = task.shortest_scan_distance_m
@@ -88,16 +92,20 @@ class Leg:
         at_m = min(max(length_m - task.tail_m, earliest_m), length_m)
         if length_m >= least_m or not task.settings.is_near:
             return at_m, speed_m_s
-        braking, time_s = limits.acceleration_m_s2, (least_m - task.tail_m) / speed_m_s
-        slower_m_s = [speed_m_s]  # (V - v)^2 / 2a + v t + what it slows down in from v: the length
-        for flies_on_s, over_m in ((0.0, 0.0), (limits.dead_man_s, limits.overrun_m)):
-            half_s = 0.5 * (time_s + flies_on_s - speed_m_s / braking)
-            room_m = length_m + over_m - 0.5 * speed_m_s**2 / braking
-            root_s = math.sqrt(max(half_s**2 + room_m / braking, 0.0))
-            slower_m_s.append(max(braking * (root_s - half_s), 0.0))
-        slow_m_s = min(slower_m_s)
-        at_m = slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / braking
-        return min(at_m, length_m), slow_m_s
+        time_s = (least_m - task.tail_m) / speed_m_s
+
+        def slows_at_m(slow_m_s: float) -> float:
+            """What it flies from V at its start on, at this speed as soon as it can."""
+            return slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / motion.braking_m_s2
+
+        slow_m_s, most_m_s = 0.0, speed_m_s  # the fastest that leaves room to slow down for the end
+        for _ in range(_HALVINGS):
+            middle_m_s = 0.5 * (slow_m_s + most_m_s)
+            if slows_at_m(middle_m_s) + slowing_m(motion, middle_m_s) <= length_m:
+                slow_m_s = middle_m_s
+            else:
+                most_m_s = middle_m_s
+        return min(slows_at_m(slow_m_s), length_m), slow_m_s
 
     def slows_to_m_s(self, task: Task) -> float | None:
         """The speed that a short leg is flown at, from its start on; None: V."""
@@ -125,10 +133,10 @@ class Leg:
         """
         if not task.settings.profile.verified:
             return True
-        limits, (at_m, speed_m_s) = task.limits, self.leaving(task)
+        motion, (at_m, speed_m_s) = task.envelope, self.leaving(task)
         left_m = self.subpath.length_m - at_m + _ROUNDING_M
-        slows_m = max(limits.slowing_m(speed_m_s), limits.lead_m)
-        return left_m >= slows_m and speed_m_s >= _SLOWEST * limits.speed_m_s
+        slows_m = max(slowing_m(motion, speed_m_s), motion.lead_m)
+        return left_m >= slows_m and speed_m_s >= _SLOWEST * motion.speed_m_s
 
 
 @final
@@ -145,45 +153,69 @@ def advance(
     leg: Leg,
     elapsed_s: float,
     vehicle_nea_m: FloatArray,
-    limits: Limits,
+    motion: Envelope,
     *,
     goes_on: bool,
     until_m: float | None = None,
     slows_to_m_s: float | None = None,
 ) -> Reference:
-    """Move the reference point: speed up, cruise at V, slow down to stop at the end of the leg.
+    """Move the reference point: speed up, cruise at V, slow down for bends and the end of the leg.
 
-    It slows down with the mission's acceleration, harder where the path demands a lower speed;
-    it gains speed the more slowly the farther behind the vehicle is, and waits if it is too far.
+    It is nowhere faster than the certificate takes it to be (`path.envelope`), gains speed the more
+    slowly the farther behind the vehicle is, and waits if it is too far.
     goes_on: the next leg is ready, so there is no stop at the end of this one.  until_m: the length
-    at which to stop if that is before the end.  slows_to_m_s: see `Leg.slows_to_m_s`.
+    at which to stop, with all that the vehicle brakes with, if that is before the end.
+    slows_to_m_s: see `Leg.slows_to_m_s`.
     """
-    pose = leg.subpath.pose(reference.length_m)
-    allowed = allowed_speed_m_s(pose, limits)
-    end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
-    left = max(end_m - reference.length_m, 0.0)
+    at_m, speed = reference.length_m, reference.speed_m_s
+    pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
+    allowed = paced_m_s(leg.subpath, motion, at_m)
+    end_m = length_m if until_m is None else min(length_m, until_m)
+    left_m = max(end_m - at_m, 0.0)
     if not goes_on or until_m is not None:
-        to_end = max(leg.subpath.length_m - reference.length_m, 0.0)
-        braking, dead_man_s = limits.acceleration_m_s2, limits.dead_man_s
-        allowed = min(allowed, braked_m_s(to_end, braking, dead_man_s, limits.overrun_m))
-        if until_m is not None:
-            allowed = min(allowed, limits.braked_m_s(left))
-    change = limits.acceleration_m_s2 * elapsed_s
+        allowed = min(allowed, ending_m_s(motion, length_m - at_m))
+    if until_m is not None:
+        allowed = min(allowed, slowed_m_s(left_m, motion.braking_m_s2, 0.0))
+    slower = motion.braking_m_s2 * elapsed_s
     if slows_to_m_s is not None:
-        allowed = min(allowed, max(slows_to_m_s, reference.speed_m_s - change))
+        allowed = min(allowed, max(slows_to_m_s, speed - slower))
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
-    most = longest_wait_m(limits)
+    most = longest_wait_m(motion)
     if lead > most:
-        return Reference(length_m=reference.length_m, speed_m_s=0.0)
-    faster = change * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
-    speed = min(max(allowed, reference.speed_m_s - 2.0 * change), reference.speed_m_s + faster)
-    step = min(0.5 * (reference.speed_m_s + speed) * elapsed_s, left)
-    return Reference(length_m=reference.length_m + step, speed_m_s=speed)
+        return Reference(length_m=at_m, speed_m_s=0.0)
+    faster = motion.gaining_m_s2 * elapsed_s * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
+    after = min(max(allowed, speed - 2.0 * slower), speed + faster)
+    step = min(0.5 * (speed + after) * elapsed_s, left_m)
+    return Reference(length_m=at_m + step, speed_m_s=after)
 
 
-def longest_wait_m(limits: Limits) -> float:
+def longest_wait_m(motion: Envelope) -> float:
     """How far behind it a copter may be: the reference point waits for it when it is farther."""
-    return max(_LEAD_S * limits.speed_m_s, 2.0 * limits.tracking_error_m)
+    return max(_LEAD_S * motion.speed_m_s, 2.0 * motion.tube_m)
+
+
+def paced_m_s(subpath: Subpath, motion: Envelope, at_m: float) -> float:
+    """How fast it may move at a length flown, so as not to fly a bend ahead too fast."""
+    paces = _paces_m_s(subpath, motion)
+    k = int(min(max(at_m / subpath.length_m, 0.0), 1.0) * (len(paces) - 2))
+    return min(float(paces[k]), float(paces[k + 1]))
+
+
+@lru_cache(maxsize=4)
+def _paces_m_s(subpath: Subpath, motion: Envelope) -> FloatArray:
+    """V, or less where it climbs faster than the vehicle can, or bends, or soon does.  -> (N,)."""
+    curve = subpath.sampled(subpath.length_m / _PACES)
+    size = np.linalg.norm(curve.first, axis=-1)
+    size = np.maximum(size, 1e-3 * subpath.length_m)  # where control points coincide it is 0
+    bends_1_m = np.linalg.norm(np.cross(curve.first, curve.second), axis=-1) / size**3
+    steep = np.maximum(np.abs(curve.first[:, 2]) / size, 1e-9)
+    most = np.minimum(motion.climb_rate_m_s / steep, motion.speed_m_s)
+    turns = np.sqrt(motion.lateral_m_s2 / np.maximum(bends_1_m, 1e-12))
+    paces = np.minimum(most, np.maximum(turns, _SLOWEST * motion.speed_m_s))
+    gains = 2.0 * motion.gaining_m_s2 * subpath.length_m / (len(paces) - 1)
+    for k in range(len(paces) - 2, -1, -1):
+        paces[k] = min(paces[k], math.sqrt(paces[k + 1] ** 2 + gains))
+    return np.asarray(paces)
 
 
 def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Limits) -> Reference:

@@ -236,7 +236,7 @@ def _check_turns(task: Task, where: str) -> None:
 def _check_circle(task: Task, where: str) -> None:
     """Check a plane's overshoot, turn and circle against the scan range."""
     limits, settings = task.limits, task.settings
-    room = task.zone_search_clearance_m + limits.lead_m + 2.0 * limits.turn_radius_m
+    room = task.zone_search_clearance_m + task.envelope.lead_m + 2.0 * limits.turn_radius_m
     if room > task.end_radius_m:
         rule = (
             f"a plane holds on circles: with what it flies until then, a turn and {_least(task)} "

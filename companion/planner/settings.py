@@ -11,6 +11,16 @@ from annotated_types import Ge, Le
 
 from companion.geodesy import FloatArray
 from companion.path.certificate import Margins
+from companion.path.envelope import (
+    COPTER,
+    PLANE,
+    Envelope,
+    Handling,
+    beyond_m,
+    envelope_of,
+    flown_on_m,
+    stopping_m,
+)
 from companion.path.limits import Limits
 from companion.profiles import FLIGHT, Profile, Weights
 from companion.ranges import NotNegative, Positive
@@ -61,6 +71,8 @@ class Task:
 
     limits: Limits
     settings: PlannerSettings
+    handling: Handling = COPTER
+    """How its autopilot flies setpoints."""
     radars: tuple[Radar, ...] = ()
     zones: tuple[Zone, ...] = ()
     stated_ground_amsl_m: float | None = None
@@ -90,6 +102,11 @@ class Task:
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     @cached_property
+    def envelope(self) -> Envelope:
+        """How the vehicle moves on legs that are planned by this task."""
+        return envelope_of(self.limits, self.handling if self.limits.hovers else PLANE)
+
+    @cached_property
     def tail_m(self) -> float:
         """Length of a subpath beyond p_prog.
 
@@ -100,14 +117,15 @@ class Task:
         settings, speed = self.settings, self.limits.speed_m_s
         if not settings.profile.verified:
             return settings.safety_distance_m
-        stop_m = self.limits.stopping_m(speed) + self.limits.lead_m + settings.safety_distance_m
-        return max(0.15 * settings.scan_range_m, stop_m, self.limits.reach_m(speed))
+        motion = self.envelope
+        stop_m = stopping_m(motion, speed) + motion.lead_m + settings.safety_distance_m
+        return max(0.15 * settings.scan_range_m, stop_m, flown_on_m(motion, speed))
 
     @property
     def stop_m(self) -> float:
         """The time for a stop, a scan and a plan from rest, as distance at cruise speed."""
         limits, settings = self.limits, self.settings
-        time_s = limits.speed_m_s / limits.acceleration_m_s2
+        time_s = limits.speed_m_s / self.envelope.braking_m_s2 + self.envelope.settling_s
         return limits.speed_m_s * (time_s + settings.scan_time_s + settings.planning_time_s)
 
     @cached_property
@@ -119,7 +137,7 @@ class Task:
         """
         settings = self.settings
         time_s = settings.planning_time_s + settings.scan_time_s + 3.0 * settings.position_period_s
-        return self.limits.speed_m_s * time_s + self.limits.lead_m + self.tail_m
+        return self.limits.speed_m_s * time_s + self.envelope.lead_m + self.tail_m
 
     @cached_property
     def scan_distance_m(self) -> float:
@@ -129,7 +147,7 @@ class Task:
     @property
     def error_m(self) -> float:
         """Allowed distance of the vehicle from the path: tracking and navigation error."""
-        return self.limits.tracking_error_m + self.limits.navigation_error_m
+        return self.envelope.error_m
 
     @property
     def margins(self) -> Margins:
@@ -138,7 +156,7 @@ class Task:
             clearance_m=self.required_clearance_m,
             contact_m=self.error_m,
             band_inset_m=self.error_m,
-            dead_man_s=self.limits.dead_man_s,
+            motion=self.envelope,
         )
 
     @property
@@ -185,7 +203,7 @@ class Task:
         """
         limits = self.limits
         lowest_m, _ = self.band_amsl_m
-        return max(limits.floor_amsl_m + 2.0 * limits.tracking_error_m, lowest_m)
+        return max(limits.floor_amsl_m + 2.0 * self.envelope.tube_m, lowest_m)
 
     @property
     def end_radius_m(self) -> float:
@@ -194,10 +212,9 @@ class Task:
         The paper's R; in profile `flight` less, so that the ground is scanned within the required
         clearance of the end and of the dead-man reach from there.
         """
-        settings, limits = self.settings, self.limits
+        settings = self.settings
         if not settings.profile.verified:
             return settings.scan_range_m
-        beyond = limits.speed_m_s * limits.dead_man_s if limits.hovers else 0.0
-        beyond = min(beyond, limits.overrun_m)  # it slows down for its end
+        beyond = beyond_m(self.envelope) if self.limits.hovers else 0.0
         reserve = max(self.zone_search_clearance_m, beyond + self.error_m)
         return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)

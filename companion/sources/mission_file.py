@@ -17,6 +17,7 @@ from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission
+from companion.path.envelope import handling_of
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
@@ -201,6 +202,7 @@ def mission_of(
     task = Task(
         limits=limits,
         settings=settings,
+        handling=handling_of(vehicle.autopilot, vehicle.kind),
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)

@@ -25,6 +25,7 @@ from companion.mavlink.parameter_checks import (
 )
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mission.mission import EndAction, Mission
+from companion.path.envelope import flown_on_m
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.near_map import Kind as sensor_kind
@@ -227,7 +228,7 @@ def test_a_timeout_that_passes_stays_within_the_certified_reach(
         passes = of(ARDUCOPTER_RULES, ARDUCOPTER, "GUID_TIMEOUT", timeout_s, flown)[0] is None
         assert passes == (dead_man_s >= timeout_s + 0.5)
         if passes:
-            assert furthest_m <= flown.task.limits.reach_m(10.0)
+            assert furthest_m <= flown_on_m(flown.task.envelope, 10.0)
 
 
 def test_a_timeout_that_is_too_long_is_set_to_the_longest_that_fits() -> None:
@@ -246,7 +247,7 @@ def test_px4_brakes_within_the_certified_reach() -> None:
     flown = mission(speed_m_s=12.0, acceleration_m_s2=3.0, dead_man_s=1.8)
     values = PX4 | {"MPC_XY_VEL_MAX": 15.0}
     assert of(PX4_MULTICOPTER_RULES, values, "COM_OF_LOSS_T", 1.0, flown) == (None, None)
-    assert flown.task.limits.reach_m(12.0) >= 12.0 * 1.12 + 31.2
+    assert flown_on_m(flown.task.envelope, 12.0) >= 12.0 * 1.12 + 31.2
     weaker = mission(acceleration_m_s2=3.5)
     assert of(PX4_MULTICOPTER_RULES, PX4, "MPC_ACC_HOR", 3.0, weaker)[0] is REFUSE
 

@@ -48,7 +48,8 @@ def test_a_sensor_that_falls_silent_stops_it_on_its_path_until_it_sees_again(sig
     craft = flying(MISSION)
     leg, at_m = craft.state.flight.leg, craft.state.flight.reference.length_m
     assert leg is not None
-    brakes_m = MISSION.task.limits.stopping_m(craft.state.flight.reference.speed_m_s)
+    speed_m_s = craft.state.flight.reference.speed_m_s
+    brakes_m = 0.5 * speed_m_s**2 / MISSION.task.limits.acceleration_m_s2
     for _ in range(3):
         craft.take(seen(craft, sight))
     assert told(craft, Reason.SENSOR_SILENT) == 1

@@ -24,6 +24,7 @@ from companion.mission.events import (
 )
 from companion.mission.state import Phase, Reason, TakenOver
 from companion.mission.vehicle_traits import VehicleTraits
+from companion.path.envelope import flown_on_m
 from companion.world.zones import CircleZone
 
 PX4S = pytest.mark.parametrize(
@@ -180,7 +181,7 @@ def test_a_changed_fence_is_told_at_once_and_held_for_until_it_is_read() -> None
     craft.run_until(lambda craft: craft.phase is Phase.HOLDING, 60.0)
     limits = craft.state.task.limits
     went_m = math.dist(here, craft.here)
-    assert went_m <= 3.5 * limits.speed_m_s + limits.stopping_m(limits.speed_m_s)
+    assert went_m <= flown_on_m(craft.state.task.envelope, limits.speed_m_s)
     assert reason(craft) is Reason.FENCE_UNREAD
     craft.run_for(153.0)
     assert reason(craft) is Reason.FENCE_UNREAD

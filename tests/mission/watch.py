@@ -301,7 +301,11 @@ class Watch:
         limits = self.limits
         if self.traits.hovers:
             return limits.speed_m_s + 3.0 * limits.tracking_error_m + 5.0
-        return 1.3 * limits.lead_m + 2.0 * limits.loiter_radius_m + 3.0 * limits.tracking_error_m
+        return (
+            1.3 * limits.speed_m_s * limits.lead_s
+            + 2.0 * limits.loiter_radius_m
+            + 3.0 * limits.tracking_error_m
+        )
 
     def _on_path(self, before: State, after: State, sent: Setpoint) -> None:
         """A setpoint that leads lies on a path that is proven, and the newest.

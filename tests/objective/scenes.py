@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from planning import limits
 
 from companion.objective.scene import FlightScene
+from companion.path.envelope import ARDUCOPTER, envelope_of
 from companion.path.subpath import Pose, Subpath
 from companion.planner.kernels import compiled
 from companion.profiles import Weights
@@ -77,6 +78,7 @@ def random_scene(
         margin=1.06,
         weights=Weights(**dict(zip(names, weights, strict=True))),
         limits=LIMITS if rng.random() < 0.8 else replace(LIMITS, loiter_radius_m=80.0),
+        motion=envelope_of(LIMITS, ARDUCOPTER),
         start=start,
         from_rest=from_rest,
         scan_ne_m=(north + rng.uniform(-300.0, 300.0), east + rng.uniform(-300.0, 300.0)),

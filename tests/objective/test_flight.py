@@ -259,9 +259,12 @@ def expected_crash(
         if not scene.limits.hovers:
             break  # it circles: the surface knows
         left, flown = sum(chords[j:]), sum(chords[:j])
-        room = min(left, flown) if scene.from_rest else left
-        speed = min(LIMITS.speed_m_s, math.sqrt(2.0 * LIMITS.acceleration_m_s2 * room))
-        reach = speed * LIMITS.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
+        it = scene.motion  # v settling + v^2 / 2 a = what is left
+        settles = it.braking_m_s2 * it.settling_s
+        speed = math.sqrt(settles**2 + 2.0 * it.braking_m_s2 * left) - settles
+        rising = math.sqrt(2.0 * it.gaining_m_s2 * flown) if scene.from_rest else math.inf
+        speed = min(LIMITS.speed_m_s, speed, rising)
+        reach = speed * scene.motion.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
         tangent = curve(u[j], 1) / np.linalg.norm(curve(u[j], 1))
         for share in (0.5, 1.0):
             n, e, z = points[j] + share * reach * tangent

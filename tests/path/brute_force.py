@@ -5,7 +5,7 @@ refined by scipy's minimisers from dense samples.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
 from companion.path.certificate import Margins, pack_surroundings
+from companion.path.envelope import ARDUCOPTER, Envelope, envelope_of
 from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.world.known_map import KnownMap, empty_map
@@ -63,6 +64,7 @@ class Scale:
     turn_radius_m: float
     relief_m: float
     dead_man_s: float = 3.5
+    settling_s: float = 0.4
     overruns_m: tuple[float, ...] = (np.inf,)
 
 
@@ -100,6 +102,7 @@ def random_case(rng: np.random.Generator) -> Case:
         ceiling_amsl_m=4.0 * scale.relief_m,
         north_m=(0.0, size),
         east_m=(0.0, size),
+        dead_man_s=scale.dead_man_s,
         overrun_m=float(rng.choice(scale.overruns_m)),
         loiter_radius_m=scale.distance_m * rng.uniform(0.3, 1.5) if rng.random() < 0.2 else 0.0,
     )
@@ -107,7 +110,7 @@ def random_case(rng: np.random.Generator) -> Case:
         clearance_m=scale.distance_m + scale.error_m,
         contact_m=scale.error_m,
         band_inset_m=scale.error_m,
-        dead_man_s=scale.dead_man_s,
+        motion=envelope_of(limits, replace(ARDUCOPTER, settling_s=scale.settling_s)),
     )
     return Case(
         control_nea_m=_control(rng, size, margins.clearance_m, known),
@@ -393,21 +396,30 @@ def truth(case: Case, samples: int = 200) -> Truth:
     )
 
 
+def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None) -> FloatArray:
+    """The fastest that the reference point may be, by halving what its rules allow."""
+    low, high = np.zeros_like(left), np.full_like(left, it.speed_m_s)
+    for _ in range(60):
+        speed = 0.5 * (low + high)
+        brakes = speed**2 / (2.0 * it.braking_m_s2)
+        ends = speed * it.dead_man_s + brakes <= left + it.overrun_m
+        ends &= speed * it.settling_s + brakes <= left
+        if flown is not None:
+            ends &= speed**2 / (2.0 * it.gaining_m_s2) <= flown
+        low, high = np.where(ends, speed, low), np.where(ends, high, speed)
+    return low
+
+
 def stretch_points_nea_m(
     case: Case, spline: Any, fine: FloatArray, lengths: FloatArray, u: FloatArray, share: FloatArray
 ) -> FloatArray:
     """Points of the straight stretches that leave the curve at u.  (S,) x2 -> (S, 3)."""
-    limits, twice = case.limits, 2.0 * case.limits.acceleration_m_s2
     flown = np.interp(u, fine, lengths)
-    left, brakes = np.maximum(lengths[-1] - flown, 0.0), limits.acceleration_m_s2
-    speed = np.minimum(limits.speed_m_s, np.sqrt(twice * left))
-    if np.isfinite(limits.overrun_m):  # v T + v^2 / 2a <= left + overrun
-        flies_on_s = case.margins.dead_man_s
-        within = np.sqrt(flies_on_s**2 + 2.0 * (left + limits.overrun_m) / brakes)
-        speed = np.minimum(speed, brakes * (within - flies_on_s))
-    if case.from_rest:
-        speed = np.minimum(speed, np.sqrt(twice * flown))
-    reach = speed * case.margins.dead_man_s + speed**2 / twice
+    left = np.maximum(lengths[-1] - flown, 0.0)
+    speed = fastest_m_s(case.margins.motion, left, flown if case.from_rest else None)
+    reach = speed * case.margins.motion.dead_man_s + speed**2 / (
+        2.0 * case.limits.acceleration_m_s2
+    )
     velocity = spline(u, 1)
     size = np.linalg.norm(velocity, axis=-1)
     tangent = velocity / np.maximum(size, 1e-9)[..., None]

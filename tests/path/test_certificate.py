@@ -3,10 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from brute_force import FloatArray, random_case, truth
+from brute_force import FloatArray, fastest_m_s, random_case, truth
 from planning import limits
 
 from companion.path.certificate import Certificate, Margins, certify, pack_surroundings
+from companion.path.envelope import ARDUCOPTER, envelope_of, flown_on_m
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.world.known_map import KnownMap
@@ -20,7 +21,9 @@ LIMITS = limits(
     north_m=(0.0, 4_000.0),
     east_m=(0.0, 4_000.0),
 )
-MARGINS = Margins(clearance_m=60.0, contact_m=12.0, band_inset_m=10.0, dead_man_s=3.5)
+MARGINS = Margins(
+    clearance_m=60.0, contact_m=12.0, band_inset_m=10.0, motion=envelope_of(LIMITS, ARDUCOPTER)
+)
 CASES, NIGHTLY_CASES = 20, 80
 
 
@@ -47,7 +50,7 @@ def certified(
         limits,
         radars,
         zones,
-        margins,
+        replace(margins, motion=envelope_of(limits, ARDUCOPTER)),
         centre_ne_m=(2_000.0, 2_000.0),
         reach_m=reach_m,
         stops=stops,
@@ -202,7 +205,7 @@ def test_a_keep_in_is_left_just_where_its_edge_is_nearer_than_the_clearance(off:
     assert told.broken == (("keep-out zone",) if off < 0 else ())
     radius = 1_500.0 + MARGINS.clearance_m + off  # the path's ends are the farthest
     circle = CircleZone(name="c", north_m=2_000.0, east_m=2_000.0, radius_m=radius, keep_in=True)
-    told = certified(*level(), zones=(circle,), margins=replace(MARGINS, dead_man_s=0.0))
+    told = certified(*level(), zones=(circle,), limits=replace(LIMITS, dead_man_s=0.0))
     assert told.keep_out_m == pytest.approx(MARGINS.clearance_m + off, abs=1e-6)
     assert told.broken == (("keep-out zone",) if off < 0 else ())
 
@@ -261,21 +264,21 @@ def test_under_the_circle_of_a_plane_the_terrain_is_as_far_as_it_is_below() -> N
 
 
 def test_a_plane_has_no_stretch_ahead_only_its_circle() -> None:
-    ahead = PLANE.loiter_radius_m + MARGINS.clearance_m + 1.0
+    margins = replace(MARGINS, clearance_m=14.0)
+    ahead = 10.0 + margins.clearance_m + 1.0
     zone = CircleZone(name="w", north_m=3_500.0 + ahead + 50.0, east_m=2_000.0, radius_m=50.0)
-    fast = replace(PLANE, speed_m_s=200.0)
-    told = certified(*level(), zones=(zone,), limits=fast)
+    fast = replace(PLANE, speed_m_s=200.0, loiter_radius_m=10.0)
+    told = certified(*level(), zones=(zone,), limits=fast, margins=margins)
     assert told.proven
     assert told.dead_man_m >= MARGINS.contact_m
-    assert (
-        "dead-man reach"
-        in certified(*level(), zones=(zone,), limits=replace(fast, loiter_radius_m=0.0)).broken
-    )
+    hovers = replace(fast, loiter_radius_m=0.0)
+    told = certified(*level(), zones=(zone,), limits=hovers, margins=margins)
+    assert "dead-man reach" in told.broken
 
 
 @pytest.mark.parametrize("off", [-1.0, 1.0])
 def test_a_path_that_does_not_end_in_a_stop_is_left_at_full_speed(off: float) -> None:
-    reach = LIMITS.reach_m(LIMITS.speed_m_s)
+    reach = flown_on_m(MARGINS.motion, LIMITS.speed_m_s)
     margins = replace(MARGINS, clearance_m=20.0)
     wall = 3_500.0 + reach + MARGINS.contact_m + off
     zone = CircleZone(name="w", north_m=wall + 50.0, east_m=2_000.0, radius_m=50.0)
@@ -334,9 +337,15 @@ def test_a_stretch_under_two_radars_counts_once() -> None:
     assert certified(*level(), radars=(one, two)).radar_m == pytest.approx(1_403.0, abs=3.0)
 
 
-# A straight subpath of 3 km ends at 3,500 m north.  The vehicle would brake from there on: dying
-# before it does, it comes V * dead_man_s beyond the end.
-BEYOND_M = LIMITS.speed_m_s * MARGINS.dead_man_s
+def farthest_m(length_m: float, *, from_rest: bool = False) -> float:
+    """Where the farthest stretch of a straight path of this length ends, from its start."""
+    at = np.linspace(0.0, length_m, 40_001)
+    speed = fastest_m_s(MARGINS.motion, length_m - at, at if from_rest else None)
+    return float((at + speed * 3.5 + speed**2 / 2 / LIMITS.acceleration_m_s2).max())
+
+
+# A straight subpath of 3 km ends at 3,500 m north.
+BEYOND_M = farthest_m(3_000.0) - 3_000.0
 
 
 @pytest.mark.parametrize("off", [-1.0, -0.01, 0.01, 1.0])
@@ -362,14 +371,9 @@ def test_terrain_ahead_is_too_near_within_the_dead_man_reach() -> None:
 
 
 def test_a_vehicle_that_starts_from_rest_is_slower_and_reaches_less_far() -> None:
-    # 40 m long: from rest the speed is at most sqrt(a * 40), reached half way.
     corners = [(2_000.0 + 40.0 * k / 3, 2_000.0, 400.0) for k in range(4)]
-    a = LIMITS.acceleration_m_s2
-    flying = max(s + v * 3.5 + v * v / 2 / a for s in np.linspace(0, 40, 4_001)
-                 for v in [min(15.0, math.sqrt(2 * a * (40 - s)))])  # fmt: skip
-    resting = max(s + v * 3.5 + v * v / 2 / a for s in np.linspace(0, 40, 4_001)
-                  for v in [min(15.0, math.sqrt(2 * a * min(s, 40 - s)))])  # fmt: skip
-    assert resting < flying - 10.0
+    flying, resting = (farthest_m(40.0, from_rest=each) for each in (False, True))
+    assert resting < flying - 5.0
     margins = replace(MARGINS, clearance_m=20.0)
     for from_rest, farthest in ((False, flying), (True, resting)):
         for off in (-2.0, 2.0):

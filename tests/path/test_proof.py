@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from brute_force import Case, FloatArray, column_distance_m, curve, random_case
+from brute_force import Case, FloatArray, column_distance_m, curve, fastest_m_s, random_case
 from hypothesis import given
 from hypothesis import strategies as st
 from planning import zone_distance_m
@@ -147,11 +147,14 @@ def test_zones_are_as_far_as_their_own_distance_says_along_the_segment(seed: int
     flown=st.floats(0, 500),
     left=st.floats(0, 500),
     overrun_m=st.sampled_from([0.0, 10.0, math.inf]),
+    settling_s=st.sampled_from([0.0, 0.5, 5.0]),
 )
 def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
-    seed: int, flown: float, left: float, overrun_m: float
+    seed: int, flown: float, left: float, overrun_m: float, settling_s: float
 ) -> None:
-    here = a_case(seed).surroundings()._replace(overrun_m=overrun_m)
+    case = a_case(seed)
+    motion = case.margins.motion._replace(overrun_m=overrun_m, settling_s=settling_s)
+    here = case.surroundings()._replace(motion=motion)
     control = a_curve(seed)
     cubics = cubics_of(control)
     piece = piece_of(cubics, 0, 0.2, 0.6)
@@ -162,10 +165,8 @@ def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
     tangent = velocity / np.linalg.norm(velocity, axis=-1)[:, None]
     chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     at = np.concatenate([[0.0], np.cumsum(chords)])
-    twice = 2.0 * here.acceleration_m_s2
-    speed = np.minimum(here.speed_m_s, np.sqrt(twice * np.minimum(flown + at, left - at)))
-    far = speed * here.dead_man_s + speed**2 / twice
-    far = np.minimum(far, left - at + overrun_m)  # it slows down in time
+    speed = fastest_m_s(motion, np.maximum(left - at, 0.0), flown + at)
+    far = speed * motion.dead_man_s + speed**2 / (2.0 * motion.braking_m_s2)
     base, chord = np.array(segment[:3]), np.array(segment[3:])
     for share in (0.0, 0.5, 1.0):
         ends = points + (share * far)[:, None] * tangent

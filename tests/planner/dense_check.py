@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from planning import column_distance_m, spline
 
+from companion.path.envelope import ending_m_s, rising_m_s
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.zones import CircleZone, Zone
@@ -39,17 +40,16 @@ def nearest_m(task: Task, known: KnownMap, points: FloatArray, within_m: float) 
 
 def stretches_nea_m(curve: Any, task: Task, *, from_rest: bool) -> FloatArray:
     """Where the vehicle comes if the companion dies: every 20 m along, every 4 m ahead."""
-    limits = task.limits
+    motion = task.envelope
     fine = np.linspace(0.0, 1.0, 3_001)
     chords = np.linalg.norm(np.diff(curve(fine), axis=0), axis=-1)
     flown = np.concatenate([[0.0], np.cumsum(chords)])
     points = []
     for at in np.arange(0.0, flown[-1], 20.0):
         u = float(np.interp(at, flown, fine))
-        room = min(flown[-1] - at, at) if from_rest else flown[-1] - at
-        speed = min(limits.speed_m_s, math.sqrt(2.0 * limits.acceleration_m_s2 * room))
-        reach = speed * limits.dead_man_s + speed**2 / (2.0 * limits.acceleration_m_s2)
-        reach = min(reach, flown[-1] - at + limits.overrun_m)  # it slows down in time
+        speed = ending_m_s(motion, flown[-1] - at)
+        speed = min(speed, rising_m_s(motion, at)) if from_rest else speed
+        reach = speed * motion.dead_man_s + speed**2 / (2.0 * motion.braking_m_s2)
         tangent = curve(u, 1) / np.linalg.norm(curve(u, 1))
         points += [curve(u) + ahead * tangent for ahead in np.append(np.arange(0, reach, 4), reach)]
     return np.array(points)

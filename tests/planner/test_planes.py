@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import ask, column_distance_m, fly, spline
 
+from companion.path.envelope import flown_on_m, stopping_m
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.loiter_search import Motion, loiter_point
@@ -112,8 +113,8 @@ def test_a_leg_is_long_enough_for_the_point_that_the_plane_is_sent_to(
     assert TASK.tail_m >= lead_m + SETTINGS.safety_distance_m
     time_s = SETTINGS.planning_time_s + SETTINGS.scan_time_s + 0.3
     assert TASK.shortest_scan_distance_m == pytest.approx(V * time_s + lead_m + TASK.tail_m)
-    assert LIMITS.stopping_m(V) == 0.0
-    assert LIMITS.reach_m(V) == lead_m
+    assert stopping_m(TASK.envelope, V) == 0.0
+    assert flown_on_m(TASK.envelope, V) == lead_m
     for leg in flight.legs:
         if leg.can_be_left(TASK):
             sent_m = leg.scan_at_m(TASK) + V * time_s + lead_m
@@ -270,7 +271,7 @@ def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
         reference = follow(reference, leg, here, LIMITS)
         if leg.subpath.length_m - reference.length_m < 1.2 * LOITER:
             break  # it circles the end
-        aim = sent_pose(reference, leg, None, LIMITS.lead_m, TASK).position_nea_m - here
+        aim = sent_pose(reference, leg, None, TASK.envelope.lead_m, TASK).position_nea_m - here
         error = (math.atan2(aim[1], aim[0]) - course + math.pi) % (2.0 * math.pi) - math.pi
         most = V / (LOITER / 2.0) * step_s
         course += min(max(error, -most), most)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.path.envelope import COPTER, ending_m_s, slowing_m
 from companion.path.limits import Limits
 from companion.planner import kernels
 from companion.planner.settings import PlannerSettings, Task
@@ -40,7 +41,10 @@ PAPERS = replace(ENVIRONMENT_1, settings=replace(ENVIRONMENT_1.settings, profile
 def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
     task = ENVIRONMENT_1
     assert task.cell_m == 250.0  # R / 80
-    assert task.tail_m == 3_000.0  # 0.15 R; V^2 / 2 a + d_s is 2750 m
+    motion = task.envelope
+    stops_m = 150.0 * motion.settling_s + 150.0**2 / (2.0 * motion.braking_m_s2)
+    assert stops_m + 500.0 < 3_000.0
+    assert task.tail_m == 3_000.0  # 0.15 R
     assert task.shortest_scan_distance_m == 150.0 * (9.0 + 3 * 0.1) + 3_000.0
     assert task.scan_distance_m == task.shortest_scan_distance_m
     assert task.error_m == 15.0  # tracking 10 m, navigation 5 m
@@ -56,7 +60,7 @@ def test_a_certificate_is_asked_for_what_keeps_the_vehicle_on_the_curve_safe() -
     margins = ENVIRONMENT_1.margins
     assert margins.clearance_m == 515.0
     assert margins.contact_m == margins.band_inset_m == 15.0
-    assert margins.dead_man_s == LIMITS.dead_man_s == 3.5
+    assert margins.motion.dead_man_s == LIMITS.dead_man_s + COPTER.lag_s >= 3.5
 
 
 def test_the_paper_aims_at_the_safety_distance_and_at_the_whole_band() -> None:
@@ -161,8 +165,8 @@ def test_a_vehicle_that_is_left_alone_near_the_end_of_sight_stays_over_ground_th
     )
     planner = replace(ENVIRONMENT_1.settings, safety_distance_m=d_s)
     task = replace(ENVIRONMENT_1, limits=limits, settings=planner)
-    before_end_m = np.linspace(0.0, speed**2 / acceleration, 400)
-    slowing = np.minimum(np.sqrt(2.0 * acceleration * before_end_m), speed)  # to stop at the end
+    before_end_m = slowing_m(task.envelope, speed) * np.linspace(0.0, 1.0, 400) ** 2
+    slowing = np.array([ending_m_s(task.envelope, left_m) for left_m in before_end_m.tolist()])
     beyond_m = slowing * flies_on_s + slowing**2 / (2.0 * acceleration) - before_end_m
     farthest_m = task.end_radius_m + beyond_m.max() + 1.5 * error
     cell_diagonal_m = math.hypot(task.cell_m, task.cell_m)  # a cell is seen by its middle

@@ -25,7 +25,7 @@ from companion.path.certificate import Prover
 from companion.path.subpath import Subpath
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
-from companion.world.clearance import safe_surface
+from companion.world.clearance import dilated_m, safe_surface
 from companion.world.radars import detection_probability
 from companion.world.zones import Zone
 
@@ -170,6 +170,7 @@ def problem_of(request: PlanRequest, *, hopes: bool = True) -> RouteProblem:
     centre = (0.5 * sum(limits.north_m), 0.5 * sum(limits.east_m))
     surface = safe_surface(
         known,
+        dilated_m,
         centre_ne_m=centre,
         reach_m=0.5 * max(high - low for low, high in sides),
         clearance_m=clear_m,
@@ -245,6 +246,7 @@ def _flown(
     range_m = task.settings.scan_range_m
     surface = safe_surface(
         known,
+        dilated_m,
         centre_ne_m=scan_ne_m,
         reach_m=range_m,
         clearance_m=_clear_m(request),

@@ -1,0 +1,160 @@
+"""How a vehicle moves: what the proof, the reference point and the monitor all take it to do.
+
+A copter is sent a reference point that moves along the path.  When the companion ends, the
+autopilot moves that point straight on for the dead-man time, then stops: so everything is told of
+the point, and the vehicle is within `tube_m` of it across the path, beyond an end and along it, of
+where the point has been.  A plane is sent a point ahead of it, and circles where it is sent last.
+
+Plain scalar functions beside the record: the proof and the search compile them as they are.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+from companion.path.limits import Limits
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Handling:
+    """How an autopilot flies a stream of setpoints, as measured: of copters."""
+
+    name: str
+    eased: float
+    """Of the mission's acceleration: what the reference point gains speed with.  Behind a point
+    that uses all of it a vehicle falls back while its own acceleration builds up, and then flies
+    up to 1.2 V to catch up."""
+    settling_s: float
+    """The reference point flies what is left of a leg, beyond its braking distance, in no less time
+    than this: it brakes softly from and to low speeds, and the vehicle, whose speed follows that of
+    the point later, does not fly past the end."""
+    lag_s: float
+    """How much later than the point the vehicle slows down: it counts as dead-man time, too."""
+    steady_m: float
+    """How far it is from a straight path at a steady speed, in wind and gusts."""
+    turning_s2: float
+    """How far it is beside a bent path, metres for each m/s2 across."""
+
+
+ARDUCOPTER = Handling(
+    name="ArduCopter", eased=0.7, settling_s=0.6, lag_s=0.0, steady_m=0.1, turning_s2=0.3
+)
+"""turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by; the
+others: `scripts/bench kills`."""
+PX4_MULTICOPTER = Handling(
+    name="PX4 multicopter", eased=0.5, settling_s=1.0, lag_s=0.4, steady_m=0.2, turning_s2=0.85
+)
+"""turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it
+is up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
+PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, lag_s=0.0, steady_m=0.0, turning_s2=0.0)
+"""Its circle is proven about each point of the path, and its tracking is the mission's."""
+COPTER = PX4_MULTICOPTER
+"""Where the autopilot is not known: the wider one."""
+
+
+def handling_of(autopilot: str | None, kind: str) -> Handling:
+    """That of a mission's vehicle; None: the autopilot is not known in advance."""
+    if kind == "plane":
+        return PLANE
+    return ARDUCOPTER if autopilot == "ardupilot" else COPTER
+
+
+class Envelope(NamedTuple):
+    """The motion of a vehicle on a leg."""
+
+    speed_m_s: float
+    """V: the reference point is nowhere faster."""
+    braking_m_s2: float
+    """What the autopilot brakes with by itself, and the reference point at high speed."""
+    gaining_m_s2: float
+    """What the reference point gains speed with."""
+    settling_s: float
+    dead_man_s: float
+    """How long the autopilot flies on straight after the last setpoint, before it brakes."""
+    overrun_m: float
+    """How far beyond the end of a leg it may come if the companion ends meanwhile."""
+    climb_rate_m_s: float
+    lateral_m_s2: float
+    """The reference point takes no turn harder, so that the vehicle stays in its tube."""
+    tube_m: float
+    """How far the vehicle may be from where it was told to be: across the path and past its end."""
+    navigation_m: float
+    """How wrong its position may be."""
+    lead_m: float
+    """Of a plane: how far ahead along the path the point lies that it is sent to."""
+    loiter_m: float
+    """Of a plane: radius of the circle that it holds on; 0: it hovers."""
+
+    @property
+    def error_m(self) -> float:
+        """How far the vehicle may truly be from its path."""
+        return self.tube_m + self.navigation_m
+
+
+def envelope_of(limits: Limits, handling: Handling) -> Envelope:
+    """That of a mission.  Where it states less of a tube than was measured, the measured one."""
+    tube_m = max(limits.tracking_error_m, handling.steady_m)
+    lateral = math.inf
+    if handling.turning_s2 > 0.0:
+        lateral = max(tube_m - handling.steady_m, 0.5 * tube_m) / handling.turning_s2
+    hovers = limits.loiter_radius_m == 0.0
+    return Envelope(
+        speed_m_s=float(limits.speed_m_s),
+        braking_m_s2=float(limits.acceleration_m_s2),
+        gaining_m_s2=handling.eased * limits.acceleration_m_s2,
+        settling_s=handling.settling_s,
+        dead_man_s=limits.dead_man_s + handling.lag_s,
+        overrun_m=float(limits.overrun_m),
+        climb_rate_m_s=float(limits.climb_rate_m_s),
+        lateral_m_s2=lateral,
+        tube_m=float(tube_m),
+        navigation_m=float(limits.navigation_error_m),
+        lead_m=0.0 if hovers else limits.speed_m_s * limits.lead_s,
+        loiter_m=float(limits.loiter_radius_m),
+    )
+
+
+def flown_on_m(it: Envelope, speed: float) -> float:
+    """How far the vehicle comes when the setpoints end: it flies on, then brakes to a stop.
+
+    A plane flies to the last point that it was sent to.
+    """
+    if it.loiter_m > 0.0:
+        return it.lead_m
+    return speed * it.dead_man_s + speed * speed / (2.0 * it.braking_m_s2)
+
+
+def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
+    """The speed v with v delay + v^2 / 2a = room: the fastest that stops within it."""
+    delay = braking_m_s2 * delay_s
+    return math.sqrt(delay * delay + 2.0 * braking_m_s2 * max(room_m, 0.0)) - delay
+
+
+def ending_m_s(it: Envelope, left_m: float) -> float:
+    """The fastest that the reference point is so far before the end of a leg, where it stops."""
+    eased = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
+    dead_man = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
+    return min(it.speed_m_s, min(eased, dead_man))
+
+
+def rising_m_s(it: Envelope, flown_m: float) -> float:
+    """The fastest that it is so far from where it has set out from rest."""
+    return min(it.speed_m_s, math.sqrt(2.0 * it.gaining_m_s2 * max(flown_m, 0.0)))
+
+
+def stopping_m(it: Envelope, speed: float) -> float:
+    """How far the reference point moves while it stops, because it is told to."""
+    if it.loiter_m > 0.0:
+        return 0.0
+    return speed * it.settling_s + speed * speed / (2.0 * it.braking_m_s2)
+
+
+def slowing_m(it: Envelope, speed: float) -> float:
+    """How far before the end of a leg it begins to slow down for it: `ending_m_s`, solved for."""
+    return max(stopping_m(it, speed), flown_on_m(it, speed) - it.overrun_m)
+
+
+def beyond_m(it: Envelope) -> float:
+    """How far past the end of a leg any straight dead-man stretch ends: one from V."""
+    return min(it.overrun_m, it.speed_m_s * max(it.dead_man_s - it.settling_s, 0.0))

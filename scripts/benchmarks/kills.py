@@ -1,0 +1,309 @@
+"""The companion dies at every second of a flight: does the vehicle stay within what was proven?
+
+    scripts/bench kills [--kills 500] [--scale forest] [--autopilot px4] [--first 1] [--json FILE]
+
+The stream of setpoints ends, and a copy of the simulation flies on until the vehicle stands (a
+plane: until it has gone round).  Where it truly is must lie within what the certificates of its leg
+and of the leg before speak of: the tube and the navigation error about the curve and about each
+straight stretch that the companion's end may lead to; of a plane, about the circles of the curve's
+points.  Without sockets, by the bundled missions and, for planes, by drawn worlds; noise, latency
+and time-outs as bundled, in wind and gusts.  Bar: none outside.
+"""
+
+import itertools
+import math
+import os
+import pickle
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, cast, final
+
+import numpy as np
+import running
+from numpy.typing import NDArray
+
+from companion.campaign import drawn_files, families
+from companion.config import folder_of, load_mission
+from companion.mavlink.autopilots import named
+from companion.mission.mission import AutopilotName, Mission
+from companion.mission.state import OVER, Phase
+from companion.path.envelope import ending_m_s, flown_on_m, handling_of, rising_m_s
+from companion.planner.plan import plan
+from companion.planner.procedure import Leg
+from companion.planner.request import Planned, PlanRequest
+from companion.planner.settings import Task
+from companion.session import Session
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import World, read_world
+
+FloatArray = NDArray[np.float64]
+COPTERS: Final = ("forest", "street", "posts", "valley", "environment-1")
+PLANES: Final = ("plane", "short-plane")
+"""Families of drawn worlds (`campaign.families`)."""
+AUTOPILOTS: Final = ("ardupilot", "px4")
+_PX4_ERROR_M: Final = 1.0
+"""How wrong the position of the simulated PX4 may be: it tells of no less than 0.4 m."""
+_PX4_SLACK_S: Final = 0.51
+"""Of COM_OF_LOSS_T, until it brakes with all that it has (`mavlink.autopilots.px4_multicopter`)."""
+_WIND: Final = {
+    "forest": "at 1 s: wind 2 m/s from 250 deg turbulence 0.5",
+    "posts": "at 1 s: wind 2 m/s from 250 deg turbulence 0.5",
+    "street": "at 1 s: wind 3 m/s from 250 deg turbulence 0.5",
+    "valley": "at 1 s: wind 4 m/s from 250 deg turbulence 1",
+    "environment-1": "at 1 s: wind 8 m/s from 250 deg turbulence 2",
+    "plane": "at 1 s: wind 5 m/s from 250 deg turbulence 1",
+    "short-plane": "at 1 s: wind 3 m/s from 250 deg turbulence 1",
+}
+_EVERY_S = 1.03  # so that it is not always at the same time since a position
+_ROUND_S = 70.0  # a plane: into its circle and round it
+_STANDS_M_S, _STANDS_FOR_S = 0.25, 1.5
+_SAMPLES = 400  # of a leg
+_LIMIT_S = 1_500.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proven:
+    """What the certificates of a leg speak of, sampled."""
+
+    points_nea_m: FloatArray
+    """(N, 3): along the curve."""
+    reaches_nea_m: FloatArray
+    """(N, 3): from each to the end of the stretch that begins there."""
+    circle_m: float
+    """Of a plane: radius of the circle about each point."""
+    error_m: float
+    """Tracking and navigation error."""
+
+    def outside_m(self, track_nea_m: FloatArray) -> FloatArray:
+        """How far each place is outside.  (M, 3) -> (M,); negative: inside."""
+        if self.circle_m > 0.0:
+            off = track_nea_m[:, None] - self.points_nea_m
+            flat = np.hypot(off[..., 0], off[..., 1])
+            gaps = np.hypot(np.maximum(flat - self.circle_m, 0.0), off[..., 2])
+            return np.asarray(gaps.min(axis=1) - self.error_m)
+        starts = np.concatenate([self.points_nea_m[:-1], self.points_nea_m])
+        steps = np.concatenate([np.diff(self.points_nea_m, axis=0), self.reaches_nea_m])
+        off = track_nea_m[:, None] - starts
+        squared = np.maximum((steps * steps).sum(axis=-1), 1e-12)
+        share = np.clip((off * steps).sum(axis=-1) / squared, 0.0, 1.0)
+        off -= share[..., None] * steps
+        return np.asarray(np.sqrt((off * off).sum(axis=-1)).min(axis=1) - self.error_m)
+
+
+def proven(leg: Leg, task: Task, *, from_rest: bool) -> Proven:
+    """What the certificate of a leg speaks of."""
+    motion, length_m = task.envelope, leg.subpath.length_m
+    at_m = np.linspace(0.0, length_m, _SAMPLES)
+    points = leg.subpath.points_nea_m(at_m)
+    reaches = np.zeros_like(points)
+    if motion.loiter_m == 0.0:
+        for k, here_m in enumerate(at_m):
+            left_m = length_m - here_m
+            speed = ending_m_s(motion, left_m)
+            if from_rest:
+                speed = min(speed, rising_m_s(motion, here_m))
+            reaches[k] = flown_on_m(motion, speed) * leg.subpath.pose(float(here_m)).tangent_nea
+    return Proven(
+        points_nea_m=points,
+        reaches_nea_m=reaches,
+        circle_m=motion.loiter_m,
+        error_m=motion.error_m,
+    )
+
+
+class Flight:
+    """One flight in this process, in lockstep."""
+
+    def __init__(self, mission: Mission, world: World, seed: int, faults: str = "") -> None:
+        self.mission, self.now_s = mission, 0.0
+        self.session = Session(mission, seed=seed, lockstep=True)
+        self.simulation = Simulation(world, seed=seed, faults=faults)
+        self._asked: PlanRequest | None = None
+        self._from_rest: dict[int, bool] = {}
+        self._legs: list[Leg] = []
+
+    def step(self) -> None:
+        """One step of the simulator, and all that the companion says to it."""
+        self.simulation.step()
+        self.now_s = self.simulation.now_us * 1e-6
+        for _, frame in self.simulation.take_frames():
+            self.session.receive(frame, self.now_s)
+            out = self.session.run()
+            while True:
+                self._asked = out.plan or self._asked
+                for sent in out.frames:
+                    self.simulation.receive(0, sent)
+                if not out.awaits_plan:
+                    break
+                assert self._asked is not None
+                found = plan(self._asked)
+                if isinstance(found, Planned):
+                    self._from_rest[found.plan_id] = self._asked.from_rest
+                self.session.deliver(found)
+                out = self.session.run()
+        leg = self.session.state.flight.leg
+        if leg is not None and (not self._legs or self._legs[-1] is not leg):
+            self._legs = [*self._legs[-1:], leg]
+
+    @property
+    def phase(self) -> Phase:
+        return self.session.state.phase
+
+    @property
+    def is_over(self) -> bool:
+        return self.phase in (Phase.ARRIVED, *OVER) or self.now_s > _LIMIT_S
+
+    def may_be_killed(self) -> bool:
+        """Whether it flies a leg."""
+        return self.phase is Phase.FLYING and self.session.state.flight.leg is not None
+
+    def killed(self) -> dict[str, Any]:
+        """What comes of it in a copy without a companion."""
+        read, write = os.pipe()
+        child = os.fork()
+        if child == 0:
+            try:
+                os.close(read)
+                with os.fdopen(write, "wb") as pipe:
+                    pickle.dump(self._flies_on(), pipe)
+            finally:
+                os._exit(0)
+        os.close(write)
+        with os.fdopen(read, "rb") as pipe:
+            told = pipe.read()
+        os.waitpid(child, 0)
+        found: dict[str, Any] = pickle.loads(told)
+        return found
+
+    def _flies_on(self) -> dict[str, Any]:
+        """Without a companion, and how far that leads out of what was proven."""
+        simulation, task = self.simulation, self.mission.task
+        hovers, began_us = task.limits.hovers, simulation.now_us
+        flight, vehicle = self.session.state.flight, simulation.vehicle
+        simulation._lidars, simulation._scanner = [], None
+        track, stood_s = [simulation._place_nea_m()], 0.0
+        begin_m_s = math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
+        limits = task.limits
+        longest_s = limits.dead_man_s + 2.0 * limits.speed_m_s / limits.acceleration_m_s2 + 4.0
+        longest_s = longest_s if hovers else _ROUND_S
+        while simulation.now_us - began_us < 1e6 * longest_s:
+            simulation.step()
+            simulation.take_frames()
+            speed = math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
+            stood_s = stood_s + 0.01 if speed < _STANDS_M_S else 0.0
+            track.append(simulation._place_nea_m())
+            if hovers and stood_s > _STANDS_FOR_S:
+                break
+        where = np.array(track[:: max(len(track) // 400, 1)])
+        outside = np.full(len(where), math.inf)
+        for leg in self._legs:
+            from_rest = self._from_rest.get(leg.plan_id, False)
+            told = proven(leg, leg.rules or task, from_rest=from_rest)
+            outside = np.minimum(outside, told.outside_m(where))
+        k = int(np.argmax(outside))
+        leg, reference = self._legs[-1], flight.reference
+        return {
+            "at_s": self.now_s,
+            "outside_m": float(outside[k]),
+            "estimate_m": self._estimate_m(where[0]),
+            "at_once_m": float(outside[0]),
+            "speed_m_s": begin_m_s,
+            "reference_m_s": reference.speed_m_s,
+            "at_m": reference.length_m,
+            "left_m": leg.subpath.length_m - reference.length_m,
+            "flown_m": float(np.linalg.norm(where[-1] - where[0])),
+            "aside": flight.offset is not None,
+            "stops": flight.stop is not None,
+            "stands": stood_s > _STANDS_FOR_S,
+        }
+
+    def _estimate_m(self, truly_nea_m: FloatArray) -> float:
+        """How wrong the position is that the companion was told last."""
+        told = self.session.state.vehicle.position_nea_m
+        return math.nan if told is None else math.dist(told, truly_nea_m.tolist())
+
+
+def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
+    """Mission and world of one flight."""
+    if scale in PLANES:
+        drawn = families.world(scale, seed, 1)
+        with tempfile.TemporaryDirectory() as folder:
+            files = drawn_files.write(drawn, Path(folder), cast("AutopilotName", autopilot))
+            return load_mission(str(files[1])), read_world(files[0])
+    mission, world = load_mission(scale), read_world(folder_of(scale) / "world.toml")
+    world = world.with_woods_of(seed)
+    if autopilot != world.vehicle.autopilot:
+        mission, world = _on_px4(mission, world)
+    return mission, world
+
+
+def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
+    """A copter's mission and world with the other autopilot, set up for it as preflight asks."""
+    limits, strategy = mission.task.limits, named("px4", "copter")
+    limits = replace(limits, navigation_error_m=max(limits.navigation_error_m, _PX4_ERROR_M))
+    longest_s = limits.dead_man_s - _PX4_SLACK_S
+    parameters = {
+        **strategy.firmware.lasting_battery,
+        **strategy.parameters_for(limits),
+        "MPC_ACC_HOR": limits.acceleration_m_s2,
+        "MPC_JERK_AUTO": 4.0 * limits.acceleration_m_s2,
+        "COM_OF_LOSS_T": math.floor(10.0 * longest_s) / 10.0,
+    }
+    task = replace(mission.task, limits=limits, handling=handling_of("px4", "copter"))
+    vehicle = replace(world.vehicle, autopilot="px4", parameters=parameters)
+    return replace(mission, autopilot="px4", task=task), replace(world, vehicle=vehicle)
+
+
+def kills(scale: str, autopilot: str, seed: int) -> Iterator[dict[str, Any]]:
+    """The kills of one flight, one after the other."""
+    flight, due_s = Flight(*setting(scale, autopilot, seed), seed, _WIND[scale]), 0.0
+    while not flight.is_over:
+        flight.step()
+        if flight.now_s >= due_s and flight.may_be_killed():
+            due_s = flight.now_s + _EVERY_S
+            yield {"scale": scale, "autopilot": autopilot, "seed": seed, **flight.killed()}
+    assert flight.phase is not Phase.DONE, flight.session.state.reason
+
+
+def sample(scale: str, autopilot: str, first: int, count: int) -> list[dict[str, Any]]:
+    """So many kills, of flights with seeds from the first on."""
+    flights = (kills(scale, autopilot, seed) for seed in itertools.count(first))
+    return list(itertools.islice(itertools.chain.from_iterable(flights), count))
+
+
+def main() -> int:
+    """Kill, print the table; 1 if one has flown outside of what was proven."""
+    options, console = running.begin(
+        __doc__, kills=500, first=1, scale=["all", *_WIND], autopilot=["all", *AUTOPILOTS]
+    )
+    scales = (*COPTERS, *PLANES) if options.scale == "all" else (options.scale,)
+    autopilots = AUTOPILOTS if options.autopilot == "all" else (options.autopilot,)
+    headings = "kills", "outside", "by at most, m", "margin left: least, m", "1 %, m", "s"
+    table, found = running.figures("Killed at every second", "", *headings), list[dict[str, Any]]()
+    for scale, autopilot in itertools.product(scales, autopilots):
+        began_s = time.process_time()
+        mine = sample(scale, autopilot, options.first, options.kills)
+        outside = np.array([kill["outside_m"] for kill in mine])
+        table.add_row(
+            f"{scale}, {autopilot}",
+            f"{len(mine)}",
+            f"{(outside > 0.0).sum()}",
+            f"{max(outside.max(), 0.0):.2f}",
+            f"{-outside.max():.2f}",
+            f"{-np.percentile(outside, 99.0):.2f}",
+            f"{time.process_time() - began_s:.0f}",
+        )
+        console.print(f"{scale}, {autopilot}: {len(mine)}, worst {outside.max():+.2f} m")
+        found += mine
+    console.print(table)
+    bar = running.most("killed and outside", sum(kill["outside_m"] > 0.0 for kill in found), 0)
+    return running.ended(console, options.json, found, [bar])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

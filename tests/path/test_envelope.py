@@ -1,0 +1,88 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from brute_force import fastest_m_s
+from hypothesis import given
+from hypothesis import strategies as st
+from planning import limits
+
+from companion.path.envelope import (
+    ARDUCOPTER,
+    PX4_MULTICOPTER,
+    Envelope,
+    beyond_m,
+    ending_m_s,
+    envelope_of,
+    flown_on_m,
+    rising_m_s,
+    slowing_m,
+)
+
+motions = st.builds(
+    lambda v, braking, flies_on_s, overrun, settling_s: envelope_of(
+        limits(speed_m_s=v, acceleration_m_s2=braking, dead_man_s=flies_on_s, overrun_m=overrun),
+        replace(ARDUCOPTER, settling_s=settling_s),
+    ),
+    st.floats(1.0, 200.0),
+    st.floats(0.5, 20.0),
+    st.floats(0.0, 10.0),
+    st.sampled_from([0.0, 0.5, 40.0, math.inf]),
+    st.floats(0.0, 2.0),
+)
+
+
+@given(speed=st.floats(0.0, 300.0), motion=motions)
+def test_the_dead_man_reach_is_what_a_vehicle_covers_that_flies_on_and_then_brakes(
+    speed: float, motion: Envelope
+) -> None:
+    steps = 4_000
+    time_s = (np.arange(steps) + 0.5) * (speed / motion.braking_m_s2) / steps
+    braked_m = (speed - motion.braking_m_s2 * time_s).mean() * speed / motion.braking_m_s2
+    covered_m = speed * motion.dead_man_s + braked_m
+    assert flown_on_m(motion, speed) == pytest.approx(covered_m, rel=1e-5, abs=1e-9)
+
+
+@given(motion=motions, left=st.floats(0.0, 3_000.0))
+def test_speeds_near_the_ends_of_a_leg_are_the_highest_that_its_rules_allow(
+    motion: Envelope, left: float
+) -> None:
+    [told] = fastest_m_s(motion, np.array([left]))
+    assert ending_m_s(motion, left) == pytest.approx(told, rel=1e-6, abs=1e-6)
+    [told] = fastest_m_s(motion, np.array([1e9]), np.array([left]))
+    assert rising_m_s(motion, left) == pytest.approx(told, rel=1e-6, abs=1e-6)
+
+
+@given(motion=motions)
+def test_it_slows_down_from_where_its_speed_is_bounded_by_the_end(motion: Envelope) -> None:
+    at_m = slowing_m(motion, motion.speed_m_s)
+    assert ending_m_s(motion, at_m + 1e-6) == pytest.approx(motion.speed_m_s, rel=1e-6)
+    if at_m > 0.01:
+        assert ending_m_s(motion, 0.99 * at_m) < motion.speed_m_s
+
+
+@given(motion=motions)
+def test_no_stretch_ends_farther_beyond_a_leg_than_is_told(motion: Envelope) -> None:
+    far_m = 1.5 * slowing_m(motion, motion.speed_m_s) + 1.0
+    left = far_m * np.linspace(0.0, 1.0, 2_001) ** 2
+    speed = fastest_m_s(motion, left)
+    beyond = speed * motion.dead_man_s + speed**2 / (2.0 * motion.braking_m_s2) - left
+    assert max(beyond.max(), 0.0) <= beyond_m(motion) + 1e-6
+    assert beyond_m(motion) <= max(beyond.max(), 0.0) + 0.01 * motion.speed_m_s + 1e-6
+
+
+def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
+    # ardupilot.md 3: WPNAV_ACCEL 2.5 m/s2, GUID_TIMEOUT 3 s
+    motion = envelope_of(limits(acceleration_m_s2=2.5), ARDUCOPTER)
+    assert 54.0 <= flown_on_m(motion, 10.0) <= 60.0
+
+
+@pytest.mark.parametrize("handling", [ARDUCOPTER, PX4_MULTICOPTER])
+def test_a_mission_widens_the_tube_that_was_measured_and_never_narrows_it(handling) -> None:  # type: ignore[no-untyped-def]
+    wide, narrow = (envelope_of(limits(tracking_error_m=m), handling) for m in (20.0, 0.01))
+    assert wide.tube_m == 20.0
+    assert narrow.tube_m == handling.steady_m
+    assert narrow.lateral_m_s2 * handling.turning_s2 <= narrow.tube_m
+    plane = envelope_of(limits(loiter_radius_m=50.0, lead_s=2.0, speed_m_s=20.0), handling)
+    assert flown_on_m(plane, 20.0) == 40.0
