@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.objective.kernel import may_be_near
+from companion.objective.scene import Near
 from companion.world.threats import (
     CircleZone,
     PolygonZone,
@@ -171,6 +172,6 @@ def test_no_place_near_a_zone_is_left_out_of_the_cells_near_zones(
     cells = near_cells(zones, (-2_000.0, 2_000.0), (-1_000.0, 2_000.0), distance_m)
     north, east = np.random.default_rng(seed).uniform(-2_500.0, 2_500.0, (2, 500))
     gap = np.min([zone.distance_m(north, east) for zone in zones], axis=0)
-    found = [may_be_near(cells, *place) for place in zip(north, east, strict=True)]
+    found = [may_be_near(Near.of(cells), *place) for place in zip(north, east, strict=True)]
     assert np.array(found)[gap < distance_m].all()
     assert not cells.near.all()
