@@ -27,7 +27,7 @@ from companion.objective.scene import (
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
-from companion.path.certificate import certify, pack_surroundings, pack_zones
+from companion.path.certificate import Certificate, certify, pack_surroundings, pack_zones
 from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
@@ -42,6 +42,7 @@ from companion.planner.reachability import blocked_at
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.seeds import seeds_of, ways_of
 from companion.planner.settings import Task
+from companion.planner.way_out import way_out
 from companion.world.clearance import (
     Surface,
     distance_to_terrain_m,
@@ -55,6 +56,9 @@ _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
+_MUCH_DEARER = 0.5  # of the cost of R: then it is planned more slowly, too
+_SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a sixteenth
+_AT_TARGET_M = 1e-6
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
@@ -186,13 +190,17 @@ def _escape(request: PlanRequest, found: StartViolation) -> PlanOutcome:
         elif not found.zones and found.unknown:
             refusal = Refusal.START_NEAR_UNKNOWN
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
-    subpath, certificate = escape
-    tangent = subpath.pose(0.0).tangent_nea
+    return _straight_plan(request, *escape)
+
+
+def _straight_plan(request: PlanRequest, subpath: Subpath, certificate: Certificate) -> Planned:
+    """A plan that no search has made: it has no cost."""
+    tangent, end = subpath.pose(0.0).tangent_nea, subpath.control_nea_m[-1]
     return Planned(
         plan_id=request.plan_id,
         kernel=kernels.signature(),
         subpath=subpath,
-        reaches_target=False,
+        reaches_target=math.dist(end[:2], request.target_ne_m) < _AT_TARGET_M,
         cost=0.0,
         to_go=0.0,
         terms={},
@@ -205,20 +213,35 @@ def _escape(request: PlanRequest, found: StartViolation) -> PlanOutcome:
     )
 
 
+def _speeds_m_s(request: PlanRequest) -> tuple[float, ...]:
+    """The speeds at which a subpath may be flown, the fastest first.
+
+    A copter turns the tighter the slower it is, and stops within less.  In flight it is no slower
+    than it comes.
+    """
+    limits, rest = request.task.limits, request.rest
+    fastest = limits.speed_m_s
+    least = 0.0 if request.from_rest else fastest
+    if not request.from_rest and rest is not None and rest.speed_m_s is not None:
+        least = min(rest.speed_m_s, fastest)
+    shares = _SLOWER if limits.hovers else (1.0,)
+    return tuple(share * fastest for share in shares if share * fastest >= least)
+
+
 @final
 class _Plan:
     """One plan in progress: the common data of its searches."""
 
     def __init__(self, request: PlanRequest, stop: Callable[[], bool]) -> None:
         self._request, self._stop, self._kernel = request, stop, kernels.compiled()
-        self._surroundings = _surroundings(request)
         here_ne_m, target_ne_m = request.scan_nea_m[:2], request.target_ne_m
         self._field = cost_to_go(
             request.around, request.task, here_ne_m, target_ne_m, request.route_ne_m
         )
-        self._scene = _scene(request, self._field)
         settings = request.task.settings
         self._per_metre = settings.weights.length * PER_LENGTH / settings.scan_range_m
+        self._scene = _scene(request, self._field)
+        self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
         self._is_cut = False
         """Whether time was up before all was searched."""
@@ -226,19 +249,66 @@ class _Plan:
 
     def outcome(self) -> Planned | NotPlanned:
         """The best subpath that is proven, or why there is none."""
-        request = self._request
+        request, is_near = self._request, self._request.task.settings.is_near
         closed = None
-        if not request.task.settings.is_near:  # where a near thing stands is told too widely
+        if not is_near:  # where a near thing stands is told too widely
             here_ne_m, target_ne_m = request.start.point_nea_m[:2], request.target_ne_m
             closed = blocked_at(request.known, request.task, self._field, here_ne_m, target_ne_m)
         if closed is not None:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
-        best = self._searched(self._scene)
+        best: Planned | None = None
+        for speed_m_s in _speeds_m_s(request):
+            if best is None or (is_near and self._excess(best) > _MUCH_DEARER):
+                best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
+        if best is None and request.from_rest:
+            best = self._way_out()
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
         if self._is_better_to_stop(best):
             return self._refused(Refusal.BETTER_TO_STOP)
         return replace(best, evaluations=self._evaluations, tries=self._tries)
+
+    def _at_speed(self, speed_m_s: float) -> Scene:
+        """The scene of a subpath that is flown no faster than this."""
+        scene, task = self._scene, self._request.task.at_speed(speed_m_s)
+        if task is self._request.task:
+            return scene
+        return scene._replace(
+            limits=Motion.of(task.limits),
+            shortest_m=0.0 if scene.from_rest else _shortest_m(task.limits),
+            look_ahead_m=float(task.limits.turn_radius_m),
+        )
+
+    def _way_out(self) -> Planned | None:
+        """A straight piece to where less is left to fly, or more is seen."""
+        found: list[tuple[Certificate, float]] = []
+
+        def prove(subpath: Subpath) -> Certificate | None:
+            for speed_m_s in _speeds_m_s(self._request):
+                certificate = self._certified(subpath, speed_m_s, from_rest=True)
+                if certificate.proven:
+                    found.append((certificate, speed_m_s))
+                    return certificate
+            return None
+
+        subpath = way_out(self._request, self._field, prove)
+        if subpath is None:
+            return None
+        certificate, speed_m_s = found[-1]
+        return replace(
+            _straight_plan(self._request, subpath, certificate),
+            route_ne_m=self._field.route_ne_m,
+            speed_m_s=self._told_m_s(speed_m_s),
+        )
+
+    def _told_m_s(self, speed_m_s: float) -> float | None:
+        """The speed of a plan; None if it is V."""
+        return None if speed_m_s >= self._request.task.limits.speed_m_s else speed_m_s
+
+    def _certified(self, subpath: Subpath, speed_m_s: float, *, from_rest: bool) -> Certificate:
+        if (here := self._surroundings.get(speed_m_s)) is None:
+            here = self._surroundings[speed_m_s] = _surroundings(self._request, speed_m_s)
+        return certify(subpath, here, from_rest=from_rest, prover=self._kernel.prove)
 
     def ranked_nea_m(self, most: int) -> FloatArray:
         """Control points of the best candidates of the first search.  -> (M, points, 3)."""
@@ -301,10 +371,13 @@ class _Plan:
 
     def _price(self, planned: Planned) -> float:
         """The cost by which candidates of different searches are compared."""
-        task, total = self._request.task, self._cost(planned)
-        if planned.reaches_target or Leg.of(planned, number=1).can_be_left(task):
-            return total
-        return total + task.stop_m * self._per_metre
+        task, extra_m = self._request.task, 0.0
+        if planned.speed_m_s is not None:  # the time that it takes longer, as distance at V
+            slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
+            extra_m += slower * planned.subpath.length_m
+        if not planned.reaches_target and not Leg.of(planned, number=1).can_be_left(task):
+            extra_m += task.stop_m
+        return self._cost(planned) + extra_m * self._per_metre
 
     def _excess(self, planned: Planned) -> float:
         """Excess cost of a subpath and what follows over the prediction, in costs of R."""
@@ -370,12 +443,8 @@ class _Plan:
             subpath = Subpath(control_nea_m=control_points(x, scene))
             if not subpath.is_longer_than(scene.shortest_m):
                 continue  # the certificate is about a vehicle that can stop (or hold) at the end
-            certificate = certify(
-                subpath,
-                self._surroundings,
-                from_rest=scene.from_rest,
-                prover=self._kernel.prove,
-            )
+            speed_m_s = scene.limits.speed_m_s
+            certificate = self._certified(subpath, speed_m_s, from_rest=scene.from_rest)
             if certificate.proven:
                 terms = self._kernel.terms(x, scene)
                 costs = {
@@ -396,6 +465,7 @@ class _Plan:
                     evaluations=self._evaluations,
                     rank=rank,
                     tries=self._tries,
+                    speed_m_s=self._told_m_s(speed_m_s),
                 )
             self._broken = self._broken or certificate.broken
         return None
@@ -491,8 +561,8 @@ def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     )
 
 
-def _surroundings(request: PlanRequest) -> Surroundings:
-    task = request.task
+def _surroundings(request: PlanRequest, speed_m_s: float) -> Surroundings:
+    task = request.task.at_speed(speed_m_s)
     return pack_surroundings(
         request.known,
         task.limits,
