@@ -10,7 +10,7 @@ from companion.objective.scene import Scene
 from companion.planner.cost_lattice import Place, sampled
 
 _BENDS_RAD = (0.0, 0.3, -0.3)  # of arcs to the guide
-_ROUND_RAD = (0.8, -0.8, 1.6, -1.6, 2.4, -2.4, math.pi)  # about the guide: from rest in any of them
+_ROUND_RAD = (0.9, -0.9, 2.0, -2.0, math.pi)  # about the guide: from rest in any of them
 _NEAR = 0.5  # of the circle's radius: ends where sight is short, or it is tight
 _JUST = 1.15  # times the least length
 _FIRST = 0.3  # of their range: r2 and s
@@ -47,13 +47,17 @@ def seeds_of(scene: Scene, ways_ne_m: list[FloatArray]) -> FloatArray:
     level = (at[2] - low) / (high - low)
     ahead = math.atan2(scene.start[1, 1], scene.start[1, 0])
     rows = [_along(scene, ahead, way, z) for way in ways_ne_m for z in (level, _safe(scene, way))]
-    for altitude, rho in ((level, 1.0), (0.0, 1.0), (0.5, 1.0), (level, _NEAR)):
-        ends = [(scene.guide_rad, bend) for bend in _BENDS_RAD]
+    for altitude, rho, bends in (
+        (level, 1.0, _BENDS_RAD),
+        (0.0, 1.0, _BENDS_RAD),
+        (0.5, 1.0, (0.0,)),
+        (level, _NEAR, (0.0,)),
+    ):
+        ends = [(scene.guide_rad, bend) for bend in bends]
         if scene.from_rest and altitude == level:
             ends += [(scene.guide_rad + turn, 0.0) for turn in _ROUND_RAD]
-        elif not scene.from_rest:
-            aim = _between(ahead, scene.guide_rad)
-            ends += [(ahead, 0.0), (ahead + 0.6 * aim, 0.0)]
+        elif altitude == level and rho == 1.0:
+            ends += [(ahead, 0.0), (ahead + 0.6 * _between(ahead, scene.guide_rad), 0.0)]
         for bearing, bend in ends:
             first = bearing if scene.from_rest else ahead
             share = np.linspace(0.0, 1.0, scene.points)[1:, None]

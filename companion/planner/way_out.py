@@ -20,11 +20,13 @@ from companion.planner.cost_lattice import IndexArray
 from companion.planner.cost_to_go import CostToGo
 from companion.planner.request import PlanRequest
 from companion.world.clearance import Surface, safe_surface
+from companion.world.known_map import KnownMap
 from companion.world.threats import is_near
 
 _ENDS = 24  # of a straight piece that are tried, the farthest first
 _NEARER = 0.8  # each is so far away, of the one before
 _GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly is no better
+_SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
 _AFTER = 3  # places that are flown towards, one after the other, if nothing is proven to the first
 _CLIMBS = (0.0, 0.95)  # of the climb angle
 
@@ -99,8 +101,7 @@ def _ways(request: PlanRequest, field: CostToGo, altitude_m: float) -> list[Floa
     goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
     if left_m.ravel()[goals[0]] > here_m - _GAIN_CELLS * known.cell_m:
         goals = np.array([], dtype=np.intp)
-    unknown = ~np.isfinite(surface.vertex_m[step - 1 :: step, step - 1 :: step])
-    edge = reached & scipy.ndimage.binary_dilation(unknown)
+    edge = reached & _sees_more(known, north, east, altitude_m, task.required_clearance_m)
     total = np.where(edge & (offset_m >= known.cell_m), left_m + away.reshape(free.shape), math.inf)
     more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
     goals = np.concatenate([goals, more[np.isfinite(total.ravel()[more])]])
@@ -112,6 +113,28 @@ def _ways(request: PlanRequest, field: CostToGo, altitude_m: float) -> list[Floa
         rows, columns = np.divmod(np.array(index[::-1]), free.shape[1])
         ways.append(np.stack([north[rows], east[columns]], axis=-1))
     return ways
+
+
+def _sees_more(
+    known: KnownMap, north: FloatArray, east: FloatArray, altitude_m: float, clearance_m: float
+) -> BoolArray:
+    """Places from where unknown ground next to free ground is as near as may be.
+
+    North (rows,), east (columns,) -> (rows, columns).  What is hidden behind a wall stays hidden.
+    """
+    row, column = known.cell_of(float(north[0]), float(east[0]))
+    upper = np.full((len(north), len(east)), -math.inf)  # beyond the map nothing can be seen
+    south, west = max(-row, 0), max(-column, 0)
+    inside = known.upper_m[max(row, 0) :, max(column, 0) :][
+        : len(north) - south, : len(east) - west
+    ]
+    upper[south : south + inside.shape[0], west : west + inside.shape[1]] = inside
+    free = np.isfinite(upper) & (upper < altitude_m)
+    seam = np.isinf(upper) & (upper > 0.0) & scipy.ndimage.binary_dilation(free)
+    if not seam.any():
+        return seam
+    near = (clearance_m + _SEAM_CELLS * known.cell_m) / known.cell_m
+    return np.asarray(scipy.ndimage.distance_transform_edt(~seam) <= near)
 
 
 def _free(

@@ -117,7 +117,6 @@ def steps_from(free: BoolArray, begin: tuple[int, int]) -> FloatArray:
 
 def has_way(known: KnownMap, clearance_m: float, target: tuple[int, int]) -> bool:
     """Whether free cells lead to where less is left to fly, or to the edge of what is seen."""
-    unknown = ~known.seen
     taken = known.upper_m > GROUND_M
     free = wholly_clear(taken, clearance_m)
     begin = HALF, HALF
@@ -127,7 +126,9 @@ def has_way(known: KnownMap, clearance_m: float, target: tuple[int, int]) -> boo
     hoped = wholly_clear(taken & known.seen, clearance_m)  # what is not seen is free
     left = steps_from(hoped, target)
     reached = np.isfinite(steps) & (steps >= 8)
-    edge = ~wholly_clear(unknown, clearance_m + 2.0 * CELL_M)
+    nothing = known.upper_m == GROUND_M
+    seam = ~known.seen & ~wholly_clear(nothing, 0.1)  # what is behind a wall stays hidden
+    edge = ~wholly_clear(seam, clearance_m + 2.0 * CELL_M)
     return bool((reached & (edge | (left < left[begin] - 8))).any())
 
 
