@@ -9,14 +9,20 @@ from companion.ranges import NotNegative
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """a_1 .. a_6 of eq. 5; the paper's Fig. 3 (a)."""
+    """a_1 .. a_6 of eq. 5, of terms from 0 to about 100; the paper's Fig. 3 (a)."""
 
     length: NotNegative = 0.1
+    """f1: length of the curve, 100 for 2.4 R; what is left to fly after its end counts as much."""
     height: NotNegative = 0.15
+    """f2: mean altitude over the floor, 100 at the ceiling."""
     guide: NotNegative = 0.15
+    """f3: angle between the end and the guide, seen from p_scan, 100 for half a turn."""
     crash: NotNegative = 0.3
+    """f4: how far it lies too low, 100 for each d_s, and ten samples."""
     radar: NotNegative = 0.3
+    """f5: probability of detection (eq. 3), 30 for each radar, and ten samples."""
     constraints: NotNegative = 1.0
+    """f6: curvature, steepness, zones and bounds of the map that it breaks."""
 
 
 @final

@@ -68,9 +68,10 @@ def on_backtrack_plan(state: State, event: PlanReady) -> Backtracking | None:
             reaches_target=number == last and outcome.reaches_start,
             through=through,
             rules=state.task,
+            speed_m_s=speed_m_s,
         )
-        for number, (subpath, through) in enumerate(
-            zip(outcome.subpaths, outcome.through, strict=True)
+        for number, (subpath, through, speed_m_s) in enumerate(
+            zip(outcome.subpaths, outcome.through, outcome.speeds_m_s, strict=True)
         )
     )
     return Backtracking(legs)
@@ -112,8 +113,6 @@ def replan_home(state: State) -> State | None:
         route_ne_m=(),
         stops=0,
         failures=0,
-        tried=0,
-        untried=0,
         planning_backtrack=None,
         search=None,
     )

@@ -265,7 +265,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
             return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
     flight = replace(state.flight, target=0, route_ne_m=(), stops=0, way=Outward())
     search = Answered() if isinstance(flight.search, Planning) else flight.search
-    flight = replace(flight, failures=0, tried=0, untried=0)
+    flight = replace(flight, failures=0)
     flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)

@@ -79,7 +79,7 @@ def _plain(value: Any) -> Any:
             limits = {name: getattr(value, name) for name in ("floor_amsl_m", "ceiling_amsl_m")}
             return {"zones": [_of_zone(zone) for zone in value.zones], **limits}
         case FlownSegment():
-            return [value.control_nea_m.tolist(), value.from_m, value.until_m]
+            return [value.control_nea_m.tolist(), value.from_m, value.until_m, value.speed_m_s]
         case float():
             return value if math.isfinite(value) else None
         case _:
@@ -201,9 +201,18 @@ def _places(values: list[list[float]]) -> tuple[tuple[float, float], ...]:
 
 def _segments(values: list[Any]) -> tuple[FlownSegment, ...]:
     return tuple(
-        FlownSegment(control_nea_m=control_points(control), from_m=float(low), until_m=float(high))
-        for control, low, high in values
+        FlownSegment(
+            control_nea_m=control_points(control),
+            from_m=float(low),
+            until_m=float(high),
+            speed_m_s=_speed(speed),
+        )
+        for control, low, high, speed in values
     )
+
+
+def _speed(value: Any) -> float | None:
+    return None if value is None else float(value)
 
 
 def _leg(values: Values | None, rules: Task) -> Leg | None:
@@ -262,6 +271,7 @@ _OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
 }
 _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("number", "plan_id"), int),
+    "speed_m_s": _speed,
     **dict.fromkeys(("reaches_target", "through"), bool),
 }
 """Fields that are stored, and their decoders from what `_plain` returns."""

@@ -267,7 +267,6 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         route_ne_m=flight.route_ne_m,
         rest=None if leg is None else leg.rest(task),
         attempt=flight.failures,
-        tried=flight.tried if leg is None else 0,
     )
     flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
     plan = Plan(request=request, due_s=event.time_s + request.time_s)
@@ -306,13 +305,7 @@ def on_plan(state: State, event: PlanReady) -> Step:
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
         refusal = None
         if isinstance(outcome, NotPlanned):
-            refusal, from_rest = outcome.refusal, flight.leg is None
-            flight = replace(
-                state.flight,
-                broken=outcome.broken,
-                tried=flight.tried + outcome.tries if from_rest else 0,
-                untried=outcome.untried if from_rest else 0,
-            )
+            refusal, flight = outcome.refusal, replace(state.flight, broken=outcome.broken)
             state = replace(state, flight=flight)
         state = replace(state, flight=replace(state.flight, refusal=refusal))
         silent = flight.shortfall is Reason.RADAR_SILENT
@@ -435,8 +428,6 @@ def _accepted(state: State, planned: Planned) -> Flight:
         circling=not hovers and not planned.is_escape,  # out of trouble at once
         search=None,
         failures=flight.failures if blind else 0,  # about what is known it could fly for ever
-        tried=0,
-        untried=0,
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
     )

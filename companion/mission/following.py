@@ -63,7 +63,7 @@ def advance_reference(state: State, event: Position) -> Flight:
     task, flight, vehicle = state.task, state.flight, state.vehicle
     leg = flight.leg
     assert leg is not None
-    here = np.asarray(event.position_nea_m)
+    here, task = np.asarray(event.position_nea_m), task.at_speed(leg.speed_m_s)
     slows_to_m_s = None
     if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
@@ -102,7 +102,7 @@ def is_on_path(state: State, flight: Flight, event: Position) -> bool:
     The path leaves its tangent at the reference point by along^2 / 2 R at most where it bends no
     more than the turn radius R; twice that is allowed for, as it may bend up and down as well.
     """
-    vehicle, leg, limits, now_s = state.vehicle, flight.leg, state.task.limits, state.now_s
+    vehicle, leg, now_s = state.vehicle, flight.leg, state.now_s
     assert leg is not None
     echoes = vehicle.echo_nea_m is None or now_s - flight.echoed_at_s <= _NOT_TAKEN_S
     if not (echoes and vehicle.traits.hovers):
@@ -111,7 +111,7 @@ def is_on_path(state: State, flight: Flight, event: Position) -> bool:
     off = np.array((north, east, up)) - pose.position_nea_m
     along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
     across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
-    bends_m = along_m**2 / limits.turn_radius_m
+    bends_m = along_m**2 / state.task.at_speed(leg.speed_m_s).limits.turn_radius_m
     return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
 
 
@@ -126,7 +126,7 @@ def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, flo
     assert leg is not None
     if not (state.task.settings.profile.verified or flight.returning):
         return 0.0, 0.0, 0.0
-    motion = state.task.envelope
+    motion = state.task.at_speed(leg.speed_m_s).envelope
     allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
@@ -149,7 +149,10 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     to hold at once, as it is farther outside than the safety distance allows for, does not come
     back, or is a plane.
     """
-    limits, motion, now_s = state.task.limits, state.task.envelope, state.now_s
+    leg, now_s = flight.leg, state.now_s
+    assert leg is not None
+    task = state.task.at_speed(leg.speed_m_s)
+    limits, motion = task.limits, task.envelope
     across_m, before_m, far_m = outside_m(state, flight, event)
     outside = max(across_m, before_m, far_m)
     if outside == 0.0:
@@ -161,8 +164,6 @@ def left_path(state: State, flight: Flight, event: Position) -> tuple[Flight, Re
     is_away = across_m > 0.0 and now_s > flight.left_path_at_s + stops_s + _BACK_S
     if not limits.hovers or across_m > most_m or far_m > 0.0 or is_away:
         return flight, Reason.OFF_PATH
-    leg = flight.leg
-    assert leg is not None
     left_m = leg.subpath.length_m - flight.reference.length_m
     ends = flight.next_leg is None and left_m <= slowing_m(motion, motion.speed_m_s)
     if across_m > 0.0 and flight.stop is None and not ends:

@@ -38,7 +38,7 @@ def joined(state: State) -> Flight | None:
                 best = (off_m, leg, at_m)
     assert best is not None
     off_m, leg, at_m = best
-    limits = state.task.limits
+    limits = state.task.at_speed(leg.speed_m_s).limits
     if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
         return None
     if leg is flight.next_leg:
@@ -91,7 +91,10 @@ def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
         return flight.flown
     control = leg.subpath.control_nea_m
     return *flight.flown, FlownSegment(
-        control_nea_m=control, from_m=flight.joined_m, until_m=until_m
+        control_nea_m=control,
+        from_m=flight.joined_m,
+        until_m=until_m,
+        speed_m_s=leg.speed_m_s,
     )
 
 

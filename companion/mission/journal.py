@@ -215,6 +215,8 @@ class PlanReady(Entry, frozen=True, tag="plan ready", omit_defaults=True):
     """Control points of a clamped cubic B-spline with evenly spaced inner knots."""
     certificate: Certificate
     """Its certificate."""
+    speed_m_s: float | None = None
+    """The highest speed that it is proven for; left out: V."""
     out_of_time: bool = False
     """Whether time was up before the search was done (real time only)."""
 
@@ -238,8 +240,6 @@ class PlanRefused(Entry, frozen=True, tag="plan refused", omit_defaults=True):
     """Candidates evaluated."""
     place_ne_m: tuple[float, float] | None = None
     """North and east of where all routes are blocked; with NO_WAY only."""
-    untried: int = 0
-    """Kinds of search that no attempt from there has come to."""
     out_of_time: bool = False
     """Whether time was up before the search was done (real time only)."""
 

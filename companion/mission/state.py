@@ -494,10 +494,6 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Which bounds the best candidate of the newest plan broke, if there is none."""
     failures: int = 0
     """Failed attempts in a row, from rest."""
-    tried: int = 0
-    """Searches that they have made,"""
-    untried: int = 0
-    """and kinds of search that they had no time for."""
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""

@@ -281,8 +281,7 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
-    cut = state.reason is Reason.NO_PLAN and flight.untried > 0  # each attempt comes to one more
-    may_try = flight.failures < context.mission.attempts or cut
+    may_try = flight.failures < context.mission.attempts
     if on_way_back or (may_try and flight.stops <= flying.max_stops(context)):
         if state.vehicle.traits.hovers and (
             state.reason is Reason.NEW_THREAT or not _is_settled(state, event)

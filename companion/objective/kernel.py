@@ -1,182 +1,127 @@
 """The objective of `flight`, one candidate at a time: plain Python that numba compiles as it is.
 
 As soon as the partial sum exceeds a bound above which the search rejects the candidate anyway, the
-cost stops and says infinity (every term is at least zero).  One more term takes a weight, a line in
-`cost` and one in `terms`.
+cost stops and says infinity: every term is at least zero.
 """
 
 import math
-from collections import namedtuple
-from dataclasses import fields, is_dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective import scene as flight
-from companion.objective.scene import FlightScene
-from companion.path.bspline import uniform_basis
-from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
-from companion.path.limits import Limits
-from companion.path.subpath import Pose
-from companion.profiles import Weights
-from companion.world.clearance import Surface
-from companion.world.zones import NearCells, ZoneTable, packed, polygon_at
+from companion.objective.scene import Grid, Near, Scene
+from companion.path.envelope import ending_m_s, flown_on_m, rising_m_s
+from companion.world.zones import polygon_at
 
+# Where control points may lie, in units of R or, where the end is nearer, of a little more than the
+# way there: as planner-numbers part E measured.
+SPREAD_RAD = math.radians(110.0)  # azimuths of control points, to each side of the tangent
+SHORTEST_R2, LONGEST_R2 = 0.02, 0.3
+SHORTEST_S, LONGEST_S = 0.02, 0.6
+SHORTEST_R, LONGEST_R = 0.15, 1.0
+SHORTEST_UNIT = 1e-3  # of R
+SHORTEST_END = 0.05  # of the circle's radius
+# What the terms are scaled by, so that each comes to about 100 where it ought not to be.
+PER_SAMPLE = 10.0  # sums over samples are scaled to the paper's ten
+PER_LENGTH = 100.0 / 2.4  # per R of length (paper 2.6: 100 for a control polygon of 2.4 R)
+CRASH_SCALE = 100.0  # per d_s below the surface, one sample
+RADAR_SCALE = 30.0  # per unit of detection probability of one sample
+CURVATURE_SCALE = 100.0  # per unit of curvature in excess, relative to the limit
+ANGLE_SCALE = 100.0  # per radian of climb or dive in excess
+OUTSIDE_SCALE = 100.0  # per R / 20 outside the band or the map
+SHORT_SCALE = 100.0  # per R that it is shorter than the vehicle needs to stop in
+STRAIGHT_SCALE = 2.0  # per unit of squared curvature near the end, relative to the limit
+GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
+ENDS_SHORT = 0.25  # of what an end lies short of the circle: from there less is seen than is hoped
+# Where the curve is looked at.
+END_SHARE = 0.25  # of the curve's parameter, counted from its end, that ought to be straight
+MAX_EXCESS = 10.0  # of curvature over its limit that counts
+DEAD_MAN_EVERY = 2  # samples
+BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
 _FAR = 1e12
 
 
-class Pack(NamedTuple):
-    """A `FlightScene` as numba takes it, and workspace."""
+def cost(x: FloatArray, bound: float, scene: Scene) -> float:
+    """Eq. 5 for one candidate, (D,) in the unit cube; infinity if it would exceed the bound.
 
-    scene: FlightScene  # a record of the same fields and properties; no radars, no zones
-    basis: FloatArray  # (3, S + 1, points): values, first and second derivatives
-    radars: FloatArray  # (n, 5): north, east, altitude, range, range and margin
-    zones: ZoneTable
-    gaps: FloatArray  # (n,), workspace: distance of the point before from each polygon
-    control: FloatArray  # (points, 3), workspace
-    points: FloatArray  # (S + 1, 4), workspace: position and length flown
-    ahead: FloatArray  # (S + 1, 3), workspace: first derivatives
-
-
-def pack(scene: FlightScene) -> Pack:
-    """The scene as plain numbers and arrays."""
-    at, zones = uniform_basis(scene.samples, scene.points), packed(scene.zones)
-    radars = [(*r.centre_nea_m, r.range_m, r.range_m + scene.radar_margin_m) for r in scene.radars]
-    return Pack(
-        scene=_plain(scene),
-        basis=np.stack([at.value, at.first, at.second]),
-        radars=np.array(radars, dtype=np.float64).reshape(-1, 5),
-        zones=zones,
-        gaps=np.empty(len(zones.polygons)),
-        control=np.empty((scene.points, 3)),
-        points=np.empty((scene.samples + 1, 4)),
-        ahead=np.empty((scene.samples + 1, 3)),
-    )
-
-
-_UNUSED = {"radars", "zones", "points", "samples", "variables", "radar_margin_m"}
-_UNUSED |= {"point_nea_m", "kind"}
-
-
-def _record_of(kind: type) -> Any:
-    """A named tuple with the fields and the properties of a dataclass."""
-    names = [each.name for each in fields(kind)]
-    names += [name for name, value in vars(kind).items() if isinstance(value, property)]
-    names = [name for name in names if name not in _UNUSED]
-    return namedtuple(f"_{kind.__name__}", names, module=__name__)
-
-
-_FlightScene, _Weights, _Limits = map(_record_of, (FlightScene, Weights, Limits))
-_Pose, _Surface, _NearCells = map(_record_of, (Pose, Surface, NearCells))
-_NONE = {
-    "final_ne_m": (0.0, 0.0),
-    "near_polygons": NearCells(
-        north_min_m=0.0, east_min_m=0.0, cell_m=1.0, near=np.empty((0, 0), dtype=bool)
-    ),
-}
-"""What stands for None: numba compiles for each type another time."""
-
-
-def _plain(value: Any) -> Any:
-    """Dataclasses as records, numbers as floats, for the same reason; arrays in C order."""
-    if is_dataclass(value):
-        record = globals()[f"_{type(value).__name__}"]
-        found = {name: getattr(value, name) for name in record._fields}
-        return record(*(_plain(_NONE[k] if v is None else v) for k, v in found.items()))
-    if isinstance(value, Envelope):
-        return value
-    if isinstance(value, tuple):
-        return tuple(map(_plain, value))
-    if isinstance(value, np.ndarray):
-        return np.ascontiguousarray(value, dtype=bool if value.dtype == bool else np.float64)
-    return value if isinstance(value, bool) else float(value)
-
-
-def cost(x: FloatArray, bound: float, pack: Pack) -> float:
-    """Eq. 5 for one candidate, (D,) in the unit cube; infinity if it would exceed the bound."""
-    scene, weights = pack.scene, pack.scene.weights
-    control, points = pack.control, pack.points
-    each = flight.PER_SAMPLE / (len(points) - 1)
+    Its terms, unweighted, stay in `scene.at.terms`, by their place in `scene.TERMS`.
+    """
+    a, terms = scene.weights, scene.at.terms
+    control, points, ahead = scene.at.control, scene.at.points, scene.at.ahead
+    each = PER_SAMPLE / (len(points) - 1)
     place_control_points(x, control, scene)
-    sample(points, control, pack.basis)
-    to_go_m = remaining_m(control, scene)
-    per_metre = 100.0 / (2.4 * scene.scan_range_m)
-    total = weights.length * points[-1, 3] * per_metre + weights.length * to_go_m * per_metre
-    total += weights.height * height(points, scene) + weights.guide * guide(control, scene)
+    sample(points, control, scene.at.basis)
+    terms[0] = points[-1, 3] * PER_LENGTH / scene.scan_range_m
+    terms[1] = height(points, scene)
+    terms[2] = guide(control, scene)
+    terms[6] = remaining_m(control, scene) * PER_LENGTH / scene.scan_range_m
+    total = a[0] * terms[0] + a[1] * terms[1] + a[2] * terms[2] + a[6] * terms[6]
     if total > bound:
         return math.inf
-    total += weights.radar * each * flight.RADAR_SCALE * detection(points, pack.radars)
-    total += weights.constraints * each * steering(pack.ahead, control, pack.basis, scene)
+    terms[4] = each * RADAR_SCALE * detection(points, scene.radars)
+    short_m = max(scene.margin * scene.shortest_m - points[-1, 3], 0.0)
+    terms[5] = PER_SAMPLE * SHORT_SCALE * short_m / scene.scan_range_m
+    terms[5] += each * steering(ahead, control, scene.at.basis, scene)
+    total += a[4] * terms[4] + a[5] * terms[5]
     if total > bound:
         return math.inf
-    scale = weights.constraints * each * flight.OUTSIDE_SCALE
-    total += scale * leaving(points, scene)
-    total += scale * intruding(points, pack, (bound - total) / max(scale, 1e-12))
+    outside = leaving(points, scene)
+    scale = a[5] * each * OUTSIDE_SCALE
+    outside += intruding(points, scene, (bound - total) / max(scale, 1e-12) - outside)
+    terms[5] += each * OUTSIDE_SCALE * outside
+    total += scale * outside
     if total > bound:
         return math.inf
     low_m = too_low_m(points, scene.surface)
     if scene.limits.hovers:  # a plane circles, and its surface stands off by that
-        low_m += dead_man_m(points, pack.ahead, scene)
-    total += weights.crash * each * flight.CRASH_SCALE / scene.safety_distance_m * low_m
+        low_m += dead_man_m(points, ahead, scene)
+    terms[3] = each * CRASH_SCALE / scene.safety_distance_m * low_m
+    total += a[3] * terms[3]
     return math.inf if total > bound else float(total)
 
 
-TERMS = ("length", "height", "guide", "crash", "radar", "constraints", "to_go")
+def place_control_points(x: FloatArray, control: FloatArray, scene: Scene) -> None:
+    """Control points of a candidate.  (D,) in the unit cube -> into (points, 3).
 
-
-def terms(x: FloatArray, pack: Pack) -> tuple[float, ...]:
-    """`TERMS` of one candidate, unweighted: f1 .. f6, and what is left to fly after the end."""
-    scene, control, points = pack.scene, pack.control, pack.points
-    each = flight.PER_SAMPLE / (len(points) - 1)
-    place_control_points(x, control, scene)
-    sample(points, control, pack.basis)
-    per_metre = 100.0 / (2.4 * scene.scan_range_m)
-    steered = steering(pack.ahead, control, pack.basis, scene)
-    outside = leaving(points, scene) + intruding(points, pack, math.inf)
-    low_m = too_low_m(points, scene.surface)
-    if scene.limits.hovers:
-        low_m += dead_man_m(points, pack.ahead, scene)
-    return (
-        points[-1, 3] * per_metre,
-        height(points, scene),
-        guide(control, scene),
-        each * flight.CRASH_SCALE / scene.safety_distance_m * low_m,
-        each * flight.RADAR_SCALE * detection(points, pack.radars),
-        each * (steered + flight.OUTSIDE_SCALE * outside),
-        remaining_m(control, scene) * per_metre,
-    )
-
-
-def place_control_points(x: FloatArray, control: FloatArray, scene: FlightScene) -> None:
-    """`scene.control_points` of one candidate."""
-    count, unit, ahead = len(control), scene.unit_m, scene.ahead_rad
-    at, tangent, bend = (
-        scene.start.position_nea_m,
-        scene.start.tangent_nea,
-        scene.start.curvature_nea_1_m,
-    )
-    r2 = (flight.SHORTEST_R2 + (flight.LONGEST_R2 - flight.SHORTEST_R2) * x[0]) * unit
-    s = r2 + (flight.SHORTEST_S + (flight.LONGEST_S - flight.SHORTEST_S) * x[1]) * unit
+    The second at r2 along the tangent; the third at s along it and 3 r2^2 k off it, k the
+    curvature vector at p_prog (part E: with uniform inner knots, that continues the curvature);
+    the others at (r, phi, z) about p_prog; the last in the circle about p_scan, or at the target.
+    From rest the bearing of the tangent is a variable, too.
+    """
+    last = len(control) - 1
+    at, tangent, bend = scene.start[0], scene.start[1], scene.start[2]
+    tn, te, tz = tangent[0], tangent[1], tangent[2]
+    height, free = 3 * last - 7, 3 * last - 6
+    if scene.from_rest:
+        bearing = scene.guide_rad + (2.0 * x[free] - 1.0) * math.pi
+        free += 1
+        tn, te, tz = math.cos(bearing), math.sin(bearing), 0.0
+    azimuth, unit = math.atan2(te, tn), 0.0
+    if scene.is_final:
+        control[last, 0], control[last, 1] = scene.final_ne_m
+        unit = math.hypot(control[last, 0] - at[0], control[last, 1] - at[1])
+    else:
+        phi = azimuth + (2.0 * x[free] - 1.0) * SPREAD_RAD
+        r = (SHORTEST_END + (1.0 - SHORTEST_END) * x[free + 1]) * scene.end_radius_m
+        control[last, 0] = scene.scan_ne_m[0] + r * math.cos(phi)
+        control[last, 1] = scene.scan_ne_m[1] + r * math.sin(phi)
+        unit = 1.1 * r
+    unit = min(max(unit, SHORTEST_UNIT * scene.scan_range_m), scene.scan_range_m)
+    r2 = (SHORTEST_R2 + (LONGEST_R2 - SHORTEST_R2) * x[0]) * unit
+    s = r2 + (SHORTEST_S + (LONGEST_S - SHORTEST_S) * x[1]) * unit
     for i in range(3):
+        along = tn if i == 0 else (te if i == 1 else tz)
         control[0, i] = at[i]
-        control[1, i] = at[i] + r2 * tangent[i]
-        control[2, i] = at[i] + s * tangent[i] + 3.0 * r2 * r2 * bend[i]
+        control[1, i] = at[i] + r2 * along
+        control[2, i] = at[i] + s * along + 3.0 * r2 * r2 * bend[i]
     low, high = scene.band_amsl_m
-    for k in range(3, count - 1):
-        r = (flight.SHORTEST_R + (flight.LONGEST_R - flight.SHORTEST_R) * x[3 * k - 7]) * unit
-        phi = ahead + (2.0 * x[3 * k - 6] - 1.0) * flight.SPREAD_RAD
+    for k in range(3, last):
+        r = (SHORTEST_R + (LONGEST_R - SHORTEST_R) * x[3 * k - 7]) * unit
+        phi = azimuth + (2.0 * x[3 * k - 6] - 1.0) * SPREAD_RAD
         control[k, 0] = at[0] + r * math.cos(phi)
         control[k, 1] = at[1] + r * math.sin(phi)
         control[k, 2] = low + x[3 * k - 5] * (high - low)
-    if scene.is_final:
-        assert scene.final_ne_m is not None
-        control[count - 1, 0], control[count - 1, 1] = scene.final_ne_m
-    else:
-        phi = ahead + (2.0 * x[3 * count - 10] - 1.0) * flight.SPREAD_RAD
-        control[count - 1, 0] = scene.scan_ne_m[0] + scene.end_radius_m * math.cos(phi)
-        control[count - 1, 1] = scene.scan_ne_m[1] + scene.end_radius_m * math.sin(phi)
-    control[count - 1, 2] = low + x[3 * count - 9] * (high - low)
+    control[last, 2] = low + x[height] * (high - low)
 
 
 def sample(points: FloatArray, control: FloatArray, basis: FloatArray) -> None:
@@ -197,7 +142,7 @@ def sample(points: FloatArray, control: FloatArray, basis: FloatArray) -> None:
         points[j, 3] = flown
 
 
-def remaining_m(control: FloatArray, scene: FlightScene) -> float:
+def remaining_m(control: FloatArray, scene: Scene) -> float:
     """What is left to fly, from a place straight on from the end, and the way there and down.
 
     No less than from the end itself: straight on may be on the far side of a wall.  Where the end
@@ -218,10 +163,12 @@ def remaining_m(control: FloatArray, scene: FlightScene) -> float:
     climb_m = max(needed_m - control[last, 2], 0.0) / math.tan(scene.limits.climb_angle_rad)
     to_go_m = lattice_m(scene.to_go, there_n, there_e) + scene.look_ahead_m
     here_m = lattice_m(scene.to_go, control[last, 0], control[last, 1])
-    return max(to_go_m, here_m) + descent_m + climb_m
+    a, b = control[last, 0] - scene.scan_ne_m[0], control[last, 1] - scene.scan_ne_m[1]
+    short_m = scene.end_radius_m - math.sqrt(a * a + b * b)
+    return max(to_go_m, here_m) + descent_m + climb_m + ENDS_SHORT * max(short_m, 0.0)
 
 
-def height(points: FloatArray, scene: FlightScene) -> float:
+def height(points: FloatArray, scene: Scene) -> float:
     """Mean altitude over the floor, 100 at the ceiling."""
     total = 0.0
     for j in range(1, len(points)):
@@ -229,7 +176,7 @@ def height(points: FloatArray, scene: FlightScene) -> float:
     return total / (len(points) - 1) * 100.0 / (scene.band_amsl_m[1] - scene.band_amsl_m[0])
 
 
-def guide(control: FloatArray, scene: FlightScene) -> float:
+def guide(control: FloatArray, scene: Scene) -> float:
     """Angle between the end and the guide direction, seen from p_scan."""
     if scene.is_final:
         return 0.0
@@ -237,11 +184,11 @@ def guide(control: FloatArray, scene: FlightScene) -> float:
     scan_n, scan_e = scene.scan_ne_m
     bearing = math.atan2(control[last, 1] - scan_e, control[last, 0] - scan_n)
     angle = abs((bearing - scene.guide_rad + math.pi) % (2.0 * math.pi) - math.pi)
-    return angle * scene.guide_share * 100.0 / math.pi
+    return angle * GUIDE_SHARE * 100.0 / math.pi
 
 
-def lattice_m(surface: Surface, north_m: float, east_m: float) -> float:
-    """`Surface.altitude_m` of one point."""
+def lattice_m(surface: Grid, north_m: float, east_m: float) -> float:
+    """Value at a point, bilinear; clamped at the edges."""
     vertex, cell_m = surface.vertex_m, surface.cell_m
     u = min(max((north_m - surface.north_min_m) / cell_m, 0.0), vertex.shape[0] - 1.000001)
     v = min(max((east_m - surface.east_min_m) / cell_m, 0.0), vertex.shape[1] - 1.000001)
@@ -253,27 +200,27 @@ def lattice_m(surface: Surface, north_m: float, east_m: float) -> float:
     return float(south + u * (north - south))
 
 
-def too_low_m(points: FloatArray, surface: Surface) -> float:
+def too_low_m(points: FloatArray, surface: Grid) -> float:
     """How far points of the chords lie under the surface, metres in all."""
     total = 0.0
     for j in range(1, len(points)):
         north, east, altitude = points[j - 1, 0], points[j - 1, 1], points[j - 1, 2]
         dn, de, da = points[j, 0] - north, points[j, 1] - east, points[j, 2] - altitude
-        for i in range(1, flight.BETWEEN + 1):
-            share = i / flight.BETWEEN
+        for i in range(1, BETWEEN + 1):
+            share = i / BETWEEN
             wanted = lattice_m(surface, north + share * dn, east + share * de)
             total += max(wanted - altitude - share * da, 0.0)
-    return total / flight.BETWEEN
+    return total / BETWEEN
 
 
-def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> float:
+def dead_man_m(points: FloatArray, ahead: FloatArray, scene: Scene) -> float:
     """How far points of the dead-man stretches lie too low, metres in all.
 
     Towards its end the vehicle flies no faster than it can stop there, and from a hover no faster
     than it can have become; chords stand for the curve.
     """
     total = 0.0
-    for j in range(1, len(points), flight.DEAD_MAN_EVERY):
+    for j in range(1, len(points), DEAD_MAN_EVERY):
         speed = ending_m_s(scene.motion, points[-1, 3] - points[j, 3])
         if scene.from_rest:
             speed = min(speed, rising_m_s(scene.motion, points[j, 3]))
@@ -284,7 +231,7 @@ def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> flo
             step = 0.5 * half * reach
             north, east = points[j, 0] + step * dn, points[j, 1] + step * de
             wanted = lattice_m(scene.contact, north, east)
-            total += flight.DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * da, 0.0)
+            total += DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * da, 0.0)
     return total
 
 
@@ -303,12 +250,10 @@ def detection(points: FloatArray, radars: FloatArray) -> float:
     return total
 
 
-def steering(
-    ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: FlightScene
-) -> float:
+def steering(ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: Scene) -> float:
     """Curvature and steepness beyond the limits, and curvature at all near the end."""
     count = len(ahead) - 1
-    near_end = count - round(flight.END_SHARE * count)
+    near_end = count - round(END_SHARE * count)
     limits = scene.limits
     steepest = limits.climb_angle_rad / scene.margin, limits.dive_angle_rad / scene.margin
     climb, dive = math.tan(steepest[0]), math.tan(steepest[1])
@@ -328,18 +273,18 @@ def steering(
         level = math.sqrt(dn * dn + de * de)
         slow = max(level, 1e-9)
         curvature = abs(dn * dde - de * ddn) / (slow * slow * slow) * limits.turn_radius_m
-        turning += min(max(curvature * scene.margin - 1.0, 0.0), flight.MAX_EXCESS)
+        turning += min(max(curvature * scene.margin - 1.0, 0.0), MAX_EXCESS)
         if da > climb * level:
             steep += math.atan2(da, level) - steepest[0]
         elif -da > dive * level:
             steep += math.atan2(-da, level) - steepest[1]
         if j > near_end:
             straight += min(curvature, 1.0) ** 2
-    result = flight.CURVATURE_SCALE * turning + flight.ANGLE_SCALE * steep
-    return result + flight.STRAIGHT_SCALE * straight
+    result = CURVATURE_SCALE * turning + ANGLE_SCALE * steep
+    return result + STRAIGHT_SCALE * straight
 
 
-def leaving(points: FloatArray, scene: FlightScene) -> float:
+def leaving(points: FloatArray, scene: Scene) -> float:
     """How far samples lie outside the band or the map, in R / 20."""
     total, limits = 0.0, scene.limits
     low, high = scene.band_amsl_m
@@ -351,41 +296,47 @@ def leaving(points: FloatArray, scene: FlightScene) -> float:
     return total / (scene.scan_range_m / 20.0)
 
 
-def intruding(points: FloatArray, pack: Pack, most: float) -> float:
+def intruding(points: FloatArray, scene: Scene, most: float) -> float:
     """How far points of the chords lie too near to zones, in clearances; beyond `most` any sum."""
-    circles, polygons, clearance_m = pack.zones.circles, len(pack.gaps), pack.scene.clearance_m
+    circles, polygons, clearance_m = scene.zones.circles, len(scene.at.gaps), scene.clearance_m
     if len(circles) + polygons == 0:
         return 0.0
-    total, most = 0.0, most * flight.BETWEEN * clearance_m
-    pack.gaps.fill(_FAR)  # of the point before
+    total, most = 0.0, most * BETWEEN * clearance_m
+    scene.at.gaps.fill(_FAR)  # of the point before
     for j in range(1, len(points)):
         if total > most:
             break
         dn, de = points[j, 0] - points[j - 1, 0], points[j, 1] - points[j - 1, 1]
-        step = math.sqrt(dn * dn + de * de) / flight.BETWEEN + 1e-6
-        for k in range(1, flight.BETWEEN + 1):
-            share = k / flight.BETWEEN
+        step = math.sqrt(dn * dn + de * de) / BETWEEN + 1e-6
+        for k in range(1, BETWEEN + 1):
+            share = k / BETWEEN
             north, east = points[j - 1, 0] + share * dn, points[j - 1, 1] + share * de
             for i in range(len(circles)):
                 a, b = north - circles[i, 0], east - circles[i, 1]
                 gap = circles[i, 3] * (math.sqrt(a * a + b * b) - circles[i, 2])
                 total += max(clearance_m - gap, 0.0)
-            if polygons > 0 and may_be_near(pack.scene.near_polygons, north, east):
+            if polygons > 0 and may_be_near(scene.near_polygons, north, east):
                 for i in range(polygons):
-                    most_m = pack.gaps[i] + step
-                    gap = polygon_at(pack.zones, i, north, east, clearance_m, most_m)
+                    most_m = scene.at.gaps[i] + step
+                    gap = polygon_at(scene.zones, i, north, east, clearance_m, most_m)
                     total += max(clearance_m - gap, 0.0)
-                    pack.gaps[i] = -gap if gap < 0.0 else _FAR
+                    scene.at.gaps[i] = -gap if gap < 0.0 else _FAR
             elif polygons > 0:
-                pack.gaps.fill(_FAR)
-    return total / (flight.BETWEEN * clearance_m)
+                scene.at.gaps.fill(_FAR)
+    return total / (BETWEEN * clearance_m)
 
 
-def may_be_near(cells: NearCells | None, north: float, east: float) -> bool:
+def may_be_near(cells: Near, north: float, east: float) -> bool:
     """Whether zones may be near a point; yes outside of the area."""
-    assert cells is not None  # a record always has some
     row = math.floor((north - cells.north_min_m) / cells.cell_m)
     column = math.floor((east - cells.east_min_m) / cells.cell_m)
     if 0 <= row < cells.near.shape[0] and 0 <= column < cells.near.shape[1]:
         return bool(cells.near[row, column])
     return True
+
+
+def control_points(x: FloatArray, scene: Scene) -> FloatArray:
+    """Control points of one candidate.  (D,) in the unit cube -> (points, 3)."""
+    control = np.empty((scene.points, 3))
+    place_control_points(x, control, scene)
+    return control

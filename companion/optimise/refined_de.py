@@ -6,8 +6,8 @@ scripts/benchmarks/quality.py):
 - x_best of eq. 17 is one of the p best, x_r1 half the time the member itself, and x_r3 may come
   from an archive of beaten parents (as in JADE: Zhang and Sanderson, IEEE Trans. Evol. Comp. 13,
   2009);
-- the factor of x_r2 - x_r3 is k2 (1 - a), not k2 a: the paper's takes no differences when it goes
-  towards the best, and the population collapses; k1 and k2 (eq. 18) stay at 0 and 1 by default;
+- the factor of x_r2 - x_r3 is 1 - a, not k2 a: the paper's takes no differences when it goes
+  towards the best, and the population collapses; k1 and k2 (eq. 18) stay at 0 and 1;
 - a and Cr are drawn about a memory of what succeeded, 1 - a by its Lehmer mean and from Cauchy's
   distribution (as F in L-SHADE: Tanabe and Fukunaga, CEC 2014, sec. II);
 - the population shrinks linearly (the same), and begins as large as the budget allows;
@@ -25,13 +25,11 @@ and after each round `ranked` tells the best so far.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
 import numpy.typing as npt
 
-from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.optimise.loop import first_members
 
@@ -48,13 +46,11 @@ START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)
 """`State.phase`: what the trials under way are."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
+class Settings(NamedTuple):
     """The refined DE's parameters; the defaults were measured by scripts/benchmarks/quality.py."""
 
-    population: int | None = None
-    """Members at the start; None: as the budget allows, 60 for 3,000 evaluations."""
+    population: int = 0
+    """Members at the start; 0: as the budget allows, 60 for 3,000 evaluations."""
     smallest: int = 6
     """Members at the end of the linear reduction."""
     p_best: float = 0.2
@@ -67,37 +63,15 @@ class Settings:
     """Pairs of a and Cr that are remembered."""
     spread: float = 0.1
     """Of a and Cr about what is remembered."""
-    k1: tuple[float, float] = (0.0, 0.0)
-    """k1 goes from the first to the second value (eq. 18; in the paper from 0 to 0.5)."""
-    k2: tuple[float, float] = (1.0, 1.0)
-    """k2 goes from the first to the second value (eq. 18; in the paper from 1 to 0.5)."""
     polish: float = 0.15
     """Share of the budget that goes to the simplex, at the end."""
     edge: float = 0.05
     """Of a new simplex."""
 
-    def __post_init__(self) -> None:
-        if self.smallest < FEWEST:
-            rule = f"eq. 17 needs {FEWEST} members"
-            raise InputError("smallest", self.smallest, rule, f"Set {FEWEST} or more.")
-        if self.population is not None and self.population < self.smallest:
-            rule = "the population cannot be smaller than at its end"
-            raise InputError("population", self.population, rule, f"Set {self.smallest} or more.")
-        for name in ("p_best", "own", "spread", "polish", "edge"):
-            value = getattr(self, name)
-            if not 0.0 <= value < 1.0:
-                raise InputError(name, value, "not a share", "Set 0 or more, and less than 1.")
-        if self.memory < 1:
-            raise InputError("memory", self.memory, "nothing could be remembered", "Set 1 or more.")
-        if self.archive < 0.0:
-            raise InputError("archive", self.archive, "a number of members", "Set 0 or more.")
-
     def members(self, evaluations: int) -> int:
         """Members at the start of a search with so many evaluations."""
-        if self.population is not None:
-            return self.population
         wanted = round(_PER_ROOT * math.sqrt(max(evaluations, 0)))
-        return max(min(max(wanted, _LEAST), _MOST), self.smallest)
+        return self.population or max(min(max(wanted, _LEAST), _MOST), self.smallest)
 
 
 class Draws(NamedTuple):
@@ -114,28 +88,14 @@ class Draws(NamedTuple):
     deviates: FloatArray  # (E, 2): Cauchy's for a, normal ones for Cr
 
 
-class Rules(NamedTuple):
-    """What does not change in a search: its budget, and numbers of its `Settings`."""
-
-    budget: int
-    polish_at: int
-    """Evaluations before the simplex."""
-    first: int
-    """Members at the start."""
-    smallest: int
-    p_best: float
-    own: float
-    archive: float
-    spread: float
-    k1: tuple[float, float]
-    k2: tuple[float, float]
-    edge: float
-
-
 class State(NamedTuple):
     """A search under way: arrays that are changed in place.  NP members, D variables."""
 
-    rules: Rules
+    settings: Settings
+    budget: int
+    polish_at: int  # evaluations before the simplex
+    first: int  # members at the start
+    smallest: int  # at the end
     draws: Draws
     spent: IntArray  # (1,): evaluations
     phase: IntArray  # (1,)
@@ -179,19 +139,11 @@ def begin(
     deviates = np.stack([rng.standard_cauchy(polish_at), rng.standard_normal(polish_at)], axis=1)
     uniforms = rng.random((polish_at, 7 + dimensions))
     return State(
-        rules=Rules(
-            budget=evaluations,
-            polish_at=polish_at,
-            first=size,
-            smallest=min(settings.smallest, size),
-            p_best=settings.p_best,
-            own=settings.own,
-            archive=settings.archive,
-            spread=settings.spread,
-            k1=settings.k1,
-            k2=settings.k2,
-            edge=settings.edge,
-        ),
+        settings=settings,
+        budget=evaluations,
+        polish_at=polish_at,
+        first=size,
+        smallest=min(settings.smallest, size),
         draws=Draws._make([*uniforms.T[:7], uniforms[:, 7:], deviates]),
         spent=np.array([0]),
         phase=np.array([START]),
@@ -256,7 +208,7 @@ class RefinedDE:
         if seeds is None:
             seeds = np.empty((0, dimensions))
         state = begin(dimensions, max(evaluations, 1), seeds, Settings(), rng)
-        self._state = state._replace(rules=state.rules._replace(budget=np.iinfo(np.int64).max))
+        self._state = state._replace(budget=np.iinfo(np.int64).max)
 
     @property
     def population(self) -> FloatArray:
@@ -288,14 +240,14 @@ def spent(state: State) -> int:
 
 def ask(state: State) -> int:
     """Put the next candidates into trial[:n] and trial_bounds[:n].  -> n, 0 at the budget's end."""
-    left = int(state.rules.budget - state.spent[0])
+    left = int(state.budget - state.spent[0])
     phase = int(state.phase[0])
     if left <= 0:
         return 0
     if phase == START:
         return min(int(state.size[0]), left)
     if phase == EVOLVE:
-        n = min(int(state.size[0]), int(state.rules.polish_at - state.spent[0]))
+        n = min(int(state.size[0]), int(state.polish_at - state.spent[0]))
         _propose(state, n)
         return n
     return min(propose_vertices(state, phase), left)
@@ -317,7 +269,7 @@ def tell(state: State, n: int) -> None:
         return
     _sort(state)
     _reduce(state)
-    if state.spent[0] >= state.rules.polish_at or state.size[0] < FEWEST:
+    if state.spent[0] >= state.polish_at or state.size[0] < FEWEST:
         begin_polish(state)
 
 
@@ -331,13 +283,10 @@ def _populate(state: State, n: int) -> None:
 
 def _propose(state: State, n: int) -> None:
     """The trials of the first n members: eq. 17 with k1 and k2 of eq. 18, and eq. 13."""
-    rules, draws, memory = state.rules, state.draws, state.memory
+    rules, draws, memory = state.settings, state.draws, state.memory
     population, archive, trial = state.population, state.archive, state.trial
     size, total = int(state.size[0]), int(state.size[0] + state.archived[0])
     among = min(max(int(rules.p_best * size + 0.5), 2), size)
-    progress = (state.spent[0] / rules.polish_at) ** 2
-    k1 = rules.k1[0] + (rules.k1[1] - rules.k1[0]) * progress
-    k2 = rules.k2[0] + (rules.k2[1] - rules.k2[0]) * progress
     spread, own = rules.spread, rules.own
     memories, dimensions = memory.shape[0], trial.shape[1]
     deviates = state.draws.deviates
@@ -352,13 +301,12 @@ def _propose(state: State, n: int) -> None:
         r1, r2, r3 = others(i, size, total, max(drawn, 0.0), draws.r2[row], draws.r3[row])
         if drawn < 0.0:
             r1 = i
-        of_1, of_best, of_pair = 1.0 - pull - k1 * pull, pull + k1 * pull, k2 * pull
         kept = int(draws.kept[row] * dimensions)
         for j in range(dimensions):
             if draws.cross[row, j] <= cr or j == kept:
                 x_3 = population[r3, j] if r3 < size else archive[r3 - size, j]
-                mutant = of_1 * population[r1, j] + of_best * population[best, j]
-                mutant += of_pair * (population[r2, j] - x_3)
+                mutant = (1.0 - pull) * population[r1, j] + pull * population[best, j]
+                mutant += pull * (population[r2, j] - x_3)
                 trial[i, j] = min(max(mutant, 0.0), 1.0)
             else:
                 trial[i, j] = population[i, j]
@@ -414,7 +362,7 @@ def _select(state: State, n: int) -> None:
 
 def _keep(state: State, i: int, row: int) -> None:
     """Member i, beaten by its trial, goes into the archive, in place of a random one if full."""
-    room = int(state.rules.archive * state.size[0])
+    room = int(state.settings.archive * state.size[0])
     if room == 0:
         return
     slot = int(state.archived[0])
@@ -440,9 +388,8 @@ def _sort(state: State) -> None:
 
 def _reduce(state: State) -> None:
     """Drop the worst members: the size falls linearly with the evaluations."""
-    rules = state.rules
-    progress = min(state.spent[0] / rules.polish_at, 1.0)
-    wanted = int(rules.first + (rules.smallest - rules.first) * progress + 0.5)
+    progress = min(state.spent[0] / state.polish_at, 1.0)
+    wanted = int(state.first + (state.smallest - state.first) * progress + 0.5)
     while state.size[0] > wanted:
         last = int(state.size[0]) - 1
         worst = int(state.order[last])
@@ -452,7 +399,7 @@ def _reduce(state: State) -> None:
             if state.order[k] == last:
                 state.order[k] = worst
         state.size[0] = last
-    state.archived[0] = min(state.archived[0], int(rules.archive * state.size[0]))
+    state.archived[0] = min(state.archived[0], int(state.settings.archive * state.size[0]))
 
 
 # The simplex.  Factors for the number of variables D as Gao and Han choose them (Comput. Optim.
@@ -539,7 +486,7 @@ def _after_reflection(state: State, cost: float) -> int:
 
 def _propose_simplex(state: State) -> None:
     """Vertices one edge from the first, along each axis, inwards where there is no room."""
-    dimensions, edge = state.simplex.shape[1], state.rules.edge
+    dimensions, edge = state.simplex.shape[1], state.settings.edge
     for k in range(dimensions):
         state.trial[k] = state.simplex[0]
         up = state.simplex[0, k] + edge

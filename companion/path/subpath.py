@@ -3,6 +3,7 @@
 import bisect
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -37,25 +38,35 @@ class Pose:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)  # no slots: its length is found when asked for
 class Subpath:
     """A clamped cubic B-spline and its arc length."""
 
     control_nea_m: FloatArray  # (points, 3)
-    length_m: float = field(init=False)
-    """Of the curve."""
-    _length_at_m: FloatArray = field(init=False, repr=False)  # (_TABLE + 1,) at uniform u
-    _cubics: Cubics = field(init=False, repr=False)
     _newest: list[tuple[float, Pose]] = field(init=False, repr=False, default_factory=list)
     """The pose that was asked for last: in flight it is asked for again."""
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def length_m(self) -> float:
+        """Of the curve."""
+        return float(self._length_at_m[-1])
+
+    @cached_property
+    def _length_at_m(self) -> FloatArray:
+        """Length flown at uniform parameters.  -> (_TABLE + 1,)."""
         points = uniform_basis(_TABLE, len(self.control_nea_m)).value @ self.control_nea_m
-        chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-        length_at_m = np.concatenate([[0.0], np.cumsum(chords)])
-        object.__setattr__(self, "_length_at_m", length_at_m)
-        object.__setattr__(self, "length_m", float(length_at_m[-1]))
-        object.__setattr__(self, "_cubics", Cubics(self.control_nea_m))
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
+
+    @cached_property
+    def _cubics(self) -> Cubics:
+        return Cubics(self.control_nea_m)
+
+    def is_longer_than(self, length_m: float) -> bool:
+        """Whether its length is more than this: the exact one is only looked for if need be."""
+        legs = np.diff(self.control_nea_m, axis=0)
+        if float(np.linalg.norm(legs.sum(axis=0))) > length_m:
+            return True
+        return float(np.linalg.norm(legs, axis=-1).sum()) > length_m < self.length_m
 
     def _basis_at(self, lengths_m: FloatArray) -> Basis:
         u = np.interp(lengths_m, self._length_at_m, _PARAMETERS)

@@ -32,15 +32,16 @@ def backtrack(
     `reaches_start` is False.  A `through` subpath may be flown into the next at full speed, else
     the vehicle stops at its end.  The vehicle starts at rest.
     """
-    curves = _curves_back(flown)
+    curves = _curves_back(flown, task)
     subpaths: list[Subpath] = []
     throughs: list[bool] = []
     from_rest = True
-    for control, follows in zip_longest(curves, curves[1:]):
-        subpath = Subpath(control_nea_m=control)
-        through = follows is not None and _is_smooth(control, follows)
-        through = through and _is_proven(subpath, task, known, prover, from_rest, stops=False)
-        if not through and not _is_proven(subpath, task, known, prover, from_rest, stops=True):
+    for (control, speed_m_s), follows in zip_longest(curves, curves[1:]):
+        subpath, slow = Subpath(control_nea_m=control), task.at_speed(speed_m_s)
+        through = follows is not None and _is_smooth(control, follows[0])
+        through = through and follows[1] >= speed_m_s  # else it would come too fast
+        through = through and _is_proven(subpath, slow, known, prover, from_rest, stops=False)
+        if not through and not _is_proven(subpath, slow, known, prover, from_rest, stops=True):
             break
         subpaths.append(subpath)
         throughs.append(through)
@@ -50,21 +51,24 @@ def backtrack(
         subpaths=tuple(subpaths),
         through=tuple(throughs),
         reaches_start=len(subpaths) == len(curves),
+        speeds_m_s=tuple(speed_m_s for _, speed_m_s in curves[: len(subpaths)]),
     )
 
 
-def _curves_back(flown: tuple[FlownSegment, ...]) -> list[FloatArray]:
-    """Control points of cubics, each from the end of the one before.  -> each (4, 3)."""
-    curves: list[FloatArray] = []
+def _curves_back(flown: tuple[FlownSegment, ...], task: Task) -> list[tuple[FloatArray, float]]:
+    """Cubics, each from the end of the one before: control points, (4, 3), and the speed."""
+    curves: list[tuple[FloatArray, float]] = []
     for segment in reversed(flown):
+        speed_m_s = task.at_speed(segment.speed_m_s).limits.speed_m_s
         for control in _reversed(segment):
             if curves:
-                gap_m = float(np.linalg.norm(control[0] - curves[-1][-1]))
+                last = curves[-1][0][-1:]
+                gap_m = float(np.linalg.norm(control[0] - last[0]))
                 if gap_m > _APART_M:
-                    curves.append(_straight(curves[-1][-1], control[0]))
+                    curves.append((_straight(last[0], control[0]), speed_m_s))
                 else:
-                    control = np.concatenate([curves[-1][-1:], control[1:]])
-            curves.append(control)
+                    control = np.concatenate([last, control[1:]])
+            curves.append((control, speed_m_s))
     return curves
 
 

@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from inspect import isfunction
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -20,8 +20,7 @@ import numpy as np
 from companion.caches import cache_folder, is_writable
 from companion.geodesy import FloatArray, LocalFrame
 from companion.objective import kernel as objective
-from companion.objective import scene
-from companion.objective.scene import FlightScene
+from companion.objective.scene import TERMS, Scene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.path import envelope, proof, proof_distance, proof_shape
@@ -36,11 +35,11 @@ from companion.world.zones import LatticeGaps
 class Kernel:
     """The time-consuming parts of a plan."""
 
-    search: Callable[[State, FlightScene, int], None]
+    search: Callable[[State, Scene, int], None]
     """Goes on with a search until so many evaluations are spent."""
-    costs: Callable[[FloatArray, FlightScene], FloatArray]
+    costs: Callable[[FloatArray, Scene], FloatArray]
     """Costs of a population, (P, D) -> (P,): for optimisers that ask and tell."""
-    terms: Callable[[FloatArray, FlightScene], dict[str, float]]
+    terms: Callable[[FloatArray, Scene], dict[str, float]]
     """The terms of a candidate, (D,), by name, unweighted."""
     prove: Prover
     """Proves a subpath (`path.certificate`)."""
@@ -95,15 +94,15 @@ def compiled() -> Kernel:
 
 def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel:
     """The kernel whose parts are compiled by this; tests leave them as they are."""
-    search, costs, terms = jit(_run), jit(_costs), jit(objective.terms)
-    pack = lru_cache(maxsize=1)(objective.pack)  # a search comes in portions
+    costs = jit(_costs)
 
-    def terms_of(x: FloatArray, scene: FlightScene) -> dict[str, float]:
-        return dict(zip(objective.TERMS, terms(x, pack(scene)), strict=True))
+    def terms_of(x: FloatArray, scene: Scene) -> dict[str, float]:
+        costs(x[None], scene)
+        return dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
 
     return Kernel(
-        search=lambda state, scene, until: search(state, pack(scene), until),
-        costs=lambda x, scene: costs(x, pack(scene)),
+        search=jit(_run),
+        costs=costs,
         terms=terms_of,
         prove=jit(proof.prove),
         dilated_m=jit(clearance.dilated_m),
@@ -115,7 +114,6 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
 
 
 SOURCES = (
-    scene,
     objective,
     refined_de,
     envelope,
@@ -162,17 +160,17 @@ def functions_of(module: ModuleType) -> list[Callable[..., Any]]:
     return [each for each in every if isfunction(each) and each.__module__ == module.__name__]
 
 
-def _run(state: State, pack: objective.Pack, until: int) -> None:
+def _run(state: State, scene: Scene, until: int) -> None:
     """Go on with a search, one candidate after the other."""
     while refined_de.spent(state) < until:
         n = refined_de.ask(state)
         for i in range(n):
-            state.trial_costs[i] = objective.cost(state.trial[i], state.trial_bounds[i], pack)
+            state.trial_costs[i] = objective.cost(state.trial[i], state.trial_bounds[i], scene)
         refined_de.tell(state, n)
 
 
-def _costs(x: FloatArray, pack: objective.Pack) -> FloatArray:
+def _costs(x: FloatArray, scene: Scene) -> FloatArray:
     result = np.empty(len(x))
     for i in range(len(x)):
-        result[i] = objective.cost(x[i], np.inf, pack)
+        result[i] = objective.cost(x[i], np.inf, scene)
     return result

@@ -119,7 +119,7 @@ class _Flight:
         self._task, self._known, self._left = task, blank, list(targets_ne_m)
         self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
         self._route: tuple[tuple[float, float], ...] = ()
-        self._attempt = self._tried = self._holds = self._requests = 0
+        self._attempt = self._holds = self._requests = 0
         self._failure: NotPlanned | None = None
         self._legs: list[Leg] = []
         self._flown_m: list[float] = []
@@ -150,7 +150,6 @@ class _Flight:
             route_ne_m=self._route,
             rest=None if self._from_rest else self._legs[-1].rest(self._task),
             attempt=self._attempt,
-            tried=self._tried,
         )
 
     def take(self, outcome: PlanOutcome) -> None:
@@ -158,12 +157,11 @@ class _Flight:
         if isinstance(outcome, NotPlanned):
             self._failure = outcome
             if self._from_rest:
-                self._attempt, self._tried = self._attempt + 1, self._tried + outcome.tries
+                self._attempt += 1
             else:
                 self._hold_at_end()
             return
         self._failure, self._attempt, self._route = None, 0, outcome.route_ne_m
-        self._tried = 0
         if self._legs and not self._from_rest:
             self._flown_m[-1] = self._legs[-1].successor_at_m(self._task)
             if not self._fly(self._flown_m[-1], goes_on=True):

@@ -1,74 +1,62 @@
 """One plan: the next subpath from the known map at p_scan, or a refusal with its reason.
 
 Guidance, search, proof: the best candidate that is proven safe is taken (verify, then commit);
-if none is, the search is repeated with more variables, other directions and a nearer end.  Time may
-end before all of these searches are done: the next attempt from the same place goes on with the one
-that comes next.
+if none is, or it costs more than was hoped, the search is repeated with one more control point.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
-from companion.geodesy import FloatArray, wrap_rad
-from companion.objective.scene import SPREAD_RAD, FlightScene, control_points, weight
+from companion.geodesy import FloatArray
+from companion.objective.kernel import PER_LENGTH, control_points
+from companion.objective.scene import (
+    TERMS,
+    Bounds,
+    Grid,
+    Near,
+    Scene,
+    Workspace,
+    radar_table,
+    rows_of,
+    weights_of,
+)
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
-from companion.path.certificate import certify, pack_surroundings
-from companion.path.envelope import slowing_m, stopping_m
+from companion.path.certificate import Certificate, certify, pack_surroundings
+from companion.path.envelope import Envelope, slowing_m
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner import kernels
 from companion.planner.backtrack import backtrack
-from companion.planner.cost_grid import descent_m, sampled
+from companion.planner.cost_grid import descent_m
 from companion.planner.escape import StartViolation, escape_path, start_violation
 from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.reachability import blocked_at
 from companion.planner.request import REACH, NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.seeds import seeds_of, ways_of
 from companion.planner.settings import Task
+from companion.planner.way_out import way_out
 from companion.world.clearance import Surface, safe_surface, sees_anything
 from companion.world.columns import distance_to_terrain_m
-from companion.world.zones import NearCells, PolygonZone, near_cells
+from companion.world.zones import NearCells, PolygonZone, near_cells, packed
 
+_POINTS = (5, 6)  # control points: six where five find nothing good
 _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
-_GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
-_MUCH_DEARER = 0.5  # of the cost of R: then the search is given more, and what stands looks around
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
-_ENDS_SHORT = 0.25  # of what an end lies short of R: from there, less is seen than is hoped for
+_MUCH_DEARER = 0.5  # of the cost of R: then it is planned more slowly, too
+_SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a sixteenth
+_AT_TARGET_M = 1e-6
+_ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
+_STRICTER = 100.0  # times, when nothing was proven
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
-_SEARCH = refined_de.Settings()
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _SearchVariant:
-    """A variant of the search: more control points, a turned guide, a nearer end."""
-
-    points: int = 5
-    turn_rad: float = 0.0
-    reach: float = 1.0
-
-
-_FIRST = _SearchVariant()
-_OTHER_WAYS = (_SearchVariant(points=6), _SearchVariant(reach=0.7), _SearchVariant(reach=0.45))
-"""Tried as well if the first result costs more than the cost-to-go predicted."""
-_HARDER = tuple(_SearchVariant(points=6, reach=reach) for reach in (0.7, 0.45))
-"""Tried if that costs much more, or nothing was proven."""
-_SHORT = tuple(_SearchVariant(reach=reach) for reach in (0.3, 0.2))
-"""Tried from rest where sight is short: a step forward shows more than a long way back."""
-_ANY_WAY = tuple(
-    _SearchVariant(turn_rad=side * turn, reach=0.6) for turn in (0.7, 1.4) for side in (1, -1)
-)
-"""Tried if still nothing was proven, or a vehicle at rest would make a long detour."""
-_ALL_ROUND = tuple(_SearchVariant(turn_rad=turn) for turn in (2.2, -2.2, math.pi))
-_ASIDE = (*_SHORT, *_ANY_WAY, *_ALL_ROUND)
 
 
 def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> PlanOutcome:
@@ -195,13 +183,17 @@ def _escape(request: PlanRequest, found: StartViolation) -> PlanOutcome:
         elif not found.zones and found.unknown:
             refusal = Refusal.START_NEAR_UNKNOWN
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
-    subpath, certificate = escape
-    tangent = subpath.pose(0.0).tangent_nea
+    return _straight_plan(request, *escape)
+
+
+def _straight_plan(request: PlanRequest, subpath: Subpath, certificate: Certificate) -> Planned:
+    """A plan that no search has made: it has no cost."""
+    tangent, end = subpath.pose(0.0).tangent_nea, subpath.control_nea_m[-1]
     return Planned(
         plan_id=request.plan_id,
         kernel=kernels.signature(),
         subpath=subpath,
-        reaches_target=False,
+        reaches_target=math.dist(end[:2], request.target_ne_m) < _AT_TARGET_M,
         cost=0.0,
         to_go=0.0,
         terms={},
@@ -214,94 +206,108 @@ def _escape(request: PlanRequest, found: StartViolation) -> PlanOutcome:
     )
 
 
+def _speeds_m_s(request: PlanRequest) -> tuple[float, ...]:
+    """The speeds at which a subpath may be flown, the fastest first.
+
+    A copter turns the tighter the slower it is, and stops within less.  In flight it is no slower
+    than it comes.
+    """
+    limits, rest = request.task.limits, request.rest
+    fastest = limits.speed_m_s
+    least = 0.0 if request.from_rest else fastest
+    if not request.from_rest and rest is not None and rest.speed_m_s is not None:
+        least = min(rest.speed_m_s, fastest)
+    shares = _SLOWER if limits.hovers else (1.0,)
+    return tuple(share * fastest for share in shares if share * fastest >= least)
+
+
 @final
 class _Plan:
     """One plan in progress: the common data of its searches."""
 
     def __init__(self, request: PlanRequest, stop: Callable[[], bool]) -> None:
         self._request, self._stop, self._kernel = request, stop, kernels.compiled()
-        self._surroundings = _surroundings(request)
+        here_ne_m, target_ne_m = request.scan_nea_m[:2], request.target_ne_m
         self._field = cost_to_go(
-            request.around,
-            request.task,
-            request.scan_nea_m[:2],
-            request.target_ne_m,
-            request.route_ne_m,
+            request.around, request.task, here_ne_m, target_ne_m, request.route_ne_m
         )
-        self._scene = _scene(request, self._field)
-        motion = request.task.envelope
-        self._shortest_m = max(slowing_m(motion, motion.speed_m_s), motion.lead_m)
         settings = request.task.settings
-        self._per_metre = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
+        self._per_metre = settings.weights.length * PER_LENGTH / settings.scan_range_m
+        self._scene = _scene(request, self._field)
+        self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
         self._is_cut = False
-        """Whether time was up in the middle of the newest search."""
-        self._is_short = False
-        """Whether time was up before all searches were made."""
-        self._made = self._untried = 0
+        """Whether time was up before all was searched."""
         self._broken: tuple[str, ...] = ()
 
     def outcome(self) -> Planned | NotPlanned:
         """The best subpath that is proven, or why there is none."""
-        request = self._request
+        request, is_near = self._request, self._request.task.settings.is_near
         closed = None
-        if not request.task.settings.is_near:  # where a near thing stands is told too widely
+        if not is_near:  # where a near thing stands is told too widely
             here_ne_m, target_ne_m = request.start.point_nea_m[:2], request.target_ne_m
             closed = blocked_at(request.known, request.task, self._field, here_ne_m, target_ne_m)
         if closed is not None:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
-        best = self._searched()
+        best: Planned | None = None
+        for speed_m_s in _speeds_m_s(request):
+            if best is None or (is_near and self._excess(best) > _MUCH_DEARER):
+                best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
+        if best is None and request.from_rest:
+            best = self._way_out()
         if best is None:
-            return self._refused(Refusal.OUT_OF_TIME if self._is_short else Refusal.NOTHING_SAFE)
+            return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
         if self._is_better_to_stop(best):
             return self._refused(Refusal.BETTER_TO_STOP)
         return replace(best, evaluations=self._evaluations, tries=self._tries)
 
+    def _at_speed(self, speed_m_s: float) -> Scene:
+        """The scene of a subpath that is flown no faster than this."""
+        scene, task = self._scene, self._request.task.at_speed(speed_m_s)
+        if task is self._request.task:
+            return scene
+        return scene._replace(
+            limits=Bounds.of(task.limits),
+            motion=task.envelope,
+            shortest_m=0.0 if scene.from_rest else _shortest_m(task.envelope),
+            look_ahead_m=float(task.limits.turn_radius_m),
+        )
+
+    def _way_out(self) -> Planned | None:
+        """A straight piece to where less is left to fly, or more is seen."""
+        found: list[tuple[Certificate, float]] = []
+
+        def prove(subpath: Subpath) -> Certificate | None:
+            for speed_m_s in _speeds_m_s(self._request):
+                certificate = self._certified(subpath, speed_m_s, from_rest=True)
+                if certificate.proven:
+                    found.append((certificate, speed_m_s))
+                    return certificate
+            return None
+
+        subpath = way_out(self._request, self._field, prove)
+        if subpath is None:
+            return None
+        certificate, speed_m_s = found[-1]
+        return replace(
+            _straight_plan(self._request, subpath, certificate),
+            route_ne_m=self._field.route_ne_m,
+            speed_m_s=self._told_m_s(speed_m_s),
+        )
+
+    def _told_m_s(self, speed_m_s: float) -> float | None:
+        """The speed of a plan; None if it is V."""
+        return None if speed_m_s >= self._request.task.limits.speed_m_s else speed_m_s
+
+    def _certified(self, subpath: Subpath, speed_m_s: float, *, from_rest: bool) -> Certificate:
+        if (here := self._surroundings.get(speed_m_s)) is None:
+            here = self._surroundings[speed_m_s] = _surroundings(self._request, speed_m_s)
+        return certify(subpath, here, from_rest=from_rest, prover=self._kernel.prove)
+
     def ranked_nea_m(self, most: int) -> FloatArray:
         """Control points of the best candidates of the first search.  -> (M, points, 3)."""
-        self._tries += 1
-        return control_points(self._search(self._scene)[:most], self._scene)
-
-    def _is_better_to_stop(self, best: Planned) -> bool:
-        """Whether it costs less to stop at the end of the current leg and continue from there.
-
-        That plan uses the same map and end circle; in all directions, if continuing costs much more
-        than predicted.
-        """
-        rest, task = self._request.rest, self._request.task
-        if rest is None:
-            return False
-        stop = (rest.length_m + task.stop_m) * self._per_metre
-        if self._price(best) <= stop + self._promised_m(rest.end_nea_m) * self._per_metre:
-            return False
-        start = hover_pose(rest.end_nea_m).facing(self._scene.guide_rad)
-        scene = replace(self._scene, start=start, from_rest=True)
-        ways: tuple[_SearchVariant, ...] = (_FIRST,)
-        if self._excess(best) > _MUCH_DEARER:
-            ways += _ANY_WAY + _ALL_ROUND
-        leaving = (None if self._stop() else self._attempt(how, scene) for how in ways)
-        return any(each and self._price(each) + stop < self._price(best) for each in leaving)
-
-    def _to_edge_of_sight(self) -> tuple[_SearchVariant, ...]:
-        """Variants that end where the cheapest route leaves the provable area, within scan range.
-
-        Beyond L; a vehicle at rest may also fly less, and stop again.
-        """
-        scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
-        route, cell_m = np.array(self._field.route_ne_m), self._request.known.cell_m
-        points = sampled(route, cell_m, 2.0 * scene.end_radius_m)
-        lowest = scene.surface.altitude_m(points[:, 0], points[:, 1])
-        barred = np.flatnonzero(lowest > scene.band_amsl_m[1])
-        away = np.hypot(*(points[: barred[0] if len(barred) else None] - scan).T)
-        far_m = float(away.max(initial=0.0))
-        motion, least_m = self._request.task.envelope, self._request.task.scan_distance_m
-        if scene.from_rest:
-            least_m = max(stopping_m(motion, motion.speed_m_s), motion.lead_m)
-        elif self._request.task.settings.is_near:  # its sight ends at the next tree
-            least_m = self._shortest_m
-        if not least_m < far_m < scene.end_radius_m:
-            return ()
-        return (_SearchVariant(reach=far_m / scene.end_radius_m),)
+        found = [control_points(x, self._scene) for x in self._search(self._scene)[:most]]
+        return np.array(found)
 
     def _refused(self, refusal: Refusal) -> NotPlanned:
         return NotPlanned(
@@ -309,40 +315,30 @@ class _Plan:
             refusal=refusal,
             broken=() if refusal is Refusal.BETTER_TO_STOP else self._broken,
             evaluations=self._evaluations,
-            tries=self._made,
-            untried=self._untried,
+            tries=self._tries,
         )
 
-    def _searched(self) -> Planned | None:
-        """The cheapest subpath of all searches, until one is cheap enough or time is up.
+    def _searched(self, scene: Scene) -> Planned | None:
+        """The cheapest subpath, until one costs hardly more than was hoped or time is up.
 
-        Short and turned ones come early among near things, and count if no other is cheap enough.
+        Where none is proven, what breaks a bound counts more, so that it is not traded for way;
+        and at last a subpath may end before a target that is in sight.
         """
-        ways, before = self._ways(), self._request.tried
+        scenes = [(scene, _DEARER), (_strict(scene), math.inf)]
+        if scene.is_final:
+            radius_m = _before_target_m(self._request)
+            scene = _strict(scene)._replace(is_final=False, end_radius_m=radius_m)
+            scenes.append((scene, math.inf))
         best: Planned | None = None
-        aside: Planned | None = None
-        for number in range(before, before + len(ways)):
-            how, enough = ways[number % len(ways)]
-            if how is _ANY_WAY[0] and best is not None and not self._request.from_rest:
-                break
-            is_aside = how in _ASIDE and self._is_near_at_rest
-            so_far = self._cheaper(best, aside) if is_aside else best
-            if how is not None and (so_far is None or self._excess(so_far) > enough):
+        for each, enough in scenes:
+            for points in _POINTS:
+                if best is not None and self._excess(best) <= enough:
+                    return best
                 if self._tries and self._stop():
-                    break
-                planned = self._attempt(how, wider=1 + number // len(ways))
-                if is_aside:
-                    aside = self._cheaper(aside, planned)
-                else:
-                    best = self._cheaper(best, planned)
-                if self._is_cut and self._made:
-                    break  # it is made again; the only one is not, or no attempt got past it
-            self._made += 1
-        self._is_short = self._made < len(ways)
-        self._untried = max(len(ways) - before - self._made, 0)
-        if best is not None and self._excess(best) <= _MUCH_DEARER:
-            return best
-        return self._cheaper(best, aside)
+                    self._is_cut = True
+                    return best
+                best = self._cheaper(best, self._attempt(each.with_points(points)))
+        return best
 
     def _cheaper(self, one: Planned | None, other: Planned | None) -> Planned | None:
         """Of two subpaths, the first one if they cost the same."""
@@ -350,35 +346,32 @@ class _Plan:
             return one or other
         return other if self._price(other) < self._price(one) else one
 
-    @property
-    def _is_near_at_rest(self) -> bool:
-        """Whether the vehicle stands among near things."""
-        return self._request.from_rest and self._request.task.settings.is_near
+    def _is_better_to_stop(self, best: Planned) -> bool:
+        """Whether it costs less to stop at the end of the current leg and continue from there.
 
-    def _ways(self) -> list[tuple[_SearchVariant | None, float]]:
-        """All searches in their order, and up to which excess of the best each is left out.
-
-        In costs of R, over the prediction.  Among near things a vehicle at rest tries short and
-        turned ones before the others: where sight is short, they are what is left.
+        That plan uses the same map and end circle, and may leave in any direction.
         """
-        edge = self._to_edge_of_sight() or (None,)
-        ways = [(how, _DEARER) for how in (_FIRST, *edge)]
-        others = [(how, _DEARER) for how in _OTHER_WAYS] + [(how, _MUCH_DEARER) for how in _HARDER]
-        near = self._is_near_at_rest
-        turned = [(how, _MUCH_DEARER) for how in ((*_SHORT, *_ANY_WAY) if near else _ANY_WAY)]
-        ways += turned + others if near else others + turned
-        all_round = _ALL_ROUND if self._request.from_rest else ()
-        return ways + [(how, _MUCH_DEARER) for how in all_round]
+        rest, task = self._request.rest, self._request.task
+        if rest is None:
+            return False
+        stop = (rest.length_m + task.stop_m) * self._per_metre
+        if self._price(best) <= stop + self._promised_m(rest.end_nea_m) * self._per_metre:
+            return False
+        scene = self._scene._replace(
+            start=rows_of(hover_pose(rest.end_nea_m)), from_rest=True, shortest_m=0.0
+        )
+        leaving = None if self._stop() else self._attempt(scene)
+        return leaving is not None and self._price(leaving) + stop < self._price(best)
 
     def _price(self, planned: Planned) -> float:
         """The cost by which candidates of different searches are compared."""
-        task, total = self._request.task, self._cost(planned)
-        if planned.reaches_target:
-            return total
-        scan, end = self._request.scan_nea_m, planned.subpath.control_nea_m[-1]
-        short_m = self._scene.end_radius_m - math.hypot(end[0] - scan[0], end[1] - scan[1])
-        stop_m = 0.0 if Leg.of(planned, number=1).can_be_left(task) else task.stop_m
-        return total + (stop_m + _ENDS_SHORT * short_m) * self._per_metre
+        task, extra_m = self._request.task, 0.0
+        if planned.speed_m_s is not None:  # the time that it takes longer, as distance at V
+            slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
+            extra_m += slower * planned.subpath.length_m
+        if not planned.reaches_target and not Leg.of(planned, number=1).can_be_left(task):
+            extra_m += task.stop_m
+        return self._cost(planned) + extra_m * self._per_metre
 
     def _excess(self, planned: Planned) -> float:
         """Excess cost of a subpath and what follows over the prediction, in costs of R."""
@@ -405,142 +398,119 @@ class _Plan:
         climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)
         return level_m + down_m + climb_m
 
-    def _attempt(
-        self, how: _SearchVariant, scene: FlightScene | None = None, *, wider: int = 1
-    ) -> Planned | None:
+    def _attempt(self, scene: Scene) -> Planned | None:
         """One search, and the best of its candidates that has a certificate."""
-        self._tries += 1
-        scene = _vary(scene or self._scene, how)
-        return self._first_proven(self._search(scene, wider), scene)
+        return self._first_proven(self._search(scene), scene)
 
-    def _search(self, scene: FlightScene, wider: int = 1) -> FloatArray:
-        """The candidates of one search, best first.  -> (M, D).
-
-        wider: how often the mission's number of evaluations.
-        """
+    def _search(self, scene: Scene) -> FloatArray:
+        """The candidates of one search, best first.  -> (M, D)."""
         request, settings = self._request, self._request.task.settings
+        self._tries += 1
         rng = request.rng(self._tries)
-        evaluations, self._is_cut = wider * settings.evaluations, False
-        name, seeds = settings.optimiser or settings.profile.optimiser, _seeds(scene)
+        evaluations = (1 + request.attempt) * settings.evaluations
+        name = settings.optimiser or settings.profile.optimiser
+        tail = None if request.rest is None else request.rest.end_nea_m
+        seeds = seeds_of(scene, ways_of(scene, self._field.route_ne_m, request.known.cell_m, tail))
         if name != "refined-de":
             optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)
             ranked = minimise(
                 optimiser, lambda x: self._kernel.costs(x, scene), evaluations, self._stop
             )
             self._evaluations += ranked.evaluations
-            self._is_cut = ranked.evaluations < evaluations
+            self._is_cut |= ranked.evaluations < evaluations
             return ranked.x
-        state = refined_de.begin(scene.variables, evaluations, seeds, _SEARCH, rng)
+        state = refined_de.begin(scene.variables, evaluations, seeds, refined_de.Settings(), rng)
         for until in range(_CHUNK, evaluations + _CHUNK, _CHUNK):
             self._kernel.search(state, scene, min(until, evaluations))
             if self._stop():
-                self._is_cut = until < evaluations
+                self._is_cut |= until < evaluations
                 break
         self._evaluations += refined_de.spent(state)
         return refined_de.ranked(state)[0]
 
-    def _first_proven(self, candidates: FloatArray, scene: FlightScene) -> Planned | None:
+    def _first_proven(self, candidates: FloatArray, scene: Scene) -> Planned | None:
         """The best candidate with a certificate."""
         request = self._request
         for rank, x in enumerate(candidates[:_CERTIFIED]):
-            subpath = Subpath(control_nea_m=control_points(x[None], scene)[0])
-            if not scene.from_rest and subpath.length_m < self._shortest_m:
+            subpath = Subpath(control_nea_m=control_points(x, scene))
+            if not subpath.is_longer_than(scene.shortest_m):
                 continue  # the certificate is about a vehicle that can stop (or hold) at the end
-            certificate = certify(
-                subpath,
-                self._surroundings,
-                from_rest=scene.from_rest,
-                prover=self._kernel.prove,
-            )
+            speed_m_s = scene.motion.speed_m_s
+            certificate = self._certified(subpath, speed_m_s, from_rest=scene.from_rest)
             if certificate.proven:
-                table = self._table(x, scene)
-                costs = {name: weight(name, scene) * value for name, value in table.items()}
+                terms = self._kernel.terms(x, scene)
+                costs = {
+                    name: a * terms[name]
+                    for name, a in zip(TERMS, self._scene.weights, strict=True)
+                }
                 return Planned(
                     plan_id=request.plan_id,
                     kernel=kernels.signature(),
                     subpath=subpath,
-                    reaches_target=scene.final_ne_m is not None,
+                    reaches_target=scene.is_final,
                     cost=sum(costs.values()) - costs["to_go"],
                     to_go=costs["to_go"],
-                    terms=table,
+                    terms=terms,
                     certificate=certificate,
                     guide_rad=scene.guide_rad,
                     route_ne_m=self._field.route_ne_m,
                     evaluations=self._evaluations,
                     rank=rank,
                     tries=self._tries,
+                    speed_m_s=self._told_m_s(speed_m_s),
                 )
             self._broken = self._broken or certificate.broken
         return None
 
-    def _table(self, x: FloatArray, scene: FlightScene) -> dict[str, float]:
-        """The cost terms of a candidate of any search, by the guidance of this plan."""
-        guided = replace(
-            scene,
-            to_go=self._scene.to_go,
-            needed=self._scene.needed,
-            guide_rad=self._scene.guide_rad,
-            guide_share=self._scene.guide_share,
-        )
-        return self._kernel.terms(x, guided)
 
-
-def _seeds(scene: FlightScene) -> FloatArray:
-    """Plausible subpaths to begin with: towards the guide, straight on, and bent aside.  (K, D)."""
-    aim = wrap_rad(scene.guide_rad - scene.ahead_rad)
-    low, high = scene.band_amsl_m
-    level = (float(scene.start.position_nea_m[2]) - low) / (high - low)
-    rows = []
-    for altitude in (level, 0.0, 0.5):
-        for bearing, bend in ((aim, 0.0), (aim, 0.3), (aim, -0.3), (0.0, 0.0), (0.6 * aim, 0.0)):
-            row = [0.3, 0.3]
-            for k in range(3, scene.points - 1):
-                share = (k - 1) / (scene.points - 1)
-                row += [share, _azimuth(share * bearing + bend), altitude]
-            rows.append([*row, _azimuth(bearing), altitude])
-    return np.clip(np.array(rows), 0.0, 1.0)
-
-
-def _azimuth(bearing_rad: float) -> float:
-    """The search variable of a bearing from the tangent."""
-    return 0.5 + 0.5 * bearing_rad / SPREAD_RAD
-
-
-def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
+def _scene(request: PlanRequest, field: CostToGo) -> Scene:
     task, settings = request.task, request.task.settings
-    scan_ne = request.scan_nea_m[:2]
-    final, end_radius = _end(request)
-    surface = _surface(request, task.search_clearance_m)
-    guide = field.leaving_rad(scan_ne, end_radius)
-    return FlightScene(
-        points=5,
-        samples=settings.profile.samples,
-        margin=settings.profile.margin,
-        weights=settings.weights,
-        limits=task.limits,
+    limits, scan_ne = task.limits, request.scan_nea_m[:2]
+    is_final, end_radius = _end(request)
+    radars = task.radars_near(scan_ne, _IN_REACH * settings.scan_range_m)
+    zones = packed(task.zones)
+    surface = Grid.of(_surface(request, task.search_clearance_m))
+    return Scene(
+        weights=weights_of(settings.weights),
+        limits=Bounds.of(limits),
         motion=task.envelope,
-        start=request.start.facing(guide) if request.from_rest else request.start,
+        margin=settings.profile.margin,
+        start=rows_of(request.start),
         from_rest=request.from_rest,
+        shortest_m=0.0 if request.from_rest else _shortest_m(task.envelope),
         scan_ne_m=scan_ne,
-        scan_range_m=settings.scan_range_m,
-        end_radius_m=end_radius,
-        guide_rad=guide,
-        guide_share=_GUIDE_SHARE,
-        to_go=field.value,
-        needed=field.needed,
-        look_ahead_m=task.limits.turn_radius_m,
-        descent_m=descent_m(task.limits.ceiling_amsl_m, task),
-        final_ne_m=request.target_ne_m if final else None,
-        safety_distance_m=settings.safety_distance_m,
-        clearance_m=task.zone_search_clearance_m,
+        scan_range_m=float(settings.scan_range_m),
+        end_radius_m=float(end_radius),
+        is_final=is_final,
+        final_ne_m=request.target_ne_m,
+        guide_rad=field.leaving_rad(scan_ne, end_radius),
+        to_go=Grid.of(field.value),
+        needed=Grid.of(field.needed),
+        look_ahead_m=float(limits.turn_radius_m),
+        descent_m=float(descent_m(limits.ceiling_amsl_m, task)),
+        safety_distance_m=float(settings.safety_distance_m),
+        clearance_m=float(task.zone_search_clearance_m),
         surface=surface,
-        contact=_surface(request, task.error_m) if task.limits.hovers else surface,
-        radar_margin_m=_RADAR_MARGIN * settings.scan_range_m,
+        contact=Grid.of(_surface(request, task.error_m)) if limits.hovers else surface,
         band_amsl_m=task.band_amsl_m,
-        radars=task.radars_near(scan_ne, _IN_REACH * settings.scan_range_m),
-        zones=task.zones,
-        near_polygons=_near_polygons(task),
+        radars=radar_table(radars, _RADAR_MARGIN * settings.scan_range_m),
+        zones=zones,
+        near_polygons=Near.of(_near_polygons(task)),
+        at=Workspace.of(_POINTS[0], settings.profile.samples, len(zones.polygons)),
     )
+
+
+def _shortest_m(motion: Envelope) -> float:
+    """The length in which a vehicle that enters a subpath at full speed stops, or holds."""
+    return float(max(slowing_m(motion, motion.speed_m_s), motion.lead_m))
+
+
+def _strict(scene: Scene) -> Scene:
+    """The scene in which what breaks a bound counts more, so that it is not traded for way."""
+    a = list(scene.weights)
+    for name in ("crash", "constraints"):
+        a[TERMS.index(name)] *= _STRICTER
+    return scene._replace(weights=tuple(a))
 
 
 def _near_polygons(task: Task) -> NearCells | None:
@@ -558,35 +528,21 @@ def _end(request: PlanRequest) -> tuple[bool, float]:
     When the target is just beyond sight, the end stays so far from it that the last subpath has
     room to turn.
     """
-    reach = request.task.end_radius_m
-    north, east, _ = request.scan_nea_m
-    left = math.hypot(request.target_ne_m[0] - north, request.target_ne_m[1] - east)
+    reach, left = request.task.end_radius_m, _left_m(request)
     if left <= reach and request.known.is_known(*request.target_ne_m):
         return True, reach
-    return False, min(reach, max(left - 0.35 * reach, 0.5 * reach))
+    return False, min(reach, max(_before_target_m(request), 0.5 * reach))
 
 
-def _vary(scene: FlightScene, how: _SearchVariant) -> FlightScene:
-    """The scene of a search variant; variants with a turned guide do not end at the target.
+def _before_target_m(request: PlanRequest) -> float:
+    """The radius of a circle so small that there is room to turn between it and the target."""
+    left = _left_m(request)
+    return max(left - _ROOM * request.task.end_radius_m, _ROOM * left)
 
-    A turned guide acts alone: the cost-to-go would lead back to where nothing was found.
-    """
-    scene = replace(scene, points=how.points)
-    if how.turn_rad == 0.0 and how.reach == 1.0:
-        return scene
-    guide = wrap_rad(scene.guide_rad + how.turn_rad)
-    anywhere = replace(scene.to_go, vertex_m=np.zeros_like(scene.to_go.vertex_m))
-    to_go, needed = (anywhere, anywhere) if how.turn_rad else (scene.to_go, scene.needed)
-    return replace(
-        scene,
-        guide_rad=guide,
-        guide_share=1.0,
-        to_go=to_go,
-        needed=needed,
-        end_radius_m=scene.end_radius_m * how.reach,
-        final_ne_m=None,
-        start=scene.start.facing(guide) if scene.from_rest else scene.start,
-    )
+
+def _left_m(request: PlanRequest) -> float:
+    """From p_scan to the target."""
+    return math.dist(request.scan_nea_m[:2], request.target_ne_m)
 
 
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:
@@ -601,8 +557,8 @@ def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     )
 
 
-def _surroundings(request: PlanRequest) -> Surroundings:
-    task = request.task
+def _surroundings(request: PlanRequest, speed_m_s: float) -> Surroundings:
+    task = request.task.at_speed(speed_m_s)
     return pack_surroundings(
         request.known,
         task.limits,

@@ -56,6 +56,8 @@ class Leg:
     the backtrack, which is known in advance)."""
     rules: Task | None = None
     """The task it was proven under; None if unknown."""
+    speed_m_s: float | None = None
+    """The highest speed that it is proven for; None: V."""
 
     @staticmethod
     def of(planned: Planned, number: int, rules: Task | None = None) -> "Leg":
@@ -66,11 +68,12 @@ class Leg:
             subpath=planned.subpath,
             reaches_target=planned.reaches_target,
             rules=rules,
+            speed_m_s=planned.speed_m_s,
         )
 
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
-        return max(self.subpath.length_m - task.scan_distance_m, 0.0)
+        return max(self.subpath.length_m - task.at_speed(self.speed_m_s).scan_distance_m, 0.0)
 
     def wants_successor(self, at_m: float, task: Task) -> bool:
         """Whether to scan and plan for the next leg, at this length flown: from p_scan on."""
@@ -83,8 +86,8 @@ class Leg:
         Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
         start at speed V, are done while it can still stop at the end.
         """
-        motion, length_m = task.envelope, self.subpath.length_m
-        speed_m_s = motion.speed_m_s
+        task, length_m = task.at_speed(self.speed_m_s), self.subpath.length_m
+        motion, speed_m_s = task.envelope, task.envelope.speed_m_s
         if self.through:
             return length_m, speed_m_s
         least_m = task.shortest_scan_distance_m
@@ -109,7 +112,7 @@ class Leg:
 
     def slows_to_m_s(self, task: Task) -> float | None:
         """The speed that a short leg is flown at, from its start on; None: V."""
-        is_last = self.reaches_target or self.through
+        task, is_last = task.at_speed(self.speed_m_s), self.reaches_target or self.through
         if is_last or self.subpath.length_m >= task.shortest_scan_distance_m:
             return None
         return self.leaving(task)[1] if self.can_be_left(task) else None
@@ -121,8 +124,9 @@ class Leg:
     def rest(self, task: Task) -> Rest:
         """What is left of it beyond p_prog."""
         length_m = self.subpath.length_m
-        left_m = length_m - self.successor_at_m(task)
-        return Rest(length_m=left_m, end_nea_m=self.subpath.pose(length_m).point_nea_m)
+        at_m, speed_m_s = self.leaving(task)
+        end_nea_m = self.subpath.pose(length_m).point_nea_m
+        return Rest(length_m=length_m - at_m, end_nea_m=end_nea_m, speed_m_s=speed_m_s)
 
     def can_be_left(self, task: Task) -> bool:
         """Whether a successor may take over in flight.
@@ -131,6 +135,7 @@ class Leg:
         end it could not, and a plane would be sent to points beyond it.  Such a leg is flown to its
         end, and the next begins at rest.
         """
+        task = task.at_speed(self.speed_m_s)
         if not task.settings.profile.verified:
             return True
         motion, (at_m, speed_m_s) = task.envelope, self.leaving(task)

@@ -25,6 +25,8 @@ class FlownSegment:
     control_nea_m: FloatArray  # (points, 3)
     from_m: float
     until_m: float
+    speed_m_s: float | None = None
+    """At which it was flown at most; None: V."""
 
 
 @final
@@ -34,6 +36,8 @@ class Rest:
 
     length_m: float
     end_nea_m: tuple[float, float, float]
+    speed_m_s: float | None = None
+    """At p_prog, at most: the next leg is proven for no less.  None: V."""
 
 
 @final
@@ -59,9 +63,7 @@ class PlanRequest:
     flown: tuple[FlownSegment, ...] | None = None
     """The flown segments, to request a backtrack; None: the next subpath is requested."""
     attempt: int = 0
-    """Number of failed attempts before; each time there is more time."""
-    tried: int = 0
-    """Searches that they have made from here: this attempt goes on behind them."""
+    """Number of failed attempts before; each time there is more time, and more is evaluated."""
 
     @property
     def around(self) -> KnownMap:
@@ -105,6 +107,8 @@ class Planned:
     """Rank by cost in its search: 0 is the cheapest, more if cheaper ones could not be proven."""
     tries: int
     """How many searches there were, whichever found it."""
+    speed_m_s: float | None = None
+    """The highest speed that it is proven for; None: V."""
     stopped_after: int | None = None
     """How often the search was continued before its time was up; None: it never was.
 
@@ -112,7 +116,7 @@ class Planned:
 
     @property
     def is_escape(self) -> bool:
-        """Whether it is a straight escape path, not the result of a search."""
+        """Whether it is a straight escape path or way out, not the result of a search."""
         return not self.terms
 
 
@@ -199,9 +203,7 @@ class NotPlanned:
     """Where all routes are blocked (`NO_WAY`)."""
     evaluations: int = 0
     tries: int = 0
-    """Searches made, for `PlanRequest.tried`."""
-    untried: int = 0
-    """Kinds of search that neither this attempt nor one before it has come to."""
+    """How many searches there were."""
     stopped_after: int | None = None
     """As of Planned."""
 
@@ -216,6 +218,8 @@ class Backtrack:
     through: tuple[bool, ...]
     """For each, whether the next one continues it, to be entered at full speed."""
     reaches_start: bool
+    speeds_m_s: tuple[float | None, ...] = ()
+    """The highest speed that each is proven for; None: V."""
 
 
 PlanOutcome = Planned | NotPlanned | Backtrack

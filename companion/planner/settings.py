@@ -79,6 +79,10 @@ class Task:
     """Upper bound of the ground for flights without a scanner; None: not stated."""
     _circles: FloatArray = field(init=False, repr=False, compare=False)
     """(radars, 3): north, east, range of each, so that looking for the near ones is one scan."""
+    _at_speeds: "dict[float, Task]" = field(
+        init=False, repr=False, compare=False, default_factory=dict
+    )
+    """Kept by `at_speed`: they are asked for with every position."""
 
     def __post_init__(self) -> None:
         rows = [(*radar.centre_nea_m[:2], radar.range_m) for radar in self.radars]
@@ -188,6 +192,21 @@ class Task:
         """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
         inset = 1.1 * self.error_m if self.settings.profile.verified else 0.0
         return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
+
+    def at_speed(self, speed_m_s: float | None) -> "Task":
+        """The task of a leg that is flown more slowly than V; None: at V.
+
+        A copter turns with the lateral acceleration V^2 / turn_radius_m, so its turns are the
+        tighter the slower it is, and so are its tail, L and dead-man reach the shorter.
+        """
+        limits = self.limits
+        if speed_m_s is None or speed_m_s >= limits.speed_m_s or not limits.hovers:
+            return self
+        if (slower := self._at_speeds.get(speed_m_s)) is None:
+            radius_m = limits.turn_radius_m * (speed_m_s / limits.speed_m_s) ** 2
+            slow = replace(limits, speed_m_s=speed_m_s, turn_radius_m=radius_m)
+            slower = self._at_speeds[speed_m_s] = replace(self, limits=slow)
+        return slower
 
     def no_lower_than(self, amsl_m: float) -> "Task":
         """The task with this, if it is higher, as the lowest altitude to plan for."""

@@ -27,7 +27,7 @@ from running import Bar
 from subpaths import Problem
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import FlightScene
+from companion.objective.scene import Scene
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
@@ -149,7 +149,7 @@ OURS = "refined-de"
 
 def refine(state: refined_de.State, problem: Problem, budget: int) -> tuple[float, FloatArray]:
     """Our search, from its beginning until the budget is spent: the best cost, and where."""
-    if isinstance(problem.scene, FlightScene):
+    if isinstance(problem.scene, Scene):
         kernels.compiled().search(state, problem.scene, budget)
     else:
         ask, tell = map(kernels.compiled_alone, (refined_de.ask, refined_de.tell))

@@ -19,14 +19,15 @@ import numpy as np
 from companion.campaign import drawn_world, families
 from companion.campaign.drawn_world import DrawnWorld
 from companion.geodesy import FloatArray, wrap_rad
-from companion.objective.scene import FlightScene
+from companion.objective.scene import Scene
 from companion.paper import terms
 from companion.paper.plan import scene_of
 from companion.path.subpath import Pose
 from companion.planner import kernels, plan
-from companion.planner.field import cost_to_go
+from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planner.seeds import seeds_of, ways_of
 from companion.profiles import PAPER
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
@@ -49,7 +50,7 @@ class Problem:
     """One search that the planner makes."""
 
     name: str
-    scene: FlightScene | terms.Scene
+    scene: Scene | terms.Scene
     """Of objective `flight`, or of the paper's."""
     seeds: FloatArray  # (K, D): its warm starts
     for_tuning: bool
@@ -62,7 +63,7 @@ class Problem:
 
     def costs(self, x: FloatArray) -> FloatArray:
         """Costs of candidates, (P, D) -> (P,)."""
-        if isinstance(self.scene, FlightScene):
+        if isinstance(self.scene, Scene):
             return kernels.compiled().costs(np.ascontiguousarray(x), self.scene)
         return terms.cost(x, self.scene)
 
@@ -180,28 +181,28 @@ def problems(data: dict[str, Any], objective: str) -> list[Problem]:
                 if objective == "paper":
                     result += _as_published(request, name, for_tuning=number % 2 == 1)
                     continue
-                scene = replace(_scene(request), points=each["points"])
+                field = _field(request)
+                scene = plan._scene(request, field).with_points(each["points"])
                 result.append(
                     Problem(
                         name=f"{name}/{scan + 1}" + "+" * (each["points"] - 5),
                         scene=scene,
-                        seeds=plan._seeds(scene),
+                        seeds=seeds_of(scene, ways_of(scene, field.route_ne_m, known.cell_m, None)),
                         for_tuning=number % 2 == 1,
                     )
                 )
     return result
 
 
-def _scene(request: PlanRequest) -> FlightScene:
-    """What the planner's first try searches."""
-    field = cost_to_go(
+def _field(request: PlanRequest) -> CostToGo:
+    """Its guidance."""
+    return cost_to_go(
         request.known,
         request.task,
         request.scan_nea_m[:2],
         request.target_ne_m,
         request.route_ne_m,
     )
-    return plan._scene(request, field)
 
 
 def _as_published(request: PlanRequest, world: str, *, for_tuning: bool) -> list[Problem]:

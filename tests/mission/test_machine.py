@@ -71,7 +71,7 @@ from companion.mission.events import (
 from companion.mission.health import distrust
 from companion.mission.machine import IN_PHASE
 from companion.mission.state import Phase, Reason
-from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import PlanOutcome, PlanRequest
 
 OVER = (Phase.DONE, Phase.FAULTED)
 GOOD = {"moved_at_s": 5.0, "fix_good": True, "fix_at_s": 5.0, "estimator_good": True} | {
@@ -204,41 +204,6 @@ def test_without_a_plan_at_all_it_hovers_tries_four_times_and_lands_where_it_too
     assert craft.end().outcome is Outcome.FAILED
     assert craft.end().reason == f"landed: {Reason.NO_PLAN.text}: it broke floor"
     assert len({setpoint.position_nea_m for setpoint in craft.sent(Setpoint)}) == 1
-
-
-KINDS = 7
-
-
-def out_of_time(request: PlanRequest) -> NotPlanned:
-    """There is time for one of all kinds of search."""
-    left = max(KINDS - 1 - request.tried, 0)
-    refusal = Refusal.OUT_OF_TIME if left else Refusal.NOTHING_SAFE
-    broken = ("turn radius",)
-    plan_id = request.plan_id
-    return NotPlanned(plan_id=plan_id, refusal=refusal, tries=1, untried=left, broken=broken)
-
-
-def test_it_does_not_give_up_before_each_kind_of_search_had_its_turn() -> None:
-    """A slow computer comes to few of them in each attempt."""
-    craft = Craft(plan=out_of_time).fly_to(Phase.DONE)
-    assert [plan.request.tried for plan in craft.sent(Plan)] == list(range(KINDS))
-    said = [text.text for text in craft.sent(StatusText)]
-    hold = f"hold: {Reason.NO_PLAN.text}: "
-    broke = "it broke turn radius (vehicle.turn_radius_m)"
-    assert f"{hold}{Refusal.OUT_OF_TIME.value.partition('; ')[0]}: {broke}" in said
-    assert hold + broke in said
-    assert craft.end().reason == f"landed: {Reason.NO_PLAN.text}: {broke}"
-
-
-def test_once_a_plan_is_found_all_kinds_of_search_are_new_again() -> None:
-    def third_time(request: PlanRequest) -> PlanOutcome:
-        return planned(request) if request.tried == 2 else out_of_time(request)
-
-    craft = flying(plan=third_time)
-    craft.fly_to(Phase.HOLDING)
-    craft.fly_to(Phase.FLYING)
-    craft.run_until(lambda craft: len(craft.sent(Plan)) >= 6)
-    assert [plan.request.tried for plan in craft.sent(Plan)][:6] == [0, 1, 2, 0, 0, 1]
 
 
 def only_the_first(request: PlanRequest) -> PlanOutcome:

@@ -7,18 +7,28 @@ import numpy as np
 from numpy.typing import NDArray
 from planning import limits
 
-from companion.objective.scene import FlightScene
+from companion.objective.scene import (
+    TERMS,
+    Bounds,
+    Grid,
+    Near,
+    Scene,
+    Workspace,
+    radar_table,
+    rows_of,
+    weights_of,
+)
 from companion.path.envelope import ARDUCOPTER, envelope_of
 from companion.path.subpath import Pose, Subpath
 from companion.planner.kernels import compiled
 from companion.profiles import Weights
-from companion.world.clearance import Surface
 from companion.world.radars import Radar
-from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells
+from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells, packed
 
 FloatArray = NDArray[np.float64]
 
 R_M = 2_000.0
+RADAR_MARGIN_M = 2.5
 LIMITS = limits(
     speed_m_s=60.0,
     turn_radius_m=400.0,
@@ -52,7 +62,7 @@ def random_scene(
     from_rest: bool | None = None,
     is_final: bool | None = None,
     samples: int | None = None,
-) -> FlightScene:
+) -> Scene:
     """A scene in which random candidates break every bound now and then."""
     from_rest = bool(rng.random() < 0.5) if from_rest is None else from_rest
     is_final = bool(rng.random() < 0.3) if is_final is None else is_final
@@ -71,48 +81,51 @@ def random_scene(
         75.0,
         compiled().zone_gaps,
     )
-    names = ("length", "height", "guide", "crash", "radar", "constraints")
-    return FlightScene(
-        points=points or int(rng.integers(5, 7)),
-        samples=samples or int(rng.choice([12, 13, 40])),
+    drawn = Weights(**dict(zip(TERMS, weights, strict=False)))
+    table = packed(zones)
+    polygons, count = len(table.polygons), points or int(rng.integers(5, 7))
+    radars = tuple(
+        Radar(name="r", centre_nea_m=(*rng.uniform(2e3, 5e3, 2), 100.0), range_m=1_200.0)
+        for _ in range(rng.integers(0, 4))
+    )
+    flies = LIMITS if rng.random() < 0.8 else replace(LIMITS, loiter_radius_m=80.0)
+    return Scene(
+        weights=weights_of(drawn),
+        limits=Bounds.of(flies),
         margin=1.06,
-        weights=Weights(**dict(zip(names, weights, strict=True))),
-        limits=LIMITS if rng.random() < 0.8 else replace(LIMITS, loiter_radius_m=80.0),
-        motion=envelope_of(LIMITS, ARDUCOPTER),
-        start=start,
+        motion=envelope_of(flies, ARDUCOPTER),
+        start=rows_of(start),
         from_rest=from_rest,
+        shortest_m=0.0 if from_rest else float(rng.choice([200.0, 1_500.0])),
         scan_ne_m=(north + rng.uniform(-300.0, 300.0), east + rng.uniform(-300.0, 300.0)),
         scan_range_m=R_M,
         end_radius_m=1_700.0,
+        is_final=is_final,
+        final_ne_m=(north + rng.uniform(-1e3, 1e3), east + 400.0),
         guide_rad=rng.uniform(-math.pi, math.pi),
-        guide_share=rng.choice([0.2, 1.0]),
         to_go=lattice(rng, 100.0, 4_000.0),
         needed=lattice(rng, 90.0, 900.0),
         look_ahead_m=400.0,
         descent_m=900.0,
-        final_ne_m=(north + rng.uniform(-1e3, 1e3), east + 400.0) if is_final else None,
         safety_distance_m=60.0,
         clearance_m=75.0,
         surface=lattice(rng, 40.0, 500.0),
         contact=lattice(rng, 40.0, 450.0),
-        radar_margin_m=2.5,
         band_amsl_m=(315.0, 785.0),
-        radars=tuple(
-            Radar(name="r", centre_nea_m=(*rng.uniform(2e3, 5e3, 2), 100.0), range_m=1_200.0)
-            for _ in range(rng.integers(0, 4))
-        ),
-        zones=zones,
-        near_polygons=near if rng.random() < 0.5 else None,
+        radars=radar_table(radars, RADAR_MARGIN_M),
+        zones=table,
+        near_polygons=Near.of(near if rng.random() < 0.5 else None),
+        at=Workspace.of(count, samples or int(rng.choice([12, 13, 40])), polygons),
     )
 
 
-def lattice(rng: np.random.Generator, cell_m: float, most_m: float) -> Surface:
+def lattice(rng: np.random.Generator, cell_m: float, most_m: float) -> Grid:
     """A rough surface over most of where candidates come."""
     count = math.ceil(6_000.0 / cell_m)
     south, west = rng.uniform(-100.0, 1_500.0, 2)
-    return Surface(
-        north_min_m=south,
-        east_min_m=west,
+    return Grid(
+        north_min_m=float(south),
+        east_min_m=float(west),
         cell_m=cell_m,
         vertex_m=rng.uniform(0.0, most_m, (count, count + 3)),
     )
@@ -138,6 +151,6 @@ def random_zones(rng: np.random.Generator) -> tuple[Zone, ...]:
     return tuple(zones)
 
 
-def cube(rng: np.random.Generator, scene: FlightScene, count: int) -> FloatArray:
+def cube(rng: np.random.Generator, scene: Scene, count: int) -> FloatArray:
     """Candidates, some of them on faces and corners of the cube."""
     return np.clip(rng.uniform(-0.15, 1.15, (count, scene.variables)), 0.0, 1.0)

@@ -35,7 +35,7 @@ def task() -> Task:
             planning_time_s=2.0,
             scan_time_s=1.0,
             overlap_m=200.0,
-            evaluations=250,
+            evaluations=600,
         ),
         radars=(Radar(name="r", centre_nea_m=(6_500.0, 3_300.0, 0.0), range_m=900.0),),
         zones=(

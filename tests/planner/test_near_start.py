@@ -12,15 +12,14 @@ from pymavlink.dialects.v20 import all as wire
 from companion.config import load_mission
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import State
-from companion.path.certificate import bounds_text
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
-from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.request import Planned, PlanRequest
 from companion.world.near_map import NearSensor
 
 HERE_NEA_M = (-2.0, -3.0, 106.6)
 """Where two lanes cross: the nearest post is 6.1 m away (flight ds-1 of docs/sensors.md)."""
-EVALUATIONS, ATTEMPTS = 180, 4
+EVALUATIONS = 180
 AUTOPILOT = wire.MAVLink(None, srcSystem=1, srcComponent=1)
 
 
@@ -91,20 +90,9 @@ def up_after(questions: int) -> Callable[[], bool]:
     return lambda: next(asked) > questions
 
 
-def test_a_slow_computer_finds_the_leg_that_a_fast_one_finds(request_at_rest: PlanRequest) -> None:
-    """Time for two searches in each attempt; four real flights gave up so."""
-    assert isinstance(plan(request_at_rest), Planned)
-    tried, said = 0, []
-    for attempt in range(ATTEMPTS):
-        request = replace(request_at_rest, attempt=attempt, tried=tried)
-        outcome = plan(request, up_after(3))
-        if isinstance(outcome, Planned):
-            break
-        assert isinstance(outcome, NotPlanned)
-        tried += outcome.tries
-        said.append(outcome)
-    assert isinstance(outcome, Planned)
-    assert outcome.certificate.proven
-    assert said
-    assert {each.refusal for each in said} == {Refusal.OUT_OF_TIME}
-    assert any("turn radius (vehicle.turn_radius_m)" in bounds_text(e.broken) for e in said)
+def test_a_slow_computer_finds_a_leg_too(request_at_rest: PlanRequest) -> None:
+    """Time for one search or none; four real flights gave up so."""
+    for questions in (1, 2, 3, 100):
+        outcome = plan(request_at_rest, up_after(questions))
+        assert isinstance(outcome, Planned)
+        assert outcome.certificate.proven

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planning import ask as asked
 from planning import column_distance_m, spline
 
-from companion.objective.scene import FlightScene
+from companion.objective.scene import Scene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.optimise.registry import OPTIMISERS
@@ -127,11 +127,14 @@ def test_in_flight_a_plan_goes_on_with_position_tangent_and_curvature(
     assert np.linalg.norm(bend - across) <= 1e-6 * np.linalg.norm(across)
 
 
-def test_from_rest_a_plan_leaves_level_towards_the_guide(task: Task, truth: KnownMap) -> None:
+def test_from_rest_a_plan_leaves_level_about_where_the_guide_points(
+    task: Task, truth: KnownMap
+) -> None:
     outcome = planned(ask(task, truth))
     pose = outcome.subpath.pose(0.0)
     guide = [math.cos(outcome.guide_rad), math.sin(outcome.guide_rad), 0.0]
-    assert pose.tangent_nea == pytest.approx(guide)
+    assert pose.tangent_nea @ guide > math.cos(0.3)
+    assert pose.tangent_nea[2] == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.norm(pose.curvature_nea_1_m) <= 1e-9
 
 
@@ -144,7 +147,7 @@ def test_the_end_is_within_the_circle_about_p_scan_and_mostly_on_it(
     outcome = planned(ask(task, truth))
     assert not outcome.reaches_target
     end = outcome.subpath.control_nea_m[-1]
-    assert math.dist(end[:2], START[:2]) == pytest.approx(task.end_radius_m)
+    assert 0.99 * task.end_radius_m < math.dist(end[:2], START[:2]) <= task.end_radius_m + 1e-6
     assert math.dist(end[:2], FAR_TARGET) < math.dist(START[:2], FAR_TARGET) - 1_000.0
 
 
@@ -220,7 +223,7 @@ def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_foun
     for degrees in range(0, 360, 60):
         searched: dict[int, tuple[object, int]] = {}
 
-        def search(state: State, scene: FlightScene, until: int) -> None:
+        def search(state: State, scene: Scene, until: int) -> None:
             kernel.search(state, scene, until)
             searched[id(state)] = state, refined_de.spent(state)  # noqa: B023 - called in this turn
 
@@ -243,30 +246,30 @@ def walled_in(task: Task, truth: KnownMap) -> PlanRequest:
     return ask(near, replace(truth, upper_m=walls_m), from_rest=True)
 
 
-def test_what_attempts_together_search_is_what_one_with_enough_time_searches(
+def test_without_time_for_a_search_a_hovering_vehicle_goes_straight_where_there_is_a_way(
     task: Task, truth: KnownMap
 ) -> None:
-    """Each goes on where the last one ran out of time; then all is searched again, wider."""
-    whole = plan(walled_in(task, truth))
-    assert isinstance(whole, NotPlanned)
-    assert (whole.refusal, whole.untried) == (Refusal.NOTHING_SAFE, 0)
-    tried, evaluations, untried = 0, 0, whole.tries
-    for attempt in range(20):
-        request = replace(walled_in(task, truth), tried=tried, attempt=attempt)
-        part = plan(request, each(3))
-        assert isinstance(part, NotPlanned)
-        assert 0 < part.tries <= 4
-        tried, evaluations = tried + part.tries, evaluations + part.evaluations
-        untried = max(untried - part.tries, 0)
-        assert part.untried == untried
-        assert part.refusal is Refusal.OUT_OF_TIME  # not all searches of this attempt
-        if not untried:
-            break
-    assert tried >= whole.tries > 4
-    again = plan(replace(walled_in(task, truth), tried=whole.tries))
-    assert isinstance(again, NotPlanned)
-    assert again.evaluations == 2 * whole.evaluations
-    assert evaluations <= again.evaluations
+    """Three real flights gave up where a leg existed: their computers had no time to find it."""
+    request = ask(task, truth, from_rest=True)
+    north, east = truth.middles_m(0, 0, truth.upper_m.shape)
+    away_m = np.hypot(north - START[0], east - START[1])
+    bearing = np.arctan2(east - START[1], north - START[0])
+    ring = (away_m > 250.0) & (away_m < 900.0) & (np.abs(bearing + 2.0) > 0.35)
+    shut = replace(truth, upper_m=np.where(ring, 690.0, 100.0))
+    outcome = planned(replace(request, known=shut, task=with_budget(task, 60)))
+    assert outcome.certificate.proven
+    assert violations(outcome.subpath.control_nea_m, task, shut, from_rest=True) == []
+
+
+def test_in_a_ring_of_walls_nothing_is_proven_and_more_is_evaluated_with_each_attempt(
+    task: Task, truth: KnownMap
+) -> None:
+    found = [plan(replace(walled_in(task, truth), attempt=attempt)) for attempt in (0, 1)]
+    for outcome in found:
+        assert isinstance(outcome, NotPlanned)
+        assert outcome.refusal is Refusal.NOTHING_SAFE
+        assert outcome.broken
+    assert found[1].evaluations == 2 * found[0].evaluations
 
 
 def each(calls: int) -> Callable[[], bool]:
@@ -313,7 +316,7 @@ def test_the_optimiser_that_the_settings_name_searches(
             return make(*arguments)  # type: ignore[operator]
 
         monkeypatch.setitem(OPTIMISERS, each, noted)
-    chosen = planned(replace(request, task=with_budget(task, 250, optimiser=name)))
+    chosen = planned(replace(request, task=with_budget(task, 600, optimiser=name)))
     same = np.array_equal(chosen.subpath.control_nea_m, default.subpath.control_nea_m)
     assert same == (name == "refined-de")  # the default of profile `flight`
     assert set(asked) == (set() if name == "refined-de" else {name})
@@ -385,19 +388,17 @@ def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.NOTHING_SAFE
     assert "terrain clearance" in outcome.broken
-    assert outcome.evaluations > 10 * 40
+    assert outcome.evaluations == 40 * outcome.tries > 40
 
 
 def test_what_stands_flies_less_than_l_where_no_more_is_seen(task: Task, blank: KnownMap) -> None:
-    """It will stop there, and see on; in flight there would be no time for that."""
+    """It will stop there, and see on."""
     known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
     known.upper_m[28:52, 28:52] = 100.0  # 300 m around the start
     alone = replace(task, zones=(), radars=())
     short = planned(ask(alone, known))
     assert 50.0 < short.subpath.length_m < task.scan_distance_m
     assert violations(short.subpath.control_nea_m, alone, known, from_rest=True) == []
-    pose = Pose(position_nea_m=np.array(START), **heading_to(45.0))
-    assert isinstance(plan(ask(alone, known, start=pose, from_rest=False)), NotPlanned)
 
 
 def hover(north: float, east: float, altitude: float) -> dict[str, object]:
@@ -493,7 +494,7 @@ def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round(
         )
         for side in (-1, 1)
     )
-    alone = replace(task, radars=(), zones=walls)
+    alone = with_budget(replace(task, radars=(), zones=walls), 1_500)
     here = (3_000.0, 4_000.0, 320.0)
     request = ask(
         alone, level, from_rest=False, scan_nea_m=here, target_ne_m=(1_000.0, 4_000.0),

@@ -1,0 +1,114 @@
+"""What a search begins with: plausible subpaths as decision vectors of `objective.kernel`."""
+
+import math
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.objective import kernel
+from companion.objective.scene import Scene
+from companion.planner.cost_grid import Place, sampled
+
+_BENDS_RAD = (0.0, 0.3, -0.3)  # of arcs to the guide
+_ROUND_RAD = (0.9, -0.9, 2.0, -2.0, math.pi)  # about the guide: from rest in any of them
+_NEAR = 0.5  # of the circle's radius: ends where sight is short, or it is tight
+_JUST = 1.15  # times the least length
+_FIRST = 0.3  # of their range: r2 and s
+
+
+def ways_of(
+    scene: Scene,
+    route_ne_m: tuple[Place, ...],
+    cell_m: float,
+    tail_nea_m: tuple[float, float, float] | None,
+) -> list[FloatArray]:
+    """Where guidance and the leg under way lead.  -> each (N, 2), N > 0.
+
+    Along the route (with points so far apart) up to the circle; as far as it is seen to be free;
+    and by the end of the leg under way, if there is one.
+    """
+    points = sampled(np.array(route_ne_m), cell_m, 2.0 * scene.end_radius_m)
+    away = np.hypot(*(points - scene.scan_ne_m).T)
+    out = int(np.argmax(np.append(away, math.inf) > scene.end_radius_m))
+    lowest = [kernel.lattice_m(scene.surface, north, east) for north, east in points.tolist()]
+    barred = int(np.argmax(np.append(lowest, math.inf) > scene.band_amsl_m[1]))
+    ways = [points[:out], points[: min(out, barred)]]
+    if tail_nea_m is not None:
+        ways.append(np.concatenate([[tail_nea_m[:2]], points[max(out - 1, 0) : out]]))
+    return [way for way in ways if len(way)]
+
+
+def seeds_of(scene: Scene, ways_ne_m: list[FloatArray]) -> FloatArray:
+    """Subpaths along some ways, straight to the guide and in arcs.  -> (K, D).
+
+    ways_ne_m: where others have found a way, from p_prog on, each (N, 2).
+    """
+    at, (low, high) = scene.start[0], scene.band_amsl_m
+    level = (at[2] - low) / (high - low)
+    ahead = math.atan2(scene.start[1, 1], scene.start[1, 0])
+    rows = [_along(scene, ahead, way, z) for way in ways_ne_m for z in (level, _safe(scene, way))]
+    for altitude, rho, bends in (
+        (level, 1.0, _BENDS_RAD),
+        (0.0, 1.0, _BENDS_RAD),
+        (0.5, 1.0, (0.0,)),
+        (level, _NEAR, (0.0,)),
+    ):
+        ends = [(scene.guide_rad, bend) for bend in bends]
+        if scene.from_rest and altitude == level:
+            ends += [(scene.guide_rad + turn, 0.0) for turn in _ROUND_RAD]
+        elif altitude == level and rho == 1.0:
+            ends += [(ahead, 0.0), (ahead + 0.6 * _between(ahead, scene.guide_rad), 0.0)]
+        for bearing, bend in ends:
+            first = bearing if scene.from_rest else ahead
+            share = np.linspace(0.0, 1.0, scene.points)[1:, None]
+            turned = first + share * _between(first, bearing) + bend * (share < 1.0)
+            far = rho * scene.end_radius_m * share
+            steps = np.hstack([np.cos(turned), np.sin(turned)])
+            rows.append(_along(scene, ahead, at[:2] + far * steps, altitude))
+    if scene.shortest_m > 0.0:  # hardly longer than it must be, where nothing else has room
+        for bend in _BENDS_RAD:
+            steps = np.array([[math.cos(ahead + bend), math.sin(ahead + bend)]])
+            rows.append(_along(scene, ahead, at[:2] + _JUST * scene.shortest_m * steps, level))
+    return np.clip(np.array(rows), 0.0, 1.0)
+
+
+def _along(scene: Scene, ahead_rad: float, way_ne_m: FloatArray, altitude: float) -> list[float]:
+    """The variables of a subpath along a way, at a share of the band.  (N, 2) -> (D,)."""
+    start, between = scene.start[0, :2], scene.points - 4
+    steps = np.vstack([start, way_ne_m])
+    flown = np.append(0.0, np.cumsum(np.hypot(*np.diff(steps, axis=0).T)))
+    shares = np.append((np.arange(between) + 2.0) / (scene.points - 1), 1.0)
+    places = np.stack([np.interp(shares * flown[-1], flown, steps[:, i]) for i in (0, 1)], axis=-1)
+    if scene.from_rest:
+        ahead_rad = math.atan2(places[0, 1] - start[1], places[0, 0] - start[0])
+    north, east = (places[-1] - scene.scan_ne_m).tolist()
+    rho = math.hypot(north, east) / scene.end_radius_m
+    unit = min(1.1 * max(rho * scene.end_radius_m, kernel.SHORTEST_UNIT), scene.scan_range_m)
+    row = [_FIRST, _FIRST]
+    for n, e in (places[:-1] - start).tolist():
+        r = (math.hypot(n, e) / unit - kernel.SHORTEST_R) / (1.0 - kernel.SHORTEST_R)
+        row += [r, _azimuth(ahead_rad, math.atan2(e, n)), altitude]
+    row.append(altitude)
+    if scene.from_rest:
+        row.append(0.5 + 0.5 * _between(scene.guide_rad, ahead_rad) / math.pi)
+    if not scene.is_final:
+        row.append(_azimuth(ahead_rad, math.atan2(east, north)))
+        row.append((rho - kernel.SHORTEST_END) / (1.0 - kernel.SHORTEST_END))
+    return row
+
+
+def _safe(scene: Scene, way_ne_m: FloatArray) -> float:
+    """The share of the band at which all of a way is clear of terrain."""
+    low, high = scene.band_amsl_m
+    most = max(kernel.lattice_m(scene.surface, n, e) for n, e in way_ne_m.tolist())
+    return (most - low) / (high - low)
+
+
+def _azimuth(ahead_rad: float, bearing_rad: float) -> float:
+    """The search variable of a bearing."""
+    return 0.5 + 0.5 * _between(ahead_rad, bearing_rad) / kernel.SPREAD_RAD
+
+
+def _between(from_rad: float, to_rad: float) -> float:
+    """The turn from one bearing to another, at most half a turn."""
+    return (to_rad - from_rad + math.pi) % (2.0 * math.pi) - math.pi

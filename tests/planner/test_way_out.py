@@ -1,0 +1,208 @@
+"""From rest there is a leg whenever there is a way: against a flood fill that shares no code.
+
+    python tests/planner/test_way_out.py 10000 [FIRST]
+
+looks at as many places, and tells from which no leg was found.
+"""
+
+import math
+import sys
+from collections import Counter, deque
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from companion.config import load_mission
+from companion.planner.plan import plan
+from companion.planner.procedure import hover_pose
+from companion.planner.request import Planned, PlanRequest
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+
+CELL_M, HALF = 0.25, 80  # cells to each side of the vehicle
+ALTITUDE_M, GROUND_M, TOP_M = 108.0, 100.5, 126.0
+PLACES = 60
+
+
+@cache
+def mission_task(speed_m_s: float, evaluations: int) -> Task:
+    task = load_mission("posts").task
+    side = -(HALF + 0.5) * CELL_M, (HALF - 0.5) * CELL_M
+    limits = replace(
+        task.limits,
+        speed_m_s=speed_m_s,
+        turn_radius_m=min(speed_m_s**2 / 1.5, 8.0),
+        north_m=side,
+        east_m=side,
+    )
+    settings = replace(task.settings, cell_m=CELL_M, evaluations=evaluations)
+    return replace(task, limits=limits, settings=settings)
+
+
+def things(rng: np.random.Generator) -> BoolArray:
+    """What stands about the vehicle: a wood, rooms, or a dead end.  (160, 160)."""
+    size = 2 * HALF
+    north, east = np.meshgrid(*(np.arange(size) + 0.5,) * 2, indexing="ij")
+    full = np.zeros((size, size), dtype=bool)
+    kind = rng.integers(0, 3)
+    if kind == 0:
+        for _ in range(rng.integers(20, 260)):
+            n, e, radius = *rng.uniform(0, size, 2), rng.uniform(1.0, 5.0)
+            full |= np.hypot(north - n, east - e) < radius
+    elif kind == 1:
+        for _ in range(rng.integers(4, 14)):
+            at, gap, wide = rng.integers(0, size), rng.integers(0, size), rng.integers(6, 20)
+            wall = full if rng.random() < 0.5 else full.T
+            kept = wall[:, gap : gap + wide].copy()
+            wall[at : at + 2] = True
+            wall[:, gap : gap + wide] = kept
+    else:
+        depth, wide = rng.integers(12, 60), rng.integers(6, 24)
+        low, high = HALF - wide, HALF + wide
+        full[HALF - 6 : HALF + depth, low - 2 : low] = True
+        full[HALF - 6 : HALF + depth, high : high + 2] = True
+        full[HALF + depth : HALF + depth + 2, low - 2 : high + 2] = True
+        turns = int(rng.integers(0, 4))
+        full = np.rot90(full, turns).copy()
+    return full
+
+
+def seen_from(full: BoolArray, row: float, column: float) -> BoolArray:
+    """Cells that rays from a place pass before they meet something, within R."""
+    seen = np.zeros_like(full)
+    bearings = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
+    blind = np.zeros(len(bearings), dtype=bool)
+    for away in np.arange(0.0, 16.0 / CELL_M, 0.4):
+        i = np.clip((row + away * np.cos(bearings)).astype(int), 0, len(full) - 1)
+        j = np.clip((column + away * np.sin(bearings)).astype(int), 0, len(full) - 1)
+        blind |= full[i, j]
+        seen[i[~blind], j[~blind]] = True
+    return seen
+
+
+def wholly_clear(taken: BoolArray, clearance_m: float) -> BoolArray:
+    """Cells all of whose points keep the clearance from all cells that are taken."""
+    reach = math.ceil(clearance_m / CELL_M) + 1
+    size = len(taken)
+    wide = np.pad(taken, reach, constant_values=True)
+    clear = np.ones_like(taken)
+    for i in range(-reach, reach + 1):
+        for j in range(-reach, reach + 1):
+            gap = CELL_M * math.hypot(max(abs(i) - 1, 0), max(abs(j) - 1, 0))
+            if gap < clearance_m:
+                clear &= ~wide[reach + i : reach + i + size, reach + j : reach + j + size]
+    return clear
+
+
+def steps_from(free: BoolArray, begin: tuple[int, int]) -> FloatArray:
+    """Steps north, south, east or west to each free cell; infinite where none lead."""
+    steps = np.full(free.shape, math.inf)
+    steps[begin] = 0.0
+    waiting = deque([begin])
+    while waiting:
+        i, j = waiting.popleft()
+        for a, b in ((i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)):
+            inside = 0 <= a < len(free) and 0 <= b < len(free)
+            if inside and free[a, b] and math.isinf(steps[a, b]):
+                steps[a, b] = steps[i, j] + 1.0
+                waiting.append((a, b))
+    return steps
+
+
+def has_way(known: KnownMap, clearance_m: float, target: tuple[int, int]) -> bool:
+    """Whether free cells lead to where less is left to fly, or to the edge of what is seen."""
+    taken = known.upper_m > GROUND_M
+    free = wholly_clear(taken, clearance_m)
+    begin = HALF, HALF
+    if not free[begin]:
+        return False
+    steps = steps_from(free, begin)
+    hoped = wholly_clear(taken & known.seen, clearance_m)  # what is not seen is free
+    left = steps_from(hoped, target)
+    reached = np.isfinite(steps) & (steps >= 8)
+    nothing = known.upper_m == GROUND_M
+    seam = ~known.seen & ~wholly_clear(nothing, 0.1)  # what is behind a wall stays hidden
+    edge = ~wholly_clear(seam, clearance_m + 2.0 * CELL_M)
+    return bool((reached & (edge | (left < left[begin] - 8))).any())
+
+
+def place(seed: int) -> tuple[PlanRequest, bool] | None:
+    """A vehicle at rest among things, and whether there is a way; None: it cannot be there."""
+    rng = np.random.default_rng(seed)
+    full = things(rng)
+    task = mission_task(float(rng.choice([1.0, 3.0, 5.0])), int(rng.choice([60, 600])))
+    if not wholly_clear(full, task.required_clearance_m)[HALF, HALF]:
+        return None
+    seen = seen_from(full, HALF + 0.5, HALF + 0.5)
+    for _ in range(rng.integers(0, 3)):
+        row, column = rng.integers(10, 2 * HALF - 10, 2)
+        if not full[row, column]:
+            seen |= seen_from(full, row + 0.5, column + 0.5)
+    met = full & ~wholly_clear(seen, 0.1)  # next to what is free
+    corner = -(HALF + 0.5) * CELL_M
+    known = KnownMap(
+        cell_m=CELL_M,
+        north_min_m=corner,
+        east_min_m=corner,
+        upper_m=np.where(met, TOP_M, np.where(seen, GROUND_M, math.inf)),
+        seen=seen | met,
+    )
+    bearing, away = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(4.0, 18.0)
+    target = away * math.cos(bearing), away * math.sin(bearing)
+    cell = known.cell_of(*target)
+    if not wholly_clear(met, 2.0 * task.required_clearance_m)[cell]:
+        return None
+    here = (*rng.uniform(-0.1, 0.1, 2).tolist(), ALTITUDE_M)
+    request = PlanRequest(
+        plan_id=1,
+        seed=seed,
+        task=task,
+        known=known,
+        scan_nea_m=here,
+        start=hover_pose(here),
+        from_rest=True,
+        target_ne_m=target,
+    )
+    return request, has_way(known, task.required_clearance_m, cell)
+
+
+@pytest.mark.sample(4)
+@pytest.mark.parametrize("part", range(8))
+def test_from_rest_there_is_a_leg_whenever_there_is_a_way(part: int) -> None:
+    ways = 0
+    for seed in range(part * PLACES, (part + 1) * PLACES):
+        found = place(seed)
+        if found is not None and found[1]:
+            ways += 1
+            outcome = plan(found[0])
+            assert isinstance(outcome, Planned), (seed, outcome)
+            assert outcome.certificate.proven
+    assert ways > PLACES // 4
+
+
+def main(count: int, first: int) -> None:
+    """Look at many places."""
+    found: Counter[str] = Counter()
+    for seed in range(first, first + count):
+        asked = place(seed)
+        if asked is None:
+            found["no room to stand"] += 1
+            continue
+        outcome = plan(asked[0])
+        kind = "straight" if isinstance(outcome, Planned) and outcome.is_escape else "searched"
+        if not isinstance(outcome, Planned):
+            kind = outcome.refusal.name
+        if asked[1] and not isinstance(outcome, Planned):
+            sys.stdout.write(f"no leg: {seed} {kind} {outcome.broken}\n")
+        found[f"{'a way' if asked[1] else 'no way'}, {kind}"] += 1
+    sys.stdout.write(f"{dict(found)}\n")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
