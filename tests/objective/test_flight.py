@@ -183,8 +183,9 @@ def gaps_m(zones: ZoneTable, north: float, east: float) -> list[float]:
         for *middle, radius, sign in zones.circles.tolist()
     ]
     here = complex(north, east)
-    for first, end, sign in zones.polygons.tolist():
-        edges = zones.edges[int(zones.groups[int(first), 0]) : int(zones.groups[int(end) - 1, 1])]
+    for first, end, sign, *_ in zones.polygons.tolist():
+        groups = range(int(first), int(end))
+        edges = np.concatenate([zones.edges[k, : int(zones.groups[k, 4])] for k in groups])
         turns, nearest = 0.0, math.inf
         for an, ae, bn, be in edges.tolist():
             a, b = complex(an, ae) - here, complex(bn, be) - here
