@@ -15,7 +15,7 @@ from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, maximum_filter1d
+from scipy.ndimage import binary_closing
 
 from companion.entry_points import Parts
 from companion.errors import InputError
@@ -269,7 +269,6 @@ def _flown(
         return np.empty((0, 3)), False
     points = resampled(points, evenly=_CONTROL)
     altitude_m = np.clip(surface.altitude_m(*points.T), floor, ceiling)
-    altitude_m = maximum_filter1d(altitude_m, 5)  # the curve is a mean of four of its points
     altitude_m[0] = request.start.point_nea_m[2]
     return np.column_stack([points, altitude_m]), arrives
 
