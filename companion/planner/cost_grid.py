@@ -145,7 +145,7 @@ class CostGrid:
     def lines_m(self, from_ne_m: FloatArray, to_ne_m: FloatArray) -> FloatArray:
         """Costs of straight lines.  (K, 2) or (1, 2), (K, 2) -> (K,)."""
         begin, end = self.sample_of(from_ne_m), self.sample_of(to_ne_m)
-        begin = np.ascontiguousarray(np.broadcast_to(begin, end.shape))
+        begin = np.array(np.broadcast_to(begin, end.shape))  # not of another kind: compiled once
         costs: FloatArray = kernels.compiled().guidance.lines_m(self.samples, begin, end)
         return costs
 

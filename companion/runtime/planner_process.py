@@ -1,7 +1,7 @@
 """Planner process: no plan ever delays a setpoint, and one that hangs is killed.
 
 In the same process it would: numba holds the interpreter lock for seconds while it compiles, and
-scipy's Dijkstra for 0.2 s on a desktop computer, and for a second on a small one.
+what guidance and search do between their compiled parts holds it for some milliseconds each.
 
 The protocol is pickles over the child's standard input and output: requests and "enough" in,
 "ready" and answers out.  A child whose parent has died reads the end of its input, and ends.

@@ -159,11 +159,13 @@ def _blocks(known: KnownMap, size: int) -> tuple[FloatArray, BoolArray]:
     firm = known.firm
     terrain = np.where(firm, known.upper_m, 0.0)
     padding = [(0, -count % size) for count in firm.shape]
-    firm, terrain = np.pad(firm, padding), np.pad(terrain, padding)
-    count, total = np.zeros((2, firm.shape[0] // size, firm.shape[1] // size))
-    for north, east in np.ndindex(size, size):
-        count += firm[north::size, east::size]
-        total += terrain[north::size, east::size]
+
+    def sums(cells: FloatArray) -> FloatArray:
+        cells = np.pad(cells, padding)
+        strips = cells.reshape(-1, size, cells.shape[1]).sum(axis=1)
+        return np.asarray(sum(strips[:, k::size] for k in range(size)))
+
+    count, total = sums(firm.astype(np.float64)), sums(terrain)
     return total / np.maximum(count, 1.0), count >= 0.5 * size * size
 
 
