@@ -68,6 +68,10 @@ class Leg:
             rules=rules,
         )
 
+    def motion(self, task: Task) -> Envelope:
+        """How the vehicle moves on it: it may have been proven for a lower speed than V."""
+        return (self.rules or task).envelope
+
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg."""
         return max(self.subpath.length_m - task.scan_distance_m, 0.0)
@@ -83,7 +87,7 @@ class Leg:
         Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
         start at speed V, are done while it can still stop at the end.
         """
-        motion, length_m = task.envelope, self.subpath.length_m
+        motion, length_m = self.motion(task), self.subpath.length_m
         speed_m_s = motion.speed_m_s
         if self.through:
             return length_m, speed_m_s
@@ -133,7 +137,7 @@ class Leg:
         """
         if not task.settings.profile.verified:
             return True
-        motion, (at_m, speed_m_s) = task.envelope, self.leaving(task)
+        motion, (at_m, speed_m_s) = self.motion(task), self.leaving(task)
         left_m = self.subpath.length_m - at_m + _ROUNDING_M
         slows_m = max(slowing_m(motion, speed_m_s), motion.lead_m)
         return left_m >= slows_m and speed_m_s >= _SLOWEST * motion.speed_m_s
