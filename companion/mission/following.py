@@ -73,7 +73,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             leg,
             vehicle.position_step_s,
             here,
-            task.envelope,
+            leg.motion(task),
             goes_on=flight.next_leg is not None,
             until_m=None if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
@@ -109,7 +109,7 @@ def is_on_path(state: State, flight: Flight, event: Position) -> bool:
         return False
     pose, (north, east, up) = leg.subpath.pose(flight.reference.length_m), event.position_nea_m
     off = np.array((north, east, up)) - pose.position_nea_m
-    along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
+    along_m, error_m = float(off @ pose.tangent_nea), leg.motion(state.task).tube_m
     across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
     bends_m = along_m**2 / state.task.at_speed(leg.speed_m_s).limits.turn_radius_m
     return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
@@ -126,7 +126,7 @@ def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, flo
     assert leg is not None
     if not (state.task.settings.profile.verified or flight.returning):
         return 0.0, 0.0, 0.0
-    motion = state.task.at_speed(leg.speed_m_s).envelope
+    motion = leg.motion(state.task)
     allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)

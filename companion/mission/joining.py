@@ -47,7 +47,7 @@ def joined(state: State) -> Flight | None:
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
     if vehicle.traits.hovers and flight.next_leg is None:  # what it cannot brake from is offset
-        speed = min(speed, ending_m_s(state.task.envelope, leg.subpath.length_m - at_m))
+        speed = min(speed, ending_m_s(leg.motion(state.task), leg.subpath.length_m - at_m))
     circling = not vehicle.traits.hovers and off_m > limits.tracking_error_m
     flight = replace(
         flight,

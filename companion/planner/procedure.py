@@ -71,6 +71,10 @@ class Leg:
             speed_m_s=planned.speed_m_s,
         )
 
+    def motion(self, task: Task) -> Envelope:
+        """How the vehicle moves on it: it may have been proven for a lower speed than V."""
+        return (self.rules or task).at_speed(self.speed_m_s).envelope
+
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
         return max(self.subpath.length_m - task.at_speed(self.speed_m_s).scan_distance_m, 0.0)
@@ -86,8 +90,8 @@ class Leg:
         Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
         start at speed V, are done while it can still stop at the end.
         """
-        task, length_m = task.at_speed(self.speed_m_s), self.subpath.length_m
-        motion, speed_m_s = task.envelope, task.envelope.speed_m_s
+        motion, length_m = self.motion(task), self.subpath.length_m
+        task, speed_m_s = task.at_speed(self.speed_m_s), motion.speed_m_s
         if self.through:
             return length_m, speed_m_s
         least_m = task.shortest_scan_distance_m
@@ -138,7 +142,7 @@ class Leg:
         task = task.at_speed(self.speed_m_s)
         if not task.settings.profile.verified:
             return True
-        motion, (at_m, speed_m_s) = task.envelope, self.leaving(task)
+        motion, (at_m, speed_m_s) = self.motion(task), self.leaving(task)
         left_m = self.subpath.length_m - at_m + _ROUNDING_M
         slows_m = max(slowing_m(motion, speed_m_s), motion.lead_m)
         return left_m >= slows_m and speed_m_s >= _SLOWEST * motion.speed_m_s

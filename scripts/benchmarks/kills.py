@@ -97,7 +97,7 @@ class Proven:
 
 def proven(leg: Leg, task: Task, *, from_rest: bool) -> Proven:
     """What the certificate of a leg speaks of."""
-    motion, length_m = task.envelope, leg.subpath.length_m
+    motion, length_m = leg.motion(task), leg.subpath.length_m
     at_m = np.linspace(0.0, length_m, _SAMPLES)
     points = leg.subpath.points_nea_m(at_m)
     reaches = np.zeros_like(points)
@@ -203,7 +203,7 @@ class Flight:
         outside = np.full(len(where), math.inf)
         for leg in self._legs:
             from_rest = self._from_rest.get(leg.plan_id, False)
-            told = proven(leg, leg.rules or task, from_rest=from_rest)
+            told = proven(leg, task, from_rest=from_rest)
             outside = np.minimum(outside, told.outside_m(where))
         k = int(np.argmax(outside))
         leg, reference = self._legs[-1], flight.reference
