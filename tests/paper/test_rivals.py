@@ -24,7 +24,7 @@ from companion.path.proof import RESULTS
 from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, PlanRequest
 from companion.world.simulated_scan import true_map
-from companion.world.threats import CircleZone
+from companion.world.zones import CircleZone
 
 FloatArray = NDArray[np.float64]
 SIZE, SPACING_M = 161, 10.0

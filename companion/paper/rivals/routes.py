@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
+from companion.caches import compiled
 from companion.entry_points import Parts
 from companion.errors import InputError
 from companion.geodesy import BoolArray, FloatArray
@@ -170,7 +171,7 @@ def problem_of(request: PlanRequest, *, hopes: bool = True) -> RouteProblem:
     centre = (0.5 * sum(limits.north_m), 0.5 * sum(limits.east_m))
     surface = safe_surface(
         known,
-        dilated_m,
+        compiled(dilated_m),
         centre_ne_m=centre,
         reach_m=0.5 * max(high - low for low, high in sides),
         clearance_m=clear_m,
@@ -246,7 +247,7 @@ def _flown(
     range_m = task.settings.scan_range_m
     surface = safe_surface(
         known,
-        dilated_m,
+        compiled(dilated_m),
         centre_ne_m=scan_ne_m,
         reach_m=range_m,
         clearance_m=_clear_m(request),
