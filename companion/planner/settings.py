@@ -128,9 +128,10 @@ class Task:
     @property
     def stop_m(self) -> float:
         """The time for a stop, a scan and a plan from rest, as distance at cruise speed."""
-        limits, settings = self.limits, self.settings
-        time_s = limits.speed_m_s / self.envelope.braking_m_s2 + self.envelope.settling_s
-        return limits.speed_m_s * (time_s + settings.scan_time_s + settings.planning_time_s)
+        motion, settings = self.envelope, self.settings
+        time_s = 0.5 * motion.speed_m_s * (1.0 / motion.braking_m_s2 + 1.0 / motion.gaining_m_s2)
+        time_s += motion.settling_s + settings.scan_time_s + settings.planning_time_s
+        return motion.speed_m_s * time_s
 
     @cached_property
     def shortest_scan_distance_m(self) -> float:
