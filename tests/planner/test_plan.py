@@ -517,7 +517,7 @@ def test_what_a_stop_costs_is_what_is_not_flown_meanwhile(task: Task) -> None:
     """Braking for the end and setting out again as the reference point does; a scan and a plan."""
     motion, step_s = task.envelope, 1e-3
     lost_m, left_m, flown_m = 0.0, slowing_m(motion, motion.speed_m_s), 1e-6
-    while (speed := ending_m_s(motion, left_m)) > 0.2 * motion.speed_m_s:  # slower: it is there
+    while (speed := ending_m_s(motion, left_m)) > 0.1 * motion.speed_m_s:  # slower: it is there
         left_m, lost_m = left_m - speed * step_s, lost_m + (motion.speed_m_s - speed) * step_s
     while (speed := rising_m_s(motion, flown_m)) < motion.speed_m_s:
         flown_m, lost_m = flown_m + speed * step_s, lost_m + (motion.speed_m_s - speed) * step_s
