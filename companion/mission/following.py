@@ -26,6 +26,7 @@ from companion.planner.procedure import (
     is_at_end,
     longest_wait_m,
     may_leave,
+    off_disc_m,
     off_path_m,
     sent_pose,
 )
@@ -129,8 +130,9 @@ def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, flo
     motion = leg.motion(state.task)
     allowed_m = motion.tube_m
     if not state.vehicle.traits.hovers:
-        off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
-        return max(off_m - allowed_m - motion.loiter_m, 0.0), 0.0, 0.0
+        centre = leg.subpath.pose(flight.reference.length_m).point_nea_m
+        off_m = off_disc_m(centre, event.position_nea_m, motion.loiter_m)
+        return max(off_m - allowed_m, 0.0), 0.0, 0.0
     if flight.offset is not None:
         allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
     ahead = ahead_m(flight.reference, leg, here)

@@ -259,14 +259,24 @@ def sent_pose(
     return leg.subpath.pose(at_m)
 
 
+def off_disc_m(
+    centre_nea_m: tuple[float, float, float],
+    position_nea_m: tuple[float, float, float],
+    radius_m: float,
+) -> float:
+    """Distance from the level disc within a plane's circle, which is what is proven of it."""
+    flat_m = math.dist(centre_nea_m[:2], position_nea_m[:2])
+    return math.hypot(max(flat_m - radius_m, 0.0), position_nea_m[2] - centre_nea_m[2])
+
+
 def is_on_circle(
     centre_nea_m: tuple[float, float, float],
     position_nea_m: tuple[float, float, float],
     limits: Limits,
 ) -> bool:
     """Whether a plane has reached its loiter circle."""
-    most_m = limits.loiter_radius_m + _ON_CIRCLE * limits.tracking_error_m
-    return math.dist(centre_nea_m, position_nea_m) <= most_m
+    off_m = off_disc_m(centre_nea_m, position_nea_m, limits.loiter_radius_m)
+    return off_m <= _ON_CIRCLE * limits.tracking_error_m
 
 
 def may_leave(

@@ -22,6 +22,7 @@ from companion.mission.events import (
     Setpoint,
     TakeOff,
 )
+from companion.mission.following import outside_m
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
@@ -173,6 +174,25 @@ def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out
     assert not state.flight.circling
     assert state.flight.reference.length_m == 0.0  # abeam of the start, or before it
     assert state.phase is Phase.FLYING
+
+
+@PLANES
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
+    traits: VehicleTraits, sign: float
+) -> None:
+    """What is proven is the level circle about each point of the path, and not a ball."""
+    wild = Wild.calmly(traits)
+    wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    state, tube_m = wild.state, wild.mission.task.envelope.tube_m
+    assert state.flight.leg is not None
+    pose = state.flight.leg.subpath.pose(state.flight.reference.length_m)
+    north, east, up = pose.point_nea_m
+    aside_m = 0.9 * wild.mission.task.limits.loiter_radius_m
+    for share, out_m in ((0.98, 0.0), (1.02, 0.02 * tube_m)):
+        here = (north + aside_m, east, up + sign * share * tube_m)
+        event = Position(time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0))
+        assert outside_m(state, state.flight, event)[0] == pytest.approx(out_m, abs=1e-6)
 
 
 @PLANES
