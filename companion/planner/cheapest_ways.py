@@ -413,11 +413,11 @@ def aside_m(route: FloatArray, other: FloatArray) -> float:
             e = route[k, 1] + share * (route[k + 1, 1] - route[k, 1])
             for j in range(len(other) - 1):
                 dn, de = other[j + 1, 0] - other[j, 0], other[j + 1, 1] - other[j, 1]
-                un, ue = n - other[j, 0], e - other[j, 1]
-                along = (un * dn + ue * de) / max(dn * dn + de * de, 1e-12)
+                off_n, off_e = n - other[j, 0], e - other[j, 1]
+                along = (off_n * dn + off_e * de) / max(dn * dn + de * de, 1e-12)
                 along = min(max(along, 0.0), 1.0)
-                un, ue = un - along * dn, ue - along * de
-                nearest = min(nearest, un * un + ue * ue)
+                off_n, off_e = off_n - along * dn, off_e - along * de
+                nearest = min(nearest, off_n * off_n + off_e * off_e)
             farthest = max(farthest, nearest)
     return math.sqrt(farthest)
 

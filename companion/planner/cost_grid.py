@@ -84,6 +84,8 @@ class CostGrid:
     known: KnownMap
     guess: Guess
     task: Task
+    remembered: KnownMap
+    """The map that the costs are of, for comparison: a copy that nobody else changes."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -163,6 +165,7 @@ class CostGrid:
             known=known,
             guess=guess,
             task=task,
+            remembered=replace(known, upper_m=known.upper_m.copy(), seen=known.seen.copy()),
         )
         north, east = grid.samples_m
         if task.zones:
@@ -191,27 +194,32 @@ class CostGrid:
         """
         geometry, before = (
             (m.cell_m, m.north_min_m, m.east_min_m, m.registration_m, m.upper_m.shape)
-            for m in (known, self.known)
+            for m in (known, self.remembered)
         )
         if extent != self.extent or geometry != before or task != self.task:
             return None
-        box, grid = self._to_fill(known, guess), replace(self, known=known, guess=guess)
+        old = self.remembered
+        cells = _changed(old, known)
+        if cells is not None:
+            old.upper_m[cells], old.seen[cells] = known.upper_m[cells], known.seen[cells]
+            old = replace(old, given=known.given, guess_m=known.guess_m)
+        box = self._to_fill(cells, guess)
+        grid = replace(self, known=known, guess=guess, remembered=old)
         touched = np.zeros(self.shape, dtype=bool)
         if box is not None:
             grid._fill(box, touched)
         return grid, touched
 
-    def _to_fill(self, known: KnownMap, guess: Guess) -> _Box | None:
-        """The samples whose costs another map may change.  None: there are none.
+    def _to_fill(self, cells: _Box | None, guess: Guess) -> _Box | None:
+        """The samples whose costs changed cells, or another guess, may change.  None: none.
 
         What is continued from what was seen may change anywhere.
         """
         rows, columns = self.extent.count
-        cells = _changed(self.known, known)
-        if cells is None and guess.near is None and self.guess.near is None:
-            return None
-        if cells is None or not (guess.near is None and self.guess.near is None):
+        if not (guess.near is None and self.guess.near is None):
             return slice(0, rows), slice(0, columns)
+        if cells is None:
+            return None
         reach, parts = self._reach, []
         for part, first, count in zip(cells, self.extent.first, self.extent.count, strict=True):
             every = self.extent.cells

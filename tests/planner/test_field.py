@@ -286,8 +286,8 @@ def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.Mon
         at = rng.uniform(0.0, 60e3, 2)
         scanned = np.hypot(n - at[0], e - at[1]) < rng.uniform(0.0, 8e3)
         if kind < 3:
-            upper_m = np.where(scanned, rng.uniform(0.0, 5e3), known.upper_m)
-            known = replace(known, upper_m=upper_m, seen=known.seen | scanned)
+            known.upper_m[scanned] = rng.uniform(0.0, 5e3)  # even a map that is changed in place
+            known.seen[scanned] = True
         elif kind == 3:
             target = (float(at[0]), float(at[1]))
         else:
