@@ -408,8 +408,9 @@ class NearMap:
         bearing_rad = sweep.first_rad + (sectors[:, None, None] + share) * sweep.width_rad
         north = sweep.sensor_ne_m[0] - lattice.north_min_m + away_m * np.cos(bearing_rad)
         east = sweep.sensor_ne_m[1] - lattice.east_min_m + away_m * np.sin(bearing_rad)
+        shape = len(sectors), along * across
         row, column = (
-            np.floor(at / lattice.cell_m).astype(np.intp).reshape(len(sectors), -1) - part.start
+            np.floor(at / lattice.cell_m).astype(np.intp).reshape(shape) - part.start
             for at, part in zip((north, east), window, strict=True)
         )
         inner = np.abs(off_m) <= 0.5 * sweep.error_m + 1e-9
