@@ -33,6 +33,8 @@ from companion.world.rays import IntArray, Lattice
 
 _NO_GAP_RAD = 1e-6
 """What is left of a turn that sectors go all round."""
+_MOST = 255
+"""Counts of sweeps go no farther: they are bytes."""
 _NO_DRIFT_S = 1.0
 """From one second to the next `position_error_m` says how wrong the position is."""
 CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6
@@ -287,38 +289,45 @@ class NearMap:
             _, window = self.swept.popleft()
             passes, looks = self.passes[window], self.looks[window]  # views
             old = (passes > 0) & (np.abs(now_s - self.passed_s[window]) > free_for_s)
-            np.copyto(looks, 0, where=old & ~self.occupied(window))  # nor is it closed for that
-            np.copyto(passes, 0, where=old)
+            looks[old & ~self.occupied(window)] = 0  # nor is it closed for that
+            passes[old] = 0
             changed = both(changed, window)
         return changed
 
     def add(self, sweep: Sweep) -> Window:
-        """One more sweep.  -> the rows and columns that it may have changed."""
-        expired = self.expire(sweep.time_s)
-        window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
-        self.swept.append((sweep.time_s, window))
-        (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
-        looks = self.looks[window]
-        looks += looked & (looks < np.iinfo(np.uint8).max)
+        """One more sweep.  -> the rows and columns that it may have changed.
+
+        What it says of a cell        what becomes of the cell
+        passed over                   a pass more; after `sightings` of them in a row it is free
+        met (passed over or not)      occupied, and no pass is left
+        neither                       its passes are forgotten, unless it is free: it stays so
+        And then, what is occupied:
+        passed for `wiped_after_s`    free
+        long not met, and never for `standing_after_s` together: unknown
+        """
         rules, now_s = self.rules, sweep.time_s
-        passes, passed_since_s = self.passes[window], self.passed_since_s[window]  # views
+        expired = self.expire(now_s)
+        window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
+        self.swept.append((now_s, window))
+        (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
+        looks, passes = self.looks[window], self.passes[window]  # views, as all of these
+        passed_since_s, passed_s = self.passed_since_s[window], self.passed_s[window]
         met_since_s, met_s = self.met_since_s[window], self.met_s[window]
 
-        np.copyto(passed_since_s, now_s, where=passed & (passes == 0))
-        np.copyto(self.passed_s[window], now_s, where=passed)
-        passes += passed & (passes < np.iinfo(np.uint8).max)
-        np.copyto(passes, 0, where=met | ~(passed | self.free(window)))
-        np.minimum(met_since_s, now_s, out=met_since_s, where=met)
-        np.copyto(met_s, now_s, where=met)
-        self.sharp[window] |= sharp
+        looks += looked & (looks < _MOST)
+        passed_since_s[passed & (passes == 0)] = now_s
+        passed_s[passed] = now_s
+        passes += passed & (passes < _MOST)
+        passes[met | ~(passed | self.free(window))] = 0
+        met_since_s[met & (met_since_s > now_s)] = now_s
+        met_s[met] = now_s
 
         wiped = (passes >= rules.sightings) & (now_s - passed_since_s >= rules.wiped_after_s)
         moved = met_s - met_since_s < rules.standing_after_s
         gone = moved & (now_s - met_s >= rules.forgotten_after_s)
-        np.copyto(passes, 0, where=gone & ~wiped & (met_since_s < np.inf))
-        over = wiped | gone
-        np.copyto(met_since_s, np.inf, where=over)
-        self.sharp[window] &= ~over
+        passes[gone & ~wiped & self.occupied(window)] = 0
+        met_since_s[wiped | gone] = np.inf
+        self.sharp[window] = (self.sharp[window] | sharp) & ~(wiped | gone)
         return both(expired, window)
 
     def about_points(self, points_ne_m: FloatArray, reach_m: float) -> Window:
@@ -361,32 +370,29 @@ class NearMap:
         so, as long as there is another place on the arc for the thing to be.  If the only ones lie
         in the outer half of the error, sweep after sweep, it is believed to be in the middle.
         """
-        result: BoolArray = np.zeros_like(self.passes[window], dtype=bool)
-        sharp = result.copy()
-        if not result.size:
-            return result, sharp
-        height, width = result.shape[0], result.shape[1]
-        rows, columns, inner = self._arcs(sweep)  # (sectors, points)
-        row, column = rows - window[0].start, columns - window[1].start
-        inside = (row >= 0) & (row < height) & (column >= 0)
-        inside &= column < width
+        met: BoolArray = np.zeros_like(self.passes[window], dtype=bool)
+        sharp, middles = met.copy(), met.copy()
+        if not met.size:
+            return met, sharp
+        row, column, inner = self._arcs(sweep, window)  # (sectors, points)
+        inside = (row >= 0) & (row < met.shape[0]) & (column >= 0) & (column < met.shape[1])
         row, column = np.where(inside, row, 0), np.where(inside, column, 0)
         elsewhere = inside & ~self.free(window)[row, column]
         says = np.where(elsewhere.any(axis=1, keepdims=True), elsewhere, inside)
-        result[row[says], column[says]] = True
+        met[row[says], column[says]] = True
         middle = inside & inner & ~(elsewhere & inner).any(axis=1, keepdims=True)
-        echoes = np.zeros_like(result)
-        echoes[row[middle], column[middle]] = True
+        middles[row[middle], column[middle]] = True
         count = self.inside[window]
-        np.copyto(count, np.where(echoes, np.minimum(count, 254) + 1, 0), casting="unsafe")
-        result |= count >= self.rules.sightings
+        count += count < _MOST
+        count[~middles] = 0
+        met |= count >= self.rules.sightings
         echo_m = sweep.echo_m[np.isfinite(sweep.echo_m)]
         says &= (echo_m * sweep.width_rad <= self.rules.sharp_m)[:, None]
         sharp[row[says], column[says]] = True
-        return result, sharp
+        return met, sharp
 
-    def _arcs(self, sweep: Sweep) -> tuple[IntArray, IntArray, BoolArray]:
-        """Rows and columns of points close together on the arcs from which echoes have come.
+    def _arcs(self, sweep: Sweep, window: Window) -> tuple[IntArray, IntArray, BoolArray]:
+        """Rows and columns in a window of points close together on the arcs of all echoes.
 
         And which of them are in the middle half of the error.  (sectors, points) x2, (points,).
         """
@@ -402,9 +408,10 @@ class NearMap:
         bearing_rad = sweep.first_rad + (sectors[:, None, None] + share) * sweep.width_rad
         north = sweep.sensor_ne_m[0] - lattice.north_min_m + away_m * np.cos(bearing_rad)
         east = sweep.sensor_ne_m[1] - lattice.east_min_m + away_m * np.sin(bearing_rad)
+        shape = len(sectors), along * across
         row, column = (
-            np.floor(at / lattice.cell_m).astype(np.intp).reshape(len(sectors), along * across)
-            for at in (north, east)
+            np.floor(at / lattice.cell_m).astype(np.intp).reshape(shape) - part.start
+            for at, part in zip((north, east), window, strict=True)
         )
         inner = np.abs(off_m) <= 0.5 * sweep.error_m + 1e-9
         return row, column, inner.repeat(across)

@@ -32,11 +32,7 @@ class Terrain(Protocol):
         ...
 
     def highest_in_box_m(
-        self,
-        north_min: FloatArray,
-        north_max: FloatArray,
-        east_min: FloatArray,
-        east_max: FloatArray,
+        self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
     ) -> FloatArray:
         """Upper bound of the terrain in axis-aligned boxes, metres AMSL.  (...) x4 -> (...)."""
         ...
@@ -78,11 +74,7 @@ class PeakTerrain:
         return self.highest_in_box_m(north_m, north_m, east_m, east_m)
 
     def highest_in_box_m(
-        self,
-        north_min: FloatArray,
-        north_max: FloatArray,
-        east_min: FloatArray,
-        east_max: FloatArray,
+        self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
     ) -> FloatArray:
         """Highest terrain of axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
 
@@ -90,28 +82,16 @@ class PeakTerrain:
         peaks, an upper bound for their sum.  Time depends on the peaks that matter somewhere in
         the boxes: the others are left out together (of a sum, up to a nanometre that is added).
         """
-        shape = np.broadcast_shapes(np.shape(north_min), np.shape(east_min))
+        shape = np.broadcast_shapes(np.shape(south), np.shape(west))
         if 0 in shape:
             return np.empty(shape)
-        low, high = (np.min(north_min), np.min(east_min)), (np.max(north_max), np.max(east_max))
-        most = self._highest_of_each_m(low, high)
-        near, rest = self._near(most)
+        outline = np.min(south), np.max(north), np.min(west), np.max(east)
+        near, rest = self._near(_highest_of_peak_m(self._columns, *outline))
         result = np.full(shape, rest if self.sum_of_peaks and self.peaks else -np.inf)
-        for north_0, east_0, top, spread_north, spread_east in self._columns[:, near].T:
-            north = (np.clip(north_0, north_min, north_max) - north_0) / spread_north
-            east = (np.clip(east_0, east_min, east_max) - east_0) / spread_east
-            height = top * np.exp(-(north**2) - east**2)
+        for peak in self._columns[:, near].T:
+            height = _highest_of_peak_m(peak, south, north, west, east)
             result = result + height if self.sum_of_peaks else np.maximum(result, height)
         return np.maximum(result, self.ground_amsl_m)
-
-    def _highest_of_each_m(
-        self, low_ne_m: tuple[float, float], high_ne_m: tuple[float, float]
-    ) -> FloatArray:
-        """What each peak has at most in one box.  -> (peaks,)."""
-        north, east, top, spread_north, spread_east = self._columns
-        x = (np.clip(north, low_ne_m[0], high_ne_m[0]) - north) / spread_north
-        y = (np.clip(east, low_ne_m[1], high_ne_m[1]) - east) / spread_east
-        return top * np.exp(-x * x - y * y)
 
     def _near(self, most_m: FloatArray) -> tuple[IntArray, float]:
         """The peaks that count, given what each has at most, and a bound of the sum of the rest."""
@@ -122,6 +102,17 @@ class PeakTerrain:
         left_out = int(np.searchsorted(total, _NEGLIGIBLE_M, side="right"))
         rest = float(total[left_out - 1]) if left_out else 0.0
         return np.sort(rising[left_out:]), rest
+
+
+def _highest_of_peak_m(
+    peak: FloatArray, south: Any, north: Any, west: Any, east: Any
+) -> FloatArray:
+    """What a peak (or each, (5, peaks)) has at most in boxes: at their nearest points to it."""
+    north_0, east_0, top, spread_north, spread_east = peak
+    x = (np.clip(north_0, south, north) - north_0) / spread_north
+    y = (np.clip(east_0, west, east) - east_0) / spread_east
+    height: FloatArray = top * np.exp(-(x**2) - y**2)
+    return height
 
 
 @final
@@ -147,11 +138,7 @@ class GridTerrain:
         return _bilinear_m(self.heights_m, *self._nodes(np.asarray(north_m), np.asarray(east_m)))
 
     def highest_in_box_m(
-        self,
-        north_min: FloatArray,
-        north_max: FloatArray,
-        east_min: FloatArray,
-        east_max: FloatArray,
+        self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
     ) -> FloatArray:
         """Upper bound of the terrain in axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
 
@@ -160,7 +147,7 @@ class GridTerrain:
         latitude and longitude (a box at 1 degree of convergence grows by 2 %); larger ones: the
         nodes in and next to it.
         """
-        low, high = self._outlines(north_min, north_max, east_min, east_max)
+        low, high = self._outlines(south, north, west, east)
         return _highest_between_m(self.heights_m, low, high)
 
     def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -182,11 +169,7 @@ class GridTerrain:
         return (latitude - self.south_deg) / self.step_north_deg, east / self.step_east_deg
 
     def _outlines(
-        self,
-        north_min: FloatArray,
-        north_max: FloatArray,
-        east_min: FloatArray,
-        east_max: FloatArray,
+        self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
     ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """Lowest and highest fractional row and column of boxes.  (...) x4 -> 2 x (...) x2.
 
@@ -194,16 +177,10 @@ class GridTerrain:
         radius of a straight line's image, R / 2 (1 + tan(latitude)), and a millimetre.
         """
         corners = [
-            self._nodes(np.asarray(north), np.asarray(east))
-            for north in (north_min, north_max)
-            for east in (east_min, east_max)
+            self._nodes(np.asarray(n), np.asarray(e)) for n in (south, north) for e in (west, east)
         ]
-        side = float(
-            max(
-                np.max(np.subtract(north_max, north_min), initial=0.0),
-                np.max(np.subtract(east_max, east_min), initial=0.0),
-            )
-        )
+        sides = np.subtract(north, south), np.subtract(east, west)
+        side = float(max(np.max(each, initial=0.0) for each in sides))
         edge_deg = abs(self.south_deg) + self.step_north_deg * self.heights_m.shape[0]
         steep = 1.0 + math.tan(math.radians(min(edge_deg, 89.0)))
         slack_deg = math.degrees((side**2 / 4.0 * steep / _EARTH_M + 1e-3) / _EARTH_M)
@@ -239,17 +216,13 @@ class ArrayTerrain:
         return _bilinear_m(self.heights_m, *self._nodes(north_m, east_m))
 
     def highest_in_box_m(
-        self,
-        north_min: FloatArray,
-        north_max: FloatArray,
-        east_min: FloatArray,
-        east_max: FloatArray,
+        self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
     ) -> FloatArray:
         """Upper bound of the terrain in axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
 
         Exact in boxes of up to three cells; of larger ones the nodes in and next to them.
         """
-        low, high = self._nodes(north_min, east_min), self._nodes(north_max, east_max)
+        low, high = self._nodes(south, west), self._nodes(north, east)
         return _highest_between_m(self.heights_m, low, high)
 
     def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
