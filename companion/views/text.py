@@ -99,11 +99,9 @@ def _sight(mission: Mission) -> str:
         return f"There is no terrain radar: only known terrain is flown over.{known}"
     gaps = ""
     if not mission.scanner_complete:
-        bounds = (
-            "only lines of sight to ground beyond bound"
-            if mission.scanner_whole_width
-            else "nothing bounds"
-        )
+        bounds = "nothing bounds"
+        if mission.scanner_whole_width:
+            bounds = "only lines of sight to ground beyond bound"
         gaps = f" It may miss ground in its sight: {bounds} what it does not show."
     return (
         f"The radar sees {_m(settings.scan_range_m)} (R).{gaps} "
@@ -113,11 +111,9 @@ def _sight(mission: Mission) -> str:
 
 def _handover(task: Task, scans: str = "") -> str:
     """Where on a subpath the next one is planned and taken, p_scan and p_prog (`Leg.scan_at_m`)."""
-    return (
-        f"{_m(task.scan_distance_m)} (L) before the end of each subpath it {scans}plans for "
-        f"{task.settings.planning_time_s:g} s (T), and goes over to the next subpath "
-        f"{_m(task.tail_m)} before the end."
-    )
+    begins = f"{_m(task.scan_distance_m)} (L) before the end of each subpath it {scans}plans"
+    plans = f"for {task.settings.planning_time_s:g} s (T)"
+    return f"{begins} {plans}, and goes over to the next subpath {_m(task.tail_m)} before the end."
 
 
 def _near_sight(mission: Mission, sensor: NearSensor) -> str:

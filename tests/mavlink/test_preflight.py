@@ -453,7 +453,7 @@ _CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 SETUPS = {
     "as it comes": Setup({}),
     "nothing heard": Setup({}, hides("HEARTBEAT"), "vehicle", "refused", ("none was heard",)),
-    "another kind": Setup({"kind": "plane"}, NO_CHANGE, *OTHERS),
+    "another kind": Setup({"task": load_mission(NAMES["px4", "plane"]).task}, NO_CHANGE, *OTHERS),
     "another autopilot": Setup({"autopilot": "ardupilot"}, NO_CHANGE, *OTHERS),
     "parameter to be set": Setup(UNSAFE, NO_CHANGE, "COM_OBL_RC_ACT", "note"),
     "parameter refused": Setup(
