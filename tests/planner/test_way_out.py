@@ -10,6 +10,7 @@ import sys
 from collections import Counter, deque
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -184,6 +185,50 @@ def test_from_rest_there_is_a_leg_whenever_there_is_a_way(part: int) -> None:
             assert isinstance(outcome, Planned), (seed, outcome)
             assert outcome.certificate.proven
     assert ways > PLACES // 4
+
+
+REAL = ("od-5-55", "od-1-19", "ds-1-4", "ds-2-19")
+"""Flight and plan of real ArduCopter among posts: each stood in free ground and gave up there."""
+
+
+def real(name: str) -> PlanRequest:
+    """The last plan of a flight that gave up, on the map that its lidar had made."""
+    with np.load(Path(__file__).with_name("data") / "among_posts.npz") as kept:
+        cells, corner, start, target, vehicle = (
+            kept[f"{name}/{key}"]
+            for key in ("cells", "corner_m", "start_nea_m", "target_ne_m", "vehicle")
+        )
+    speed, radius, tracking, navigation, range_m = vehicle.tolist()
+    task, here = load_mission("posts").task, (float(start[0]), float(start[1]), float(start[2]))
+    limits = replace(task.limits, speed_m_s=speed, turn_radius_m=radius)
+    limits = replace(limits, tracking_error_m=tracking, navigation_error_m=navigation)
+    cell_m = range_m / 64.0
+    settings = replace(task.settings, scan_range_m=range_m, cell_m=cell_m)
+    return PlanRequest(
+        plan_id=1,
+        seed=1,
+        task=replace(task, limits=limits, settings=settings),
+        known=KnownMap(
+            cell_m=cell_m,
+            north_min_m=float(corner[0]),
+            east_min_m=float(corner[1]),
+            upper_m=np.array([math.inf, GROUND_M, TOP_M])[cells],
+            seen=cells > 0,
+        ),
+        scan_nea_m=here,
+        start=hover_pose(here),
+        from_rest=True,
+        target_ne_m=(float(target[0]), float(target[1])),
+    )
+
+
+@pytest.mark.parametrize("is_hurried", [False, True], ids=["in time", "without time"])
+@pytest.mark.parametrize("name", REAL)
+def test_where_real_flights_gave_up_there_is_a_leg(name: str, is_hurried: bool) -> None:
+    outcome = plan(real(name), lambda: is_hurried)
+    assert isinstance(outcome, Planned)
+    assert outcome.certificate.proven
+    assert outcome.subpath.length_m > 1.0
 
 
 def main(count: int, first: int) -> None:
