@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.planner.procedure import Leg, hover_pose
+from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import (
     Backtrack,
     NotPlanned,
@@ -119,6 +120,7 @@ class _Flight:
         self._task, self._known, self._left = task, blank, list(targets_ne_m)
         self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
         self._route: tuple[tuple[float, float], ...] = ()
+        self._progress = NO_PROGRESS
         self._attempt = self._holds = self._requests = 0
         self._failure: NotPlanned | None = None
         self._legs: list[Leg] = []
@@ -148,6 +150,7 @@ class _Flight:
             from_rest=self._from_rest,
             target_ne_m=self._left[0],
             route_ne_m=self._route,
+            progress=self._progress,
             rest=None if self._from_rest else self._legs[-1].rest(self._task),
             attempt=self._attempt,
         )
@@ -162,6 +165,7 @@ class _Flight:
                 self._hold_at_end()
             return
         self._failure, self._attempt, self._route = None, 0, outcome.route_ne_m
+        self._progress = outcome.progress
         if self._legs and not self._from_rest:
             self._flown_m[-1] = self._legs[-1].successor_at_m(self._task)
             if not self._fly(self._flown_m[-1], goes_on=True):
@@ -174,7 +178,7 @@ class _Flight:
         if leg.reaches_target:
             if self._fly(leg.subpath.length_m):
                 self._left.pop(0)
-                self._route = ()
+                self._route, self._progress = (), NO_PROGRESS
                 self._stop_at_m(leg.subpath.length_m)
         elif not leg.wants_successor(leg.subpath.length_m, self._task):
             self._hold_at_end()

@@ -234,6 +234,7 @@ class _Plan:
         settings = request.task.settings
         self._per_metre = settings.weights.length * PER_LENGTH / settings.scan_range_m
         self._scene = _scene(request, self._field)
+        self._progress = request.progress.at(self._promised_m(request.start.point_nea_m))
         self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
         self._is_cut = False
@@ -253,13 +254,34 @@ class _Plan:
         for speed_m_s in _speeds_m_s(request):
             if best is None or (is_near and self._excess(best) > _MUCH_DEARER):
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
-        if best is None and request.from_rest:
-            best = self._way_out()
+        if request.from_rest and (best is None or self._goes_round(best)):
+            best = self._way_out() or best
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
-        if self._is_better_to_stop(best):
+        if not request.from_rest and (self._goes_round(best) or self._is_better_to_stop(best)):
             return self._refused(Refusal.BETTER_TO_STOP)
-        return replace(best, evaluations=self._evaluations, tries=self._tries)
+        progress = self._progress.after(self._owed_m(best), self._expected_m(best))
+        return replace(
+            best, evaluations=self._evaluations, tries=self._tries, progress=progress
+        )
+
+    def _owed_m(self, planned: Planned) -> float:
+        """What the mission owes with this subpath; a straight piece of the route owes nothing."""
+        if planned.is_escape:
+            return self._progress.owed_m
+        range_m = self._request.task.settings.scan_range_m
+        return self._progress.owing(self._excess(planned) * range_m, range_m)
+
+    def _goes_round(self, planned: Planned) -> bool:
+        """Whether the mission would owe more than a stop costs."""
+        is_last = planned.reaches_target
+        return not is_last and self._owed_m(planned) > self._request.task.stop_m
+
+    def _expected_m(self, planned: Planned) -> float:
+        """What is left to fly from where the next subpath starts."""
+        leg, task = Leg.of(planned, number=1), self._request.task
+        at_m = leg.successor_at_m(task) if leg.can_be_left(task) else leg.subpath.length_m
+        return self._promised_m(leg.subpath.pose(at_m).point_nea_m)
 
     def _at_speed(self, speed_m_s: float) -> Scene:
         """The scene of a subpath that is flown no faster than this."""

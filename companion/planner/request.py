@@ -9,6 +9,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.certificate import Certificate
 from companion.path.subpath import Pose, Subpath
+from companion.planner.progress import NO_PROGRESS, Progress
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
@@ -58,6 +59,8 @@ class PlanRequest:
     target_ne_m: tuple[float, float]
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The route to the target of the last plan: not left for a small gain."""
+    progress: Progress = NO_PROGRESS
+    """As of the last plan on the way to the target."""
     rest: Rest | None = None
     """Of the current leg; None: the vehicle is at rest, or there is no leg."""
     flown: tuple[FlownSegment, ...] | None = None
@@ -101,6 +104,7 @@ class Planned:
     certificate: Certificate
     guide_rad: float
     route_ne_m: tuple[tuple[float, float], ...]
+    progress: Progress = NO_PROGRESS
     evaluations: int
     """Of all searches of the plan, as `tries`."""
     rank: int

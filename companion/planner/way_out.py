@@ -7,6 +7,7 @@ has been seen.  The leg goes straight along the way there as far as that is prov
 length allows.  It ends at rest, where the next plan sees more.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -30,6 +31,7 @@ _GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly 
 _SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
 _AFTER = 3  # places that are flown towards, one after the other, if nothing is proven to the first
 _CLIMBS = (0.0, 0.95)  # of the climb angle
+_BEARINGS, _SHARES = 24, (0.125, 0.25, 0.5, 1.0)  # of climbs, and of the height up to the ceiling
 
 Prove = Callable[[Subpath], Certificate | None]
 """Proves a straight subpath at the highest speed at which that can be done."""
@@ -41,12 +43,33 @@ def way_out(request: PlanRequest, field: CostToGo, prove: Prove) -> Subpath | No
     for climb in _CLIMBS:
         steepness = math.tan(climb * task.limits.climb_angle_rad)
         top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
-        for way in _ways(request, field, top_m):
-            for end in _ends(start, way, steepness, top_m, request.known.cell_m):
-                subpath = straight(start, end)
-                if prove(subpath) is not None:
-                    return subpath
+        ways = _ways(request, field, top_m)
+        ends = [_ends(start, way, steepness, top_m, request.known.cell_m) for way in ways]
+        if climb and ways:  # it leads up where nothing does straight on: it climbs first
+            ends.append(_all_round(start, steepness, top_m, request))
+        for end in itertools.chain(*ends):
+            subpath = straight(start, end)
+            if prove(subpath) is not None:
+                return subpath
     return None
+
+
+def _all_round(
+    start: FloatArray, steepness: float, top_m: float, request: PlanRequest
+) -> list[FloatArray]:
+    """Places higher up in all directions, the lowest first, those towards the target before."""
+    most_m = min((top_m - float(start[2])) / steepness, request.task.end_radius_m)
+    north, east = request.target_ne_m
+    ahead = math.atan2(east - start[1], north - start[0])
+    turns = sorted(np.linspace(-math.pi, math.pi, _BEARINGS, endpoint=False), key=abs)
+    result = []
+    for share in _SHARES:
+        away = share * most_m
+        if away >= request.known.cell_m:
+            for turn in turns:
+                level = away * np.array([math.cos(ahead + turn), math.sin(ahead + turn)])
+                result.append(start + np.append(level, away * steepness))
+    return result
 
 
 def straight(start_nea_m: FloatArray, end_nea_m: FloatArray) -> Subpath:
