@@ -26,6 +26,7 @@ from companion.mission.state import (
     Trigger,
 )
 from companion.planner.procedure import Leg, Reference, hover_pose
+from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import Backtrack, PlanRequest, Refusal
 from companion.planner.rules import target_refusal
 
@@ -111,6 +112,7 @@ def replan_home(state: State) -> State | None:
         way=ReplanHome(),
         target=0,
         route_ne_m=(),
+        progress=NO_PROGRESS,
         stops=0,
         failures=0,
         planning_backtrack=None,

@@ -50,6 +50,7 @@ from companion.mission.state import (
     Vehicle,
 )
 from companion.mission.stopped import fence_breached, resumed
+from companion.planner.progress import NO_PROGRESS
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
 from companion.world.zones import nearest
@@ -263,7 +264,9 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
             return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
-    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, way=Outward())
+    flight = replace(
+        state.flight, target=0, route_ne_m=(), progress=NO_PROGRESS, stops=0, way=Outward()
+    )
     search = Answered() if isinstance(flight.search, Planning) else flight.search
     flight = replace(flight, failures=0)
     flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)

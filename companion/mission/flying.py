@@ -41,6 +41,7 @@ from companion.mission.state import (
     Trigger,
 )
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
+from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m
@@ -265,6 +266,7 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         from_rest=leg is None,
         target_ne_m=state.targets_ne_m[flight.target],
         route_ne_m=flight.route_ne_m,
+        progress=flight.progress,
         rest=None if leg is None else leg.rest(task),
         attempt=flight.failures,
     )
@@ -415,6 +417,7 @@ def _accepted(state: State, planned: Planned) -> Flight:
     flight = replace(
         flight,
         route_ne_m=() if planned.reaches_target else planned.route_ne_m,
+        progress=NO_PROGRESS if planned.reaches_target else planned.progress,
         refusal=flight.refusal if flight.homeward else None,  # why it goes home
     )
     if flight.leg is not None:

@@ -13,6 +13,7 @@ from companion.mission.mission import Mission
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
+from companion.planner.progress import NO_PROGRESS, Progress
 from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -486,6 +487,8 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The route to the target of the newest plan."""
+    progress: Progress = NO_PROGRESS
+    """Towards the target, as of that plan."""
     shortfall: Reason = Reason.NO_PLAN
     """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None

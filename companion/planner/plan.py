@@ -261,9 +261,7 @@ class _Plan:
         if not request.from_rest and (self._goes_round(best) or self._is_better_to_stop(best)):
             return self._refused(Refusal.BETTER_TO_STOP)
         progress = self._progress.after(self._owed_m(best), self._expected_m(best))
-        return replace(
-            best, evaluations=self._evaluations, tries=self._tries, progress=progress
-        )
+        return replace(best, evaluations=self._evaluations, tries=self._tries, progress=progress)
 
     def _owed_m(self, planned: Planned) -> float:
         """What the mission owes with this subpath; a straight piece of the route owes nothing."""
