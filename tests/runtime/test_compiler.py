@@ -6,13 +6,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
 from companion import caches
-from companion.planner import kernels
+from companion.planner import field, kernels
 from companion.runtime import compiler
 
 
@@ -37,19 +37,24 @@ def breaks(monkeypatch: pytest.MonkeyPatch, *errors: type[Exception]) -> list[in
 
 def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     kernel, called = kernels.compiled(), set[str]()
+    monkeypatch.setattr(field, "_idle", [])
 
-    def noted(name: str) -> Any:
+    def noted(name: str, function: Any) -> Any:
         def call(*arguments: Any) -> Any:
             called.add(name)
-            return getattr(kernel, name)(*arguments)
+            return function(*arguments)
 
         return call
 
-    names = kernels.Kernel.__dataclass_fields__
-    watched = kernels.Kernel(**{name: noted(name) for name in names})
+    parts = {name: getattr(kernel, name) for name in kernels.Kernel.__dataclass_fields__}
+    guidance = vars(parts.pop("guidance"))
+    watched = kernels.Kernel(
+        **{name: noted(name, part) for name, part in parts.items()},
+        guidance=SimpleNamespace(**{name: noted(name, each) for name, each in guidance.items()}),
+    )
     monkeypatch.setattr(kernels, "compiled", lambda: watched)
     compiler.load_kernel()
-    assert called == set(names)
+    assert called == {*parts, *guidance}
 
 
 def test_a_cache_that_cannot_be_read_is_thrown_away_and_made_anew(
