@@ -22,7 +22,7 @@ _FEW = 400
 _NODES = 12
 """Chebyshev nodes a side: 0.1 mm on windows of 200 km below 70 degrees of latitude."""
 _FINE_LINES = 2
-"""Lines of a grid in a box up to which patches are cut at them: exact, at (2 + 2)^2 points a box."""
+"""Lines of a grid in a box up to which patches are cut at them: exact, at 16 points a box."""
 _EARTH_M = 6.3e6
 """Less than any radius of the earth: what bends is taken to bend more."""
 
