@@ -24,9 +24,15 @@ NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
 _ON_EDGE_M = 1e-3
+"""So near below an edge between cells a point is taken to be on it: far above rounding of positions
+(1e-9 m), far below what a map resolves."""
 _NO_LENGTH = -(2**52)
-_GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1  # radars this close count as one
-_SLACK_CELLS = 1.5  # of a sight line, for the lattice alone
+"""Millimetres that no length has: 4.5 million km below the sea."""
+_GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
+"""Radars this close, level and up, count as one: what that costs is proven as slack and as height
+(`sight_line_m`), and saves a march for each position of a moving radar."""
+_SLACK_CELLS = 1.5
+"""Of a sight line, for the lattice alone (`_hidden_bound_m`, `_line_from_one_m` say why)."""
 
 
 @final

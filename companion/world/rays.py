@@ -91,7 +91,8 @@ def all_round(cell_m: float, farthest_m: float) -> FloatArray:
 
 
 _WIDER = 1.5
-"""Strips of cells are looked at in widths that grow by this."""
+"""Strips of cells are looked at in widths that grow by this: up to half as wide again as need be,
+which only takes in more cells, for a handful of filters in all."""
 
 
 def overlooking_line_m(

@@ -11,7 +11,8 @@ from companion.world.known_map import NOT_SEEN, KnownMap, Scan
 from companion.world.rays import Rays
 from companion.world.terrain import Terrain
 
-_NEAR_CELLS = 2.0  # what is so near is always seen: no ray has a step before it
+_NEAR_CELLS = 2.0
+"""What is so near is always seen: no ray has a step before it."""
 
 
 @final
@@ -98,12 +99,12 @@ def _in_sight(
     """The cells that rise above all before them on some ray.  (rows, columns).
 
     The ground here is as high as the highest of its cell at every step of a ray, and curves away
-    as much as it may.  A cell is seen
-    if it is no lower, as the radar looks, than all that the same ray crosses before; so of a cell
-    that is not seen each ray across it has been over one that is, and that one hides it
-    (`known_map._hidden_bound_m` builds on it).  On the face of a mountain a ray may meet hardly
-    anything but such cells, or none but the first and the last.  Every wanted cell is crossed by a
-    ray: they are RAY_CELLS apart at most, and steps of a cell do not jump over one.
+    as much as it may.  A cell is seen if it is no lower, as the radar looks, than all that the same
+    ray crosses before; so of a cell that is not seen each ray across it has been over one that is,
+    and that one hides it (`known_map._hidden_bound_m` builds on it).  On the face of a mountain a
+    ray may meet hardly anything but such cells, or none but the first and the last.  Every wanted
+    cell is crossed by a ray: they are RAY_CELLS apart at most, and steps of a cell do not jump over
+    one.
     """
     rows, columns = np.nonzero(wanted)
     north, east = here.middles_m(0, 0, wanted.shape)

@@ -16,12 +16,15 @@ from companion.geodesy import FloatArray, LocalFrame
 IntArray = npt.NDArray[np.intp]
 
 _NEGLIGIBLE_M = 1e-9
+"""What all peaks that are left out of a sum may add up to; it is added."""
 _FEW = 400
 """Points that are projected one by one; more of them on a lattice are interpolated."""
 _NODES = 12
 """Chebyshev nodes a side: 0.1 mm on windows of 200 km below 70 degrees of latitude."""
 _FINE_LINES = 2
+"""Lines of a grid in a box up to which patches are cut at them: exact, at 16 points a box."""
 _EARTH_M = 6.3e6
+"""Less than any radius of the earth: what bends is taken to bend more."""
 
 
 class Terrain(Protocol):

@@ -9,7 +9,7 @@ lidar, the same map of what it has seen and the same speed.  Distances are true 
 of the way to all things there are.  Held: not arrived, nothing touched.
 
 --library: through `companion.library`, a tenth of the time (`woods_library`); also the world
-`posts`; no bendy ruler.
+`posts`; no bendy ruler; --pilot aim: the planner on trial (`woods_aim`).
 """
 
 import math
@@ -109,15 +109,15 @@ def main() -> int:
         first=1,
         jobs=2,
         world=["both", *WORLDS],
-        pilot=["all", *PILOTS],
+        pilot=["all", *PILOTS, "aim"],
         library=False,
     )
     worlds = WORLDS[:2] if options.world == "both" else (options.world,)
     pilots = PILOTS if options.pilot == "all" else (options.pilot,)
     if options.library:
-        pilots = [each for each in pilots if each != "bendy ruler"]
+        pilots = tuple(each for each in pilots if each != "bendy ruler")
     seeds = range(options.first, options.first + options.flights)
-    flies = woods_library.fly if options.library else fly
+    flies = woods_library.fly if options.library or options.pilot == "aim" else fly
     todo = [(name, pilot, seed) for name in worlds for pilot in pilots for seed in seeds]
     flights = running.in_processes(flies, todo, options.jobs, "woods", console)
     found = [future.result() for _, future in flights]

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from woods_aim import plan_aimed
 from woods_rivals import DECIDES_S, LIMIT_S, AStar
 
 from companion.config import folder_of, load_mission, load_world
@@ -44,16 +45,17 @@ def scene_of(name: str, seed: int) -> NearScene:
     )
 
 
-def fly(
-    name: str, pilot: str, seed: int, planner: Callable[[PlanRequest], PlanOutcome] = plan
-) -> dict[str, Any]:
+PILOTS: dict[str, Callable[[PlanRequest], PlanOutcome]] = {"companion": plan, "aim": plan_aimed}
+
+
+def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
     """One flight: what came of it."""
     scene = scene_of(name, seed)
     if pilot == "A*":
         seconds, way = _by_a_star(name, scene)
         told = {"seconds": seconds, "holds": None, "end": None}
     else:
-        flown: Flown = fly_in_library(name, name, scene=scene, seed=seed, planner=planner)
+        flown: Flown = fly_in_library(name, name, scene=scene, seed=seed, planner=PILOTS[pilot])
         way = flown.points_nea_m[:, :2]
         told = {
             "seconds": flown.seconds if flown.arrived else math.inf,
