@@ -401,10 +401,11 @@ def task_ahead(state: State, context: Context) -> Task:
 def _is_there(state: State, event: Position, here: Vector) -> bool:
     """Whether the vehicle holds at the commanded place, or loiters there.
 
-    No leg is planned for a plane that has not reached its circle yet.
+    No leg is planned for a plane that has not reached its circle yet, nor for a copter that is not
+    within the tube that the leg begins with.
     """
     if state.vehicle.traits.hovers:
-        return math.dist(here, event.position_nea_m) <= AT_M
+        return math.dist(here, event.position_nea_m) <= min(AT_M, state.task.envelope.tube_m)
     error_m = max(AT_M, state.task.limits.tracking_error_m)
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
     near = is_on_circle(here, event.position_nea_m, state.task.limits)

@@ -61,6 +61,7 @@ _CLIMB_SAMPLES = 200
 _TAKE_OFF_SLACK_S = 60.0
 _BEGINS_S = 5.0  # a take-off that was accepted: 5 m up by then (ardupilot.md 2; px4.md 10: 1 s)
 _CLIMBED_M = 20.0  # above home: a plane may be led from here on
+_LEAST_M = 1.0  # as near as an altitude is told, of a take-off that hardly climbs
 _LEVEL_M_S = 1.0
 
 
@@ -329,13 +330,15 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
 def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
     """Whether it is at the requested height, or at the end of the autopilot's own take-off."""
     landed, off_m = state.vehicle.landed, event.position_nea_m[2] - state.task.take_off_amsl_m
-    if guided:
-        return landed is Landed.IN_AIR and abs(off_m) < AT_M and is_at_rest(state, event)
+    home = state.vehicle.home_nea_m
+    if guided:  # of a low climb half: as it lifts off it is within AT_M of its end
+        climb_m = math.inf if home is None else state.task.take_off_amsl_m - home[2]
+        near = abs(off_m) < min(AT_M, max(0.5 * climb_m, _LEAST_M))
+        return landed is Landed.IN_AIR and near and is_at_rest(state, event)
     if landed is not Landed.IN_AIR:
         return False
     if off_m > -AT_M:
         return True
-    home = state.vehicle.home_nea_m
     risen_m = 0.0 if home is None else event.position_nea_m[2] - home[2]
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
     return level and risen_m > _CLIMBED_M and state.vehicle.mode is not Mode.OTHER

@@ -110,7 +110,7 @@ class Certificate:
     radar_m: float
     """At most so much of the curve lies within radar ranges (a cost, not a bound)."""
     detection: float
-    """At most this probability of detection (eq. 3), anywasked."""
+    """At most this probability of detection (eq. 3), anywhere."""
     pieces: int
     """How many pieces the proof took."""
     broken: tuple[str, ...]
@@ -127,7 +127,7 @@ def certify(
 ) -> Certificate:
     """Prove a subpath, its tail included, against its surroundings.
 
-    from_rest: the vehicle hovers at its start, and is the slower tasked.  A curve that is not
+    from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
     finite is never proven, and no error.
     """
     control = subpath.control_nea_m
