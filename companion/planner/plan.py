@@ -53,6 +53,7 @@ _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
 _MUCH_DEARER = 0.5  # of the cost of R: then it is planned more slowly, too
 _SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a sixteenth
+_OWED = 0.25  # of R: what excess may add up to where a stop costs less (`planner.progress`)
 _AT_TARGET_M = 1e-6
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
@@ -255,10 +256,12 @@ class _Plan:
             if best is None or (is_near and self._excess(best) > _MUCH_DEARER):
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
         if request.from_rest and (best is None or self._goes_round(best)):
-            best = self._way_out() or best
+            out = self._way_out()
+            owes = self._progress.owed_m > self._allowed_m
+            best = out if out is not None and owes else self._cheaper(out, best)
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
-        if not request.from_rest and (self._goes_round(best) or self._is_better_to_stop(best)):
+        if request.rest is not None and (self._goes_round(best) or self._is_better_to_stop(best)):
             return self._refused(Refusal.BETTER_TO_STOP)
         progress = self._progress.after(self._owed_m(best), self._expected_m(best))
         return replace(best, evaluations=self._evaluations, tries=self._tries, progress=progress)
@@ -272,8 +275,12 @@ class _Plan:
 
     def _goes_round(self, planned: Planned) -> bool:
         """Whether the mission would owe more than a stop costs."""
-        is_last = planned.reaches_target
-        return not is_last and self._owed_m(planned) > self._request.task.stop_m
+        return not planned.reaches_target and self._owed_m(planned) > self._allowed_m
+
+    @property
+    def _allowed_m(self) -> float:
+        """What may be owed: what a stop costs; where that is little, what a good look round does."""
+        return max(self._request.task.stop_m, _OWED * self._request.task.settings.scan_range_m)
 
     def _expected_m(self, planned: Planned) -> float:
         """What is left to fly from where the next subpath starts."""
@@ -386,12 +393,23 @@ class _Plan:
     def _price(self, planned: Planned) -> float:
         """The cost by which candidates of different searches are compared."""
         task, extra_m = self._request.task, 0.0
+        if planned.is_escape:
+            extra_m = self._straight_m(planned)
         if planned.speed_m_s is not None:  # the time that it takes longer, as distance at V
             slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
             extra_m += slower * planned.subpath.length_m
         if not planned.reaches_target and not Leg.of(planned, number=1).can_be_left(task):
             extra_m += task.stop_m
         return self._cost(planned) + extra_m * self._per_metre
+
+    def _straight_m(self, planned: Planned) -> float:
+        """What a straight piece and what follows costs, in metres of level flight at the floor."""
+        weights, (low, high) = self._request.task.settings.weights, self._request.task.band_amsl_m
+        begin, end = planned.subpath.control_nea_m[0], planned.subpath.control_nea_m[-1]
+        fraction = (0.5 * float(begin[2] + end[2]) - low) / (high - low)
+        per_height = weights.height / max(weights.length, 1e-3) * 100.0 / PER_LENGTH
+        left_m = self._promised_m((float(end[0]), float(end[1]), float(end[2])))
+        return planned.subpath.length_m * (1.0 + per_height * fraction) + left_m
 
     def _excess(self, planned: Planned) -> float:
         """Excess cost of a subpath and what follows over the prediction, in costs of R."""
