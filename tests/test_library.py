@@ -17,6 +17,7 @@ from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
 from companion.path.certificate import Certificate
 from companion.planner.offline import fly_offline
 from companion.planner.on_board import OnBoard
+from companion.planner.plan import plan
 from companion.planner.procedure import Leg
 from companion.profiles import PROFILES
 from companion.world.known_map import KnownMap, Scan, empty_map
@@ -141,6 +142,7 @@ def aboard(task: Task, things: list[Thing]) -> tuple[OnBoard, dict[str, Any]]:
     sensor = library.NearSensor(kind="obstacle_distance", component_id=1, range_m=16.0)
     sensor_on_board = OnBoard(sensor, NearScene(things), task, blank)
     where = {"blank": blank, "truth": blank, "start_nea_m": (0.0, 0.0, 405.5), "seed": 1}
+    where["planner"] = plan
     return sensor_on_board, {**where, "scanner": sensor_on_board.scan}
 
 

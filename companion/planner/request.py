@@ -223,7 +223,7 @@ class Backtrack:
     """For each, whether the next one continues it, to be entered at full speed."""
     reaches_start: bool
     speeds_m_s: tuple[float | None, ...] = ()
-    """The highest speed that each is proven for; None: V."""
+    """The highest speed that each is proven for; None, or none at all: V."""
 
 
 PlanOutcome = Planned | NotPlanned | Backtrack

@@ -22,7 +22,13 @@ START, TARGET = (1_000.0, 1_200.0, 500.0), (4_800.0, 2_600.0)
 @pytest.fixture(scope="module")
 def flight(task: Task, blank: KnownMap, truth: KnownMap) -> OfflineFlight:
     flight = fly_offline(
-        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3
+        task,
+        blank=blank,
+        truth=truth,
+        start_nea_m=START,
+        targets_ne_m=(TARGET,),
+        seed=3,
+        planner=plan,
     )
     assert flight.failure is None
     assert len(flight.legs) >= 3
