@@ -279,7 +279,7 @@ class _Plan:
 
     @property
     def _allowed_m(self) -> float:
-        """What may be owed: what a stop costs; where that is little, what a good look round does."""
+        """What may be owed: what a stop costs, or a little more where that is next to nothing."""
         return max(self._request.task.stop_m, _OWED * self._request.task.settings.scan_range_m)
 
     def _expected_m(self, planned: Planned) -> float:
