@@ -105,6 +105,8 @@ def cost_to_go(
     target_ne_m: Place,
     previous_route_ne_m: tuple[Place, ...] = (),
     memory: Memory | None = None,
+    *,
+    guesses: bool = True,
 ) -> CostToGo:
     """The cost to the target over what is known, and the way from here.
 
@@ -121,9 +123,13 @@ def cost_to_go(
         route: values are then exact, and ends of subpaths are not drawn to the corridor.
     memory
         Of the plans before: it makes this one faster.  None: what the last plan has left.
+    guesses
+        Whether what was seen is continued where it was not; else that is free.
     """
     mine = memory or (_idle.pop() if _idle else Memory())
-    field = _found(mine, known, task, (here_ne_m, target_ne_m), previous_route_ne_m)
+    field = _found(
+        mine, known, task, (here_ne_m, target_ne_m), previous_route_ne_m, guesses=guesses
+    )
     if memory is None and not _idle:
         _idle.append(mine)
     return field
@@ -135,10 +141,12 @@ def _found(
     task: Task,
     ends_ne_m: tuple[Place, Place],
     previous_route_ne_m: tuple[Place, ...],
+    *,
+    guesses: bool,
 ) -> CostToGo:
     """`cost_to_go`."""
     (here_ne_m, target_ne_m), range_m = ends_ne_m, task.settings.scan_range_m
-    guess = guess_of(known, here_ne_m, range_m)
+    guess = guess_of(known, here_ne_m, range_m) if guesses else Guess.nothing(known)
     cells = max(round(range_m / (2 * _CELLS_PER_RANGE * known.cell_m)), 1)
     extent, far = _extent(known, here_ne_m, cells), None
     if not extent.is_whole:

@@ -37,6 +37,7 @@ from companion.planner.cost_grid import descent_m
 from companion.planner.escape import StartViolation, escape_path, start_violation
 from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.procedure import Leg, hover_pose
+from companion.planner.progress import Progress
 from companion.planner.reachability import blocked_at
 from companion.planner.request import REACH, NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.seeds import seeds_of, ways_of
@@ -54,6 +55,7 @@ _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was p
 _MUCH_DEARER = 0.5  # of the cost of R: then it is planned more slowly, too
 _SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a sixteenth
 _OWED = 0.25  # of R: what excess may add up to where a stop costs less (`planner.progress`)
+_FEW = 0.005  # of the cells in sight: when a scan shows no more than that, nothing new was seen
 _AT_TARGET_M = 1e-6
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
@@ -228,19 +230,40 @@ class _Plan:
 
     def __init__(self, request: PlanRequest, stop: Callable[[], bool]) -> None:
         self._request, self._stop, self._kernel = request, stop, kernels.compiled()
-        here_ne_m, target_ne_m = request.scan_nea_m[:2], request.target_ne_m
-        self._field = cost_to_go(
-            request.around, request.task, here_ne_m, target_ne_m, request.route_ne_m
-        )
+        self._field = self._promises(request.progress)
         settings = request.task.settings
         self._per_metre = settings.weights.length * PER_LENGTH / settings.scan_range_m
+        start_nea_m, range_m = request.start.point_nea_m, settings.scan_range_m
+        counted = int(np.count_nonzero(request.known.seen)), self._few_cells
+        self._progress = request.progress.at(self._promised_m(start_nea_m), *counted)
+        if request.progress.believes(range_m) and not self._progress.believes(range_m):
+            self._progress = self._progress.without_guesses()
+            self._field = self._promises(self._progress)
+            self._progress = self._progress.at(self._promised_m(start_nea_m), *counted)
         self._scene = _scene(request, self._field)
-        self._progress = request.progress.at(self._promised_m(request.start.point_nea_m))
         self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
         self._is_cut = False
         """Whether time was up before all was searched."""
         self._broken: tuple[str, ...] = ()
+
+    @property
+    def _few_cells(self) -> float:
+        """So many cells of the map are few beside what a scan shows."""
+        across = self._request.task.settings.scan_range_m / self._request.known.cell_m
+        return _FEW * math.pi * across**2
+
+    def _promises(self, progress: Progress) -> CostToGo:
+        """What guidance promises; without guesses when they were wrong too often."""
+        request = self._request
+        return cost_to_go(
+            request.around,
+            request.task,
+            request.scan_nea_m[:2],
+            request.target_ne_m,
+            request.route_ne_m,
+            guesses=progress.believes(request.task.settings.scan_range_m),
+        )
 
     def outcome(self) -> Planned | NotPlanned:
         """The best subpath that is proven, or why there is none."""

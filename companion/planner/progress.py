@@ -6,13 +6,15 @@ record: there nothing is owed any more.  When more is owed than one stop costs, 
 standing it goes on by straight pieces along the route, each of which leaves less to fly
 (`planner.way_out`).
 
-So a mission ends.  While the map stays as it is: a leg that is hardly dearer than promised leaves
-less to fly by what it costs, but for `SLACK`, which is less than a leg costs; dearer ones owe; and
-more than a stop's cost is never owed in flight.  So every flight between stops comes to a record,
-and so does every row of stops, and records are apart by no less than a leg, or a cell, leaves off.
-What a scan adds to what is left raises the record by as much, and scans add something only as often
-as there are cells to see: a cell that was seen stays seen.  (Where near cells are forgotten this
-does not hold; there stops are counted, as everywhere.)
+So a mission ends.  While the map stays as it is, guidance without guesses promises the same from the
+same place each time.  A leg that is hardly dearer than promised then leaves less to fly by what it
+costs, but for `SLACK`, which is less than a leg costs; dearer ones owe, and more than a stop's cost is
+never owed in flight.  So every flight between stops comes to a record, and so does every row of
+stops, and records are apart by no less than a leg, or a cell, leaves off.  With guesses what is
+promised depends on where the vehicle is, too, so they are given up where they lead to and fro: where
+in all much more is left than was thought, though nothing new was seen.  And scans show something new
+only as often as there are cells to see.  (Where near cells are forgotten this does not hold; there
+stops are counted, as everywhere.)
 """
 
 import math
@@ -23,6 +25,13 @@ SLACK = 0.05
 """Of R: excess that a leg may have without owing it, as the lattice of guidance knows no turns.
 
 Legs are longer than this up to p_prog, as L is at most 0.6 of the circle about p_scan."""
+
+
+BELIEVED = 1.0
+"""Of R: so much more may be left than was thought, with nothing new seen, until guesses are given up.
+
+Chosen on 12 `walls` worlds (20261127) and a wall with one gap: with less, ways that were right are
+given up; counted with what scans show, too, dead ends are looked into to the end."""
 
 
 @final
@@ -37,12 +46,32 @@ class Progress:
     expected_m: float = math.inf
     """What the plan before thought to be left from where this one starts."""
 
-    def at(self, left_m: float) -> "Progress":
-        """At the start of a plan, from where so much is left by the map as it is now."""
-        learned_m = max(left_m - self.expected_m, 0.0)
-        if left_m < self.record_m + learned_m:
-            return Progress(record_m=left_m)
-        return replace(self, record_m=self.record_m + learned_m)
+    doubt_m: float = 0.0
+    """How much more was left, in all, than the plans before had thought, though nothing was seen."""
+    seen: int = 0
+    """Cells of the map that the plan before knew."""
+
+    def believes(self, range_m: float) -> bool:
+        """Whether what nobody has seen is still guessed: not where guesses lead to and fro."""
+        return self.doubt_m <= BELIEVED * range_m
+
+    def at(self, left_m: float, seen: int, few: float) -> "Progress":
+        """At the start of a plan, from where so much is left by the map as it is now.
+
+        seen: cells that are known; few: so many more say nothing new.
+        """
+        rise_m = max(left_m - self.expected_m, 0.0)
+        is_new = abs(seen - self.seen) > few
+        doubt_m = self.doubt_m + (0.0 if is_new else rise_m)
+        after = replace(self, doubt_m=doubt_m, seen=seen)
+        record_m = self.record_m + rise_m
+        if left_m < record_m:
+            return replace(after, record_m=left_m, owed_m=0.0)
+        return replace(after, record_m=record_m)
+
+    def without_guesses(self) -> "Progress":
+        """Anew, as other things are promised without them."""
+        return Progress(doubt_m=self.doubt_m, seen=self.seen)
 
     def owing(self, excess_m: float, range_m: float) -> float:
         """What is owed with one more leg that costs so much more than was promised."""

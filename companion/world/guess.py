@@ -40,6 +40,11 @@ class Guess:
     continued_m: FloatArray
     """(rows, columns) of these."""
 
+    @staticmethod
+    def nothing(known: KnownMap) -> "Guess":
+        """What was seen or told, and nothing beyond."""
+        return Guess(known=known, near=None, continued_m=np.empty((0, 0)))
+
     def at(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> FloatArray:
         """Metres AMSL, -inf where nothing is guessed.  (N,), (M,), each rising -> (N, M)."""
         known = self.known
@@ -86,7 +91,7 @@ def guess_of(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) ->
     told, unseen = part.guess_m, ~part.firm
     is_told = told is not None and not (np.isnan(told.min()) and np.isnan(told[unseen]).any())
     if is_told or not unseen.any() or unseen.all():
-        return Guess(known=known, near=None, continued_m=np.empty((0, 0)))
+        return Guess.nothing(known)
     return Guess(known=known, near=near, continued_m=continued_m(part, range_m, here_ne_m))
 
 
