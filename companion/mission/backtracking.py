@@ -60,6 +60,7 @@ def on_backtrack_plan(state: State, event: PlanReady) -> Backtracking | None:
     if not isinstance(outcome, Backtrack) or not outcome.subpaths:
         return None
     last = len(outcome.subpaths) - 1
+    speeds_m_s = outcome.speeds_m_s or (None,) * len(outcome.subpaths)
     legs = tuple(
         Leg(
             number=number + 1,
@@ -71,7 +72,7 @@ def on_backtrack_plan(state: State, event: PlanReady) -> Backtracking | None:
             speed_m_s=speed_m_s,
         )
         for number, (subpath, through, speed_m_s) in enumerate(
-            zip(outcome.subpaths, outcome.through, outcome.speeds_m_s, strict=True)
+            zip(outcome.subpaths, outcome.through, speeds_m_s, strict=True)
         )
     )
     return Backtracking(legs)
