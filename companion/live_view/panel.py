@@ -17,13 +17,14 @@ from companion.live_view.recording import (
     Recording,
 )
 from companion.mission.state import Phase
+from companion.objective.scene import TERMS
 from companion.telemetry.export.flight import Decided
 from companion.telemetry.export.shapes import Chords
 from companion.views.words import clock_text, metres, metres_at_least
 
 _CHART_POINTS: Final = 600
 _DOWN: Final = (Phase.LANDING.value, Phase.DONE.value)
-_BARS: Final = ("length", "height", "guide", "crash", "radar", "constraints")
+_BARS: Final = TERMS[:-1]
 _SOUND, _ALARM = "#00705a", "#b3261e"
 _STYLE: Final = (
     "<style>.fl{font:13px/1.45 system-ui,sans-serif;padding:2px 8px 6px}"

@@ -20,7 +20,7 @@ SHORTEST_R2, LONGEST_R2 = 0.02, 0.3
 SHORTEST_S, LONGEST_S = 0.02, 0.6
 SHORTEST_R, LONGEST_R = 0.15, 1.0
 SHORTEST_UNIT = 1e-3  # of R
-SHORTEST_END = 0.05  # of the circle's radius
+SHORTEST_END = 0.2  # of the circle's radius
 # What the terms are scaled by, so that each comes to about 100 where it ought not to be.
 PER_SAMPLE = 10.0  # sums over samples are scaled to the paper's ten
 PER_LENGTH = 100.0 / 2.4  # per R of length (paper 2.6: 100 for a control polygon of 2.4 R)

@@ -275,8 +275,9 @@ class _Plan:
         if closed is not None:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
         best: Planned | None = None
+        is_slow_better = is_near and request.from_rest  # than a long way round
         for speed_m_s in _speeds_m_s(request):
-            if best is None or (is_near and self._excess(best) > _MUCH_DEARER):
+            if best is None or (is_slow_better and self._excess(best) > _MUCH_DEARER):
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
         if request.from_rest and (best is None or self._goes_round(best)):
             out = self._way_out()
@@ -372,13 +373,11 @@ class _Plan:
         """The cheapest subpath, until one costs hardly more than was hoped or time is up.
 
         Where none is proven, what breaks a bound counts more, so that it is not traded for way;
-        and at last a subpath may end before a target that is in sight.
+        and at last a subpath need not end at a target that is in sight.
         """
         scenes = [(scene, _DEARER), (_strict(scene), math.inf)]
         if scene.is_final:
-            radius_m = _before_target_m(self._request)
-            scene = _strict(scene)._replace(is_final=False, end_radius_m=radius_m)
-            scenes.append((scene, math.inf))
+            scenes.append((_past_target(_strict(scene)), math.inf))
         best: Planned | None = None
         for each, enough in scenes:
             for points in _POINTS:
@@ -592,18 +591,23 @@ def _end(request: PlanRequest) -> tuple[bool, float]:
     reach, left = request.task.end_radius_m, _left_m(request)
     if left <= reach and request.known.is_known(*request.target_ne_m):
         return True, reach
-    return False, min(reach, max(_before_target_m(request), 0.5 * reach))
-
-
-def _before_target_m(request: PlanRequest) -> float:
-    """The radius of a circle so small that there is room to turn between it and the target."""
-    left = _left_m(request)
-    return max(left - _ROOM * request.task.end_radius_m, _ROOM * left)
+    return False, min(reach, max(left - _ROOM * reach, 0.5 * reach))
 
 
 def _left_m(request: PlanRequest) -> float:
     """From p_scan to the target."""
     return math.dist(request.scan_nea_m[:2], request.target_ne_m)
+
+
+def _past_target(scene: Scene) -> Scene:
+    """The scene of a subpath that does not end at a target within reach, though it could.
+
+    Its end leaves room to turn to the target, or to climb: nearer than that it has to go away
+    first.
+    """
+    room_m, to_go = _ROOM * scene.end_radius_m, scene.to_go
+    away_m = np.where(to_go.vertex_m < room_m, 2.0 * room_m - to_go.vertex_m, to_go.vertex_m)
+    return scene._replace(is_final=False, to_go=to_go._replace(vertex_m=away_m))
 
 
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:

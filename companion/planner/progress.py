@@ -6,15 +6,15 @@ record: there nothing is owed any more.  When more is owed than one stop costs, 
 standing it goes on by straight pieces along the route, each of which leaves less to fly
 (`planner.way_out`).
 
-So a mission ends.  While the map stays as it is, guidance without guesses promises the same from the
-same place each time.  A leg that is hardly dearer than promised then leaves less to fly by what it
-costs, but for `SLACK`, which is less than a leg costs; dearer ones owe, and more than a stop's cost is
-never owed in flight.  So every flight between stops comes to a record, and so does every row of
-stops, and records are apart by no less than a leg, or a cell, leaves off.  With guesses what is
-promised depends on where the vehicle is, too, so they are given up where they lead to and fro: where
-in all much more is left than was thought, though nothing new was seen.  And scans show something new
-only as often as there are cells to see.  (Where near cells are forgotten this does not hold; there
-stops are counted, as everywhere.)
+So a mission ends.  While the map stays as it is, guidance without guesses promises the same from
+the same place each time.  A leg that is hardly dearer than promised then leaves less to fly by
+what it costs, but for `SLACK`, which is less than a leg costs; dearer ones owe, and more than a
+stop's cost is never owed in flight.  So every flight between stops comes to a record, and so does
+every row of stops, and records are apart by no less than a leg, or a cell, leaves off.  With
+guesses what is promised depends on where the vehicle is, too, so they are given up where they
+lead to and fro: where in all much more is left than was thought, though nothing new was seen.
+And scans show something new only as often as there are cells to see.  (Where near cells are
+forgotten this does not hold; there stops are counted, as everywhere.)
 """
 
 import math
@@ -28,7 +28,7 @@ Legs are longer than this up to p_prog, as L is at most 0.6 of the circle about 
 
 
 BELIEVED = 1.0
-"""Of R: so much more may be left than was thought, with nothing new seen, until guesses are given up.
+"""Of R: how much more may be left than was thought, with nothing new seen, before guesses go.
 
 Chosen on 12 `walls` worlds (20261127) and a wall with one gap: with less, ways that were right are
 given up; counted with what scans show, too, dead ends are looked into to the end."""
@@ -47,7 +47,7 @@ class Progress:
     """What the plan before thought to be left from where this one starts."""
 
     doubt_m: float = 0.0
-    """How much more was left, in all, than the plans before had thought, though nothing was seen."""
+    """How much more was left, in all, than plans had thought, though nothing new was seen."""
     seen: int = 0
     """Cells of the map that the plan before knew."""
 

@@ -54,9 +54,9 @@ def seeds_of(scene: Scene, ways_ne_m: list[FloatArray]) -> FloatArray:
         (level, _NEAR, (0.0,)),
     ):
         ends = [(scene.guide_rad, bend) for bend in bends]
-        if scene.from_rest and altitude == level:
+        if scene.from_rest and rho < 1.0:
             ends += [(scene.guide_rad + turn, 0.0) for turn in _ROUND_RAD]
-        elif altitude == level and rho == 1.0:
+        elif not scene.from_rest and altitude == level and rho == 1.0:
             ends += [(ahead, 0.0), (ahead + 0.6 * _between(ahead, scene.guide_rad), 0.0)]
         for bearing, bend in ends:
             first = bearing if scene.from_rest else ahead

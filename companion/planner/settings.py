@@ -49,7 +49,7 @@ class PlannerSettings:
     """Time between two positions of the vehicle."""
     overlap_m: NotNegative = 2000.0
     """d_overlap."""
-    evaluations: Annotated[int, Ge(60), Le(200_000)] = 3000
+    evaluations: Annotated[int, Ge(60), Le(200_000)] = 1500
     """Candidates evaluated for one subpath."""
     profile: Profile = FLIGHT
     weights: Weights = field(default_factory=Weights)

@@ -134,7 +134,7 @@ def test_from_rest_a_plan_leaves_level_about_where_the_guide_points(
     outcome = planned(ask(task, truth))
     pose = outcome.subpath.pose(0.0)
     guide = [math.cos(outcome.guide_rad), math.sin(outcome.guide_rad), 0.0]
-    assert pose.tangent_nea @ guide > math.cos(0.3)
+    assert pose.tangent_nea @ guide > math.cos(0.6)
     assert pose.tangent_nea[2] == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.norm(pose.curvature_nea_1_m) <= 1e-9
 
@@ -247,7 +247,7 @@ def walled_in(task: Task, truth: KnownMap) -> PlanRequest:
     return ask(near, replace(truth, upper_m=walls_m), from_rest=True)
 
 
-def test_without_time_for_a_search_a_hovering_vehicle_goes_straight_where_there_is_a_way(
+def test_with_hardly_any_search_a_hovering_vehicle_finds_the_gap_in_a_wall(
     task: Task, truth: KnownMap
 ) -> None:
     """Three real flights gave up where a leg existed: their computers had no time to find it."""
@@ -259,7 +259,8 @@ def test_without_time_for_a_search_a_hovering_vehicle_goes_straight_where_there_
     shut = replace(truth, upper_m=np.where(ring, 690.0, 100.0))
     outcome = planned(replace(request, known=shut, task=with_budget(task, 60)))
     assert outcome.certificate.proven
-    assert violations(outcome.subpath.control_nea_m, task, shut, from_rest=True) == []
+    slower = task.at_speed(outcome.speed_m_s)
+    assert violations(outcome.subpath.control_nea_m, slower, shut, from_rest=True) == []
 
 
 def test_in_a_ring_of_walls_nothing_is_proven_and_more_is_evaluated_with_each_attempt(
