@@ -1,4 +1,4 @@
-"""A planner on trial: where to fly and what to prove are two things (FASTER, decision 0029).
+"""A planner on trial: where to fly and what to prove are two things (FASTER, decision 0030).
 
 Among near things sight ends at the next tree, and a subpath that must end in sight leads to where
 one sees far, not to where the route goes.  So the subpath is searched as if what nobody has seen

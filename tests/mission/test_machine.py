@@ -145,7 +145,7 @@ def test_a_mission_step_by_step() -> None:
     assert isinstance(said, StatusText)
     [first] = take(position(10.7, hover))
     assert isinstance(first, Setpoint)
-    gained_m_s = 0.2 * MISSION.task.envelope.gaining_m_s2
+    gained_m_s = 0.1 * MISSION.task.envelope.gaining_m_s2
     assert math.hypot(*first.velocity_nea_m_s) == pytest.approx(gained_m_s)
 
 
