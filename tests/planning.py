@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from companion.mavlink.autopilots import named
 from companion.path.limits import Limits
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
@@ -17,6 +18,8 @@ from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.zones import CircleZone, Zone
+
+ARDUCOPTER = named("ardupilot", "copter").traits.handling
 
 FloatArray = NDArray[np.float64]
 

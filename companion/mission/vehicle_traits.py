@@ -8,6 +8,7 @@ import enum
 from dataclasses import dataclass
 from typing import Final, final
 
+from companion.path.envelope import COPTER, Handling
 from companion.path.limits import VehicleKind
 
 
@@ -29,6 +30,8 @@ class VehicleTraits:
     kind: VehicleKind
     """What flies: a copter hovers, a plane holds by loitering."""
     take_off: TakeoffSequence
+    handling: Handling = COPTER
+    """How it flies a stream of setpoints."""
     lead_s: float = 0.0
     """How far ahead of the reference point the setpoint lies."""
     turn_lag_s2: float = 0.0

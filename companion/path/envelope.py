@@ -37,27 +37,15 @@ class Handling:
     """How far it is beside a bent path, metres for each m/s2 across."""
 
 
-ARDUCOPTER = Handling(
-    name="ArduCopter", eased=0.7, settling_s=0.6, lag_s=0.0, steady_m=0.1, turning_s2=0.3
+COPTER = Handling(
+    name="copter", eased=0.5, settling_s=1.0, lag_s=0.4, steady_m=0.2, turning_s2=0.85
 )
-"""turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by; the
-others: `scripts/bench kills`."""
-PX4_MULTICOPTER = Handling(
-    name="PX4 multicopter", eased=0.5, settling_s=1.0, lag_s=0.4, steady_m=0.2, turning_s2=0.85
-)
-"""turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it
-is up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
+"""Where the autopilot is not known, the widest: as a PX4 multicopter is flown.
+
+turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it is
+up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
 PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, lag_s=0.0, steady_m=0.0, turning_s2=0.0)
 """Its circle is proven about each point of the path, and its tracking is the mission's."""
-COPTER = PX4_MULTICOPTER
-"""Where the autopilot is not known: the wider one."""
-
-
-def handling_of(autopilot: str | None, kind: str) -> Handling:
-    """That of a mission's vehicle; None: the autopilot is not known in advance."""
-    if kind == "plane":
-        return PLANE
-    return ARDUCOPTER if autopilot == "ardupilot" else COPTER
 
 
 class Envelope(NamedTuple):
