@@ -14,6 +14,10 @@ from typing import NamedTuple, final
 
 from companion.path.limits import Limits
 
+_LAG_S = (
+    1.0  # of flight at full speed: behind a point that gains speed a copter is up to 0.6 s late
+)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +71,8 @@ class Envelope(NamedTuple):
     """The reference point takes no turn harder, so that the vehicle stays in its tube."""
     tube_m: float
     """How far the vehicle may be from where it was told to be: across the path and past its end."""
+    lag_m: float
+    """How far behind the reference point it may be: the point waits for it when it is farther."""
     navigation_m: float
     """How wrong its position may be."""
     lead_m: float
@@ -97,6 +103,7 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
         climb_rate_m_s=float(limits.climb_rate_m_s),
         lateral_m_s2=lateral,
         tube_m=float(tube_m),
+        lag_m=float(max(_LAG_S * limits.speed_m_s, 2.0 * tube_m)),
         navigation_m=float(limits.navigation_error_m),
         lead_m=0.0 if hovers else limits.speed_m_s * limits.lead_s,
         loiter_m=float(limits.loiter_radius_m),
@@ -121,9 +128,12 @@ def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
 
 def ending_m_s(it: Envelope, left_m: float) -> float:
     """The fastest that the reference point is so far before the end of a leg, where it stops."""
-    eased = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
-    dead_man = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
-    return min(it.speed_m_s, min(eased, dead_man))
+    speed = it.speed_m_s
+    for room_m, delay_s in ((left_m, it.settling_s), (left_m + it.overrun_m, it.dead_man_s)):
+        delay = it.braking_m_s2 * delay_s  # as in `slowed_m_s`: it is asked for with each position
+        eased = math.sqrt(delay * delay + 2.0 * it.braking_m_s2 * max(room_m, 0.0)) - delay
+        speed = min(speed, eased)
+    return speed
 
 
 def rising_m_s(it: Envelope, flown_m: float) -> float:
