@@ -9,7 +9,7 @@ lidar, the same map of what it has seen and the same speed.  Distances are true 
 of the way to all things there are.  Held: not arrived, nothing touched.
 
 --library: through `companion.library`, a tenth of the time (`woods_library`); also the world
-`posts`; no bendy ruler; --pilot aim: the planner on trial (`woods_aim`).
+`posts`; no bendy ruler.
 """
 
 import math
@@ -109,7 +109,7 @@ def main() -> int:
         first=1,
         jobs=2,
         world=["both", *WORLDS],
-        pilot=["all", *PILOTS, "aim"],
+        pilot=["all", *PILOTS],
         library=False,
     )
     worlds = WORLDS[:2] if options.world == "both" else (options.world,)
@@ -117,21 +117,11 @@ def main() -> int:
     if options.library:
         pilots = tuple(each for each in pilots if each != "bendy ruler")
     seeds = range(options.first, options.first + options.flights)
-    flies = woods_library.fly if options.library or options.pilot == "aim" else fly
+    flies = woods_library.fly if options.library else fly
     todo = [(name, pilot, seed) for name in worlds for pilot in pilots for seed in seeds]
     flights = running.in_processes(flies, todo, options.jobs, "woods", console)
     found = [future.result() for _, future in flights]
-    headings = (
-        "arrived",
-        "held",
-        "touched",
-        "least m",
-        "flown / straight",
-        "m/s",
-        "s",
-        "holds",
-        "why",
-    )
+    headings = "arrived, held, touched, least m, flown / straight, m/s, s, holds, why".split(", ")
     table = running.figures("Among near things", "", *headings)
     bars = []
     for name, pilot in product(worlds, pilots):

@@ -5,18 +5,15 @@ than the mission's acceleration, by the same sensor and map.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from woods_aim import plan_aimed
 from woods_rivals import DECIDES_S, LIMIT_S, AStar
 
 from companion.config import folder_of, load_mission, load_world
-from companion.library import Flown, NearScene, PlanOutcome, PlanRequest, Thing
+from companion.library import Flown, NearScene, Thing
 from companion.library import fly as fly_in_library
 from companion.planner.on_board import OnBoard
-from companion.planner.plan import plan
 from vehicle_sim.world import read_world
 
 _AT_M = 1.0
@@ -34,18 +31,11 @@ def scene_of(name: str, seed: int) -> NearScene:
     seen = [thing for thing in things if thing.visible and thing.top_amsl_m > floor_m]
     return NearScene(
         [
-            Thing(
-                corners_ne_m=np.array(thing.corners_ne_m, float).tolist(),
-                half_width_m=thing.half_width_m,
-                closed=thing.closed,
-            )
-            for thing in seen
+            Thing(np.array(each.corners_ne_m, float).tolist(), each.half_width_m, each.closed)
+            for each in seen
         ],
         rate_hz=1.0 / _STEP_S,
     )
-
-
-PILOTS: dict[str, Callable[[PlanRequest], PlanOutcome]] = {"companion": plan, "aim": plan_aimed}
 
 
 def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
@@ -55,7 +45,7 @@ def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
         seconds, way = _by_a_star(name, scene)
         told = {"seconds": seconds, "holds": None, "end": None}
     else:
-        flown: Flown = fly_in_library(name, name, scene=scene, seed=seed, planner=PILOTS[pilot])
+        flown: Flown = fly_in_library(name, name, scene=scene, seed=seed)
         way = flown.points_nea_m[:, :2]
         told = {
             "seconds": flown.seconds if flown.arrived else math.inf,
