@@ -29,12 +29,7 @@ from brute_force import (
     truth,
 )
 
-from companion.path.certificate import (
-    Certificate,
-    Prover,
-    certify,
-    cubics_of,
-)
+from companion.path.certificate import Certificate, Prover, certify, cubics_of
 from companion.path.proof import prove
 from companion.path.subpath import Subpath
 from companion.planner import kernels
@@ -171,7 +166,7 @@ def measure(case: Case, prover: Prover, tally: Tally) -> None:
 def seconds_each(prover: Prover, rounds: int) -> list[float]:
     """Time of certificates of subpaths of 20 km amid the 20 obstacles of `speed`."""
     rng, asked = np.random.default_rng(5), request(0)
-    here, taken = planning._surroundings(asked), []
+    here, taken = planning._surroundings(asked, asked.task.limits.speed_m_s), []
     for _ in range(50):
         subpath, best = Subpath(control_nea_m=gentle(rng, asked.scan_nea_m)), np.inf
         for _ in range(rounds):

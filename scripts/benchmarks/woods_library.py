@@ -31,7 +31,9 @@ def scene_of(name: str, seed: int) -> NearScene:
     seen = [thing for thing in things if thing.visible and thing.top_amsl_m > floor_m]
     return NearScene(
         [
-            Thing(np.array(each.corners_ne_m, float).tolist(), each.half_width_m, each.closed)
+            Thing(
+                corners_ne_m=each.corners_ne_m, half_width_m=each.half_width_m, closed=each.closed
+            )
             for each in seen
         ],
         rate_hz=1.0 / _STEP_S,
