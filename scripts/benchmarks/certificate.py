@@ -29,7 +29,7 @@ from brute_force import (
     truth,
 )
 
-from companion.path.certificate import Certificate, Prover, certify, cubics_of
+from companion.path.certificate import Certificate, Prover, certify
 from companion.path.proof import prove
 from companion.path.subpath import Subpath
 from companion.planner import kernels
@@ -188,19 +188,6 @@ def gentle(rng: np.random.Generator, start_nea_m: tuple[float, float, float]) ->
     return np.array(control)
 
 
-def largest_difference(one: Prover, other: Prover, cases: int) -> float:
-    """Between the numbers of two provers, relative (absolute below 1)."""
-    worst = 0.0
-    for k in range(cases):
-        case = random_case(np.random.default_rng([3, k]))
-        cubics, here = cubics_of(case.control_nea_m), case.surroundings()
-        a, b = one(cubics, here, case.from_rest), other(cubics, here, case.from_rest)
-        known = np.isfinite(a) | np.isfinite(b)
-        apart = np.abs(a[known] - b[known]) / np.maximum(np.abs(a[known]), 1.0)
-        worst = max(worst, float(apart.max()))
-    return worst
-
-
 def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
     """The record."""
     reasons: dict[str, int] = {}
@@ -233,7 +220,6 @@ def main() -> int:
             print(f"{tally.cases} cases: {rows(tally, {})}", flush=True)
     times = {"plain": seconds_each(prove, 1), "compiled": seconds_each(fast, 20)}
     table = rows(tally, times)
-    table["compiled and plain apart by"] = largest_difference(fast, prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
     rejected = 100.0 * len(tally.safe_rejected) / max(tally.safe, 1)

@@ -280,10 +280,9 @@ def bars_of(figures: dict[tuple[str, int], Figures], objective: str) -> Iterator
         yield running.least(what, ours[budget], bar)
     rivals = {name for name, _ in percent} - {OURS} if objective == "flight" else set()
     for budget, value in ours.items() if rivals else ():
-        best, most = max(
-            ((name, percent[name, budget]) for name in rivals), key=lambda each: each[1]
-        )
-        yield running.most(f"search, {budget:,}: points behind {best}", most - value, 0.0)
+        best = max(rivals, key=lambda name, budget=budget: percent[name, budget])
+        behind = percent[best, budget] - value
+        yield running.most(f"search, {budget:,}: points behind {best}", behind, 0.0)
 
 
 def search_long(
