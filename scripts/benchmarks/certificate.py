@@ -20,6 +20,7 @@ from brute_force import (
     Case,
     FloatArray,
     Truth,
+    broken_by,
     curve,
     random_case,
     stretches_nea_m,
@@ -34,9 +35,6 @@ from companion.path.proof import prove
 from companion.path.subpath import Subpath
 from companion.planner import kernels
 from companion.planner import plan as planning
-
-_AT_MOST = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
-_AT_LEAST = ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "lowest_amsl_m")
 
 
 @dataclass
@@ -54,12 +52,7 @@ class Tally:
 
 def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
     """The numbers of a certificate that the truth breaks."""
-    wrong = [
-        name for name in _AT_LEAST if getattr(told, name) > getattr(real, name) * (1 + 1e-9) + 2e-6
-    ]
-    wrong += [name for name in _AT_MOST if getattr(told, name) < getattr(real, name) - 2e-6]
-    if told.radar_m < real.radar_m - 0.002 * real.length_m:
-        wrong.append("radar_m")
+    wrong = broken_by(told, real)
     if told.proven and not keeps(case, real, 0.0, 0.0, -2e-6):
         wrong.append("proven")
     if case.peaks is not None and told.proven:
