@@ -140,33 +140,24 @@ class KilledFlight(Flight):
     def is_over(self) -> bool:
         return self.phase in (Phase.ARRIVED, *OVER) or self.now_s > _LIMIT_S
 
-    def may_be_killed(self) -> bool:
-        """Whether it flies a leg."""
-        return self.phase is Phase.FLYING and self.session.state.flight.leg is not None
-
     def killed(self) -> dict[str, Any]:
         """What comes of it in a copy without a companion."""
         read, write = os.pipe()
-        child = os.fork()
-        if child == 0:
+        if (child := os.fork()) == 0:
             try:
-                os.close(read)
-                with os.fdopen(write, "wb") as pipe:
-                    pickle.dump(self._flies_on(), pipe)
+                os.write(write, pickle.dumps(self._flies_on()))
             finally:
                 os._exit(0)
         os.close(write)
-        with os.fdopen(read, "rb") as pipe:
-            told = pipe.read()
         os.waitpid(child, 0)
-        found: dict[str, Any] = pickle.loads(told)
+        found: dict[str, Any] = pickle.loads(os.read(read, 65_536))
+        os.close(read)
         return found
 
     def _flies_on(self) -> dict[str, Any]:
         """Without a companion, and how far that leads out of what was proven."""
         simulation, task = self.simulation, self.mission.task
         hovers, began_us = task.limits.hovers, simulation.now_us
-        flight = self.session.state.flight
         simulation._lidars, simulation._scanner = [], None
         track, stood_s = [simulation._place_nea_m()], 0.0
         begin_m_s, limits = self.speed_m_s, task.limits
@@ -185,27 +176,14 @@ class KilledFlight(Flight):
             from_rest = self._from_rest.get(leg.plan_id, False)
             told = proven(leg, task, from_rest=from_rest)
             outside = np.minimum(outside, told.outside_m(where))
-        k = int(np.argmax(outside))
-        leg, reference = self._legs[-1], flight.reference
+        leg, reference = self._legs[-1], self.session.state.flight.reference
         return {
             "at_s": self.now_s,
-            "outside_m": float(outside[k]),
-            "estimate_m": self._estimate_m(where[0]),
-            "at_once_m": float(outside[0]),
+            "outside_m": float(outside.max()),
             "speed_m_s": begin_m_s,
-            "reference_m_s": reference.speed_m_s,
-            "at_m": reference.length_m,
             "left_m": leg.subpath.length_m - reference.length_m,
-            "flown_m": float(np.linalg.norm(where[-1] - where[0])),
-            "aside": flight.offset is not None,
-            "stops": flight.stop is not None,
             "stands": stood_s > _STANDS_FOR_S,
         }
-
-    def _estimate_m(self, truly_nea_m: FloatArray) -> float:
-        """How wrong the position is that the companion was told last."""
-        told = self.session.state.vehicle.position_nea_m
-        return math.nan if told is None else math.dist(told, truly_nea_m.tolist())
 
 
 def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
@@ -244,7 +222,8 @@ def kills(scale: str, autopilot: str, seed: int) -> Iterator[dict[str, Any]]:
     flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, _WIND[scale]), 0.0
     while not flight.is_over:
         flight.step()
-        if flight.now_s >= due_s and flight.may_be_killed():
+        flies_leg = flight.phase is Phase.FLYING and flight.session.state.flight.leg is not None
+        if flies_leg and flight.now_s >= due_s:
             due_s = flight.now_s + _EVERY_S
             yield {"scale": scale, "autopilot": autopilot, "seed": seed, **flight.killed()}
     assert flight.phase is not Phase.DONE, flight.session.state.reason

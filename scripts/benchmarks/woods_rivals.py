@@ -34,7 +34,7 @@ from vehicle_sim.world import World
 
 _DEAR = 20.0  # what a metre costs nearer than the clearance: A* would find no way out else
 DECIDES_S, _SENDS_S, LIMIT_S, _TAKEN_OFF_S = 0.2, 0.05, 600.0, 90.0
-_AT_M, _SLOW_M_S = 1.0, 0.2
+AT_M, _SLOW_M_S = 1.0, 0.2
 _LOOK_AHEAD_M, _RATIO, _RESISTS_RAD = 15.0, 1.5, math.radians(75.0)  # OA_BR_* as by default
 _PAST_M = 2.0  # OA_BENDYRULER_LOOKAHEAD_PAST_DEST, and _STEP2_MIN
 _ASIDE = [0.0, *(side * step for step in range(5, 175, 5) for side in (-1.0, 1.0))]
@@ -236,6 +236,6 @@ def fly(name: str, world: World, seed: int, kind: type[Bendy | AStar]) -> tuple[
     while it.now_s < began_s + LIMIT_S and it.simulation.nearest_m > 0.0:
         it.on(track[0][2])
         track.append(it.simulation._place_nea_m())
-        if abs(complex(*track[-1][:2]) - it.target) < _AT_M:
+        if abs(complex(*track[-1][:2]) - it.target) < AT_M:
             return it.now_s - began_s, np.array(track)
     return math.inf, np.array(track)
