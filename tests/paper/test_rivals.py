@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from planning import column_distance_m
+from planning import ask, column_distance_m
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -21,7 +21,6 @@ from companion.errors import InputError
 from companion.paper.rivals import roadmaps, routes
 from companion.paper.rivals.routes import PLANNERS, Field, RouteProblem
 from companion.path.proof import RESULTS
-from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, PlanRequest
 from companion.world.simulated_scan import true_map
 from companion.world.zones import CircleZone
@@ -182,16 +181,8 @@ def test_a_rival_arrives_and_keeps_its_clearance(knowledge: alone.Knowledge) -> 
 def asked() -> PlanRequest:
     """What is asked at the start of a dense world, of which everything is known."""
     world = families.world("dense", 0, 0)
-    return PlanRequest(
-        plan_id=1,
-        seed=1,
-        task=world.task,
-        known=true_map(world.terrain, families.unseen(world)),
-        scan_nea_m=world.start_nea_m,
-        start=hover_pose(world.start_nea_m),
-        from_rest=True,
-        target_ne_m=world.targets_ne_m[0],
-    )
+    known = true_map(world.terrain, families.unseen(world))
+    return ask(world.task, known, world.start_nea_m, seed=1, target_ne_m=world.targets_ne_m[0])
 
 
 def test_a_field_costs_at_its_points_no_less_than_the_measure_says() -> None:

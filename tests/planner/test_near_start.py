@@ -7,13 +7,13 @@ from itertools import count, product
 
 import numpy as np
 import pytest
+from planning import ask
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import State
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned, PlanRequest
 from companion.world.near_map import NearSensor
 
@@ -73,16 +73,8 @@ def request_at_rest() -> PlanRequest:
         if (done := scanner.done(now_s)) is not None:
             known = known.with_scan(done.scan)
     settings = replace(mission.task.settings, evaluations=EVALUATIONS)
-    return PlanRequest(
-        plan_id=1,
-        seed=1,
-        task=replace(mission.task, settings=settings),
-        known=known,
-        scan_nea_m=HERE_NEA_M,
-        start=hover_pose(HERE_NEA_M),
-        from_rest=True,
-        target_ne_m=mission.targets_ne_m[0],
-    )
+    task, target = replace(mission.task, settings=settings), mission.targets_ne_m[0]
+    return ask(task, known, HERE_NEA_M, seed=1, target_ne_m=target)
 
 
 def up_after(questions: int) -> Callable[[], bool]:

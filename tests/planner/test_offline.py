@@ -105,7 +105,7 @@ def test_each_leg_is_flown_to_where_the_next_one_begins(
     assert flight.flown_m[-1] == flight.legs[-1].subpath.length_m
     for leg, flown_m, request in zip(
         flight.legs, flight.flown_m, planner.requests[1:], strict=False
-    ):  # the plan goes on with tangent and curvature: tests/planner/test_plan.py
+    ):  # the plan goes on with tangent and curvature: tests/objective/test_flight.py
         there = leg.subpath.pose(flown_m)
         np.testing.assert_array_equal(request.start.tangent_nea, there.tangent_nea)
         np.testing.assert_array_equal(request.start.curvature_nea_1_m, there.curvature_nea_1_m)
