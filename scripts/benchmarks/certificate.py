@@ -194,8 +194,6 @@ def main() -> int:
     fast, tally = kernels.compiled().prove, Tally()
     for k in range(asked.cases):
         measure(random_case(np.random.default_rng([asked.seed, k])), fast, tally)
-        if tally.cases % 1_000 == 0:
-            print(f"{tally.cases} cases: {rows(tally, {})}", flush=True)
     times = {"plain": ms_each(prove, 1), "compiled": ms_each(fast, 20)}
     table = rows(tally, times)
     for name, value in table.items():

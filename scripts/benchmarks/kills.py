@@ -217,21 +217,23 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
     return replace(mission, autopilot="px4", task=task), replace(world, vehicle=vehicle)
 
 
-def kills(scale: str, autopilot: str, seed: int) -> Iterator[dict[str, Any]]:
+def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dict[str, Any]]:
     """The kills of one flight, one after the other."""
     flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, _WIND[scale]), 0.0
     while not flight.is_over:
         flight.step()
         flies_leg = flight.phase is Phase.FLYING and flight.session.state.flight.leg is not None
         if flies_leg and flight.now_s >= due_s:
-            due_s = flight.now_s + _EVERY_S
+            due_s = flight.now_s + every_s
             yield {"scale": scale, "autopilot": autopilot, "seed": seed, **flight.killed()}
     assert flight.phase is not Phase.DONE, flight.session.state.reason
 
 
-def sample(scale: str, autopilot: str, first: int, count: int) -> list[dict[str, Any]]:
+def sample(
+    scale: str, autopilot: str, first: int, count: int, every_s: float = _EVERY_S
+) -> list[dict[str, Any]]:
     """So many kills, of flights with seeds from the first on."""
-    flights = (kills(scale, autopilot, seed) for seed in itertools.count(first))
+    flights = (kills(scale, autopilot, seed, every_s) for seed in itertools.count(first))
     return list(itertools.islice(itertools.chain.from_iterable(flights), count))
 
 
