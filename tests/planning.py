@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.optimize import brentq
 
 from companion.mavlink.autopilots import named
 from companion.path.limits import Limits
@@ -38,6 +39,12 @@ _COPTER = Limits(
     east_m=(0.0, 8_000.0),
     tracking_error_m=5.0,
 )
+LARGE = replace(
+    _COPTER, speed_m_s=150.0, acceleration_m_s2=5.0, climb_rate_m_s=25.0, turn_radius_m=2_500.0,
+    climb_angle_rad=0.17, dive_angle_rad=0.17, floor_amsl_m=3_000.0, ceiling_amsl_m=5_000.0,
+    north_m=(-5e3, 105e3), east_m=(-5e3, 105e3), tracking_error_m=10.0,
+)  # fmt: skip
+"""At the paper's scale."""
 PLANE_TASK = Task(
     limits=Limits(
         speed_m_s=18.0,
@@ -108,6 +115,15 @@ def spline(control_nea_m: FloatArray) -> Any:
     spans = len(control_nea_m) - 3
     knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
     return BSpline(knots, control_nea_m, 3)
+
+
+def parameter_of(curve: Any, point_nea_m: FloatArray) -> float:
+    """Where a curve passes through a point of it."""
+    fine = np.linspace(0.0, 1.0, 2_001)
+    k = int(np.linalg.norm(curve(fine) - point_nea_m, axis=-1).argmin())
+    bracket = fine[max(k - 1, 0)], fine[min(k + 1, 2_000)]
+    u: float = brentq(lambda at: (curve(at) - point_nea_m) @ curve(at, 1), *bracket, xtol=1e-15)
+    return u
 
 
 def zone_distance_m(zone: Zone, north_m: FloatArray, east_m: FloatArray) -> FloatArray:

@@ -9,9 +9,10 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import Grid, Near, Scene
+from companion.objective.scene import Scene
 from companion.path.envelope import ending_m_s, flown_on_m, rising_m_s
-from companion.world.zones import polygon_at
+from companion.world.clearance import Surface
+from companion.world.zones import NearCells, polygon_at
 
 # Where control points may lie, in units of R or, where the end is nearer, of a little more than the
 # way there: as planner-numbers part E measured.
@@ -187,7 +188,7 @@ def guide(control: FloatArray, scene: Scene) -> float:
     return angle * GUIDE_SHARE * 100.0 / math.pi
 
 
-def lattice_m(surface: Grid, north_m: float, east_m: float) -> float:
+def lattice_m(surface: Surface, north_m: float, east_m: float) -> float:
     """Value at a point, bilinear; clamped at the edges."""
     vertex, cell_m = surface.vertex_m, surface.cell_m
     u = min(max((north_m - surface.north_min_m) / cell_m, 0.0), vertex.shape[0] - 1.000001)
@@ -200,7 +201,7 @@ def lattice_m(surface: Grid, north_m: float, east_m: float) -> float:
     return float(south + u * (north - south))
 
 
-def too_low_m(points: FloatArray, surface: Grid) -> float:
+def too_low_m(points: FloatArray, surface: Surface) -> float:
     """How far points of the chords lie under the surface, metres in all."""
     total = 0.0
     for j in range(1, len(points)):
@@ -326,7 +327,7 @@ def intruding(points: FloatArray, scene: Scene, most: float) -> float:
     return total / (BETWEEN * clearance_m)
 
 
-def may_be_near(cells: Near, north: float, east: float) -> bool:
+def may_be_near(cells: NearCells, north: float, east: float) -> bool:
     """Whether zones may be near a point; yes outside of the area."""
     row = math.floor((north - cells.north_min_m) / cells.cell_m)
     column = math.floor((east - cells.east_min_m) / cells.cell_m)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import FloatArray
 from companion.path.bspline import uniform_basis
 from companion.path.envelope import Envelope
 from companion.path.limits import Limits
@@ -35,39 +35,6 @@ from companion.world.zones import NearCells, ZoneTable
 
 TERMS = (*(each.name for each in fields(Weights)), "to_go")
 """Names of the terms of the cost; what is left to fly after the end weighs as much as length."""
-
-
-class Grid(NamedTuple):
-    """Values at the points of a lattice, bilinear between them: a `Surface` as numba takes it."""
-
-    north_min_m: float
-    east_min_m: float
-    cell_m: float
-    vertex_m: FloatArray  # (rows, columns), C order
-
-    @staticmethod
-    def of(surface: Surface) -> "Grid":
-        """The same values."""
-        values = np.ascontiguousarray(surface.vertex_m, dtype=np.float64)
-        corner = float(surface.north_min_m), float(surface.east_min_m)
-        return Grid(*corner, float(surface.cell_m), values)
-
-
-class Near(NamedTuple):
-    """Cells of an area that may be near a polygon, as numba takes them; beyond it all may be."""
-
-    north_min_m: float
-    east_min_m: float
-    cell_m: float
-    near: BoolArray  # (rows, columns)
-
-    @staticmethod
-    def of(cells: NearCells | None) -> "Near":
-        """The same cells; of None no cell, so that zones are looked at everywhere."""
-        if cells is None:
-            return Near(0.0, 0.0, 1.0, np.zeros((0, 0), dtype=bool))
-        corner = float(cells.north_min_m), float(cells.east_min_m)
-        return Near(*corner, float(cells.cell_m), cells.near)
 
 
 class Bounds(NamedTuple):
@@ -141,9 +108,9 @@ class Scene(NamedTuple):
     """The target."""
     guide_rad: float
     """Bearing of the guide direction from p_scan."""
-    to_go: Grid
+    to_go: Surface
     """Cost to the target from each place, in metres of level flight at the floor of the band."""
-    needed: Grid
+    needed: Surface
     """The lowest altitude at each place from which the way on can be climbed, AMSL."""
     look_ahead_m: float
     """The cost-to-go counts so far straight on from the end: an end that faces terrain is dear."""
@@ -153,15 +120,15 @@ class Scene(NamedTuple):
     """d_s."""
     clearance_m: float
     """What the search keeps from zones."""
-    surface: Grid
+    surface: Surface
     """The altitude that keeps the clearance from the terrain."""
-    contact: Grid
+    contact: Surface
     """The altitude that the dead-man stretch must keep."""
     band_amsl_m: tuple[float, float]
     """Lowest and highest altitude to plan for: the vehicle on the path stays in the band too."""
     radars: FloatArray  # (n, 5): north, east, altitude, range, range and margin
     zones: ZoneTable
-    near_polygons: Near
+    near_polygons: NearCells
     at: Workspace
 
     @property

@@ -130,3 +130,9 @@ class Samples:
     points_nea_m: FloatArray
     first: FloatArray
     second: FloatArray
+
+
+def straight(start_nea_m: FloatArray, end_nea_m: FloatArray) -> Subpath:
+    """The straight subpath between two places."""
+    shares = np.linspace(0.0, 1.0, 4)[:, None]
+    return Subpath(control_nea_m=start_nea_m + shares * (end_nea_m - start_nea_m))

@@ -13,7 +13,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.certificate import Prover, certify, cubics_of, pack_surroundings
 from companion.path.limits import Limits
-from companion.path.subpath import Subpath
+from companion.path.subpath import Subpath, straight
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -65,7 +65,7 @@ def _curves_back(flown: tuple[FlownSegment, ...], task: Task) -> list[tuple[Floa
                 last = curves[-1][0][-1:]
                 gap_m = float(np.linalg.norm(control[0] - last[0]))
                 if gap_m > _APART_M:
-                    curves.append((_straight(last[0], control[0]), speed_m_s))
+                    curves.append((straight(last[0], control[0]).control_nea_m, speed_m_s))
                 else:
                     control = np.concatenate([last, control[1:]])
             curves.append((control, speed_m_s))
@@ -99,10 +99,6 @@ def _bezier(cubic: FloatArray, a: float, b: float) -> FloatArray:
         np.array([0.0, 1.0, 2.0 * t, 3.0 * t * t]) @ cubic * (b - a) / 3.0 for t in (a, b)
     )
     return np.stack([start, start + leaving, end - arriving, end])
-
-
-def _straight(start: FloatArray, end: FloatArray) -> FloatArray:
-    return start + np.linspace(0.0, 1.0, 4)[:, None] * (end - start)
 
 
 def _is_smooth(control: FloatArray, follows: FloatArray) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from companion.geodesy import BoolArray, FloatArray
 from companion.path.certificate import Certificate, Prover, certify, pack_surroundings
 from companion.path.proof_distance import Surroundings
-from companion.path.subpath import Subpath
+from companion.path.subpath import Subpath, straight
 from companion.planner.request import PlanRequest
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m
@@ -90,7 +90,7 @@ def escape_path(
     for end in islice(_clear_of_terrain(request, clear), _CERTIFIED):
         certificate = _proven(request, found, end, prover)
         if certificate is not None:
-            return _straight(start, end), certificate
+            return straight(start, end), certificate
     return None
 
 
@@ -142,11 +142,11 @@ def _proven(
     # The rest is proven for a vehicle at full speed, as it does not begin there at rest.
     if now_m < required_m and np.linalg.norm(end - split) > 1.0:
         rest = certify(
-            _straight(split, end), _terrain(request, required_m), from_rest=False, prover=prover
+            straight(split, end), _terrain(request, required_m), from_rest=False, prover=prover
         )
         if not rest.proven:
             return None
-    whole = certify(_straight(start, end), _terrain(request, now_m), from_rest=True, prover=prover)
+    whole = certify(straight(start, end), _terrain(request, now_m), from_rest=True, prover=prover)
     return whole if whole.proven else None
 
 
@@ -158,7 +158,7 @@ def _keeps_off_zones(request: PlanRequest, end: FloatArray, prover: Prover) -> b
     keep_m = min(task.required_clearance_m, max(nearest_m - _SLACK_M, 0.5 * nearest_m))
     flat = replace(request.known, upper_m=np.full(request.known.upper_m.shape, -1e4))
     surroundings = _surroundings(request, flat, outside, keep_m)
-    return certify(_straight(start, end), surroundings, from_rest=True, prover=prover).proven
+    return certify(straight(start, end), surroundings, from_rest=True, prover=prover).proven
 
 
 def _terrain(request: PlanRequest, keep_m: float) -> Surroundings:
@@ -181,10 +181,6 @@ def _surroundings(
         centre_ne_m=request.start.point_nea_m[:2],
         reach_m=task.settings.scan_range_m,
     )
-
-
-def _straight(start: FloatArray, end: FloatArray) -> Subpath:
-    return Subpath(control_nea_m=start + np.linspace(0.0, 1.0, 4)[:, None] * (end - start))
 
 
 def _gap_m(zone: Zone, point_nea_m: FloatArray, task: Task) -> float:

@@ -336,9 +336,9 @@ def _given(
         value, grid.costly[samples].copy(), _ONE_SIDE_CELLS * 2.0 * grid.step_m
     )
     here = {
-        "north_min_m": grid.north_min_m + 2.0 * grid.step_m * rows.start,
-        "east_min_m": grid.east_min_m + 2.0 * grid.step_m * columns.start,
-        "cell_m": 2.0 * grid.step_m,
+        "north_min_m": float(grid.north_min_m + 2.0 * grid.step_m * rows.start),
+        "east_min_m": float(grid.east_min_m + 2.0 * grid.step_m * columns.start),
+        "cell_m": 2.0 * float(grid.step_m),
     }
     return (
         Surface(vertex_m=value, **here),

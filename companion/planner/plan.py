@@ -16,8 +16,6 @@ from companion.objective.kernel import PER_LENGTH, control_points
 from companion.objective.scene import (
     TERMS,
     Bounds,
-    Grid,
-    Near,
     Scene,
     Workspace,
     radar_table,
@@ -45,7 +43,7 @@ from companion.planner.settings import Task
 from companion.planner.way_out import way_out
 from companion.world.clearance import Surface, safe_surface, sees_anything
 from companion.world.columns import distance_to_terrain_m
-from companion.world.zones import NearCells, PolygonZone, near_cells, packed
+from companion.world.zones import NO_CELLS, NearCells, PolygonZone, near_cells, packed
 
 _POINTS = (5, 6)  # control points: six where five find nothing good
 _CHUNK = 300  # evaluations between two looks at the clock
@@ -529,7 +527,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
     is_final, end_radius = _end(request)
     radars = task.radars_near(scan_ne, _IN_REACH * settings.scan_range_m)
     zones = packed(task.zones)
-    surface = Grid.of(_surface(request, task.search_clearance_m))
+    surface = _surface(request, task.search_clearance_m)
     return Scene(
         weights=weights_of(settings.weights),
         limits=Bounds.of(limits),
@@ -544,18 +542,18 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
         is_final=is_final,
         final_ne_m=request.target_ne_m,
         guide_rad=field.leaving_rad(scan_ne, end_radius),
-        to_go=Grid.of(field.value),
-        needed=Grid.of(field.needed),
+        to_go=field.value,
+        needed=field.needed,
         look_ahead_m=float(limits.turn_radius_m),
         descent_m=float(descent_m(limits.ceiling_amsl_m, task)),
         safety_distance_m=float(settings.safety_distance_m),
         clearance_m=float(task.zone_search_clearance_m),
         surface=surface,
-        contact=Grid.of(_surface(request, task.error_m)) if limits.hovers else surface,
+        contact=_surface(request, task.error_m) if limits.hovers else surface,
         band_amsl_m=task.band_amsl_m,
         radars=radar_table(radars, _RADAR_MARGIN * settings.scan_range_m),
         zones=zones,
-        near_polygons=Near.of(_near_polygons(task)),
+        near_polygons=_near_polygons(task),
         at=Workspace.of(_POINTS[0], settings.profile.samples, len(zones.polygons)),
     )
 
@@ -573,10 +571,10 @@ def _strict(scene: Scene) -> Scene:
     return scene._replace(weights=tuple(a))
 
 
-def _near_polygons(task: Task) -> NearCells | None:
+def _near_polygons(task: Task) -> NearCells:
     polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
     if not polygons:
-        return None
+        return NO_CELLS
     limits = task.limits
     clearance_m, gaps = task.zone_search_clearance_m, kernels.compiled().zone_gaps
     return near_cells(polygons, limits.north_m, limits.east_m, clearance_m, gaps)

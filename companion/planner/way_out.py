@@ -16,7 +16,7 @@ import scipy
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.path.certificate import Certificate
-from companion.path.subpath import Subpath
+from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.field import CostToGo
 from companion.planner.kernels import compiled
@@ -70,12 +70,6 @@ def _all_round(
                 level = away * np.array([math.cos(ahead + turn), math.sin(ahead + turn)])
                 result.append(start + np.append(level, away * steepness))
     return result
-
-
-def straight(start_nea_m: FloatArray, end_nea_m: FloatArray) -> Subpath:
-    """The straight subpath between two places."""
-    shares = np.linspace(0.0, 1.0, 4)[:, None]
-    return Subpath(control_nea_m=start_nea_m + shares * (end_nea_m - start_nea_m))
 
 
 def _ends(

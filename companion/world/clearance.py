@@ -8,8 +8,7 @@ The search reads it; what it finds is proven against the map itself (`path.certi
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,10 +18,11 @@ from companion.world.known_map import KnownMap
 _COARSE_FROM = 4.0  # cells of clearance: from there on half cells are not worth their time
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
-    """Altitudes at the vertices of a lattice, bilinear between them."""
+class Surface(NamedTuple):
+    """Altitudes, or other values, at the points of a lattice, bilinear between them.
+
+    As numba takes it: its array in C order.
+    """
 
     north_min_m: float
     east_min_m: float
@@ -70,8 +70,8 @@ def _window(
             south - row + half : north - row + half, west - column + half : east - column + half
         ] = known.upper_m[south:north, west:east]
     return (
-        known.north_min_m + (row - half) * known.cell_m,
-        known.east_min_m + (column - half) * known.cell_m,
+        float(known.north_min_m + (row - half) * known.cell_m),
+        float(known.east_min_m + (column - half) * known.cell_m),
         np.where(np.isfinite(window), window, unknown_m),
     )
 
@@ -108,7 +108,7 @@ def safe_surface(
     return Surface(
         north_min_m=south,
         east_min_m=west,
-        cell_m=known.cell_m / refine,
+        cell_m=float(known.cell_m / refine),
         vertex_m=_at_vertices(squares),
     )
 

@@ -422,15 +422,17 @@ def too_near(
     return found
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NearCells:
-    """Cells of an area that may be near a zone: elsewhere no check is needed."""
+class NearCells(NamedTuple):
+    """Cells of an area that may be near a zone; beyond it all may be.  As numba takes them."""
 
     north_min_m: float
     east_min_m: float
     cell_m: float
     near: BoolArray  # (rows, columns)
+
+
+NO_CELLS = NearCells(0.0, 0.0, 1.0, np.zeros((0, 0), dtype=bool))
+"""Of no area: zones are looked at everywhere."""
 
 
 def near_cells(
@@ -449,4 +451,4 @@ def near_cells(
     )
     near_m = distance_m + math.sqrt(0.5) * cell_m
     near = too_near(zones, north, east, near_m, gaps)
-    return NearCells(north_min_m=north_m[0], east_min_m=east_m[0], cell_m=cell_m, near=near)
+    return NearCells(float(north_m[0]), float(east_m[0]), float(cell_m), near)

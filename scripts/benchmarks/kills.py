@@ -25,6 +25,7 @@ from typing import Any, Final, cast, final
 import numpy as np
 import running
 from numpy.typing import NDArray
+from stepped import Flight
 
 from companion.campaign import drawn_files, families
 from companion.config import folder_of, load_mission
@@ -32,12 +33,9 @@ from companion.mavlink.autopilots import named
 from companion.mission.mission import AutopilotName, Mission
 from companion.mission.state import OVER, Phase
 from companion.path.envelope import ending_m_s, flown_on_m, rising_m_s
-from companion.planner.plan import plan
 from companion.planner.procedure import Leg
-from companion.planner.request import Planned, PlanRequest
+from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.settings import Task
-from companion.session import Session
-from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import World, read_world
 
 FloatArray = NDArray[np.float64]
@@ -118,86 +116,57 @@ def proven(leg: Leg, task: Task, *, from_rest: bool) -> Proven:
     )
 
 
-class Flight:
-    """One flight in this process, in lockstep."""
+class KilledFlight(Flight):
+    """One flight whose companion dies again and again, each time in a copy."""
 
     def __init__(self, mission: Mission, world: World, seed: int, faults: str = "") -> None:
-        self.mission, self.now_s = mission, 0.0
-        self.session = Session(mission, seed=seed, lockstep=True)
-        self.simulation = Simulation(world, seed=seed, faults=faults)
-        self._asked: PlanRequest | None = None
+        super().__init__(mission, world, seed, faults)
         self._from_rest: dict[int, bool] = {}
         self._legs: list[Leg] = []
 
+    def planned(self, request: PlanRequest) -> PlanOutcome:
+        """Notes what was planned from rest."""
+        self._from_rest[request.plan_id] = request.from_rest
+        return super().planned(request)
+
     def step(self) -> None:
-        """One step of the simulator, and all that the companion says to it."""
-        self.simulation.step()
-        self.now_s = self.simulation.now_us * 1e-6
-        for _, frame in self.simulation.take_frames():
-            self.session.receive(frame, self.now_s)
-            out = self.session.run()
-            while True:
-                self._asked = out.plan or self._asked
-                for sent in out.frames:
-                    self.simulation.receive(0, sent)
-                if not out.awaits_plan:
-                    break
-                assert self._asked is not None
-                found = plan(self._asked)
-                if isinstance(found, Planned):
-                    self._from_rest[found.plan_id] = self._asked.from_rest
-                self.session.deliver(found)
-                out = self.session.run()
+        """Notes the leg, and the one before."""
+        super().step()
         leg = self.session.state.flight.leg
         if leg is not None and (not self._legs or self._legs[-1] is not leg):
             self._legs = [*self._legs[-1:], leg]
 
     @property
-    def phase(self) -> Phase:
-        return self.session.state.phase
-
-    @property
     def is_over(self) -> bool:
         return self.phase in (Phase.ARRIVED, *OVER) or self.now_s > _LIMIT_S
-
-    def may_be_killed(self) -> bool:
-        """Whether it flies a leg."""
-        return self.phase is Phase.FLYING and self.session.state.flight.leg is not None
 
     def killed(self) -> dict[str, Any]:
         """What comes of it in a copy without a companion."""
         read, write = os.pipe()
-        child = os.fork()
-        if child == 0:
+        if (child := os.fork()) == 0:
             try:
-                os.close(read)
-                with os.fdopen(write, "wb") as pipe:
-                    pickle.dump(self._flies_on(), pipe)
+                os.write(write, pickle.dumps(self._flies_on()))
             finally:
                 os._exit(0)
         os.close(write)
-        with os.fdopen(read, "rb") as pipe:
-            told = pipe.read()
         os.waitpid(child, 0)
-        found: dict[str, Any] = pickle.loads(told)
+        found: dict[str, Any] = pickle.loads(os.read(read, 65_536))
+        os.close(read)
         return found
 
     def _flies_on(self) -> dict[str, Any]:
         """Without a companion, and how far that leads out of what was proven."""
         simulation, task = self.simulation, self.mission.task
         hovers, began_us = task.limits.hovers, simulation.now_us
-        flight, vehicle = self.session.state.flight, simulation.vehicle
         simulation._lidars, simulation._scanner = [], None
         track, stood_s = [simulation._place_nea_m()], 0.0
-        begin_m_s = math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
-        limits = task.limits
+        begin_m_s, limits = self.speed_m_s, task.limits
         longest_s = limits.dead_man_s + 2.0 * limits.speed_m_s / limits.acceleration_m_s2 + 4.0
         longest_s = longest_s if hovers else _ROUND_S
         while simulation.now_us - began_us < 1e6 * longest_s:
             simulation.step()
             simulation.take_frames()
-            speed = math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
-            stood_s = stood_s + 0.01 if speed < _STANDS_M_S else 0.0
+            stood_s = stood_s + 0.01 if self.speed_m_s < _STANDS_M_S else 0.0
             track.append(simulation._place_nea_m())
             if hovers and stood_s > _STANDS_FOR_S:
                 break
@@ -207,27 +176,14 @@ class Flight:
             from_rest = self._from_rest.get(leg.plan_id, False)
             told = proven(leg, task, from_rest=from_rest)
             outside = np.minimum(outside, told.outside_m(where))
-        k = int(np.argmax(outside))
-        leg, reference = self._legs[-1], flight.reference
+        leg, reference = self._legs[-1], self.session.state.flight.reference
         return {
             "at_s": self.now_s,
-            "outside_m": float(outside[k]),
-            "estimate_m": self._estimate_m(where[0]),
-            "at_once_m": float(outside[0]),
+            "outside_m": float(outside.max()),
             "speed_m_s": begin_m_s,
-            "reference_m_s": reference.speed_m_s,
-            "at_m": reference.length_m,
             "left_m": leg.subpath.length_m - reference.length_m,
-            "flown_m": float(np.linalg.norm(where[-1] - where[0])),
-            "aside": flight.offset is not None,
-            "stops": flight.stop is not None,
             "stands": stood_s > _STANDS_FOR_S,
         }
-
-    def _estimate_m(self, truly_nea_m: FloatArray) -> float:
-        """How wrong the position is that the companion was told last."""
-        told = self.session.state.vehicle.position_nea_m
-        return math.nan if told is None else math.dist(told, truly_nea_m.tolist())
 
 
 def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
@@ -261,20 +217,23 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
     return replace(mission, autopilot="px4", task=task), replace(world, vehicle=vehicle)
 
 
-def kills(scale: str, autopilot: str, seed: int) -> Iterator[dict[str, Any]]:
+def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dict[str, Any]]:
     """The kills of one flight, one after the other."""
-    flight, due_s = Flight(*setting(scale, autopilot, seed), seed, _WIND[scale]), 0.0
+    flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, _WIND[scale]), 0.0
     while not flight.is_over:
         flight.step()
-        if flight.now_s >= due_s and flight.may_be_killed():
-            due_s = flight.now_s + _EVERY_S
+        flies_leg = flight.phase is Phase.FLYING and flight.session.state.flight.leg is not None
+        if flies_leg and flight.now_s >= due_s:
+            due_s = flight.now_s + every_s
             yield {"scale": scale, "autopilot": autopilot, "seed": seed, **flight.killed()}
     assert flight.phase is not Phase.DONE, flight.session.state.reason
 
 
-def sample(scale: str, autopilot: str, first: int, count: int) -> list[dict[str, Any]]:
+def sample(
+    scale: str, autopilot: str, first: int, count: int, every_s: float = _EVERY_S
+) -> list[dict[str, Any]]:
     """So many kills, of flights with seeds from the first on."""
-    flights = (kills(scale, autopilot, seed) for seed in itertools.count(first))
+    flights = (kills(scale, autopilot, seed, every_s) for seed in itertools.count(first))
     return list(itertools.islice(itertools.chain.from_iterable(flights), count))
 
 

@@ -13,19 +13,18 @@ nobody can stop it.  1 if one was touched that was farther away.
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import running
 from pymavlink.dialects.v20 import all as wire
+from stepped import Flight
 
 from companion.config import folder_of, load_mission
 from companion.geodesy import deg_e7
 from companion.mission.state import Reason
-from companion.planner.plan import plan
-from companion.session import Session
 from vehicle_sim.scene import Scene, Upright
-from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import World, read_world
 
 _MISSIONS = ("forest", "street")
@@ -43,40 +42,22 @@ def open_world(name: str) -> World:
     return replace(world, woods=(), walls=(), buildings=(), trees=(), wires=())
 
 
-class Flight:
-    """One flight, until some seconds after the post has appeared."""
+class PostFlight(Flight):
+    """One flight over open ground, until some seconds after the post has appeared."""
 
-    def __init__(self, name: str, seed: int, world: World | None = None) -> None:
-        """world: by default that of the mission, without anything that stands in it."""
-        self.mission = load_mission(name)
-        self.session = Session(self.mission, seed=seed, lockstep=True)
-        self.simulation = Simulation(world or open_world(name), seed=seed)
+    def __init__(self, name: str, seed: int) -> None:
+        super().__init__(load_mission(name), open_world(name), seed)
         self.setpoints: list[float] = []
         """When they were sent."""
         self._parser = wire.MAVLink(None)
-        self._asked: Any = None
 
-    @property
-    def now_s(self) -> float:
-        return self.simulation.now_us * 1e-6
-
-    def step(self) -> None:
-        """One step of the simulator, and all that the companion says to it."""
-        self.simulation.step()
-        for _, frame in self.simulation.take_frames():
-            self.session.receive(frame, self.now_s)
-            out = self.session.run()
-            while True:
-                self._asked = out.plan or self._asked
-                for sent in out.frames:
-                    for message in self._parser.parse_buffer(sent) or ():
-                        if message.get_msgId() == _SETPOINT:
-                            self.setpoints.append(self.now_s)
-                    self.simulation.receive(0, sent)
-                if not out.awaits_plan:
-                    break
-                self.session.deliver(plan(self._asked))
-                out = self.session.run()
+    def said(self, frames: Sequence[bytes]) -> None:
+        """Notes the times of setpoints."""
+        for frame in frames:
+            for message in self._parser.parse_buffer(frame) or ():
+                if message.get_msgId() == _SETPOINT:
+                    self.setpoints.append(self.now_s)
+        super().said(frames)
 
     def place(self, ahead_m: float) -> Upright:
         """A post before the copter, and in the simulator's world from now on."""
@@ -85,28 +66,23 @@ class Flight:
         v_n, v_e = vehicle.velocity_north_m_s, vehicle.velocity_east_m_s
         by = (ahead_m + _RADIUS_M) / math.hypot(v_n, v_e)
         post = Upright(((north + by * v_n, east + by * v_e),), _RADIUS_M, 400.0, 420.0)
-        scene = Scene(simulation._terrain, (post,))
-        assert simulation._lidar is not None
-        simulation._scene = simulation._lidar[0]._scene = scene
+        simulation._scene = Scene(simulation._terrain, (post,))
+        for lidar, _ in simulation._lidars:
+            lidar._scene = simulation._scene
         return post
 
     def gap_m(self, post: Upright) -> float:
         """From the copter to the post."""
         return math.dist(self.simulation._place_nea_m()[:2], post.corners_ne_m[0]) - _RADIUS_M
 
-    @property
-    def speed_m_s(self) -> float:
-        vehicle = self.simulation.vehicle
-        return math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
 
-
-def at_speed(name: str, seed: int) -> Flight:
+def at_speed(name: str, seed: int) -> PostFlight:
     """A flight at full speed: just so in the first, later in the others."""
-    it = Flight(name, seed)
+    it = PostFlight(name, seed)
     full_m_s, later_s = _AT_SPEED * it.mission.task.limits.speed_m_s, math.inf
     while it.now_s < later_s:
         it.step()
-        assert it.now_s < _LIMIT_S, it.session.state.phase
+        assert it.now_s < _LIMIT_S, it.phase
         reference_m_s = it.session.state.flight.reference.speed_m_s
         if later_s == math.inf and min(it.speed_m_s, reference_m_s) >= full_m_s:
             later_s = it.now_s + _LATER_S * (seed - 1)

@@ -21,7 +21,8 @@ from vehicle_sim.world import flat_world
 
 TICK_HZ = 20
 HOME = {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0}
-HEARTBEAT_EVERY = TICK_HZ
+COMMANDS = {900: (176, 1, 4, 0), 902: (400, 1, 0, 0), 904: (22, 0, 0, 30)}
+"""By ticks: guided mode, arm, take off to 30 m."""
 
 
 def frame(mav: Any, message: Any) -> bytes:
@@ -45,26 +46,18 @@ def trivial_client(link: socket.socket, takeoff: bool) -> None:
         asked = time_syncs(datagram)
         if asked is None:
             if ticks == 0:
-                link.sendto(
-                    frame(mav, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)), address
-                )
+                link.sendto(frame(mav, mav.heartbeat_encode(18, 8, 0, 0, 4, 3)), address)
             continue
         out = []
         if ticks == 0:
-            interval = mavlink.MAVLink_command_long_message(
-                1, 1, 511, 0, 33, 1e6 / TICK_HZ, 0, 0, 0, 0, 0
-            )
-            out.append(frame(mav, interval))
-        if ticks % HEARTBEAT_EVERY == 0:
-            out.append(frame(mav, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)))
-        if takeoff and ticks in (900, 902, 904):
-            number, p1, p2, p7 = {900: (176, 1, 4, 0), 902: (400, 1, 0, 0), 904: (22, 0, 0, 30)}[
-                ticks
-            ]
-            command = mavlink.MAVLink_command_long_message(1, 1, number, 0, p1, p2, 0, 0, 0, 0, p7)
-            out.append(frame(mav, command))
-        out.append(frame(mav, mavlink.MAVLink_timesync_message(asked, asked)))
-        link.sendto(b"".join(out), address)
+            out.append(mav.command_long_encode(1, 1, 511, 0, 33, 1e6 / TICK_HZ, 0, 0, 0, 0, 0))
+        if ticks % TICK_HZ == 0:  # a heartbeat a second
+            out.append(mav.heartbeat_encode(18, 8, 0, 0, 4, 3))
+        if takeoff and ticks in COMMANDS:
+            number, p1, p2, p7 = COMMANDS[ticks]
+            out.append(mav.command_long_encode(1, 1, number, 0, p1, p2, 0, 0, 0, 0, p7))
+        out.append(mav.timesync_encode(asked, asked))
+        link.sendto(b"".join(frame(mav, each) for each in out), address)
         ticks += 1
 
 
@@ -76,9 +69,8 @@ def bare_server(port: int, seconds: float) -> float:
     start_s = time.perf_counter()
     for tick in range(1, round(seconds * TICK_HZ) + 1):
         asked = tick * 50_000_000
-        position = mavlink.MAVLink_global_position_int_message(tick, 1, 2, 3, 4, 5, 6, 7, 8)
-        question = mavlink.MAVLink_timesync_message(0, asked)
-        link.send(frame(mav, position) + frame(mav, question))
+        position = mav.global_position_int_encode(tick, 1, 2, 3, 4, 5, 6, 7, 8)
+        link.send(frame(mav, position) + frame(mav, mav.timesync_encode(0, asked)))
         answered = False
         while not answered:
             for message in parser.parse_buffer(link.recv(65535)) or []:
@@ -132,10 +124,8 @@ def memory_mb(hours: float) -> list[tuple[float, float]]:
     for tenth in range(11):
         rows.append((hours * tenth / 10, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
         for _ in range(round(hours * 360)):
-            vehicle.receive(0, frame(mav, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)))
-            vehicle.receive(
-                0, frame(mav, mavlink.MAVLink_param_request_read_message(1, 1, b"X", 0))
-            )
+            vehicle.receive(0, frame(mav, mav.heartbeat_encode(18, 8, 0, 0, 4, 3)))
+            vehicle.receive(0, frame(mav, mav.param_request_read_encode(1, 1, b"X", 0)))
             for _ in range(100):
                 vehicle.step()
             vehicle.take_frames()

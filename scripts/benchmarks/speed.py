@@ -22,7 +22,6 @@ from tapped import BIN, udp_socket
 from companion.campaign.families import mountain
 from companion.config import load_mission
 from companion.path.subpath import Pose
-from companion.planner import kernels
 from companion.planner import plan as planning
 from companion.planner.field import cost_to_go
 from companion.planner.request import Planned, PlanRequest
@@ -122,10 +121,8 @@ def measure(scenes: int, repeats: int) -> dict[str, Any]:
             "guidance", lambda a=asked, h=here: cost_to_go(a.known, a.task, h, a.target_ne_m)
         )
         note("surfaces", lambda a=asked, f=field: planning._scene(a, f))
-        note(
-            "surface to prove against",
-            lambda a=asked: planning._surroundings(a),
-        )
+        speed_m_s = asked.task.limits.speed_m_s
+        note("surface to prove against", lambda a=asked, v=speed_m_s: planning._surroundings(a, v))
         planner = planning._Plan(asked, lambda: False)
         found = note("plan", lambda p=planner: _one(p))
         proven += isinstance(found, Planned)
@@ -143,13 +140,12 @@ def measure(scenes: int, repeats: int) -> dict[str, Any]:
 
 def _one(planner: Any) -> Planned | None:
     planner._tries = 0
-    return planner._attempt(planning._FIRST)
+    return planner._attempt(planner._scene)
 
 
 def _certified(planner: Any, found: Planned | None) -> None:
     if found is not None:
-        prove = kernels.compiled().prove
-        planning.certify(found.subpath, planner._surroundings, from_rest=False, prover=prove)
+        planner._certified(found.subpath, planner._scene.motion.speed_m_s, from_rest=False)
 
 
 def _first_plan_s() -> float:

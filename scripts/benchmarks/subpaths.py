@@ -24,7 +24,7 @@ from companion.paper import terms
 from companion.paper.plan import scene_of
 from companion.path.subpath import Pose
 from companion.planner import kernels, plan
-from companion.planner.field import CostToGo, cost_to_go
+from companion.planner.field import cost_to_go
 from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.seeds import seeds_of, ways_of
@@ -88,22 +88,19 @@ def load() -> dict[str, Any]:
 
 
 def store(data: dict[str, Any]) -> None:
-    """Write the file: a line for each mission's plan and each best value."""
-    parts = (
-        ("scans", "{}", [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in data["scans"].items()]),
-        ("plans", "[]", [json.dumps(each) for each in data["plans"]]),
-        ("best", "{}", [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in data["best"].items()]),
-    )
+    """Write the file: a line for the scans and the plans of each mission, and each best value."""
     text = ",\n".join(
-        f'"{name}": {braces[0]}\n ' + ",\n ".join(lines) + f"\n{braces[1]}"
-        for name, braces, lines in parts
+        f'"{name}": {{\n '
+        + ",\n ".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in part.items())
+        + "\n}"
+        for name, part in data.items()
     )
     FILE.write_text("{" + text + "}\n", encoding="utf-8")
 
 
 def record() -> dict[str, Any]:
     """Fly every mission and keep what some of its plans were asked; no best values yet."""
-    scans, plans = {}, []
+    scans, plans = {}, dict[str, list[dict[str, Any]]]()
     for name in WORLDS:
         world = world_of(name)
         asked: list[PlanRequest] = []
@@ -125,23 +122,21 @@ def record() -> dict[str, Any]:
         )
         scans[name] = [list(request.scan_nea_m) for request in asked]
         chosen = np.unique(np.linspace(0, len(asked) - 1, _EACH).round().astype(int)).tolist()
-        for k in chosen:
-            six = [6] if k == chosen[1] else []  # the planner's second try has six points
-            plans += [_asked(name, k, asked[k], points) for points in (5, *six)]
+        plans[name] = [
+            _asked(k, asked[k], points)
+            for k in chosen
+            for points in (5, 6)[: 1 + (k == chosen[1])]  # the planner's second try has six points
+        ]
     return {"scans": scans, "plans": plans, "best": {}}
 
 
-def _asked(world: str, number: int, request: PlanRequest, points: int) -> dict[str, Any]:
+def _asked(number: int, request: PlanRequest, points: int) -> dict[str, Any]:
     start = request.start
+    parts = start.position_nea_m, start.tangent_nea, start.curvature_nea_1_m
     return {
-        "world": world,
         "scan": number,
         "points": points,
-        "start": [
-            start.position_nea_m.tolist(),
-            start.tangent_nea.tolist(),
-            start.curvature_nea_1_m.tolist(),
-        ],
+        "start": [part.tolist() for part in parts],
         "from_rest": request.from_rest,
         "target_ne_m": list(request.target_ne_m),
         "route_ne_m": [list(place) for place in request.route_ne_m],
@@ -156,15 +151,12 @@ def problems(data: dict[str, Any], objective: str) -> list[Problem]:
         limits = world.task.limits
         known = empty_map(world.task.cell_m, limits.north_m, limits.east_m)
         truth = true_map(world.terrain, known)
-        asked = [each for each in data["plans"] if each["world"] == name]
         for scan, at in enumerate(scans):
             scan_nea_m = (float(at[0]), float(at[1]), float(at[2]))
             seen = simulated_scan(truth, scan_nea_m, world.task.settings.scan_range_m)
             known = known.with_scan(seen)
-            for each in asked:
-                if each["scan"] != scan:
-                    continue
-                position, tangent, curvature = (np.array(v) for v in each["start"])
+            for each in (each for each in data["plans"][name] if each["scan"] == scan):
+                position, tangent, curvature = map(np.array, each["start"])
                 request = PlanRequest(
                     plan_id=scan + 1,
                     seed=_SEED,
@@ -181,7 +173,9 @@ def problems(data: dict[str, Any], objective: str) -> list[Problem]:
                 if objective == "paper":
                     result += _as_published(request, name, for_tuning=number % 2 == 1)
                     continue
-                field = _field(request)
+                field = cost_to_go(
+                    known, world.task, scan_nea_m[:2], request.target_ne_m, request.route_ne_m
+                )
                 scene = plan._scene(request, field).with_points(each["points"])
                 result.append(
                     Problem(
@@ -192,17 +186,6 @@ def problems(data: dict[str, Any], objective: str) -> list[Problem]:
                     )
                 )
     return result
-
-
-def _field(request: PlanRequest) -> CostToGo:
-    """Its guidance."""
-    return cost_to_go(
-        request.known,
-        request.task,
-        request.scan_nea_m[:2],
-        request.target_ne_m,
-        request.route_ne_m,
-    )
 
 
 def _as_published(request: PlanRequest, world: str, *, for_tuning: bool) -> list[Problem]:

@@ -9,7 +9,7 @@ lidar, the same map of what it has seen and the same speed.  Distances are true 
 of the way to all things there are.  Held: not arrived, nothing touched.
 
 --library: through `companion.library`, a tenth of the time (`woods_library`); also the world
-`posts`; no bendy ruler; --pilot aim: the planner on trial (`woods_aim`).
+`posts`; no bendy ruler.
 """
 
 import math
@@ -22,7 +22,7 @@ import running
 import woods_library
 import woods_rivals
 from numpy.typing import NDArray
-from popup import Flight
+from stepped import Flight
 
 from companion.config import folder_of, load_mission
 from companion.mission.state import OVER, Phase
@@ -51,10 +51,15 @@ def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
 
 def _flown(name: str, seed: int, truth: World) -> dict[str, Any]:
     """By the companion."""
-    it, phases, began_s, track = Flight(name, seed, truth), [Phase.WAITING], math.inf, []
-    while it.session.state.phase not in (Phase.ARRIVED, *OVER) and it.now_s < LIMIT_S:
+    it, phases, began_s, track = (
+        Flight(load_mission(name), truth, seed),
+        [Phase.WAITING],
+        math.inf,
+        [],
+    )
+    while it.phase not in (Phase.ARRIVED, *OVER) and it.now_s < LIMIT_S:
         it.step()
-        phase = it.session.state.phase
+        phase = it.phase
         if phase is not phases[-1]:
             phases.append(phase)
         if phase is Phase.FLYING:
@@ -109,7 +114,7 @@ def main() -> int:
         first=1,
         jobs=2,
         world=["both", *WORLDS],
-        pilot=["all", *PILOTS, "aim"],
+        pilot=["all", *PILOTS],
         library=False,
     )
     worlds = WORLDS[:2] if options.world == "both" else (options.world,)
@@ -117,22 +122,12 @@ def main() -> int:
     if options.library:
         pilots = tuple(each for each in pilots if each != "bendy ruler")
     seeds = range(options.first, options.first + options.flights)
-    flies = woods_library.fly if options.library or options.pilot == "aim" else fly
+    flies = woods_library.fly if options.library else fly
     todo = [(name, pilot, seed) for name in worlds for pilot in pilots for seed in seeds]
     flights = running.in_processes(flies, todo, options.jobs, "woods", console)
     found = [future.result() for _, future in flights]
-    headings = (
-        "arrived",
-        "held",
-        "touched",
-        "least m",
-        "flown / straight",
-        "m/s",
-        "s",
-        "holds",
-        "why",
-    )
-    table = running.figures("Among near things", "", *headings)
+    headings = "arrived", "held", "touched", "least m", "flown / straight", "m/s", "s"
+    table = running.figures("Among near things", "", *headings, "holds", "why")
     bars = []
     for name, pilot in product(worlds, pilots):
         mine = [each for each in found if (each["world"], each["pilot"]) == (name, pilot)]

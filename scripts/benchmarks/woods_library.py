@@ -5,21 +5,17 @@ than the mission's acceleration, by the same sensor and map.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from woods_aim import plan_aimed
-from woods_rivals import DECIDES_S, LIMIT_S, AStar
+from woods_rivals import AT_M, DECIDES_S, LIMIT_S, AStar
 
 from companion.config import folder_of, load_mission, load_world
-from companion.library import Flown, NearScene, PlanOutcome, PlanRequest, Thing
+from companion.library import Flown, NearScene, Thing
 from companion.library import fly as fly_in_library
 from companion.planner.on_board import OnBoard
-from companion.planner.plan import plan
 from vehicle_sim.world import read_world
 
-_AT_M = 1.0
 _STEP_S = 0.1  # of the sensor: 10 Hz
 
 
@@ -35,17 +31,12 @@ def scene_of(name: str, seed: int) -> NearScene:
     return NearScene(
         [
             Thing(
-                corners_ne_m=np.array(thing.corners_ne_m, float).tolist(),
-                half_width_m=thing.half_width_m,
-                closed=thing.closed,
+                corners_ne_m=each.corners_ne_m, half_width_m=each.half_width_m, closed=each.closed
             )
-            for thing in seen
+            for each in seen
         ],
         rate_hz=1.0 / _STEP_S,
     )
-
-
-PILOTS: dict[str, Callable[[PlanRequest], PlanOutcome]] = {"companion": plan, "aim": plan_aimed}
 
 
 def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
@@ -53,20 +44,14 @@ def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
     scene = scene_of(name, seed)
     if pilot == "A*":
         seconds, way = _by_a_star(name, scene)
-        told = {"seconds": seconds, "holds": None, "end": None}
+        holds, end = None, None
     else:
-        flown: Flown = fly_in_library(name, name, scene=scene, seed=seed, planner=PILOTS[pilot])
-        way = flown.points_nea_m[:, :2]
-        told = {
-            "seconds": flown.seconds if flown.arrived else math.inf,
-            "holds": flown.details.holds,
-            "end": flown.why or None,
-        }
-    return {
-        "world": name,
-        "pilot": pilot,
-        "seed": seed,
-        **told,
+        flown: Flown = fly_in_library(name, name, scene=scene, seed=seed)
+        way, seconds = flown.points_nea_m[:, :2], flown.seconds if flown.arrived else math.inf
+        holds, end = flown.details.holds, flown.why or None
+    found = {"world": name, "pilot": pilot, "seed": seed}
+    found |= {"seconds": seconds, "holds": holds, "end": end}
+    return found | {
         "flown_m": float(np.hypot(*np.diff(way, axis=0).T).sum()),
         "straight_m": math.dist(way[0], way[-1]),
         "nearest_m": float(scene.gaps_m(way).min()),
@@ -85,7 +70,7 @@ def _by_a_star(name: str, scene: NearScene) -> tuple[float, Any]:
     pilot = AStar(on_board.near, target, task.required_clearance_m, range_m)
     on_board.look(start, 0.0, 0.0, seconds=2.0)
     way, seconds, aim = [here], 0.0, here
-    while abs(here - target) >= _AT_M:
+    while abs(here - target) >= AT_M:
         pilot.look(on_board.near, here, range_m + 2.0)
         if round(seconds / _STEP_S) % round(DECIDES_S / _STEP_S) == 0:
             aim = pilot.aim(here, velocity)

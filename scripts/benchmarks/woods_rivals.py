@@ -19,11 +19,12 @@ from typing import Any, final
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
-from popup import Flight
 from pymavlink.dialects.v20 import all as wire
 from scipy.sparse import csr_array
+from stepped import Flight
 
 from companion.caches import compiled
+from companion.config import load_mission
 from companion.geodesy import FloatArray
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import Phase
@@ -33,7 +34,7 @@ from vehicle_sim.world import World
 
 _DEAR = 20.0  # what a metre costs nearer than the clearance: A* would find no way out else
 DECIDES_S, _SENDS_S, LIMIT_S, _TAKEN_OFF_S = 0.2, 0.05, 600.0, 90.0
-_AT_M, _SLOW_M_S = 1.0, 0.2
+AT_M, _SLOW_M_S = 1.0, 0.2
 _LOOK_AHEAD_M, _RATIO, _RESISTS_RAD = 15.0, 1.5, math.radians(75.0)  # OA_BR_* as by default
 _PAST_M = 2.0  # OA_BENDYRULER_LOOKAHEAD_PAST_DEST, and _STEP2_MIN
 _ASIDE = [0.0, *(side * step for step in range(5, 175, 5) for side in (-1.0, 1.0))]
@@ -173,7 +174,7 @@ class _RivalFlight(Flight):
     """A companion that takes off, and then a rival in its place."""
 
     def __init__(self, name: str, world: World, seed: int, kind: type[Bendy | AStar]) -> None:
-        super().__init__(name, seed, world)
+        super().__init__(load_mission(name), world, seed)
         task = self.mission.task
         self._limits, self._range_m = task.limits, task.settings.scan_range_m
         self._kind, self._margin_m = kind, task.required_clearance_m
@@ -228,13 +229,13 @@ class _RivalFlight(Flight):
 def fly(name: str, world: World, seed: int, kind: type[Bendy | AStar]) -> tuple[float, FloatArray]:
     """One flight: how many seconds it took, inf if it did not arrive; and where it truly was."""
     it = _RivalFlight(name, world, seed, kind)
-    while it.session.state.phase is not Phase.FLYING:
+    while it.phase is not Phase.FLYING:
         it.step()
-        assert it.now_s < _TAKEN_OFF_S, it.session.state.phase
+        assert it.now_s < _TAKEN_OFF_S, it.phase
     began_s, track = it.now_s, [it.simulation._place_nea_m()]
     while it.now_s < began_s + LIMIT_S and it.simulation.nearest_m > 0.0:
         it.on(track[0][2])
         track.append(it.simulation._place_nea_m())
-        if abs(complex(*track[-1][:2]) - it.target) < _AT_M:
+        if abs(complex(*track[-1][:2]) - it.target) < AT_M:
             return it.now_s - began_s, np.array(track)
     return math.inf, np.array(track)

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from woods import true_gap_m
-from woods_rivals import AStar, Bendy, Clearances, a_star
+from woods_rivals import AStar, Bendy, Clearances
 
 from companion.config import folder_of
 from companion.world.near_map import NearMap, Rules
@@ -31,37 +29,6 @@ def map_with(row: Any, column: Any) -> NearMap:
 def looked(pilot: Any, near: NearMap) -> Any:
     pilot.look(near, 25.0 + 25.0j, 100.0)
     return pilot
-
-
-@pytest.mark.sample(4)
-@pytest.mark.parametrize("seed", range(20))
-def test_a_star_costs_what_dijkstra_finds(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    rows, columns = (int(n) for n in rng.integers(3, 30, size=2))
-    rate = rng.choice([1.0, 3.0, 20.0, np.inf], p=[0.5, 0.1, 0.1, 0.3], size=(rows, columns))
-    start, end = (tuple(map(int, rng.integers((rows, columns)))) for _ in range(2))
-    rate[start] = 1.0
-    index = np.arange(rows * columns).reshape(rows, columns)
-    edges = []
-    for i, j in np.ndindex(rows, columns):
-        for to in ((i, j + 1), (i + 1, j), (i + 1, j + 1), (i + 1, j - 1)):
-            if 0 <= to[0] < rows and 0 <= to[1] < columns and np.isfinite(rate[i, j] + rate[to]):
-                cost = math.dist((i, j), to) * 0.5 * (rate[i, j] + rate[to])
-                edges.append((cost, index[i, j], index[to]))
-    graph = coo_array((rows * columns, rows * columns))
-    if edges:
-        cost, here, there = zip(*edges, strict=True)
-        graph = coo_array((cost, (here, there)), shape=(rows * columns, rows * columns))
-    expected = dijkstra(graph, directed=False, indices=index[start])[index[end]]
-    cost, way = a_star(rate, start, end)
-    assert cost == pytest.approx(expected)
-    assert len(way) == 0 or np.isfinite(expected)
-    if len(way):
-        assert (tuple(way[0]), tuple(way[-1])) == (start, end)
-        steps = np.hypot(*np.diff(way, axis=0).T)
-        assert steps.max(initial=0.0) < 1.5
-        along = rate[tuple(way.T)]
-        assert cost == pytest.approx(float((steps * 0.5 * (along[1:] + along[:-1])).sum()))
 
 
 def test_clearances_are_distances_to_what_stands() -> None:

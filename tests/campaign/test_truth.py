@@ -1,12 +1,13 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from planning import LARGE
 from scipy.spatial import cKDTree
 
 from companion.campaign import drawn_world, truth
-from companion.path.limits import Limits
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone
@@ -20,19 +21,7 @@ TERRAIN = PeakTerrain(
     ),
     ground_amsl_m=0.0,
 )
-LIMITS = Limits(
-    speed_m_s=150.0,
-    acceleration_m_s2=5.0,
-    climb_rate_m_s=25.0,
-    turn_radius_m=2_500.0,
-    climb_angle_rad=0.17,
-    dive_angle_rad=0.17,
-    floor_amsl_m=3_000.0,
-    ceiling_amsl_m=5_000.0,
-    north_m=(-20e3, 20e3),
-    east_m=(-20e3, 20e3),
-    tracking_error_m=15.0,
-)
+LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3), tracking_error_m=15.0)
 
 
 def surface_samples(terrain: PeakTerrain, spacing_m: float) -> FloatArray:

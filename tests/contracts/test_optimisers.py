@@ -75,18 +75,6 @@ class TestEveryOptimiser:
 
     @few
     @given(seed=st.integers(0, 10**6))
-    def test_the_best_never_rises(self, name: str, seed: int) -> None:
-        optimiser = OPTIMISERS[name](5, 1_200, np.random.default_rng(seed), None)
-        best, spent = np.inf, 0
-        while spent < 1_200:
-            x = optimiser.ask()
-            optimiser.tell(bowl(x))
-            spent += len(x)
-            assert optimiser.costs.min() <= best
-            best = float(optimiser.costs.min())
-
-    @few
-    @given(seed=st.integers(0, 10**6))
     def test_the_best_is_the_best_of_all_that_were_evaluated(self, name: str, seed: int) -> None:
         objective = Recorder(bowl)
         ranked = search(name, objective, seed=seed, evaluations=720)

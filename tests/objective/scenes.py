@@ -10,8 +10,6 @@ from planning import ARDUCOPTER, limits
 from companion.objective.scene import (
     TERMS,
     Bounds,
-    Grid,
-    Near,
     Scene,
     Workspace,
     radar_table,
@@ -22,8 +20,9 @@ from companion.path.envelope import envelope_of
 from companion.path.subpath import Pose, Subpath
 from companion.planner.kernels import compiled
 from companion.profiles import Weights
+from companion.world.clearance import Surface
 from companion.world.radars import Radar
-from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells, packed
+from companion.world.zones import NO_CELLS, CircleZone, PolygonZone, Zone, near_cells, packed
 
 FloatArray = NDArray[np.float64]
 
@@ -114,16 +113,16 @@ def random_scene(
         band_amsl_m=(315.0, 785.0),
         radars=radar_table(radars, RADAR_MARGIN_M),
         zones=table,
-        near_polygons=Near.of(near if rng.random() < 0.5 else None),
+        near_polygons=near if rng.random() < 0.5 else NO_CELLS,
         at=Workspace.of(count, samples or int(rng.choice([12, 13, 40])), polygons),
     )
 
 
-def lattice(rng: np.random.Generator, cell_m: float, most_m: float) -> Grid:
+def lattice(rng: np.random.Generator, cell_m: float, most_m: float) -> Surface:
     """A rough surface over most of where candidates come."""
     count = math.ceil(6_000.0 / cell_m)
     south, west = rng.uniform(-100.0, 1_500.0, 2)
-    return Grid(
+    return Surface(
         north_min_m=float(south),
         east_min_m=float(west),
         cell_m=cell_m,

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import spline
+from planning import parameter_of, spline
 from scenes import LIMITS, R_M, RADAR_MARGIN_M, cube, random_scene
 from scipy.integrate import quad
 from scipy.interpolate import RegularGridInterpolator
-from scipy.optimize import brentq
 
 from companion.objective import kernel
 from companion.objective.kernel import LONGEST_R2, SHORTEST_END, SHORTEST_R, SPREAD_RAD
-from companion.objective.scene import TERMS, Grid, Scene, rows_of, weights_of
+from companion.objective.scene import TERMS, Scene, rows_of, weights_of
 from companion.path.subpath import Subpath
 from companion.profiles import Weights
+from companion.world.clearance import Surface
 from companion.world.zones import ZoneTable
 
 FloatArray = NDArray[np.float64]
@@ -39,15 +39,6 @@ def curvature_1_m(curve: Any, u: float) -> FloatArray:
     normal = np.cross(cross, first)
     size = np.linalg.norm(cross) / np.linalg.norm(first) ** 3
     return np.asarray(size * normal / max(np.linalg.norm(normal), 1e-300))
-
-
-def parameter_of(curve: Any, point_nea_m: FloatArray) -> float:
-    """Where a curve passes through a point of it."""
-    fine = np.linspace(0.0, 1.0, 2_001)
-    k = int(np.linalg.norm(curve(fine) - point_nea_m, axis=-1).argmin())
-    bracket = fine[max(k - 1, 0)], fine[min(k + 1, 2_000)]
-    u: float = brentq(lambda at: (curve(at) - point_nea_m) @ curve(at, 1), *bracket, xtol=1e-15)
-    return u
 
 
 # --- joins
@@ -162,7 +153,7 @@ def terms(x: FloatArray, scene: Scene) -> dict[str, float]:
     return dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
 
 
-def bilinear_m(surface: Grid, north: float, east: float) -> float:
+def bilinear_m(surface: Surface, north: float, east: float) -> float:
     rows, columns = surface.vertex_m.shape
     axes = (
         surface.north_min_m + surface.cell_m * np.arange(rows),
@@ -358,7 +349,7 @@ def test_no_term_is_negative_or_anything_but_a_number(seed: int) -> None:
 
 def test_a_candidate_between_what_it_must_keep_costs_only_its_way() -> None:
     rng = np.random.default_rng(2)
-    flat = Grid(0.0, 0.0, 1e3, np.full((9, 9), 315.0))
+    flat = Surface(0.0, 0.0, 1e3, np.full((9, 9), 315.0))
     scene = random_scene(rng, points=5, from_rest=True, is_final=False, samples=40)
     scene = scene._replace(
         start=np.array([[3_500.0, 3_500.0, 316.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
@@ -385,7 +376,7 @@ def test_what_stands_between_two_samples_is_met_at_the_points_of_the_chords() ->
     x[:, -1] = 1.0  # as far as it may
     points = spline(control_points(x, scene)[0])(np.linspace(0.0, 1.0, 41))
     n, e, _ = points[20] + (points[21] - points[20]) / 3.0
-    flat = Grid(n - 4.0, e - 4.0, 4.0, np.zeros((3, 3)))
+    flat = Surface(n - 4.0, e - 4.0, 4.0, np.zeros((3, 3)))
     mast = flat._replace(vertex_m=flat.vertex_m.copy())
     mast.vertex_m[1, 1] = 5_000.0
     assert np.linalg.norm(points - points[20], axis=-1)[21] > 6.0 * 4.0

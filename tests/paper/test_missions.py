@@ -42,21 +42,6 @@ def test_a_route_leads_from_the_start_to_the_target_without_a_gap(flown: Run) ->
     assert len(flown.scans_nea_m) == flown.legs
 
 
-def test_the_same_seed_flies_the_same_route_and_another_does_not(flown: Run) -> None:
-    case = bundled_case("environment-1")
-    again, other = (
-        fly(
-            planned_with(
-                case, optimiser="improved-de", planning_time_s=3.0, evaluations=600, seed=seed
-            )
-        )
-        for seed in (1, 2)
-    )
-    assert again.cost == flown.cost
-    assert again.route_nea_m.tobytes() == flown.route_nea_m.tobytes()
-    assert other.cost != flown.cost
-
-
 def test_the_fitness_from_start_to_target_holds_at_least_the_length_of_the_route(
     flown: Run,
 ) -> None:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from planning import column_distance_m
+from planning import ask, column_distance_m
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -21,7 +21,6 @@ from companion.errors import InputError
 from companion.paper.rivals import roadmaps, routes
 from companion.paper.rivals.routes import PLANNERS, Field, RouteProblem
 from companion.path.proof import RESULTS
-from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, PlanRequest
 from companion.world.simulated_scan import true_map
 from companion.world.zones import CircleZone
@@ -106,18 +105,24 @@ def test_who_is_shut_in_says_so(name: str) -> None:
     assert answer
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_star_over_the_grid_costs_what_dijkstra_finds(seed: int) -> None:
-    rate = with_discs(seed)
-    costs = roadmaps.step_costs(rate, 4, roadmaps.SIXTEEN)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("every", "steps"), [(4, roadmaps.SIXTEEN), (4, roadmaps.EIGHT), (1, roadmaps.EIGHT)]
+)
+def test_a_star_over_the_grid_costs_what_dijkstra_finds(
+    seed: int, every: int, steps: tuple[tuple[int, int], ...]
+) -> None:
+    rate = with_discs(seed)[: 40 * every + 1, : 40 * every + 1]
+    costs = roadmaps.step_costs(rate, every, steps)
     rows, columns, _ = costs.shape
+    weights = [1, *[2] * (every - 1), 1]
     edges = []
     for i, j in np.ndindex(rows, columns):
-        for k, (up, right) in enumerate(roadmaps.SIXTEEN):
-            line = [(4 * i + s * up, 4 * j + s * right) for s in range(5)]
+        for k, (up, right) in enumerate(steps):
+            line = [(every * i + s * up, every * j + s * right) for s in range(every + 1)]
             if 0 <= i + up < rows and 0 <= j + right < columns:
-                mean = sum(w * rate[at] for w, at in zip((1, 2, 2, 2, 1), line, strict=True)) / 8
-                assert costs[i, j, k] == pytest.approx(4 * math.hypot(up, right) * mean)
+                mean = sum(w * rate[at] for w, at in zip(weights, line, strict=True)) / sum(weights)
+                assert costs[i, j, k] == pytest.approx(every * math.hypot(up, right) * mean)
                 if math.isfinite(mean):
                     edges.append((costs[i, j, k], i * columns + j, (i + up) * columns + j + right))
             else:
@@ -125,9 +130,9 @@ def test_a_star_over_the_grid_costs_what_dijkstra_finds(seed: int) -> None:
     cost, here, there = zip(*edges, strict=True)
     expected = coo_array((cost, (here, there)), shape=(rows * columns, rows * columns))
     start, end = 2 * columns + 2, 37 * columns + 38
-    before, after, found = roadmaps.grid(costs, roadmaps.SIXTEEN)
+    before, after, found = roadmaps.grid(costs, steps)
     graph = csr_array((found, (before, after)), shape=expected.shape)
-    left = 4.0 * np.hypot(*(np.indices((rows, columns)).reshape(2, -1).T - (37, 38)).T)
+    left = every * np.hypot(*(np.indices((rows, columns)).reshape(2, -1).T - (37, 38)).T)
     for search in (roadmaps.search, compiled(roadmaps.search)):
         paid, way = search(graph.indptr, graph.indices, graph.data, left, start, end)
         assert paid == pytest.approx(dijkstra(expected, indices=start)[end])
@@ -176,16 +181,8 @@ def test_a_rival_arrives_and_keeps_its_clearance(knowledge: alone.Knowledge) -> 
 def asked() -> PlanRequest:
     """What is asked at the start of a dense world, of which everything is known."""
     world = families.world("dense", 0, 0)
-    return PlanRequest(
-        plan_id=1,
-        seed=1,
-        task=world.task,
-        known=true_map(world.terrain, families.unseen(world)),
-        scan_nea_m=world.start_nea_m,
-        start=hover_pose(world.start_nea_m),
-        from_rest=True,
-        target_ne_m=world.targets_ne_m[0],
-    )
+    known = true_map(world.terrain, families.unseen(world))
+    return ask(world.task, known, world.start_nea_m, seed=1, target_ne_m=world.targets_ne_m[0])
 
 
 def test_a_field_costs_at_its_points_no_less_than_the_measure_says() -> None:

@@ -397,6 +397,16 @@ def truth(case: Case, samples: int = 200) -> Truth:
     )
 
 
+def broken_by(told: Any, real: Truth) -> list[str]:
+    """The numbers of a certificate that the truth breaks."""
+    least = ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "lowest_amsl_m")
+    most = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
+    wrong = [name for name in least if getattr(told, name) > getattr(real, name) + 2e-6]
+    wrong = [n for n in wrong if getattr(told, n) > getattr(real, n) * (1.0 + 1e-9)]
+    wrong += [name for name in most if getattr(told, name) < getattr(real, name) - 2e-6]
+    return wrong + ["radar_m"] * (told.radar_m < real.radar_m - 0.002 * real.length_m)
+
+
 def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None) -> FloatArray:
     """The fastest that the reference point may be, by halving what its rules allow."""
     low, high = np.zeros_like(left), np.full_like(left, it.speed_m_s)

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from brute_force import FloatArray, fastest_m_s, random_case, truth
+from brute_force import FloatArray, broken_by, fastest_m_s, random_case, truth
 from planning import ARDUCOPTER, limits
 
 from companion.path.certificate import Certificate, Margins, certify, pack_surroundings
@@ -460,19 +460,7 @@ def test_random_curves_keep_at_least_what_their_certificates_promise(cases: int)
             case.surroundings(),
             from_rest=case.from_rest,
         )
-        real = truth(case, samples=100)
-        tiny = 2e-6
-        assert told.clearance_m <= real.clearance_m + tiny, seed
-        assert told.keep_out_m <= real.keep_out_m + tiny, seed
-        assert told.dead_man_m <= real.dead_man_m + tiny, seed
-        assert told.turn_radius_m <= real.turn_radius_m * (1.0 + 1e-9), seed
-        assert told.climb_angle_rad >= real.climb_angle_rad - tiny, seed
-        assert told.dive_angle_rad >= real.dive_angle_rad - tiny, seed
-        assert told.lowest_amsl_m <= real.lowest_amsl_m + tiny, seed
-        assert told.highest_amsl_m >= real.highest_amsl_m - tiny, seed
-        assert told.off_map_m >= real.off_map_m - tiny, seed
-        assert told.radar_m >= real.radar_m - 0.002 * real.length_m, seed
-        assert told.detection >= real.detection - tiny, seed
+        assert broken_by(told, truth(case, samples=100)) == [], seed
 
 
 def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(

@@ -5,7 +5,6 @@ import pytest
 from brute_force import Case, FloatArray, column_distance_m, curve, fastest_m_s, random_case
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import zone_distance_m
 
 from companion.path import proof
 from companion.path.certificate import cubics_of
@@ -13,7 +12,6 @@ from companion.path.proof import exposure, first_pieces, piece_of, stretch_of
 from companion.path.proof_shape import extremes, largest, runs_forward
 from companion.planner import kernels
 from companion.world.columns import column_distance, terrain_distance
-from companion.world.zones import CircleZone, edge_distance, zone_distance
 
 seeds = st.integers(0, 10**6)
 T = np.linspace(0.0, 1.0, 801)
@@ -112,34 +110,6 @@ def test_the_distance_from_the_terrain_is_that_of_the_nearest_column(
     brute = min(float(column_distance_m(around, points).min()), limit)
     assert told <= brute + 1e-6
     assert told >= brute - 0.1 - length / 200.0
-
-
-@given(seed=seeds)
-def test_edges_are_as_far_apart_as_their_nearest_points(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n0, e0, n1, e1, an, ae, bn, be = rng.uniform(-10, 10, 8).tolist()
-    t = np.linspace(0.0, 1.0, 301)
-    one = np.stack([n0 + t * (n1 - n0), e0 + t * (e1 - e0)], axis=-1)
-    two = np.stack([an + t * (bn - an), ae + t * (be - ae)], axis=-1)
-    brute = np.linalg.norm(one[:, None] - two[None], axis=-1).min()
-    told = edge_distance(n0, e0, n1, e1, an, ae, bn, be)
-    assert told <= brute + 1e-9
-    assert told >= brute - 0.1
-
-
-@given(seed=seeds)
-def test_zones_are_as_far_as_their_own_distance_says_along_the_segment(seed: int) -> None:
-    case = a_case(seed)
-    zones = (*case.zones, CircleZone(name="c", north_m=0.0, east_m=0.0, radius_m=10.0))
-    here = Case(**{**{f: getattr(case, f) for f in case.__dataclass_fields__}, "zones": zones})
-    segment, _, _, length = piece_of(cubics_of(case.control_nea_m), 0, 0.0, 1.0)
-    n, e, _ = along(segment).T
-    brute = min(float(zone_distance_m(zone, n, e).min()) for zone in zones)
-    lower, upper = zone_distance(here.surroundings().zones, segment, 1e9)
-    assert lower <= brute + 1e-6
-    assert upper >= lower
-    if brute > 0.0:
-        assert lower >= brute - length / 800.0
 
 
 @given(

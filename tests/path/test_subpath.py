@@ -3,9 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import spline
+from planning import parameter_of, spline
 from scipy.integrate import quad
-from scipy.optimize import brentq
 
 from companion.path.subpath import Subpath
 
@@ -36,14 +35,6 @@ def test_the_length_is_the_integral_of_the_speed(seed: int) -> None:
     assert subpath.length_m == pytest.approx(length, rel=1e-6)
 
 
-def parameter(subpath: Subpath, point_nea_m: FloatArray) -> float:
-    """Where the curve passes through a point of it."""
-    curve = spline(subpath.control_nea_m)
-    k = int(np.linalg.norm(curve(np.linspace(0.0, 1.0, 401)) - point_nea_m, axis=-1).argmin())
-    bracket = max(k - 1, 0) / 400.0, min(k + 1, 400) / 400.0
-    return float(brentq(lambda at: (curve(at) - point_nea_m) @ curve(at, 1), *bracket, xtol=1e-15))
-
-
 @settings(max_examples=20)
 @given(seed=seeds, points=sizes, share=st.floats(0.01, 0.99))
 def test_the_pose_is_where_the_curve_is_after_that_length(
@@ -52,7 +43,7 @@ def test_the_pose_is_where_the_curve_is_after_that_length(
     subpath = a_subpath(seed, points)
     curve = spline(subpath.control_nea_m)
     pose = subpath.pose(share * subpath.length_m)
-    u = parameter(subpath, pose.position_nea_m)
+    u = parameter_of(curve, pose.position_nea_m)
     knots = [n / (points - 3) for n in range(1, points - 3) if n / (points - 3) < u]
     flown, _ = quad(lambda at: np.linalg.norm(curve(at, 1)), 0.0, u, points=knots, limit=100)
     assert flown == pytest.approx(share * subpath.length_m, rel=1e-6, abs=0.05)
@@ -66,8 +57,9 @@ def test_the_curvature_is_the_change_of_the_tangent_with_the_length_flown(
     subpath = a_subpath(seed, points)
     at = share * subpath.length_m
     here = subpath.pose(at)
-    u = parameter(subpath, here.position_nea_m)
-    first, second = (spline(subpath.control_nea_m)(u, order) for order in (1, 2))
+    curve = spline(subpath.control_nea_m)
+    u = parameter_of(curve, here.position_nea_m)
+    first, second = (curve(u, order) for order in (1, 2))
     cross = np.cross(first, second)
     assert here.tangent_nea == pytest.approx(first / np.linalg.norm(first), abs=1e-9)
     assert here.curvature_nea_1_m @ here.tangent_nea == pytest.approx(0.0, abs=1e-12)

@@ -9,32 +9,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from planning import column_distance_m, spline
+from planning import column_distance_m, spline, zone_distance_m
 
 from companion.path.envelope import ending_m_s, rising_m_s
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.zones import CircleZone, Zone
 
 FloatArray = NDArray[np.float64]
 
 _SLACK_M = 1e-3
 
 
-def keep_out_distance_m(zone: Zone, points: FloatArray) -> FloatArray:
-    """Of circles, and of squares along the axes: negative or zero inside."""
-    n, e = points[:, 0], points[:, 1]
-    if isinstance(zone, CircleZone):
-        return np.asarray(np.hypot(n - zone.north_m, e - zone.east_m) - zone.radius_m)
-    (south, west), (north, east) = np.min(zone.vertices_ne_m, 0), np.max(zone.vertices_ne_m, 0)
-    gap_n = np.maximum(np.maximum(south - n, n - north), 0.0)
-    gap_e = np.maximum(np.maximum(west - e, e - east), 0.0)
-    return np.asarray(np.hypot(gap_n, gap_e))
-
-
 def nearest_m(task: Task, known: KnownMap, points: FloatArray, within_m: float) -> float:
     """Least distance of points to terrain and keep-outs."""
-    gaps = [float(keep_out_distance_m(zone, points).min()) for zone in task.zones]
+    gaps = [float(zone_distance_m(zone, *points.T[:2]).min()) for zone in task.zones]
     return min(float(column_distance_m(known, points, within_m).min()), *gaps, within_m)
 
 

@@ -4,12 +4,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from dense_check import violations
-from planning import ask, spline
+from planning import ask, fly, spline
 
 from companion.path import proof
 from companion.path.subpath import Subpath
 from companion.planner.backtrack import backtrack
-from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
@@ -20,16 +20,8 @@ START, TARGET = (1_000.0, 1_200.0, 500.0), (4_800.0, 2_600.0)
 
 
 @pytest.fixture(scope="module")
-def flight(task: Task, blank: KnownMap, truth: KnownMap) -> OfflineFlight:
-    flight = fly_offline(
-        task,
-        blank=blank,
-        truth=truth,
-        start_nea_m=START,
-        targets_ne_m=(TARGET,),
-        seed=3,
-        planner=plan,
-    )
+def flight(task: Task, truth: KnownMap) -> OfflineFlight:
+    flight = fly(task, truth, START, TARGET, seed=3)
     assert flight.failure is None
     assert len(flight.legs) >= 3
     return flight

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import LARGE
 
-from companion.path.limits import Limits
 from companion.planner import field as planner_field
 from companion.planner.field import CostToGo, Memory, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
@@ -31,15 +31,10 @@ def a_task(
     *, radars: tuple[Radar, ...] = (), zones: tuple[Zone, ...] = (), size_m: float = 60e3
 ) -> Task:
     return Task(
-        limits=Limits(
-            speed_m_s=150.0,
-            acceleration_m_s2=5.0,
-            climb_rate_m_s=25.0,
-            turn_radius_m=2_500.0,
+        limits=replace(
+            LARGE,
             climb_angle_rad=CLIMB,
             dive_angle_rad=CLIMB,
-            floor_amsl_m=FLOOR,
-            ceiling_amsl_m=CEILING,
             north_m=(0.0, size_m),
             east_m=(0.0, size_m),
         ),

@@ -60,6 +60,12 @@ def sent_to(known: KnownMap, task: Task, circler: Motion) -> Vector | None:
     return loiter_point(known, task, circler, circler.here_nea_m)
 
 
+def jagged(middle: FloatArray, reach_m: FloatArray, name: str) -> PolygonZone:
+    turns = np.linspace(0.0, math.tau, len(reach_m), endpoint=False)
+    places = middle + reach_m[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    return PolygonZone(name=name, vertices_ne_m=tuple(map(tuple, places.tolist())))
+
+
 def heading(course_deg: float) -> tuple[float, float, float]:
     course = math.radians(course_deg)
     return V * math.cos(course), V * math.sin(course), 0.0
@@ -74,10 +80,7 @@ def test_the_circle_is_clear_and_the_way_there_never_comes_nearer_than_staying(
     for _ in range(60):
         at = rng.uniform(-250.0, 250.0, 2)
         zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=float(rng.uniform(50, 150)))
-        circler = Motion(
-            (float(at[0]), float(at[1]), HEIGHT_M),
-            heading(float(rng.uniform(0, 360))),
-        )
+        circler = Motion((*at.tolist(), HEIGHT_M), heading(float(rng.uniform(0, 360))))
         point = sent_to(flat(), replace(TASK, zones=(zone,)), circler)
         if point is None:
             continue
@@ -96,11 +99,7 @@ def test_among_polygons_of_many_corners_it_is_as_clear_as_their_edges_have_it() 
         zones = []
         for k in range(10):
             middle = rng.uniform(-900.0, 900.0, 2) * (k > 0) + rng.uniform(-120.0, 120.0, 2)
-            turns = np.linspace(0.0, math.tau, 60, endpoint=False)
-            reach = rng.uniform(30.0, 90.0, 60)[:, None]
-            places = middle + reach * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-            vertices = tuple((n, e) for n, e in places.tolist())
-            zones.append(PolygonZone(name=str(k), vertices_ne_m=vertices))
+            zones.append(jagged(middle, rng.uniform(30.0, 90.0, 60), str(k)))
         circler = Motion((0.0, 0.0, HEIGHT_M), heading(float(rng.uniform(0, 360))))
         point = sent_to(flat(), replace(TASK, zones=tuple(zones)), circler)
         if point is None:
@@ -117,10 +116,7 @@ def test_among_polygons_of_many_corners_it_is_as_clear_as_their_edges_have_it() 
 def test_out_of_a_zone_it_is_led_by_a_turn_and_does_not_come_back(course_deg: int) -> None:
     """Deep inside, with the nose outwards, it is out within a half turn and the depth."""
     zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=120.0)
-    circler = Motion(
-        (-60.0, 0.0, HEIGHT_M),
-        heading(course_deg),
-    )
+    circler = Motion((-60.0, 0.0, HEIGHT_M), heading(course_deg))
     point = sent_to(flat(), replace(TASK, zones=(zone,)), circler)
     assert point is not None
     assert gap_m((zone,), *point[:2]) - LOITER_M >= REQUIRED_M
@@ -163,10 +159,7 @@ def test_a_hill_on_the_way_counts_at_the_height_that_the_plane_has() -> None:
     north, _ = known.middles_m(0, 0, known.upper_m.shape)
     known.upper_m[(north[:, 0] > 150.0) & (north[:, 0] < 250.0)] = 60.0
     for height_m, found in ((65.0, False), (HEIGHT_M, True)):
-        circler = Motion(
-            (0.0, 0.0, height_m),
-            heading(0.0),
-        )
+        circler = Motion((0.0, 0.0, height_m), heading(0.0))
         assert (sent_to(known, task, circler) is not None) is found
 
 
@@ -191,10 +184,7 @@ def test_among_fifty_zones_of_a_hundred_corners_it_looks_at_no_more_than_it_can(
     zones = []
     for k in range(50):
         middle = rng.uniform(-900.0, 900.0, 2) if k else np.zeros(2)
-        turns = np.linspace(0.0, math.tau, 100, endpoint=False)
-        reach = rng.uniform(50.0, 90.0, 100)[:, None]
-        places = middle + reach * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-        zones.append(PolygonZone(name=str(k), vertices_ne_m=tuple(map(tuple, places.tolist()))))
+        zones.append(jagged(middle, rng.uniform(50.0, 90.0, 100), str(k)))
     task = replace(TASK, zones=tuple(zones))
     sent_to(flat(), task, Motion((100.0, 0.0, HEIGHT_M), heading(90.0)))
     assert 0 < looked_at < 300_000

@@ -1,12 +1,9 @@
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from dense_check import violations
-from planning import spline
-from scipy.optimize import brentq
 
 from companion.planner.offline import OfflineFlight, fly_offline, usual_most_legs
 from companion.planner.plan import plan
@@ -97,33 +94,21 @@ def test_a_target_in_the_middle_of_a_radar_is_flown_to(
     assert sum(flight.flown_m) < 2.0 * math.dist(START[:2], target)
 
 
-def curvature_1_m(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return np.asarray(np.cross(np.cross(first, second), first) / np.linalg.norm(first) ** 4)
-
-
-def test_position_tangent_and_curvature_go_on_from_leg_to_leg(
-    flight: OfflineFlight, task: Task
+def test_each_leg_is_flown_to_where_the_next_one_begins(
+    flight: OfflineFlight, task: Task, planner: Refusing
 ) -> None:
-    assert flight.legs[0].subpath.pose(0.0).position_nea_m == pytest.approx(START)
-    for leg, after in pairwise(flight.legs):
-        old, new = spline(leg.subpath.control_nea_m), spline(after.subpath.control_nea_m)
-        joint = new(0.0)
-        k = int(np.linalg.norm(old(np.linspace(0.0, 1.0, 401)) - joint, axis=-1).argmin())
-        u = brentq(lambda at: (old(at) - joint) @ old(at, 1), (k - 1) / 400, (k + 1) / 400)  # noqa: B023
-        assert np.linalg.norm(old(u) - joint) <= 1e-6 * task.settings.scan_range_m
-        (a, a2), (b, b2) = ((curve(at, 1), curve(at, 2)) for curve, at in ((old, u), (new, 0.0)))
-        assert np.linalg.norm(a / np.linalg.norm(a) - b / np.linalg.norm(b)) <= 1e-6
-        bend = curvature_1_m(a, a2)
-        assert np.linalg.norm(curvature_1_m(b, b2) - bend) <= 1e-6 * np.linalg.norm(bend) + 1e-12
-
-
-def test_each_leg_is_flown_to_where_the_next_one_begins(flight: OfflineFlight, task: Task) -> None:
     assert len(flight.flown_m) == len(flight.legs)
     for leg, flown_m, after in zip(flight.legs, flight.flown_m, flight.legs[1:], strict=False):
         there = leg.subpath.pose(flown_m).position_nea_m
         assert there == pytest.approx(after.subpath.control_nea_m[0])
         assert leg.subpath.length_m - flown_m == pytest.approx(task.tail_m)
     assert flight.flown_m[-1] == flight.legs[-1].subpath.length_m
+    for leg, flown_m, request in zip(
+        flight.legs, flight.flown_m, planner.requests[1:], strict=False
+    ):  # the plan goes on with tangent and curvature: tests/objective/test_flight.py
+        there = leg.subpath.pose(flown_m)
+        np.testing.assert_array_equal(request.start.tangent_nea, there.tangent_nea)
+        np.testing.assert_array_equal(request.start.curvature_nea_1_m, there.curvature_nea_1_m)
 
 
 def test_every_leg_is_proven_and_passes_a_check_of_every_metre_against_the_truth(

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import ask, column_distance_m, fly, spline
+from planning import ask, column_distance_m, fly, limits, spline
 
 from companion.path.envelope import flown_on_m, stopping_m
-from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.offline import OfflineFlight
@@ -34,20 +33,11 @@ from companion.world.zones import CircleZone, PolygonZone, Zone
 FloatArray = NDArray[np.float64]
 
 V, LOITER = 20.0, 80.0
-LIMITS = Limits(
-    speed_m_s=V,
-    acceleration_m_s2=2.0,
-    climb_rate_m_s=2.5,
-    turn_radius_m=110.0,
-    climb_angle_rad=math.radians(6.0),
-    dive_angle_rad=math.radians(7.0),
-    floor_amsl_m=250.0,
-    ceiling_amsl_m=700.0,
-    north_m=(0.0, 8_000.0),
-    east_m=(0.0, 8_000.0),
-    tracking_error_m=12.0,
-    loiter_radius_m=LOITER,
-)
+LIMITS = limits(
+    speed_m_s=V, acceleration_m_s2=2.0, climb_rate_m_s=2.5, turn_radius_m=110.0,
+    climb_angle_rad=math.radians(6.0), dive_angle_rad=math.radians(7.0), floor_amsl_m=250.0,
+    tracking_error_m=12.0, loiter_radius_m=LOITER,
+)  # fmt: skip
 SETTINGS = PlannerSettings(
     scan_range_m=2_400.0,
     safety_distance_m=50.0,

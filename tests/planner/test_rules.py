@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import limits
 
 from companion.errors import InputError
 from companion.path.limits import Limits
@@ -12,33 +13,25 @@ from companion.planner.rules import check_polygon, check_target, check_task, fir
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.zones import CircleZone
 
-COPTER = Limits(
-    speed_m_s=8.0,
-    acceleration_m_s2=2.0,
-    climb_rate_m_s=2.5,
-    turn_radius_m=25.0,
-    climb_angle_rad=0.3,
-    dive_angle_rad=0.3,
-    floor_amsl_m=500.0,
-    ceiling_amsl_m=660.0,
-    north_m=(-5000.0, 5000.0),
-    east_m=(-5000.0, 5000.0),
-    tracking_error_m=5.0,
-)
+COPTER = limits(
+    speed_m_s=8.0, acceleration_m_s2=2.0, climb_rate_m_s=2.5, turn_radius_m=25.0,
+    climb_angle_rad=0.3, dive_angle_rad=0.3, floor_amsl_m=500.0, ceiling_amsl_m=660.0,
+    north_m=(-5000.0, 5000.0), east_m=(-5000.0, 5000.0),
+)  # fmt: skip
 PLANE = replace(COPTER, speed_m_s=18.0, turn_radius_m=80.0, loiter_radius_m=80.0)
 SETTINGS = PlannerSettings(scan_range_m=2000.0, safety_distance_m=40.0, planning_time_s=3.0)
 
 
-def refused(limits: Limits, settings: PlannerSettings = SETTINGS, where: str = "") -> InputError:
+def refused(of: Limits, settings: PlannerSettings = SETTINGS, where: str = "") -> InputError:
     with pytest.raises(InputError) as caught:
-        check_task(Task(limits=limits, settings=settings), where)
+        check_task(Task(limits=of, settings=settings), where)
     assert len(str(caught.value).splitlines()) == 1
     return caught.value
 
 
 def test_tasks_that_can_be_flown_pass() -> None:
-    for limits in (COPTER, PLANE):
-        check_task(Task(limits=limits, settings=SETTINGS))
+    for each in (COPTER, PLANE):
+        check_task(Task(limits=each, settings=SETTINGS))
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planning import LARGE as LIMITS
 
 from companion.path.envelope import COPTER, ending_m_s, slowing_m
-from companion.path.limits import Limits
 from companion.planner import kernels
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import FLIGHT, PAPER, PROFILES, Weights
@@ -17,18 +17,6 @@ from companion.world.known_map import empty_map
 
 safe_surface = partial(clearance.safe_surface, dilated=kernels.compiled().dilated_m)
 
-LIMITS = Limits(
-    speed_m_s=150.0,
-    acceleration_m_s2=5.0,
-    climb_rate_m_s=25.0,
-    turn_radius_m=2_500.0,
-    climb_angle_rad=0.17,
-    dive_angle_rad=0.17,
-    floor_amsl_m=3_000.0,
-    ceiling_amsl_m=5_000.0,
-    north_m=(-5e3, 105e3),
-    east_m=(-5e3, 105e3),
-)
 ENVIRONMENT_1 = Task(
     limits=LIMITS,
     settings=PlannerSettings(

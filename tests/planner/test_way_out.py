@@ -10,15 +10,16 @@ import sys
 from collections import Counter, deque
 from dataclasses import replace
 from functools import cache
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from planning import ask
 
 from companion.config import load_mission
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned, PlanRequest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -160,16 +161,7 @@ def place(seed: int) -> tuple[PlanRequest, bool] | None:
     if not wholly_clear(met, 2.0 * task.required_clearance_m)[cell]:
         return None
     here = (*rng.uniform(-0.1, 0.1, 2).tolist(), ALTITUDE_M)
-    request = PlanRequest(
-        plan_id=1,
-        seed=seed,
-        task=task,
-        known=known,
-        scan_nea_m=here,
-        start=hover_pose(here),
-        from_rest=True,
-        target_ne_m=target,
-    )
+    request = ask(task, known, here, seed=seed, target_ne_m=target)
     return request, has_way(known, task.required_clearance_m, cell)
 
 
@@ -204,48 +196,37 @@ def real(name: str) -> PlanRequest:
     limits = replace(limits, tracking_error_m=tracking, navigation_error_m=navigation)
     cell_m = range_m / 64.0
     settings = replace(task.settings, scan_range_m=range_m, cell_m=cell_m)
-    return PlanRequest(
-        plan_id=1,
-        seed=1,
-        task=replace(task, limits=limits, settings=settings),
-        known=KnownMap(
-            cell_m=cell_m,
-            north_min_m=float(corner[0]),
-            east_min_m=float(corner[1]),
-            upper_m=np.array([math.inf, GROUND_M, TOP_M])[cells],
-            seen=cells > 0,
-        ),
-        scan_nea_m=here,
-        start=hover_pose(here),
-        from_rest=True,
-        target_ne_m=(float(target[0]), float(target[1])),
+    known = KnownMap(
+        cell_m=cell_m,
+        north_min_m=float(corner[0]),
+        east_min_m=float(corner[1]),
+        upper_m=np.array([math.inf, GROUND_M, TOP_M])[cells],
+        seen=cells > 0,
     )
+    task = replace(task, limits=limits, settings=settings)
+    return ask(task, known, here, seed=1, target_ne_m=(float(target[0]), float(target[1])))
 
 
-@pytest.mark.parametrize("is_hurried", [False, True], ids=["in time", "without time"])
+@pytest.mark.parametrize("questions", [0, 1, 3, 1_000])
 @pytest.mark.parametrize("name", REAL)
-def test_where_real_flights_gave_up_there_is_a_leg(name: str, is_hurried: bool) -> None:
-    outcome = plan(real(name), lambda: is_hurried)
+def test_where_real_flights_gave_up_there_is_a_leg(name: str, questions: int) -> None:
+    """However little time there is: it is up after so many questions whether it is."""
+    asked = count(1)
+    outcome = plan(real(name), lambda: next(asked) > questions)
     assert isinstance(outcome, Planned)
     assert outcome.certificate.proven
     assert outcome.subpath.length_m > 1.0
 
 
-def main(count: int, first: int) -> None:
+def main(many: int, first: int) -> None:
     """Look at many places."""
-    found: Counter[str] = Counter()
-    for seed in range(first, first + count):
-        asked = place(seed)
-        if asked is None:
-            found["no room to stand"] += 1
-            continue
-        outcome = plan(asked[0])
-        kind = "straight" if isinstance(outcome, Planned) and outcome.is_escape else "searched"
-        if not isinstance(outcome, Planned):
-            kind = outcome.refusal.name
-        if asked[1] and not isinstance(outcome, Planned):
-            sys.stdout.write(f"no leg: {seed} {kind} {outcome.broken}\n")
-        found[f"{'a way' if asked[1] else 'no way'}, {kind}"] += 1
+    found: Counter[tuple[bool, str]] = Counter()
+    for seed in range(first, first + many):
+        if (asked := place(seed)) is not None:
+            outcome = plan(asked[0])
+            found[asked[1], type(outcome).__name__] += 1
+            if asked[1] and not isinstance(outcome, Planned):
+                sys.stdout.write(f"no leg: {seed} {outcome}\n")
     sys.stdout.write(f"{dict(found)}\n")
 
 

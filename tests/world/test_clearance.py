@@ -6,14 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import column_distance_m
 from scipy.interpolate import RegularGridInterpolator
 
 from companion.planner import kernels
 from companion.world import clearance
-from companion.world.clearance import (
-    Surface,
-    terrain_surface,
-)
+from companion.world.clearance import Surface, terrain_surface
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
 
@@ -59,11 +57,7 @@ def gaps_m(known: KnownMap, points_ne_m: FloatArray) -> tuple[FloatArray, FloatA
 
 def distance_to_columns_m(known: KnownMap, points: FloatArray) -> FloatArray:
     """Distance of points to all terrain wherever its registration lets it be.  (K, 3) -> (K,)."""
-    north, east = gaps_m(known, points[:, :2])
-    aside = np.hypot(north[:, :, None], east[:, None, :])
-    aside = np.maximum(aside - known.registration_m, 0.0)
-    below = np.maximum(points[:, 2, None, None] - tops(known), 0.0)
-    return np.hypot(aside, below).min(axis=(1, 2))
+    return column_distance_m(replace(known, upper_m=tops(known)), points)
 
 
 def near_middle(rng: np.random.Generator, count: int, reach_m: float) -> FloatArray:
@@ -182,13 +176,8 @@ def test_the_distance_of_a_point_is_that_to_the_nearest_column_and_unknown_groun
 ) -> None:
     rng = np.random.default_rng(seed)
     known = random_map(rng, registration_m)
-    about = endless(known)
-    about = replace(about, upper_m=np.where(np.isfinite(about.upper_m), about.upper_m, 1e9))
     points = rng.uniform((-300.0, -300.0, 0.0), (2_700.0, 2_700.0, 900.0), (10, 3))
-    north, east = gaps_m(about, points[:, :2])
-    aside = np.hypot(north[:, :, None], east[:, None, :])
-    below = np.maximum(points[:, 2, None, None] - about.upper_m, 0.0)
-    away = np.hypot(np.maximum(aside - registration_m, 0.0), below).min(axis=(1, 2))
+    away = column_distance_m(endless(known), points)
     found = [distance_to_terrain_m(known, point, most_m) for point in points]
     assert found == pytest.approx(np.minimum(away, most_m))
 

@@ -48,15 +48,6 @@ def test_the_height_is_equation_1_over_the_ground(
     assert height == pytest.approx(eq_1(terrain, north, east), rel=1e-12, abs=2e-9)
 
 
-@given(terrain=terrains)
-def test_heights_come_in_the_shape_of_the_points(terrain: PeakTerrain) -> None:
-    north, east = np.linspace(-1e3, 1e3, 6).reshape(2, 3), np.linspace(0, 1e3, 6).reshape(2, 3)
-    heights = terrain.height_m(north, east)
-    assert heights.shape == (2, 3)
-    for index in np.ndindex(2, 3):
-        assert heights[index] == pytest.approx(eq_1(terrain, north[index], east[index]), abs=2e-9)
-
-
 @given(terrain=terrains, n=places, e=places, dn=st.floats(1, 2_000), de=st.floats(1, 2_000))
 def test_no_point_of_a_box_is_higher_than_the_highest_in_it(
     terrain: PeakTerrain, n: float, e: float, dn: float, de: float
