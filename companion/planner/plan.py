@@ -278,7 +278,7 @@ class _Plan:
             if best is None or (is_slow_better and self._excess(best) > _MUCH_DEARER):
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
         if request.from_rest and (best is None or self._goes_round(best)):
-            out = self._way_out()
+            out = self._way_out(looks=best is None)
             owes = self._progress.owed_m > self._allowed_m
             best = out if out is not None and owes else self._cheaper(out, best)
         if best is None:
@@ -322,8 +322,8 @@ class _Plan:
             look_ahead_m=float(task.limits.turn_radius_m),
         )
 
-    def _way_out(self) -> Planned | None:
-        """A straight piece to where less is left to fly, or more is seen."""
+    def _way_out(self, *, looks: bool) -> Planned | None:
+        """A straight piece to where less is left to fly, or (looks) more is seen."""
         found: list[tuple[Certificate, float]] = []
 
         def prove(subpath: Subpath) -> Certificate | None:
@@ -334,7 +334,7 @@ class _Plan:
                     return certificate
             return None
 
-        subpath = way_out(self._request, self._field, prove)
+        subpath = way_out(self._request, self._field, prove, looks=looks)
         if subpath is None:
             return None
         certificate, speed_m_s = found[-1]

@@ -37,13 +37,18 @@ Prove = Callable[[Subpath], Certificate | None]
 """Proves a straight subpath at the highest speed at which that can be done."""
 
 
-def way_out(request: PlanRequest, field: CostToGo, prove: Prove) -> Subpath | None:
-    """The straight subpath to begin with; None if there is no place to go to."""
+def way_out(
+    request: PlanRequest, field: CostToGo, prove: Prove, *, looks: bool = True
+) -> Subpath | None:
+    """The straight subpath to begin with; None if there is no place to go to.
+
+    looks: where no less is left to fly anywhere, it goes to where more is seen.
+    """
     start, task = request.start.position_nea_m, request.task
     for climb in _CLIMBS:
         steepness = math.tan(climb * task.limits.climb_angle_rad)
         top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
-        ways = _ways(request, field, top_m)
+        ways = _ways(request, field, top_m, looks=looks)
         ends = [_ends(start, way, steepness, top_m, request.known.cell_m) for way in ways]
         if climb and ways:  # it leads up where nothing does straight on: it climbs first
             ends.append(_all_round(start, steepness, top_m, request))
@@ -89,7 +94,9 @@ def _ends(
     return result
 
 
-def _ways(request: PlanRequest, field: CostToGo, altitude_m: float) -> list[FloatArray]:
+def _ways(
+    request: PlanRequest, field: CostToGo, altitude_m: float, *, looks: bool
+) -> list[FloatArray]:
     """Ways over free places to where less is left to fly, or more is seen.  -> each (N, 2)."""
     known, task = request.around, request.task
     reach_m = task.settings.scan_range_m
@@ -121,10 +128,12 @@ def _ways(request: PlanRequest, field: CostToGo, altitude_m: float) -> list[Floa
     goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
     if left_m.ravel()[goals[0]] > here_m - _GAIN_CELLS * known.cell_m:
         goals = np.array([], dtype=np.intp)
-    edge = reached & _sees_more(known, north, east, altitude_m, task.required_clearance_m)
-    total = np.where(edge & (offset_m >= known.cell_m), left_m + away.reshape(free.shape), math.inf)
-    more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
-    goals = np.concatenate([goals, more[np.isfinite(total.ravel()[more])]])
+    if looks:
+        edge = reached & _sees_more(known, north, east, altitude_m, task.required_clearance_m)
+        edge &= offset_m >= known.cell_m
+        total = np.where(edge, left_m + away.reshape(free.shape), math.inf)
+        more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
+        goals = np.concatenate([goals, more[np.isfinite(total.ravel()[more])]])
     ways = []
     for goal in goals.tolist():
         index = [goal]
