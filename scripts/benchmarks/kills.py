@@ -222,6 +222,7 @@ class Flight:
             "flown_m": float(np.linalg.norm(where[-1] - where[0])),
             "aside": flight.offset is not None,
             "stops": flight.stop is not None,
+            "leg_m_s": leg.motion(task).speed_m_s,
             "stands": stood_s > _STANDS_FOR_S,
         }
 
