@@ -42,8 +42,9 @@ FloatArray = NDArray[np.float64]
 COPTERS: Final = ("forest", "street", "posts", "valley", "environment-1")
 PLANES: Final = ("plane", "short-plane")
 """Families of drawn worlds (`campaign.families`)."""
-_NOT_FLOWN: Final = ("plane", "px4")
-"""PX4's own simulated plane cannot climb at the 22 m/s of that family."""
+_PX4_PLANE_M_S: Final = 13.5
+"""PX4's own simulated plane makes 13.9 m/s; told to fly the 22 of a family it trades height for
+them, and flies 18 m low (`vehicle_sim.autopilots.px4.course`)."""
 AUTOPILOTS: Final = ("ardupilot", "px4")
 _PX4_ERROR_M: Final = 1.0
 """How wrong the position of the simulated PX4 may be: it tells of no less than 0.4 m."""
@@ -182,6 +183,7 @@ class KilledFlight(Flight):
             "outside_m": float(outside.max()),
             "speed_m_s": begin_m_s,
             "left_m": leg.subpath.length_m - reference.length_m,
+            "leg_m_s": leg.motion(task).speed_m_s,
             "stands": stood_s > _STANDS_FOR_S,
         }
 
@@ -190,6 +192,10 @@ def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
     """Mission and world of one flight."""
     if scale in PLANES:
         drawn = families.world(scale, seed, 1)
+        if autopilot == "px4":
+            limits = drawn.task.limits
+            limits = replace(limits, speed_m_s=min(limits.speed_m_s, _PX4_PLANE_M_S))
+            drawn = replace(drawn, task=replace(drawn.task, limits=limits))
         with tempfile.TemporaryDirectory() as folder:
             files = drawn_files.write(drawn, Path(folder), cast("AutopilotName", autopilot))
             return load_mission(str(files[1])), read_world(files[0])
@@ -247,8 +253,6 @@ def main() -> int:
     headings = "kills", "outside", "by at most, m", "margin left: least, m", "1 %, m", "s"
     table, found = running.figures("Killed at every second", "", *headings), list[dict[str, Any]]()
     for scale, autopilot in itertools.product(scales, autopilots):
-        if (scale, autopilot) == _NOT_FLOWN:
-            continue
         began_s = time.process_time()
         mine = sample(scale, autopilot, options.first, options.kills)
         outside = np.array([kill["outside_m"] for kill in mine])
