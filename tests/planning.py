@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
 
+from companion.mavlink.autopilots import named
 from companion.path.limits import Limits
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
@@ -18,6 +19,8 @@ from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.zones import CircleZone, Zone
+
+ARDUCOPTER = named("ardupilot", "copter").traits.handling
 
 FloatArray = NDArray[np.float64]
 

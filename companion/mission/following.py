@@ -24,7 +24,6 @@ from companion.planner.procedure import (
     allowed_speed_m_s,
     follow,
     is_at_end,
-    longest_wait_m,
     may_leave,
     off_disc_m,
     off_path_m,
@@ -64,7 +63,8 @@ def advance_reference(state: State, event: Position) -> Flight:
     task, flight, vehicle = state.task, state.flight, state.vehicle
     leg = flight.leg
     assert leg is not None
-    here, task = np.asarray(event.position_nea_m), task.at_speed(leg.speed_m_s)
+    here = np.asarray(event.position_nea_m)
+    task = task if leg.speed_m_s is None else task.at_speed(leg.speed_m_s)
     slows_to_m_s = None
     if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
@@ -74,7 +74,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             leg,
             vehicle.position_step_s,
             here,
-            leg.motion(task),
+            task.envelope,
             goes_on=flight.next_leg is not None,
             until_m=None if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
@@ -110,9 +110,12 @@ def is_on_path(state: State, flight: Flight, event: Position) -> bool:
         return False
     pose, (north, east, up) = leg.subpath.pose(flight.reference.length_m), event.position_nea_m
     off = np.array((north, east, up)) - pose.position_nea_m
-    along_m, error_m = float(off @ pose.tangent_nea), leg.motion(state.task).tube_m
+    along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
     across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
-    bends_m = along_m**2 / state.task.at_speed(leg.speed_m_s).limits.turn_radius_m
+    turn_radius_m = state.task.limits.turn_radius_m
+    if leg.speed_m_s is not None:
+        turn_radius_m = state.task.at_speed(leg.speed_m_s).limits.turn_radius_m
+    bends_m = along_m**2 / turn_radius_m
     return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
 
 
@@ -138,7 +141,7 @@ def outside_m(state: State, flight: Flight, event: Position) -> tuple[float, flo
     ahead = ahead_m(flight.reference, leg, here)
     across_m = off_path_m(flight.reference, leg, here) - allowed_m
     before_m = ahead - lead_m(state, flight.reference) - allowed_m
-    far_m = abs(ahead) - longest_wait_m(motion) - allowed_m
+    far_m = abs(ahead) - motion.lag_m - allowed_m
     return max(across_m, 0.0), max(before_m, 0.0), max(far_m, 0.0)
 
 

@@ -5,9 +5,10 @@ message encoding.
 """
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, final
 
+from companion.path.envelope import COPTER, Handling
 from companion.path.limits import VehicleKind
 
 
@@ -29,6 +30,8 @@ class VehicleTraits:
     kind: VehicleKind
     """What flies: a copter hovers, a plane holds by loitering."""
     take_off: TakeoffSequence
+    handling: Handling = COPTER
+    """How it flies a stream of setpoints."""
     lead_s: float = 0.0
     """How far ahead of the reference point the setpoint lies."""
     turn_lag_s2: float = 0.0
@@ -42,10 +45,11 @@ class VehicleTraits:
     lands: bool = True
     """Whether it has a mode to land in place."""
 
-    @property
-    def hovers(self) -> bool:
-        """Whether it can hover."""
-        return self.kind == "copter"
+    hovers: bool = field(init=False)
+    """Whether it can hover: asked for several times with each position."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hovers", self.kind == "copter")
 
 
 UNKNOWN: Final = VehicleTraits(name="", kind="copter", take_off=TakeoffSequence.GUIDED_THEN_CLIMB)

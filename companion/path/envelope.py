@@ -14,6 +14,10 @@ from typing import NamedTuple, final
 
 from companion.path.limits import Limits
 
+_LAG_S = (
+    1.0  # of flight at full speed: behind a point that gains speed a copter is up to 0.6 s late
+)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,27 +41,15 @@ class Handling:
     """How far it is beside a bent path, metres for each m/s2 across."""
 
 
-ARDUCOPTER = Handling(
-    name="ArduCopter", eased=0.7, settling_s=0.6, lag_s=0.0, steady_m=0.1, turning_s2=0.3
+COPTER = Handling(
+    name="copter", eased=0.5, settling_s=1.0, lag_s=0.4, steady_m=0.2, turning_s2=0.85
 )
-"""turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by; the
-others: `scripts/bench kills`."""
-PX4_MULTICOPTER = Handling(
-    name="PX4 multicopter", eased=0.5, settling_s=1.0, lag_s=0.4, steady_m=0.2, turning_s2=0.85
-)
-"""turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it
-is up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
+"""Where the autopilot is not known, the widest: as a PX4 multicopter is flown.
+
+turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it is
+up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
 PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, lag_s=0.0, steady_m=0.0, turning_s2=0.0)
 """Its circle is proven about each point of the path, and its tracking is the mission's."""
-COPTER = PX4_MULTICOPTER
-"""Where the autopilot is not known: the wider one."""
-
-
-def handling_of(autopilot: str | None, kind: str) -> Handling:
-    """That of a mission's vehicle; None: the autopilot is not known in advance."""
-    if kind == "plane":
-        return PLANE
-    return ARDUCOPTER if autopilot == "ardupilot" else COPTER
 
 
 class Envelope(NamedTuple):
@@ -79,6 +71,8 @@ class Envelope(NamedTuple):
     """The reference point takes no turn harder, so that the vehicle stays in its tube."""
     tube_m: float
     """How far the vehicle may be from where it was told to be: across the path and past its end."""
+    lag_m: float
+    """How far behind the reference point it may be: the point waits for it when it is farther."""
     navigation_m: float
     """How wrong its position may be."""
     lead_m: float
@@ -109,6 +103,7 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
         climb_rate_m_s=float(limits.climb_rate_m_s),
         lateral_m_s2=lateral,
         tube_m=float(tube_m),
+        lag_m=float(max(_LAG_S * limits.speed_m_s, 2.0 * tube_m)),
         navigation_m=float(limits.navigation_error_m),
         lead_m=0.0 if hovers else limits.speed_m_s * limits.lead_s,
         loiter_m=float(limits.loiter_radius_m),
@@ -133,9 +128,12 @@ def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
 
 def ending_m_s(it: Envelope, left_m: float) -> float:
     """The fastest that the reference point is so far before the end of a leg, where it stops."""
-    eased = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
-    dead_man = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
-    return min(it.speed_m_s, min(eased, dead_man))
+    speed = it.speed_m_s
+    for room_m, delay_s in ((left_m, it.settling_s), (left_m + it.overrun_m, it.dead_man_s)):
+        delay = it.braking_m_s2 * delay_s  # as in `slowed_m_s`: it is asked for with each position
+        eased = math.sqrt(delay * delay + 2.0 * it.braking_m_s2 * max(room_m, 0.0)) - delay
+        speed = min(speed, eased)
+    return speed
 
 
 def rising_m_s(it: Envelope, flown_m: float) -> float:

@@ -25,7 +25,6 @@ from companion.path.subpath import Pose, Subpath
 from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
 
-_LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehicle, at full speed
 _GAINS = (
     0.6  # of that: so far ahead it gains no more speed, else the vehicle catches up faster than V
 )
@@ -73,11 +72,13 @@ class Leg:
 
     def motion(self, task: Task) -> Envelope:
         """How the vehicle moves on it: it may have been proven for a lower speed than V."""
-        return (self.rules or task).at_speed(self.speed_m_s).envelope
+        rules = self.rules or task
+        return (rules if self.speed_m_s is None else rules.at_speed(self.speed_m_s)).envelope
 
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
-        return max(self.subpath.length_m - task.at_speed(self.speed_m_s).scan_distance_m, 0.0)
+        task = task if self.speed_m_s is None else task.at_speed(self.speed_m_s)
+        return max(self.subpath.length_m - task.scan_distance_m, 0.0)
 
     def wants_successor(self, at_m: float, task: Task) -> bool:
         """Whether to scan and plan for the next leg, at this length flown: from p_scan on."""
@@ -189,18 +190,13 @@ def advance(
     if slows_to_m_s is not None:
         allowed = min(allowed, max(slows_to_m_s, speed - slower))
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
-    most = longest_wait_m(motion)
+    most = motion.lag_m
     if lead > most:
         return Reference(length_m=at_m, speed_m_s=0.0)
     faster = motion.gaining_m_s2 * elapsed_s * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
     after = min(max(allowed, speed - 2.0 * slower), speed + faster)
     step = min(0.5 * (speed + after) * elapsed_s, left_m)
     return Reference(length_m=at_m + step, speed_m_s=after)
-
-
-def longest_wait_m(motion: Envelope) -> float:
-    """How far behind it a copter may be: the reference point waits for it when it is farther."""
-    return max(_LEAD_S * motion.speed_m_s, 2.0 * motion.tube_m)
 
 
 def paced_m_s(subpath: Subpath, motion: Envelope, at_m: float) -> float:

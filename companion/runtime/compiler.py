@@ -15,6 +15,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.planning import plan
 from companion.profiles import PAPER
 from companion.world.known_map import empty_map
+from companion.world.zones import PolygonZone
 
 
 @cache
@@ -76,7 +77,8 @@ def _question() -> PlanRequest:
     settings = PlannerSettings(
         scan_range_m=range_m, safety_distance_m=20.0, planning_time_s=1.0, evaluations=200
     )
-    task = Task(limits=limits, settings=settings)
+    zone = PolygonZone(name="", vertices_ne_m=((900.0, 900.0), (900.0, 950.0), (950.0, 900.0)))
+    task = Task(limits=limits, settings=settings, zones=(zone,))
     blank, start = empty_map(task.cell_m, side_m, side_m), hover_pose((0.0, 0.0, 150.0))
     return PlanRequest(
         plan_id=1,

@@ -17,7 +17,7 @@ from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.path.envelope import handling_of
+from companion.path.envelope import COPTER, PLANE, Handling
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
@@ -202,7 +202,7 @@ def mission_of(
     task = Task(
         limits=limits,
         settings=settings,
-        handling=handling_of(vehicle.autopilot, vehicle.kind),
+        handling=_handling(vehicle),
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -246,6 +246,13 @@ def mission_of(
 
 
 # --- rules between fields
+
+
+def _handling(vehicle: MissionVehicleTable) -> Handling:
+    """As of its autopilot; of one that the mission does not name the widest."""
+    if vehicle.autopilot is not None:
+        return named(vehicle.autopilot, vehicle.kind).traits.handling
+    return COPTER if vehicle.kind == "copter" else PLANE
 
 
 def _check_kind(model: MissionTable, where: str) -> None:

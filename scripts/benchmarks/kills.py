@@ -32,7 +32,7 @@ from companion.config import folder_of, load_mission
 from companion.mavlink.autopilots import named
 from companion.mission.mission import AutopilotName, Mission
 from companion.mission.state import OVER, Phase
-from companion.path.envelope import ending_m_s, flown_on_m, handling_of, rising_m_s
+from companion.path.envelope import ending_m_s, flown_on_m, rising_m_s
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.settings import Task
@@ -212,7 +212,7 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
         "MPC_JERK_AUTO": 4.0 * limits.acceleration_m_s2,
         "COM_OF_LOSS_T": math.floor(10.0 * longest_s) / 10.0,
     }
-    task = replace(mission.task, limits=limits, handling=handling_of("px4", "copter"))
+    task = replace(mission.task, limits=limits, handling=strategy.traits.handling)
     vehicle = replace(world.vehicle, autopilot="px4", parameters=parameters)
     return replace(mission, autopilot="px4", task=task), replace(world, vehicle=vehicle)
 

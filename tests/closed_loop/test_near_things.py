@@ -132,7 +132,7 @@ def test_killed_between_the_trees_and_started_again_it_learns_them_anew(by_lidar
     assert not (by_lidar.folder / "known.npz").exists()
     journal = by_lidar.journal
     [_, again] = [number for number, row in enumerate(journal) if "schema" in row]
-    assert sum(row.get("kind") == "leg" for row in journal[:again]) > 3
+    assert sum(row.get("kind") == "leg" for row in journal[:again]) > 1
     seen = {row["cells_seen"] for row in journal[:again] if row.get("kind") == "scan done"}
     anew = [row["cells_seen"] for row in journal[again:] if row.get("kind") == "scan done"]
     assert anew[0] < max(seen)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from planning import limits
+from planning import ARDUCOPTER, limits
 
 from companion.objective.scene import (
     TERMS,
@@ -16,7 +16,7 @@ from companion.objective.scene import (
     rows_of,
     weights_of,
 )
-from companion.path.envelope import ARDUCOPTER, envelope_of
+from companion.path.envelope import envelope_of
 from companion.path.subpath import Pose, Subpath
 from companion.planner.kernels import compiled
 from companion.profiles import Weights

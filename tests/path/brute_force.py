@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import planning
 from numpy.typing import NDArray
+from planning import ARDUCOPTER
 from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
 from companion.path.certificate import Margins, pack_surroundings
-from companion.path.envelope import ARDUCOPTER, Envelope, envelope_of
+from companion.path.envelope import Envelope, envelope_of
 from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.world.known_map import KnownMap, empty_map

@@ -4,10 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brute_force import FloatArray, broken_by, fastest_m_s, random_case, truth
-from planning import limits
+from planning import ARDUCOPTER, limits
 
 from companion.path.certificate import Certificate, Margins, certify, pack_surroundings
-from companion.path.envelope import ARDUCOPTER, envelope_of, flown_on_m
+from companion.path.envelope import envelope_of, flown_on_m
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.world.known_map import KnownMap

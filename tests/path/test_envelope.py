@@ -6,11 +6,10 @@ import pytest
 from brute_force import fastest_m_s
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import limits
+from planning import ARDUCOPTER, limits
 
 from companion.path.envelope import (
-    ARDUCOPTER,
-    PX4_MULTICOPTER,
+    COPTER,
     Envelope,
     beyond_m,
     ending_m_s,
@@ -78,7 +77,7 @@ def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
     assert 54.0 <= flown_on_m(motion, 10.0) <= 60.0
 
 
-@pytest.mark.parametrize("handling", [ARDUCOPTER, PX4_MULTICOPTER])
+@pytest.mark.parametrize("handling", [ARDUCOPTER, COPTER])
 def test_a_mission_widens_the_tube_that_was_measured_and_never_narrows_it(handling) -> None:  # type: ignore[no-untyped-def]
     wide, narrow = (envelope_of(limits(tracking_error_m=m), handling) for m in (20.0, 0.01))
     assert wide.tube_m == 20.0

@@ -43,7 +43,7 @@ def test_it_writes_beside_the_flight_by_default_and_says_so(
     file = copy / f"flight.{to}"
     assert file.stat().st_size > 1000
     said = capsys.readouterr().out.splitlines()
-    assert said[-1] == f"1020 positions, 2 subpaths, 2 holds and events: {file}"
+    assert said[-1] == f"1110 positions, 2 subpaths, 2 holds and events: {file}"
 
 
 def test_it_writes_where_it_is_told_to_and_nothing_else(copy: Path, tmp_path: Path) -> None:

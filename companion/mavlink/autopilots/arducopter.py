@@ -17,6 +17,7 @@ from companion.mavlink.parameter_checks import CENTI, ESSENTIAL, WANTED, Alias, 
 from companion.mission.events import Mode, TakeOff
 from companion.mission.mission import Mission
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.path.envelope import Handling
 
 _ECHO = wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
 
@@ -126,6 +127,11 @@ _IGNORES: Final = check.when(
     "Set it to 0, and raise scanner.blind_m over parts of the vehicle",
     severity=check.Severity.REFUSE,
 )
+_HANDLING: Final = Handling(
+    name="ArduCopter", eased=0.7, settling_s=0.6, lag_s=0.0, steady_m=0.1, turning_s2=0.3
+)
+"""turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by; the
+others: `scripts/bench kills`."""
 _RULES: Final = (
     Rule("GUID_TIMEOUT", "how long it flies on without setpoints", (_guid_timeout,), ESSENTIAL),
     Rule("GUID_OPTIONS", "how GUIDED works", (_guided_options,)),
@@ -204,6 +210,7 @@ ARDUCOPTER = Autopilot(
         name="ArduCopter",
         kind="copter",
         take_off=TakeoffSequence.GUIDED_THEN_CLIMB,
+        handling=_HANDLING,
         turn_lag_s2=0.5,  # of its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; 0.6 to 0.8 was measured
     ),
     rules=_RULES,

@@ -16,6 +16,7 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_checks import CENTI, ESSENTIAL, WANTED, Alias, Rule
 from companion.mission.events import Echo, Mode, Setpoint, TakeOff
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.path.envelope import PLANE
 
 _ECHO = wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
 _FOLLOWING_RADIUS_M = 10.0
@@ -156,6 +157,7 @@ ARDUPLANE = Autopilot(
         name="ArduPlane",
         kind="plane",
         take_off=TakeoffSequence.MODE_THEN_ARM,
+        handling=PLANE,
         lead_s=5.5,
         setpoint_period_s=0.25,
         holds_in_guided=True,

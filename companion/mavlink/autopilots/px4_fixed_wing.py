@@ -15,6 +15,7 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_checks import ESSENTIAL, Rule
 from companion.mission.events import Setpoint, TakeOff, Vector
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.path.envelope import PLANE
 
 _RUNWAY_M = 300.0
 """The take-off target is this far ahead, so that it ends in AUTO.LOITER (px4.md 10)."""
@@ -108,6 +109,7 @@ PX4_FIXED_WING = Autopilot(
         name="PX4 fixed wing",
         kind="plane",
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
+        handling=PLANE,
         lead_s=1.5,
         needs_setpoints_before_offboard=True,
     ),
