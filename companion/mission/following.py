@@ -112,10 +112,8 @@ def is_on_path(state: State, flight: Flight, event: Position) -> bool:
     off = np.array((north, east, up)) - pose.position_nea_m
     along_m, error_m = float(off @ pose.tangent_nea), state.task.envelope.tube_m
     across_m = math.sqrt(max(float(off @ off) - along_m**2, 0.0))
-    turn_radius_m = state.task.limits.turn_radius_m
-    if leg.speed_m_s is not None:
-        turn_radius_m = state.task.at_speed(leg.speed_m_s).limits.turn_radius_m
-    bends_m = along_m**2 / turn_radius_m
+    task = state.task if leg.speed_m_s is None else state.task.at_speed(leg.speed_m_s)
+    bends_m = along_m**2 / task.limits.turn_radius_m
     return -2.0 * error_m <= along_m <= error_m and across_m + bends_m <= error_m
 
 

@@ -250,8 +250,7 @@ def battery_forecast(state: State, mission: Mission) -> bool:
 
 def _battery_way_m(state: State) -> float:
     """The remaining distance that the battery must last for, detours on the way out included."""
-    returns = isinstance(state.flight.way, Backtracking)
-    return way_left_m(state) * (1.0 if returns else _DETOUR)
+    return way_left_m(state) * (1.0 if isinstance(state.flight.way, Backtracking) else _DETOUR)
 
 
 def way_left_m(state: State) -> float:

@@ -12,7 +12,7 @@ what it costs, but for `SLACK`, which is less than a leg costs; dearer ones owe,
 stop's cost is never owed in flight.  So every flight between stops comes to a record, and so does
 every row of stops, and records are apart by no less than a leg, or a cell, leaves off.  With
 guesses what is promised depends on where the vehicle is, too, so they are given up where they
-lead to and fro: where in all much more is left than was thought, though nothing new was seen.
+lead back and forth: where in all much more is left than was thought, though nothing new was seen.
 And scans show something new only as often as there are cells to see.  (Where near cells are
 forgotten this does not hold; there stops are counted, as everywhere.)
 """
@@ -52,7 +52,7 @@ class Progress:
     """Cells of the map that the plan before knew."""
 
     def believes(self, range_m: float) -> bool:
-        """Whether what nobody has seen is still guessed: not where guesses lead to and fro."""
+        """Whether what nobody has seen is still guessed: not where they lead back and forth."""
         return self.doubt_m <= BELIEVED * range_m
 
     def at(self, left_m: float, seen: int, few: float) -> "Progress":

@@ -17,7 +17,7 @@ from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.autopilots import named
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.path.envelope import COPTER, PLANE, Handling
+from companion.path.envelope import COPTER, PLANE
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
@@ -199,10 +199,13 @@ def mission_of(
     if near is not None:
         settings = replace(settings, cell_m=cell_for_m(near.range_m, limits.north_m, limits.east_m))
         limits = replace(limits, overrun_m=settings.safety_distance_m)
+    handling = COPTER if vehicle.kind == "copter" else PLANE  # the widest
+    if vehicle.autopilot is not None:
+        handling = named(vehicle.autopilot, vehicle.kind).traits.handling
     task = Task(
         limits=limits,
         settings=settings,
-        handling=_handling(vehicle),
+        handling=handling,
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -246,13 +249,6 @@ def mission_of(
 
 
 # --- rules between fields
-
-
-def _handling(vehicle: MissionVehicleTable) -> Handling:
-    """As of its autopilot; of one that the mission does not name the widest."""
-    if vehicle.autopilot is not None:
-        return named(vehicle.autopilot, vehicle.kind).traits.handling
-    return COPTER if vehicle.kind == "copter" else PLANE
 
 
 def _check_kind(model: MissionTable, where: str) -> None:

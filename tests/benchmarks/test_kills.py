@@ -11,8 +11,6 @@ from companion.path.envelope import beyond_m
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 
-PLANES = ("short-plane ardupilot", "short-plane px4")
-
 
 @pytest.mark.parametrize("aside_m", [0.0, 0.3, 2.0])
 def test_what_a_straight_leg_promises_is_a_tube_that_ends_so_far_beyond_it(aside_m: float) -> None:
@@ -27,7 +25,9 @@ def test_what_a_straight_leg_promises_is_a_tube_that_ends_so_far_beyond_it(aside
     assert told.outside_m(places) == pytest.approx(expected, abs=0.02)
 
 
-@pytest.mark.parametrize("flight", ["forest ardupilot", "street px4", *PLANES])
+@pytest.mark.parametrize(
+    "flight", ["forest ardupilot", "street px4", "short-plane ardupilot", "short-plane px4"]
+)
 def test_a_vehicle_whose_companion_dies_stays_within_what_was_proven(flight: str) -> None:
     """Over the first 25 s of a flight: take-off, the first legs, and from one to the next."""
     found = kills.sample(*flight.split(), first=2, count=8, every_s=3.07)
