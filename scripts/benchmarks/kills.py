@@ -220,7 +220,8 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
     }
     task = replace(mission.task, limits=limits, handling=strategy.traits.handling)
     vehicle = replace(world.vehicle, autopilot="px4", parameters=parameters)
-    return replace(mission, autopilot="px4", task=task), replace(world, vehicle=vehicle)
+    world = replace(world, vehicle=vehicle, second_lidar=None)  # that one is ArduPilot's own
+    return replace(mission, autopilot="px4", task=task), world
 
 
 def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dict[str, Any]]:
