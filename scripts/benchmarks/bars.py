@@ -1,9 +1,6 @@
 """Every bar of design 10, measured anew, in one go: what holds, what does not.
 
-    scripts/bench bars [--seed 1] [--worlds 10] [--seeds 3] [--only speed quality ...] [--json FILE]
-
-Each benchmark runs as a process of its own, one after the other, and has its own bars; worlds are
-drawn from the seed.  Let nothing else run.  1 if a bar is missed.
+scripts/bench bars [--seed 1] [--worlds 10] [--seeds 3] [--only speed quality ...] [--json FILE]
 """
 
 import json

@@ -4,10 +4,8 @@
 
 The stream of setpoints ends, and a copy of the simulation flies on until the vehicle stands (a
 plane: until it has gone round).  Where it truly is must lie within what the certificates of its leg
-and of the leg before speak of: the tube and the navigation error about the curve and about each
-straight stretch that the companion's end may lead to; of a plane, about the circles of the curve's
-points.  Without sockets, by the bundled missions and, for planes, by drawn worlds; noise, latency
-and time-outs as bundled, in wind and gusts.  Bar: none outside.
+and of the leg before speak of: the tube and the navigation error about the curve and its straight
+stretches; of a plane, about its circles.  In wind and gusts.  Bar: none outside.
 """
 
 import itertools

@@ -50,9 +50,8 @@ def test_every_search_spends_the_budget_and_no_more(
     assert sum(len(each) for each in asked) == 300
     assert cost == min(each.min() for each in told)
     # the warm starts are among the first that it asks for
-    first = np.concatenate(asked)
-    if name != "ARRDE":  # it begins with a part of them
-        first = first[: 15 * problem.dimensions + len(problem.seeds)]
+    most = None if name == "ARRDE" else 15 * problem.dimensions + len(problem.seeds)
+    first = np.concatenate(asked)[:most]
     for seed in problem.seeds:
         assert np.abs(first - seed).max(axis=1).min() < 1e-9
 

@@ -145,8 +145,8 @@ def test_a_mission_step_by_step() -> None:
     assert isinstance(said, StatusText)
     [first] = take(position(10.7, hover))
     assert isinstance(first, Setpoint)
-    gained_m_s = 0.1 * MISSION.task.envelope.gaining_m_s2
-    assert math.hypot(*first.velocity_nea_m_s) == pytest.approx(gained_m_s)
+    gained = pytest.approx(0.1 * MISSION.task.envelope.gaining_m_s2)
+    assert math.hypot(*first.velocity_nea_m_s) == gained
 
 
 def after_arrival(of: Craft) -> list[Command]:
@@ -172,8 +172,7 @@ def test_end_action_land_ends_on_the_ground_disarmed() -> None:
     assert (craft.landed, craft.armed) == (Landed.ON_GROUND, False)
     assert craft.end().outcome is Outcome.ARRIVED
     *asked, last = after_arrival(craft)  # again if no heartbeat has told the mode within a second
-    assert set(asked) == {SetMode(mode=Mode.LAND)}
-    assert last == craft.end()
+    assert (set(asked), last) == ({SetMode(mode=Mode.LAND)}, craft.end())
 
 
 def test_targets_are_reached_in_their_order_with_a_stop_at_each() -> None:

@@ -356,9 +356,6 @@ def test_the_longer_it_may_search_the_better_the_plan(task: Task, truth: KnownMa
     assert costs[1] < costs[0]
 
 
-# --- no answer
-
-
 def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
     task: Task, blank: KnownMap
 ) -> None:
@@ -556,9 +553,6 @@ def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
         replace(task, zones=(), radars=()), known, start=pose, scan_nea_m=start, from_rest=False
     )
     assert planned(replace(request, target_ne_m=target)).reaches_target
-
-
-# --- zones to stay inside of
 
 
 def test_a_plan_stays_in_a_fence_of_many_corners_and_goes_round_its_bight(
