@@ -270,13 +270,13 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
 
 def kills(scale: str, autopilot: str, seed: int) -> Iterator[dict[str, Any]]:
     """The kills of one flight, one after the other."""
-    flight, due_s = Flight(*setting(scale, autopilot, seed), seed, _WIND[scale]), 0.0
+    flight, due_s = Flight(*setting(scale, autopilot, seed), seed, _WIND[scale]), -1.0
     while not flight.is_over:
         flight.step()
         if flight.now_s >= due_s and flight.may_be_killed():
             due_s = flight.now_s + _EVERY_S
             yield {"scale": scale, "autopilot": autopilot, "seed": seed, **flight.killed()}
-    assert flight.phase is not Phase.DONE, flight.session.state.reason
+    assert due_s > 0.0 and flight.phase is not Phase.DONE, flight.session.state.reason
 
 
 def sample(scale: str, autopilot: str, first: int, count: int) -> list[dict[str, Any]]:
