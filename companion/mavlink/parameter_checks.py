@@ -375,18 +375,14 @@ def bank(value: float, case: CheckContext) -> ParameterIssue | None:
     )
 
 
-def circles(error_m: float, bank: str, off: float = 0.0) -> ParameterCheck:
+def circles(wider_m: float, bank: str) -> ParameterCheck:
     """Whether the autopilot's loiter circles, which are wider by this, stay in the cleared ones.
 
-    bank: the parameter that limits the bank.  off: how far beside the point that is to be circled
-    its circle may lie, in radii of its tightest turn.
+    bank: the parameter that limits the bank.
     """
 
     def check(value: float, case: CheckContext) -> ParameterIssue | None:
-        limits = case.limits
-        tightest_m = _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0))
-        wider_m = error_m + math.ceil(off * tightest_m)
-        flown_m = abs(value) + wider_m
+        limits, flown_m = case.limits, abs(value) + wider_m
         if limits.hovers or flown_m <= limits.loiter_radius_m + EQUAL_WITHIN:
             return None
         rule = (
@@ -394,7 +390,7 @@ def circles(error_m: float, bank: str, off: float = 0.0) -> ParameterCheck:
             f"vehicle.loiter_radius_m = {limits.loiter_radius_m:g} clear"
         )
         fits_m = math.floor(limits.loiter_radius_m - wider_m)
-        if fits_m < _EASY * tightest_m:
+        if fits_m < _EASY * _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0)):
             return refused(rule, f"Set vehicle.loiter_radius_m to {flown_m:g} or more")
         return to_set(math.copysign(fits_m, value), rule)
 

@@ -224,14 +224,14 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
 
 def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dict[str, Any]]:
     """The kills of one flight, one after the other."""
-    flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, _WIND[scale]), 0.0
+    flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, _WIND[scale]), -1.0
     while not flight.is_over:
         flight.step()
         flies_leg = flight.phase is Phase.FLYING and flight.session.state.flight.leg is not None
         if flies_leg and flight.now_s >= due_s:
             due_s = flight.now_s + every_s
             yield {"scale": scale, "autopilot": autopilot, "seed": seed, **flight.killed()}
-    assert flight.phase is not Phase.DONE, flight.session.state.reason
+    assert due_s > 0.0 and flight.phase is not Phase.DONE, flight.session.state.reason
 
 
 def sample(

@@ -15,14 +15,9 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_checks import ESSENTIAL, Rule
 from companion.mission.events import Setpoint, TakeOff, Vector
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
-from companion.path.envelope import PLANE
 
 _RUNWAY_M = 300.0
 """The take-off target is this far ahead, so that it ends in AUTO.LOITER (px4.md 10)."""
-_ASIDE: Final = 2.5
-"""Tightest turns: a point to stay at it circles tightly, 8 to 30 m off at 13.9 m/s, up to 40 m in
-wind of 5 m/s; if the stream ends then, it goes over to a wide circle about where it is (px4.md 10;
-`scripts/bench kills`)."""
 
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
@@ -98,7 +93,7 @@ _RULES: Final = (
     Rule(
         "NAV_LOITER_RAD",  # held within 0.4 m (px4.md 10)
         "the circles that it holds on",
-        (check.circles(5.0, "FW_R_LIM", _ASIDE),),
+        (check.circles(5.0, "FW_R_LIM"),),
         ESSENTIAL,
     ),
     Rule("FW_R_LIM", "how tightly it turns", (check.bank,)),
@@ -113,7 +108,6 @@ PX4_FIXED_WING = Autopilot(
         name="PX4 fixed wing",
         kind="plane",
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
-        handling=PLANE,
         lead_s=1.5,
         needs_setpoints_before_offboard=True,
     ),
