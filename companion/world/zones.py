@@ -431,8 +431,8 @@ class NearCells(NamedTuple):
     near: BoolArray  # (rows, columns)
 
 
-NO_CELLS = NearCells(0.0, 0.0, 1.0, np.zeros((0, 0), dtype=bool))
-"""Of no area: zones are looked at everywhere."""
+NO_CELLS = NearCells(0.0, 0.0, 1.0, np.frombuffer(b"", dtype=bool).reshape(0, 0))
+"""Of no area: zones are looked at everywhere.  Read-only as all are, for numba."""
 
 
 def near_cells(

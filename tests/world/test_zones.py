@@ -14,6 +14,7 @@ from companion.objective.kernel import may_be_near
 from companion.planner.kernels import compiled
 from companion.world import zones as module
 from companion.world.zones import (
+    NO_CELLS,
     CircleZone,
     PolygonZone,
     Zone,
@@ -178,3 +179,8 @@ def test_a_corner_that_is_given_twice_and_an_edge_to_the_north_change_nothing() 
     assert zone.distance_m(north, east) == pytest.approx(expected)
     table, points = packed((zone,)), np.stack([north, east], axis=-1)
     assert [polygon_at(table, 0, *point, 1e9, 1e9) for point in points] == pytest.approx(expected)
+
+
+def test_numba_takes_cells_of_no_area_for_the_same_type() -> None:
+    some = near_cells((), (0.0, 1.0), (0.0, 1.0), 1.0).near
+    assert NO_CELLS.near.flags.writeable == some.flags.writeable
