@@ -58,9 +58,6 @@ def heading_to(degrees: float, climb: float = 0.0, bend_1_m: float = 0.0) -> dic
     }
 
 
-# --- what is promised is kept
-
-
 STARTS = [
     ((1_000.0, 1_000.0, 450.0), 45.0),
     ((2_100.0, 2_000.0, 600.0), 30.0),
@@ -129,9 +126,6 @@ def test_from_rest_a_plan_leaves_level_about_where_the_guide_points(
     assert np.linalg.norm(pose.curvature_nea_1_m) <= 1e-9
 
 
-# --- where it ends
-
-
 def test_the_end_is_within_the_circle_about_p_scan_and_mostly_on_it(
     task: Task, truth: KnownMap
 ) -> None:
@@ -183,9 +177,6 @@ def test_it_goes_round_a_hill_that_the_straight_way_cannot_cross(
     control = outcome.subpath.control_nea_m
     assert violations(control, free, known, from_rest=True) == []
     assert outcome.subpath.length_m < 1.5 * math.dist(control[0, :2], control[-1, :2])
-
-
-# --- the same and another question
 
 
 def test_the_same_question_has_the_same_answer(task: Task, truth: KnownMap) -> None:
@@ -313,9 +304,6 @@ def test_the_optimiser_that_the_settings_name_searches(
     assert same == (name == "refined-de")  # the default of profile `flight`
     assert set(asked) == (set() if name == "refined-de" else {name})
     assert violations(chosen.subpath.control_nea_m, task, truth, from_rest=False) == []
-
-
-# --- time
 
 
 @pytest.mark.parametrize("start", [START, (3_500.0, 3_100.0, 500.0)])

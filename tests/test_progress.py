@@ -1,0 +1,39 @@
+"""A mission ends: design 6, and the argument in `planner.progress`."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.campaign import families
+from companion.planner.offline import fly_offline
+from companion.planner.plan import plan
+from companion.planner.progress import SLACK, Progress
+from companion.world.simulated_scan import true_map
+
+R_M, ALLOWED_M = 1_000.0, 300.0
+
+
+@given(st.lists(st.tuples(st.floats(200.0, 900.0), st.floats(0.0, 400.0)), min_size=20))
+def test_between_records_no_more_is_paid_than_way_is_gained_and_a_stop_costs(
+    legs: list[tuple[float, float]],
+) -> None:
+    progress, left_m, paid_m, records, least_m = Progress(), 1e5, 0.0, 0, 1e9
+    for cost_m, excess_m in legs:
+        records, least_m = records + (left_m < least_m), min(left_m, least_m)
+        progress = progress.at(left_m, seen=1, few=0.0)
+        if (owed_m := progress.owing(excess_m, R_M)) > ALLOWED_M:
+            break  # it stops
+        left_m, paid_m = left_m - cost_m + excess_m, paid_m + cost_m
+        progress = progress.after(owed_m, left_m)
+    assert paid_m <= 1e5 - left_m + len(legs) * SLACK * R_M + records * ALLOWED_M + 1e-6
+
+
+def test_no_loop_is_flown_again_and_again() -> None:
+    """World 7 of `gathered` 555001: one loop was flown three times before excess was counted."""
+    world = families.world("gathered", 555001, 7)
+    blank = families.unseen(world)
+    flight = fly_offline(
+        world.task, blank=blank, truth=true_map(world.terrain, blank), seed=1, planner=plan,
+        start_nea_m=world.start_nea_m, targets_ne_m=world.targets_ne_m,
+    )  # fmt: skip
+    assert flight.failure is None
+    assert len(flight.legs) <= 30  # 18 as measured, 33 before
