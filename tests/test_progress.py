@@ -19,7 +19,7 @@ def test_between_records_no_more_is_paid_than_way_is_gained_and_a_stop_costs(
     progress, left_m, paid_m, records, least_m = Progress(), 1e5, 0.0, 0, 1e9
     for cost_m, excess_m in legs:
         records, least_m = records + (left_m < least_m), min(left_m, least_m)
-        progress = progress.at(left_m, seen=1, few=0.0)
+        progress = progress.at(left_m, 0.0, seen=1, few=0.0)
         if (owed_m := progress.owing(excess_m, R_M)) > ALLOWED_M:
             break  # it stops
         left_m, paid_m = left_m - cost_m + excess_m, paid_m + cost_m

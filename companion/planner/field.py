@@ -62,6 +62,8 @@ class CostToGo:
     """The lowest altitude from which the way on can be climbed, AMSL, likewise."""
     route_ne_m: tuple[Place, ...]
     """The cheapest way from here to the target."""
+    undisputed: Surface
+    """`value` without the discount of the corridor: by this one is told whether one gets on."""
     is_barred: bool
     """Whether even that leads through what may not be flown."""
 
@@ -170,8 +172,13 @@ def _found(
         route = _route(solved, far, here_ne_m, target_ne_m)
     grids = [near.grid] if far is None else [near.grid, far.grid]
     value, needed = _given(solved, here_ne_m, target_ne_m, task)
+    undisputed = value if solved is near else _given(near, here_ne_m, target_ne_m, task)[0]
     return CostToGo(
-        value=value, needed=needed, route_ne_m=route, is_barred=bars(grids, np.array(route))
+        value=value,
+        needed=needed,
+        route_ne_m=route,
+        undisputed=undisputed,
+        is_barred=bars(grids, np.array(route)),
     )
 
 

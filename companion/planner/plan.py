@@ -31,7 +31,7 @@ from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner import kernels
 from companion.planner.backtrack import backtrack
-from companion.planner.cost_grid import descent_m
+from companion.planner.cost_grid import Place, descent_m
 from companion.planner.escape import StartViolation, escape_path, start_violation
 from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.procedure import Leg, hover_pose
@@ -232,12 +232,14 @@ class _Plan:
         settings = request.task.settings
         self._per_metre = settings.weights.length * PER_LENGTH / settings.scan_range_m
         start_nea_m, range_m = request.start.point_nea_m, settings.scan_range_m
-        counted = int(np.count_nonzero(request.known.seen)), self._few_cells
-        self._progress = request.progress.at(self._promised_m(start_nea_m), *counted)
+        seen, few = int(np.count_nonzero(request.known.seen)), self._few_cells
+        left_m, cell_m = self._left_m(start_nea_m), request.known.cell_m
+        self._progress = request.progress.at(left_m, cell_m, seen=seen, few=few)
         if request.progress.believes(range_m) and not self._progress.believes(range_m):
             self._progress = self._progress.without_guesses()
             self._field = self._promises(self._progress)
-            self._progress = self._progress.at(self._promised_m(start_nea_m), *counted)
+            left_m = self._left_m(start_nea_m)
+            self._progress = self._progress.at(left_m, cell_m, seen=seen, few=few)
         self._scene = _scene(request, self._field)
         self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
@@ -269,7 +271,7 @@ class _Plan:
         closed = None
         if not is_near:  # where a near thing stands is told too widely
             here_ne_m, target_ne_m = request.start.point_nea_m[:2], request.target_ne_m
-            closed = blocked_at(request.known, request.task, self._field, here_ne_m, target_ne_m)
+            closed = blocked_at(request.known, request.task, self._field, (here_ne_m, target_ne_m))
         if closed is not None:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
         best: Planned | None = None
@@ -278,8 +280,10 @@ class _Plan:
             if best is None or (is_slow_better and self._excess(best) > _MUCH_DEARER):
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
         if request.from_rest and (best is None or self._goes_round(best)):
-            out = self._way_out(looks=best is None)
             owes = self._progress.owed_m > self._allowed_m
+            out = self._way_out(looks=best is None or owes)
+            if out is None and owes and self._field.is_barred and not is_near:
+                return self._refused(Refusal.NO_WAY, self._field.route_ne_m[0])
             best = out if out is not None and owes else self._cheaper(out, best)
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
@@ -308,7 +312,11 @@ class _Plan:
         """What is left to fly from where the next subpath starts."""
         leg, task = Leg.of(planned, number=1), self._request.task
         at_m = leg.successor_at_m(task) if leg.can_be_left(task) else leg.subpath.length_m
-        return self._promised_m(leg.subpath.pose(at_m).point_nea_m)
+        return self._left_m(leg.subpath.pose(at_m).point_nea_m)
+
+    def _left_m(self, place_nea_m: tuple[float, float, float]) -> float:
+        """What is left to fly from a place, whichever way was preferred before."""
+        return self._promised_m(place_nea_m, self._field.undisputed)
 
     def _at_speed(self, speed_m_s: float) -> Scene:
         """The scene of a subpath that is flown no faster than this."""
@@ -358,13 +366,14 @@ class _Plan:
         found = [control_points(x, self._scene) for x in self._search(self._scene)[:most]]
         return np.array(found)
 
-    def _refused(self, refusal: Refusal) -> NotPlanned:
+    def _refused(self, refusal: Refusal, place_ne_m: Place | None = None) -> NotPlanned:
         return NotPlanned(
             plan_id=self._request.plan_id,
             refusal=refusal,
             broken=() if refusal is Refusal.BETTER_TO_STOP else self._broken,
             evaluations=self._evaluations,
             tries=self._tries,
+            place_ne_m=place_ne_m,
         )
 
     def _searched(self, scene: Scene) -> Planned | None:
@@ -446,11 +455,13 @@ class _Plan:
             total -= (1.0 - min(share, 1.0)) * settings.weights.radar * planned.terms["radar"]
         return total
 
-    def _promised_m(self, place_nea_m: tuple[float, float, float]) -> float:
+    def _promised_m(
+        self, place_nea_m: tuple[float, float, float], field: Surface | None = None
+    ) -> float:
         """The predicted minimum cost from a place to the target, in metres of level flight."""
         north, east, altitude = place_nea_m
         here, task = (np.array(north), np.array(east)), self._request.task
-        level_m = float(self._field.at_m(*here))
+        level_m = float((field or self._field.value).altitude_m(*here))
         needed_m = float(self._field.needed.altitude_m(*here))
         down_m = max(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
         climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)

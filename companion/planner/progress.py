@@ -55,17 +55,18 @@ class Progress:
         """Whether what nobody has seen is still guessed: not where they lead back and forth."""
         return self.doubt_m <= BELIEVED * range_m
 
-    def at(self, left_m: float, seen: int, few: float) -> "Progress":
+    def at(self, left_m: float, least_m: float, *, seen: int, few: float) -> "Progress":
         """At the start of a plan, from where so much is left by the map as it is now.
 
+        least_m: a record is beaten by this, not by where a straight piece happens to end.
         seen: cells that are known; few: so many more say nothing new.
         """
         rise_m = max(left_m - self.expected_m, 0.0)
         is_new = abs(seen - self.seen) > few
         doubt_m = self.doubt_m + (0.0 if is_new else rise_m)
         after = replace(self, doubt_m=doubt_m, seen=seen)
-        record_m = self.record_m + rise_m
-        if left_m < record_m:
+        record_m = self.record_m + (rise_m if is_new else 0.0)
+        if left_m < record_m - least_m:
             return replace(after, record_m=left_m, owed_m=0.0)
         return replace(after, record_m=record_m)
 

@@ -49,24 +49,45 @@ def way_out(
         steepness = math.tan(climb * task.limits.climb_angle_rad)
         top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
         ways = _ways(request, field, top_m, looks=looks)
-        ends = [_ends(start, way, steepness, top_m, request.known.cell_m) for way in ways]
+        listed = (_ends(start, way, steepness, top_m, request.known.cell_m) for way in ways)
+        ends = list(itertools.chain(*listed))
         if climb and ways:  # it leads up where nothing does straight on: it climbs first
-            ends.append(_all_round(start, steepness, top_m, request))
-        for end in itertools.chain(*ends):
+            ends = _cheapest_first(
+                ends + _all_round(start, steepness, top_m, request), request, field
+            )
+        for end in ends:
             subpath = straight(start, end)
             if prove(subpath) is not None:
                 return subpath
     return None
 
 
+def _cheapest_first(
+    ends: list[FloatArray], request: PlanRequest, field: CostToGo
+) -> list[FloatArray]:
+    """Ends of climbs: before all others those from where it need not climb before it goes on."""
+    place, start = np.array(ends), request.start.position_nea_m
+    climb_m = _climb_m(request, field, *place.T)
+    left_m = field.at_m(*place[:, :2].T) + climb_m + np.linalg.norm(place - start, axis=-1)
+    return [ends[i] for i in np.lexsort((left_m, climb_m > 0.0))]
+
+
+def _climb_m(
+    request: PlanRequest, field: CostToGo, north: FloatArray, east: FloatArray, altitude: FloatArray
+) -> FloatArray:
+    """The way that it takes to come up to where the way on can be climbed."""
+    short_m = field.needed.altitude_m(north, east) - altitude
+    return np.maximum(short_m, 0.0) / math.tan(request.task.limits.climb_angle_rad)
+
+
 def _all_round(
     start: FloatArray, steepness: float, top_m: float, request: PlanRequest
 ) -> list[FloatArray]:
-    """Places higher up in all directions, the lowest first, those towards the target before."""
+    """Places higher up in all directions."""
     most_m = min((top_m - float(start[2])) / steepness, request.task.end_radius_m)
     north, east = request.target_ne_m
     ahead = math.atan2(east - start[1], north - start[0])
-    turns = sorted(np.linspace(-math.pi, math.pi, _BEARINGS, endpoint=False), key=abs)
+    turns = np.linspace(-math.pi, math.pi, _BEARINGS, endpoint=False)
     result = []
     for share in _SHARES:
         away = share * most_m
@@ -123,8 +144,10 @@ def _ways(
         return []
     away, before = _flood(free, between_n, between_e, begin)
     reached = np.isfinite(away).reshape(free.shape)
-    left_m = np.where(reached, field.at_m(north[:, None], east[None, :]), math.inf)
-    here_m = float(field.at_m(np.array(here[0]), np.array(here[1])))
+    lattice = np.meshgrid(north, east, indexing="ij")
+    left_m = field.at_m(*lattice) + _climb_m(request, field, *lattice, np.array(altitude_m))
+    left_m = np.where(reached, left_m, math.inf)
+    here_m = float(field.at_m(here[0], here[1]) + _climb_m(request, field, *here))
     goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
     if left_m.ravel()[goals[0]] > here_m - _GAIN_CELLS * known.cell_m:
         goals = np.array([], dtype=np.intp)

@@ -45,7 +45,7 @@ def all_seen(height_m: FloatArray) -> KnownMap:
 
 def closed(known: KnownMap, task: Task = TASK) -> tuple[float, float] | None:
     field = cost_to_go(known, task, HERE, TARGET)
-    return blocked_at(known, task, field, HERE, TARGET)
+    return blocked_at(known, task, field, (HERE, TARGET))
 
 
 def wall(gap_m: float = 0.0, at_m: float = 30e3) -> FloatArray:
