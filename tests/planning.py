@@ -98,9 +98,10 @@ def fly(
     **keywords: Any,
 ) -> OfflineFlight:
     """A flight through a world of which nothing is known at first."""
+    blank = empty_map(truth.cell_m, task.limits.north_m, task.limits.east_m)
     return fly_offline(
         task,
-        blank=empty_map(truth.cell_m, task.limits.north_m, task.limits.east_m),
+        blank=keywords.pop("blank", blank),
         truth=truth,
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,

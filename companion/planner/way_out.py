@@ -21,7 +21,7 @@ from companion.planner.cheapest_ways import IndexArray
 from companion.planner.field import CostToGo
 from companion.planner.kernels import compiled
 from companion.planner.request import PlanRequest
-from companion.world.clearance import Surface, safe_surface
+from companion.world.clearance import safe_surface
 from companion.world.known_map import KnownMap
 from companion.world.zones import too_near
 
@@ -31,7 +31,7 @@ _GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly 
 _SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
 _AFTER = 3  # places that are flown towards, one after the other, if nothing is proven to the first
 _CLIMBS = (0.0, 0.95)  # of the climb angle
-_BEARINGS, _SHARES = 24, (0.125, 0.25, 0.5, 1.0)  # of climbs, and of the height up to the ceiling
+_AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share of the height left
 
 Prove = Callable[[Subpath], Certificate | None]
 """Proves a straight subpath at the highest speed at which that can be done."""
@@ -48,13 +48,12 @@ def way_out(
     for climb in _CLIMBS:
         steepness = math.tan(climb * task.limits.climb_angle_rad)
         top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
-        ways = _ways(request, field, top_m, looks=looks)
+        ways, reached_ne_m = _ways(request, field, top_m, looks=looks)
         listed = (_ends(start, way, steepness, top_m, request.known.cell_m) for way in ways)
         ends = list(itertools.chain(*listed))
         if climb and ways:  # it leads up where nothing does straight on: it climbs first
-            ends = _cheapest_first(
-                ends + _all_round(start, steepness, top_m, request), request, field
-            )
+            ends += _higher(start, reached_ne_m, steepness, top_m, request.known.cell_m)
+            ends = _cheapest_first(ends, request, field)
         for end in ends:
             subpath = straight(start, end)
             if prove(subpath) is not None:
@@ -80,21 +79,19 @@ def _climb_m(
     return np.maximum(short_m, 0.0) / math.tan(request.task.limits.climb_angle_rad)
 
 
-def _all_round(
-    start: FloatArray, steepness: float, top_m: float, request: PlanRequest
+def _higher(
+    start: FloatArray, reached_ne_m: FloatArray, steepness: float, top_m: float, cell_m: float
 ) -> list[FloatArray]:
-    """Places higher up in all directions."""
-    most_m = min((top_m - float(start[2])) / steepness, request.task.end_radius_m)
-    north, east = request.target_ne_m
-    ahead = math.atan2(east - start[1], north - start[0])
-    turns = np.linspace(-math.pi, math.pi, _BEARINGS, endpoint=False)
+    """Places to climb to in a straight line: of those that are reached, rings about here."""
+    away_m = np.hypot(*(reached_ne_m - start[:2]).T)
+    most_m = (top_m - float(start[2])) / steepness
     result = []
     for share in _SHARES:
-        away = share * most_m
-        if away >= request.known.cell_m:
-            for turn in turns:
-                level = away * np.array([math.cos(ahead + turn), math.sin(ahead + turn)])
-                result.append(start + np.append(level, away * steepness))
+        ring = np.flatnonzero(np.abs(away_m - share * most_m) < 0.5 * cell_m)
+        for i in ring[:: max(len(ring) // _AROUND, 1)]:
+            if away_m[i] >= cell_m:
+                altitude_m = min(float(start[2]) + steepness * away_m[i], top_m)
+                result.append(np.append(reached_ne_m[i], altitude_m))
     return result
 
 
@@ -117,8 +114,11 @@ def _ends(
 
 def _ways(
     request: PlanRequest, field: CostToGo, altitude_m: float, *, looks: bool
-) -> list[FloatArray]:
-    """Ways over free places to where less is left to fly, or more is seen.  -> each (N, 2)."""
+) -> tuple[list[FloatArray], FloatArray]:
+    """Ways over free places to where less is left to fly, or more is seen, each (N, 2).
+
+    And all places that are reached, (M, 2).
+    """
     known, task = request.around, request.task
     reach_m = task.settings.scan_range_m
     surface = safe_surface(
@@ -129,20 +129,18 @@ def _ways(
         clearance_m=task.required_clearance_m,
         unknown_m=math.inf,
     )
-    free, between_n, between_e = _free(surface, known.cell_m, altitude_m)
-    step = round(known.cell_m / surface.cell_m)
-    first = (step - 1) * surface.cell_m
-    north = surface.north_min_m + first + known.cell_m * np.arange(float(free.shape[0]))
-    east = surface.east_min_m + first + known.cell_m * np.arange(float(free.shape[1]))
+    free = surface.vertex_m <= altitude_m
+    north = surface.north_min_m + surface.cell_m * np.arange(float(free.shape[0]))
+    east = surface.east_min_m + surface.cell_m * np.arange(float(free.shape[1]))
     if task.zones:
-        lattice, kept_m = (tuple(north), tuple(east)), task.zone_clearance_m + 0.5 * known.cell_m
+        lattice, kept_m = (tuple(north), tuple(east)), task.zone_clearance_m + 0.5 * surface.cell_m
         free &= ~too_near(task.zones, *lattice, kept_m, compiled().zone_gaps)
     here = request.start.position_nea_m
     offset_m = np.hypot((north - here[0])[:, None], (east - here[1])[None, :])
     begin = int(np.argmin(np.where(free, offset_m, math.inf)))
     if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * known.cell_m:
-        return []
-    away, before = _flood(free, between_n, between_e, begin)
+        return [], np.empty((0, 2))
+    away, before = _flood(free, begin)
     reached = np.isfinite(away).reshape(free.shape)
     lattice = np.meshgrid(north, east, indexing="ij")
     left_m = field.at_m(*lattice) + _climb_m(request, field, *lattice, np.array(altitude_m))
@@ -164,7 +162,8 @@ def _ways(
             index.append(int(before[index[-1]]))
         rows, columns = np.divmod(np.array(index[::-1]), free.shape[1])
         ways.append(np.stack([north[rows], east[columns]], axis=-1))
-    return ways
+    rows, columns = np.nonzero(reached)
+    return ways, np.stack([north[rows], east[columns]], axis=-1)
 
 
 def _sees_more(
@@ -174,46 +173,26 @@ def _sees_more(
 
     North (rows,), east (columns,) -> (rows, columns).  What is hidden behind a wall stays hidden.
     """
-    row, column = known.cell_of(float(north[0]), float(east[0]))
-    upper = np.full((len(north), len(east)), -math.inf)  # beyond the map nothing can be seen
-    south, west = max(-row, 0), max(-column, 0)
-    inside = known.upper_m[max(row, 0) :, max(column, 0) :][
-        : len(north) - south, : len(east) - west
-    ]
-    upper[south : south + inside.shape[0], west : west + inside.shape[1]] = inside
-    free = np.isfinite(upper) & (upper < altitude_m)
-    seam = np.isinf(upper) & (upper > 0.0) & scipy.ndimage.binary_dilation(free)
-    if not seam.any():
-        return seam
-    near = (clearance_m + _SEAM_CELLS * known.cell_m) / known.cell_m
-    return np.asarray(scipy.ndimage.distance_transform_edt(~seam) <= near)
+    free = known.upper_m < altitude_m
+    seam = np.isinf(known.upper_m) & scipy.ndimage.binary_dilation(free)
+    near_m = clearance_m + _SEAM_CELLS * known.cell_m
+    near = scipy.ndimage.distance_transform_edt(~seam, sampling=known.cell_m) <= near_m
+    row, column = (
+        np.clip(((at - low) / known.cell_m).astype(np.int64), 0, size - 1)
+        for at, low, size in zip(
+            (north, east), (known.north_min_m, known.east_min_m), seam.shape, strict=True
+        )
+    )
+    return np.asarray((near & seam.any())[row[:, None], column])
 
 
-def _free(
-    surface: Surface, cell_m: float, altitude_m: float
-) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Where the surface may be flown over at an altitude, and from where to the next one.
+def _flood(free: BoolArray, begin: int) -> tuple[FloatArray, IndexArray]:
+    """Steps to each place from where it begins, infinite where none lead, and the one before.
 
-    -> (rows, columns), (rows - 1, columns), (rows, columns - 1).  Between the points of its lattice
-    it is bilinear, so nothing is higher between two of them.
+    Between its points the surface is bilinear, so nothing is higher between two of them.
     """
-    step = round(cell_m / surface.cell_m)
-    low = surface.vertex_m <= altitude_m
-    free = low[step - 1 :: step, step - 1 :: step]
-    rows, columns = free.shape
-    between_n, between_e = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
-    if step > 1:
-        between_n &= low[step::step, step - 1 :: step][: rows - 1, :columns]
-        between_e &= low[step - 1 :: step, step::step][:rows, : columns - 1]
-    return free.copy(), between_n, between_e
-
-
-def _flood(
-    free: BoolArray, between_n: BoolArray, between_e: BoolArray, begin: int
-) -> tuple[FloatArray, IndexArray]:
-    """Steps to each place from where it begins, infinite where none lead, and the one before."""
     number = np.arange(free.size, dtype=np.int32).reshape(free.shape)
-    both_n, both_e = between_n & free[1:] & free[:-1], between_e & free[:, 1:] & free[:, :-1]
+    both_n, both_e = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
     a = np.concatenate([number[:-1][both_n], number[:, :-1][both_e]])
     b = np.concatenate([number[1:][both_n], number[:, 1:][both_e]])
     graph = scipy.sparse.csr_array((np.ones(len(a)), (a, b)), shape=(free.size, free.size))

@@ -21,6 +21,8 @@ from companion.planner.reachability import blocked_at
 from companion.planner.request import Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.simulated_scan import true_map
+from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 _BASE = load_mission("environment-1").task
@@ -161,6 +163,39 @@ def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
     assert flight.failure.refusal is Refusal.NO_WAY
     assert sum(flight.flown_m) < 3.0 * SIZE_M
     assert math.dist(HERE, TARGET) < SIZE_M
+
+
+def flown_past_a_ridge(gap_m: float) -> OfflineFlight:
+    """All is known: of a ridge 6 km high from edge to edge two peaks are so far apart."""
+    east = [40e3 + side * (0.5 * gap_m + 400.0 * i) for side in (-1, 1) for i in range(120)]
+    peaks = [
+        Peak(north_m=50e3, east_m=at, height_amsl_m=6e3, spread_north_m=800.0, spread_east_m=800.0)
+        for at in east
+        if -2e3 < at < 82e3
+    ]
+    task = replace(TASK, limits=replace(TASK.limits, north_m=(-5e3, 105e3), east_m=(0.0, 80e3)))
+    truth = true_map(
+        PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0),
+        empty_map(CELL_M, task.limits.north_m, task.limits.east_m),
+    )
+    start = (0.0, 60e3, 3_100.0)
+    return planning.fly(task, truth, start, (100e3, 60e3), blank=truth)
+
+
+@pytest.mark.parametrize("gap_m", [3_300.0, 2_900.0, 2_500.0, 2_350.0])
+def test_a_narrow_gap_is_flown_through_and_not_past(gap_m: float) -> None:
+    """Of 2 to 1 km at the floor, where 500 m are kept on either side: 120 km are the way."""
+    flight = flown_past_a_ridge(gap_m)
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 140e3
+
+
+@pytest.mark.parametrize("gap_m", [1_800.0, 1_500.0])
+def test_a_gap_that_is_too_narrow_at_any_altitude_is_told_at_once(gap_m: float) -> None:
+    flight = flown_past_a_ridge(gap_m)
+    assert flight.failure is not None
+    assert flight.failure.refusal is Refusal.NO_WAY
+    assert not flight.legs
 
 
 def test_a_target_that_needs_a_climb_at_its_end_is_flown_to_straight() -> None:
