@@ -8,19 +8,14 @@ and their radars are not passed where they overlap.  So each figure has a small 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 from rich.table import Table
 
 from companion.geodesy import FloatArray
-from companion.paper.compare.missions import (
-    Case,
-    Outcome,
-    bundled_case,
-    narrow_table,
-    planned_with,
-)
+from companion.paper.compare.missions import Case, Comparison, Outcome, bundled_case, table
 from companion.profiles import Weights
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
@@ -38,8 +33,8 @@ Point = tuple[float, float]
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Effect:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Effect(Comparison):
     """A figure of the paper: two settings, and a line that routes cross or go round."""
 
     name: str
@@ -58,26 +53,67 @@ class Effect:
         crossed = (crosses(run.route_nea_m, *self.line_ne_m) for run in outcome.runs)
         return [self.across if each else self.round for each in crossed]
 
+    def papers_way(self, outcome: Outcome) -> str:
+        """Which way the paper's panel of this setting goes."""
+        return self.papers_ways[self.cases.index(outcome.case)]
+
+    def tables(self, found: Sequence[Outcome]) -> list[Table]:
+        """What each setting leads to."""
+
+        def as_the_papers(outcome: Outcome) -> str:
+            way = self.papers_way(outcome)
+            return f"{way}: {self.ways(outcome).count(way)}/{len(outcome.runs)}"
+
+        columns = {
+            "way": as_the_papers,
+            "arrived": lambda outcome: outcome.arrivals,
+            "cost": lambda outcome: f"{outcome.shown.cost:.1f}",
+            "length": lambda outcome: f"{outcome.shown.length_m / 1000:.1f} km",
+            "highest": lambda outcome: f"{outcome.shown.highest_amsl_m / 1000:.2f} km",
+            "in radars": lambda outcome: f"{outcome.shown.violations['radar'] / 1000:.1f} km",
+        }
+        return [table(self.title, columns, found)]
+
+    def remarks(self, found: Sequence[Outcome]) -> list[str]:
+        """What the paper says, and which run is shown."""
+        del found
+        return [
+            f"The paper: {self.paper}.",
+            "Cost, length and heights are those of the run of median cost, which the picture "
+            f"shows. Improved DE, {_EVALUATIONS:,} evaluations for T = {_T_S:g} s.",
+        ]
+
+    def facts(self, found: Sequence[Outcome]) -> list[dict[str, Any]]:
+        """All numbers, and the ways."""
+        return [
+            each.facts() | {"papers_way": self.papers_way(each), "ways": self.ways(each)}
+            for each in found
+        ]
+
+    def draw(self, found: Sequence[Outcome], path: Path) -> None:
+        """Both settings side by side."""
+        from companion.paper.compare import pictures  # slow to import
+
+        pictures.save(pictures.compose_effect(self, found), path)
+
 
 def figure_3() -> Effect:
     """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
-    over, past = "climbs over", "goes round"
-    base = _world("ridge", _RIDGE, ())
-    settings = (Weights(height=0.15, guide=0.15), Weights(height=0.25, guide=0.05))
+    over, past, base = "climbs over", "goes round", _world("ridge", _RIDGE, ())
     one, two = (
-        replace(planned_with(base, weights=w), label=f"a2 = {w.height:g}, a3 = {w.guide:g}")
-        for w in settings
+        replace(base.planned_with(weights=w), label=f"a2 = {w.height:g}, a3 = {w.guide:g}")
+        for w in (Weights(height=0.15, guide=0.15), Weights(height=0.25, guide=0.05))
     )
     return Effect(
         name="figure-3",
         title="Fig. 3: 3D path and vertical profile for two weightings",
         paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
         "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
+        across=over,
+        round=past,
         line_ne_m=(_RIDGE[0][:2], _RIDGE[-1][:2]),
         cases=(one, two),
         papers_ways=(over, past),
-        across=over,
-        round=past,
     )
 
 
@@ -92,7 +128,7 @@ def figure_4() -> Effect:
     )
     base = _world("two radars", _HILLS, radars)
     one, two = (
-        replace(planned_with(base, overlap_m=1000.0 * km), label=f"d_overlap = {km:g} km")
+        replace(base.planned_with(overlap_m=1000.0 * km), label=f"d_overlap = {km:g} km")
         for km in (2.0, 6.0)
     )
     return Effect(
@@ -100,59 +136,21 @@ def figure_4() -> Effect:
         title="Fig. 4: 3D path for two values of d_overlap",
         paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”",
+        across=between,
+        round=past,
         line_ne_m=(centres[0], centres[1]),
         cases=(one, two),
         papers_ways=(past, between),
-        across=between,
-        round=past,
     )
-
-
-def table(effect: Effect, found: Sequence[Outcome]) -> Table:
-    """What each setting leads to."""
-    headings = ("way", "arrived", "cost", "length", "highest", "in radars")
-    result = narrow_table(effect.title, *headings)
-    for outcome, way in zip(found, effect.papers_ways, strict=True):
-        shown = outcome.shown
-        result.add_row(
-            outcome.case.label,
-            f"{way}: {effect.ways(outcome).count(way)}/{len(outcome.runs)}",
-            outcome.arrivals,
-            f"{shown.cost:.1f}",
-            f"{shown.length_m / 1000:.1f} km",
-            f"{shown.route_nea_m[:, 2].max() / 1000:.2f} km",
-            f"{shown.violations.radar_m / 1000:.1f} km",
-        )
-    return result
-
-
-def remarks(effect: Effect) -> list[str]:
-    """What the table cannot say by itself."""
-    return [
-        f"The paper: {effect.paper}.",
-        "Cost, length and heights are those of the run of median cost, which the picture shows. "
-        f"Improved DE, {_EVALUATIONS:,} evaluations for T = {_T_S:g} s.",
-    ]
-
-
-def facts(effect: Effect, found: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Everything in the table, and more, for --json."""
-    return [
-        outcome.facts() | {"papers_way": way, "ways": effect.ways(outcome)}
-        for outcome, way in zip(found, effect.papers_ways, strict=True)
-    ]
 
 
 def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
     """Whether a route passes between two points, seen from above.  (S, 3)."""
-    one = np.asarray(one_ne_m)
-    along = np.asarray(two_ne_m) - one
-    offset = route_nea_m[:, :2] - one
-    side = offset[:, 0] * along[1] - offset[:, 1] * along[0]
-    before = np.nonzero((side[:-1] < 0.0) != (side[1:] < 0.0))[0]
-    part = (side[before] / (side[before] - side[before + 1]))[:, None]
-    meets = offset[before] + part * (offset[before + 1] - offset[before])
-    at = meets @ along / (along @ along)
+    one = complex(*one_ne_m)
+    place = (route_nea_m[:, 0] + 1j * route_nea_m[:, 1] - one) / (complex(*two_ne_m) - one)
+    before = np.nonzero(np.diff(place.imag < 0.0))[0]  # the points lie at 0 and 1
+    here, there = place[before], place[before + 1]
+    at = here.real + here.imag / (here.imag - there.imag) * (there.real - here.real)
     return bool(np.any((at > 0.0) & (at < 1.0)))
 
 
@@ -160,21 +158,12 @@ def _world(
     name: str, peaks: Sequence[tuple[float, float, float, float]], radars: tuple[Radar, ...]
 ) -> Case:
     """A world with the vehicle, the band and the planner of environment-1."""
-    base = planned_with(
-        bundled_case("environment-1"),
-        optimiser="improved-de",
-        planning_time_s=_T_S,
-        evaluations=_EVALUATIONS,
+    base = bundled_case("environment-1").planned_with(
+        optimiser="improved-de", planning_time_s=_T_S, evaluations=_EVALUATIONS
     )
-    made = tuple(
-        Peak(
-            north_m=north_m,
-            east_m=east_m,
-            height_amsl_m=height_m,
-            spread_north_m=spread_m,
-            spread_east_m=spread_m,
-        )
-        for north_m, east_m, height_m, spread_m in peaks
+    made = (
+        Peak(north_m=n, east_m=e, height_amsl_m=height, spread_north_m=spread, spread_east_m=spread)
+        for n, e, height, spread in peaks
     )
-    terrain = PeakTerrain(peaks=made, ground_amsl_m=0.0)
+    terrain = PeakTerrain(peaks=tuple(made), ground_amsl_m=0.0)
     return replace(base, world=name, terrain=terrain, task=replace(base.task, radars=radars))

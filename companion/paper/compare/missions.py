@@ -1,13 +1,15 @@
-"""Missions as the paper flies them, without a vehicle, and what they cost."""
+"""Missions as the paper flies them, without a vehicle, what they cost, and what is told of them."""
 
 import itertools
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, final
 
 from rich import box
@@ -17,7 +19,7 @@ from companion.config import load_mission, load_world
 from companion.errors import CompanionError, InputError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
-from companion.paper.compare.violations import Violations, violations
+from companion.paper.compare.violations import KINDS, violations
 from companion.planner.offline import fly_offline
 from companion.planner.settings import Task
 from companion.planning import OURS, planner_of
@@ -48,6 +50,11 @@ class Case:
     """Who plans (`planning.planner_of`): ours plans by the task's profile."""
     seed: int = 1
 
+    def planned_with(self, **settings: Any) -> "Case":
+        """The case with other settings of the planner."""
+        task = replace(self.task, settings=replace(self.task.settings, **settings))
+        return replace(self, task=task)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,7 +73,13 @@ class Run:
     route_nea_m: FloatArray  # (S, 3)
     """The path as flown, every 100 m."""
     scans_nea_m: tuple[tuple[float, float, float], ...]
-    violations: Violations
+    violations: dict[str, float]
+    """Metres of each kind."""
+
+    @property
+    def highest_amsl_m(self) -> float:
+        """The highest point of the route."""
+        return float(self.route_nea_m[:, 2].max())
 
 
 @final
@@ -92,9 +105,9 @@ class Outcome:
         """The run of median cost: the one in pictures."""
         return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
 
-    def mean(self, measure: Callable[[Run], float] = lambda run: run.cost) -> float:
-        """Mean of a measure over the runs that arrived; not a number when none did."""
-        values = [measure(run) for run in self.runs if run.arrived]
+    def mean(self, measure: str = "cost") -> float:
+        """Mean of a number of `Run` over the runs that arrived; not a number when none did."""
+        values = [getattr(run, measure) for run in self.runs if run.arrived]
         return statistics.fmean(values) if values else math.nan
 
     @property
@@ -105,13 +118,13 @@ class Outcome:
     @property
     def violations(self) -> dict[str, dict[str, float]]:
         """Of each kind the share of missions that break it, and the mean metres that do."""
-        rows = [asdict(run.violations) for run in self.runs]
+        metres = {kind: [run.violations[kind] for run in self.runs] for kind in KINDS}
         return {
-            kind.removesuffix("_m"): {
-                "missions": statistics.fmean(row[kind] > 0.0 for row in rows),
-                "mean_m": statistics.fmean(row[kind] for row in rows),
+            kind: {
+                "missions": statistics.fmean(each > 0.0 for each in found),
+                "mean_m": statistics.fmean(found),
             }
-            for kind in rows[0]
+            for kind, found in metres.items()
         }
 
     def facts(self) -> dict[str, Any]:
@@ -124,10 +137,59 @@ class Outcome:
             "arrived": [run.arrived for run in self.runs],
             "costs": [run.cost if run.arrived else None for run in self.runs],
             "lengths_m": [run.length_m for run in self.runs],
-            "highest_amsl_m": [float(run.route_nea_m[:, 2].max()) for run in self.runs],
+            "highest_amsl_m": [run.highest_amsl_m for run in self.runs],
             "j": [run.j for run in self.runs],
             "violations": self.violations,
         }
+
+
+class Comparison(ABC):
+    """Cases that are flown, and how what came of them is told: as tables, remarks and a picture."""
+
+    name: str
+    """Of its command, and of its picture."""
+    cases: Sequence[Case]
+
+    @abstractmethod
+    def tables(self, found: Sequence[Outcome]) -> list[Table]:
+        """What came of the cases, in their order."""
+
+    @abstractmethod
+    def remarks(self, found: Sequence[Outcome]) -> list[str]:
+        """What the tables cannot say by themselves."""
+
+    def facts(self, found: Sequence[Outcome]) -> list[dict[str, Any]]:
+        """Everything in the tables, and more, for --json."""
+        return [outcome.facts() for outcome in found]
+
+    def draw(self, found: Sequence[Outcome], path: Path) -> None:
+        """Write the picture, if there is one."""
+
+
+def table(
+    title: str, columns: Mapping[str, Callable[[Outcome], str]], found: Sequence[Outcome]
+) -> Table:
+    """A row for each outcome, and one for each heading if there are several.
+
+    Its cells stay whole in a terminal of 80 columns.
+    """
+    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
+    result.add_column("", no_wrap=True)
+    for name in columns:
+        result.add_column(name, justify="right")
+    by_heading = [
+        (heading, list(part))
+        for heading, part in itertools.groupby(found, lambda o: o.case.heading)
+    ]
+    for heading, part in by_heading:
+        indent = ""
+        if len(by_heading) > 1:
+            result.add_row(heading)
+            indent = "  "
+        for outcome in part:
+            cells = (cell(outcome) for cell in columns.values())
+            result.add_row(indent + outcome.case.label, *cells)
+    return result
 
 
 def bundled_case(name: str) -> Case:
@@ -135,7 +197,7 @@ def bundled_case(name: str) -> Case:
     mission, world = load_mission(name, PAPER.name), load_world(name)
     if not isinstance(world.terrain, PeakTerrain):
         raise InputError("world", name, "its terrain is not made of peaks", "Give another.")
-    case = Case(
+    return Case(
         heading=name,
         label="",
         world=name,
@@ -143,14 +205,7 @@ def bundled_case(name: str) -> Case:
         task=mission.task,
         start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
         target_ne_m=mission.targets_ne_m[-1],
-    )
-    return planned_with(case, scan_time_s=0.0, position_period_s=0.0, scan_distance_m=None)
-
-
-def planned_with(case: Case, *, seed: int = 1, **settings: Any) -> Case:
-    """The case with other settings of the planner."""
-    task = replace(case.task, settings=replace(case.task.settings, **settings))
-    return replace(case, task=task, seed=seed)
+    ).planned_with(scan_time_s=0.0, position_period_s=0.0, scan_distance_m=None)
 
 
 def fly(case: Case) -> Run:
@@ -207,23 +262,3 @@ def fly_all(
             raise CompanionError("a worker process ended early. Try fewer --jobs.") from error
     parts = (flown[k : k + runs] for k in range(0, len(flown), runs))
     return [Outcome(case=case, runs=tuple(part)) for case, part in zip(cases, parts, strict=True)]
-
-
-def narrow_table(title: str, *headings: str) -> Table:
-    """A table whose cells stay whole in a terminal of 80 columns."""
-    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
-    result.add_column("", no_wrap=True)
-    for heading in headings:
-        result.add_column(heading, justify="right")
-    return result
-
-
-def add_rows(
-    table: Table, found: Sequence[Outcome], cells: Callable[[Outcome], Iterable[str]]
-) -> Table:
-    """Add a row for each outcome, and one for each heading."""
-    for heading, part in itertools.groupby(found, lambda outcome: outcome.case.heading):
-        table.add_row(heading)
-        for outcome in part:
-            table.add_row(f"  {outcome.case.label}", *cells(outcome))
-    return table

@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 from companion.paper.compare import figures, table_1
 from companion.paper.compare.missions import Outcome
 from companion.views import figure as views
-from companion.views.figure import FlightFigure, TerrainPicture
+from companion.views.figure import FlightFigure, TerrainPicture, save
+
+__all__ = ["compose_effect", "compose_table", "save"]
 
 _CELLS = 440  # a side of the terrain: 250 m in the bundled environments
 _OURS, _PAPERS = "#0050b5", "#8a6d3b"
@@ -20,7 +22,7 @@ _WIDELY = 3.0  # spread of costs from which on their scale is logarithmic
 _WIDE = 160  # characters in a line of the text under the panels
 
 
-def compose_effect(effect: figures.Effect, found: Sequence[Outcome], remark: str) -> Figure:
+def compose_effect(effect: figures.Effect, found: Sequence[Outcome]) -> Figure:
     """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
@@ -44,7 +46,7 @@ def compose_effect(effect: figures.Effect, found: Sequence[Outcome], remark: str
             below.set_title(f"({letters[0]}) from above")
     lower = [axes for axes in canvas.axes if axes.get_label() == "below"]
     views.add_legend(canvas, lower, columns=8, bottom=0.085)
-    _write_below(canvas, [f"The paper: {effect.paper}.", remark])
+    _write_below(canvas, effect.remarks(found))
     return canvas
 
 

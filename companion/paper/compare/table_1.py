@@ -5,19 +5,15 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from pathlib import Path
+from typing import Any, final
 
-import scipy
 from rich.table import Table
+from scipy.stats import mannwhitneyu
 
-from companion.paper.compare.missions import (
-    Case,
-    Outcome,
-    add_rows,
-    bundled_case,
-    narrow_table,
-    planned_with,
-)
+from companion.paper.compare.missions import Comparison, Outcome, bundled_case, table
+from companion.paper.compare.violations import KINDS
 
 ALGORITHMS = {
     "improved DE": "improved-de",
@@ -41,23 +37,85 @@ PAPERS = {
 """The paper's mean and standard deviation of the cost, in the order of `ALGORITHMS`."""
 
 
-def cases(per_second: int = PER_SECOND) -> list[Case]:
+@final
+class Table1(Comparison):
     """Every cell of the table, row by row, algorithm by algorithm."""
-    return [
-        replace(
-            planned_with(
-                bundled_case(environment),
-                optimiser=optimiser,
-                planning_time_s=planning_time_s,
-                evaluations=round(planning_time_s * per_second),
+
+    name = "table-1"
+
+    def __init__(self, per_second: int = PER_SECOND) -> None:
+        """per_second: evaluations that stand for a second of T."""
+        self._per_second = per_second
+        self.cases = [
+            replace(
+                bundled_case(environment).planned_with(
+                    optimiser=optimiser,
+                    planning_time_s=planning_time_s,
+                    evaluations=round(planning_time_s * per_second),
+                ),
+                heading=f"{environment}, {planning_time_s:g} s",
+                label=algorithm,
+            )
+            for environment in ENVIRONMENTS
+            for planning_time_s in PLANNING_TIMES_S
+            for algorithm, optimiser in ALGORITHMS.items()
+        ]
+
+    def tables(self, found: Sequence[Outcome]) -> list[Table]:
+        """Our numbers beside the paper's, and what the routes break when looked at every 10 m."""
+
+        def broken(outcome: Outcome, kind: str) -> str:
+            of_kind = outcome.violations[kind]
+            return f"{math.ceil(100.0 * of_kind['missions'] - 1e-6)}% {of_kind['mean_m']:6,.0f}"
+
+        costs = {
+            "cost": lambda outcome: f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+            "paper": lambda outcome: "{:.1f} ± {:.1f}".format(*papers(outcome)),
+            "arrived": lambda outcome: outcome.arrivals,
+            "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
+        }
+        kinds = {words: partial(broken, kind=kind) for kind, words in KINDS.items()}
+        return [
+            table("Table 1: cost from start to target, mean ± standard deviation", costs, found),
+            table(
+                "Missions that break a bound somewhere, and the mean metres that do", kinds, found
             ),
-            heading=f"{environment}, {planning_time_s:g} s",
-            label=algorithm,
+        ]
+
+    def remarks(self, found: Sequence[Outcome]) -> list[str]:
+        """The budget, and whose order it is."""
+        budgets = ", ".join(
+            f"T = {time_s:g} s is {round(time_s * self._per_second):,} evaluations"
+            for time_s in PLANNING_TIMES_S
         )
-        for environment in ENVIRONMENTS
-        for planning_time_s in PLANNING_TIMES_S
-        for algorithm, optimiser in ALGORITHMS.items()
-    ]
+        usual = self._per_second == PER_SECOND
+        why = ", about what interpreted Matlab did in 2011" if usual else ""
+        lines = [
+            f"{budgets}: {self._per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
+            "No result depends on the speed of this machine.",
+            "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
+        ]
+        for row in rows(found):
+            confirmed, contradicted = agreement(row)
+            against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
+            lines.append(
+                f"{row[0].case.heading}: {order(row)}. The paper: {' < '.join(papers_order(row))}. "
+                f"{confirmed} of its 6 pairs are surely so here{against}."
+            )
+        return lines
+
+    def facts(self, found: Sequence[Outcome]) -> list[dict[str, Any]]:
+        """All numbers, ours and the paper's."""
+        names = ("paper_mean_cost", "paper_st_dev_cost")
+        return [
+            outcome.facts() | dict(zip(names, papers(outcome), strict=True)) for outcome in found
+        ]
+
+    def draw(self, found: Sequence[Outcome], path: Path) -> None:
+        """The cost of every run beside the paper's."""
+        from companion.paper.compare import pictures  # slow to import
+
+        pictures.save(pictures.compose_table(found, self.remarks(found)), path)
 
 
 def papers(outcome: Outcome) -> tuple[float, float]:
@@ -107,58 +165,4 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
         return False
     if statistics.median(one.costs) > (1.0 - _LEAST) * statistics.median(other.costs):
         return False
-    test = scipy.stats.mannwhitneyu(one.costs, other.costs, alternative="less")
-    return bool(test.pvalue < _SURE)
-
-
-def tables(found: Sequence[Outcome]) -> list[Table]:
-    """Our numbers beside the paper's, and what the routes break when looked at every 10 m."""
-
-    def cells(outcome: Outcome) -> list[str]:
-        mean, deviation = papers(outcome)
-        return [
-            f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
-            f"{mean:.1f} ± {deviation:.1f}",
-            outcome.arrivals,
-            f"{outcome.mean(lambda run: run.length_m) / 1000:.1f} km",
-        ]
-
-    def broken(outcome: Outcome) -> list[str]:
-        return [
-            f"{math.ceil(100.0 * kind['missions'] - 1e-6)}% {kind['mean_m']:6,.0f}"
-            for kind in outcome.violations.values()
-        ]
-
-    title = "Table 1: cost from start to target, mean ± standard deviation"
-    costs = narrow_table(title, "cost", "paper", "arrived", "length")
-    title = "Missions that break a bound somewhere, and the mean metres that do"
-    kinds = ("nearer than d_s", "seen by radars", "turn", "climb", "altitude")
-    return [add_rows(costs, found, cells), add_rows(narrow_table(title, *kinds), found, broken)]
-
-
-def remarks(found: Sequence[Outcome], per_second: int = PER_SECOND) -> list[str]:
-    """What the table cannot say by itself: the budget, and whose order it is."""
-    budgets = ", ".join(
-        f"T = {planning_time_s:g} s is {round(planning_time_s * per_second):,} evaluations"
-        for planning_time_s in PLANNING_TIMES_S
-    )
-    why = ", about what interpreted Matlab did in 2011" if per_second == PER_SECOND else ""
-    lines = [
-        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
-        "No result depends on the speed of this machine.",
-        "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
-    ]
-    for row in rows(found):
-        confirmed, contradicted = agreement(row)
-        against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
-        lines.append(
-            f"{row[0].case.heading}: {order(row)}. The paper: {' < '.join(papers_order(row))}. "
-            f"{confirmed} of its 6 pairs are surely so here{against}."
-        )
-    return lines
-
-
-def facts(found: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Everything in the table, and more, for --json."""
-    names = ("paper_mean_cost", "paper_st_dev_cost")
-    return [outcome.facts() | dict(zip(names, papers(outcome), strict=True)) for outcome in found]
+    return bool(mannwhitneyu(one.costs, other.costs, alternative="less").pvalue < _SURE)

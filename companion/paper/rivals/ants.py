@@ -13,7 +13,7 @@ from companion.geodesy import FloatArray
 from companion.paper.rivals.roadmaps import SIXTEEN, step_costs
 from companion.paper.rivals.routes import IntArray, RouteProblem
 
-_STRIDE = 10  # points of the field to a step of the grid: R / 16
+_STRIDE = 10  # points of the lattice to a step of the grid: R / 16
 _ANTS, _GENERATIONS, _EVAPORATES = 40, 60, 0.1
 _GREED = 4.0  # how strongly what lies in the target's direction draws, beside the pheromone
 _LEAST = 0.01  # of the most pheromone
@@ -22,18 +22,18 @@ _WAYS = np.array(SIXTEEN)
 
 def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | str:
     """The best way that the colony has found, pulled straight."""
-    field, start, target = problem.field, problem.start_ne_m, problem.target_ne_m
-    if math.isfinite(field.line_cost(start, target)) and (
-        math.dist(start, target) < 3.0 * _STRIDE * field.spacing_m
+    start, target = problem.start_ne_m, problem.target_ne_m
+    if math.isfinite(problem.line_cost(start, target)) and (
+        math.dist(start, target) < 3.0 * _STRIDE * problem.spacing_m
     ):
         return np.array([start, target])
-    costs = step_costs(field.rate, _STRIDE, SIXTEEN) / _STRIDE
+    costs = step_costs(problem.rate, _STRIDE, SIXTEEN) / _STRIDE
     nodes = np.argwhere(np.isfinite(costs).any(axis=2))
     ends = np.zeros(costs.shape[:2], dtype=bool)
     begins = _joined(problem, nodes, start)
     for node in _joined(problem, nodes, target):
         ends[tuple(node)] = True
-    middle = field.index(target) / _STRIDE
+    middle = problem.index(target) / _STRIDE
     away = np.hypot(*(np.moveaxis(np.indices(ends.shape), 0, -1) - middle).transpose(2, 0, 1))
     after = np.indices(ends.shape)[:, :, :, None] + _WAYS.T[:, None, None, :]
     row, column = (np.clip(a, 0, n - 1) for a, n in zip(after, costs.shape[:2], strict=True))
@@ -52,15 +52,15 @@ def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | str:
         pheromone = np.clip(pheromone, _LEAST, 1.0)
     if best_way is None:
         return "no ant came to the target"
-    places = field.place_m(_STRIDE * np.array(best_way))
+    places = problem.place_m(_STRIDE * np.array(best_way))
     return problem.straight(np.concatenate([[start], places, [target]]))
 
 
 def _joined(problem: RouteProblem, nodes: IntArray, place: FloatArray) -> list[IntArray]:
     """Nodes about a place that a free line leads to, the nearest first."""
-    places = problem.field.place_m(_STRIDE * nodes)
+    places = problem.place_m(_STRIDE * nodes)
     near = np.argsort(np.linalg.norm(places - place, axis=-1), kind="stable")[:25]
-    return [nodes[k] for k in near if math.isfinite(problem.field.line_cost(place, places[k]))]
+    return [nodes[k] for k in near if math.isfinite(problem.line_cost(place, places[k]))]
 
 
 def _walks(
