@@ -11,7 +11,7 @@ from rich.progress import track
 
 from companion.errors import InputError
 from companion.paper.compare import figures, routes, table_1
-from companion.paper.compare.missions import Comparison, fly_all
+from companion.paper.compare.missions import Comparison, fly_all, table
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
@@ -47,39 +47,33 @@ FigureOption = Annotated[
 ]
 
 
-@compare_app.command("table-1")
-def table_1_command(
-    runs: RunsOption = 20,
-    jobs: JobsOption = None,
-    seed: SeedOption = 1,
-    json_file: JsonOption = None,
-    figure: FigureOption = None,
-    per_second: Annotated[
-        int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
-    ] = table_1.PER_SECOND,
-) -> None:
-    """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
-    _compare(table_1.Table1(per_second), runs, jobs, seed, json_file, figure or Path("table-1.png"))
-
-
-def _add_figure(name: str, words: str, effect_of: Callable[[], figures.Effect]) -> None:
+def _add(name: str, words: str, comparison_of: Callable[[int], Comparison]) -> None:
     @compare_app.command(name, help=words)
-    def figure_command(
+    def command(
         runs: RunsOption = 20,
         jobs: JobsOption = None,
         seed: SeedOption = 1,
         json_file: JsonOption = None,
         figure: FigureOption = None,
+        per_second: Annotated[
+            int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
+        ] = table_1.PER_SECOND,
     ) -> None:
-        _compare(effect_of(), runs, jobs, seed, json_file, figure or Path(f"{name}.png"))
+        picture = figure or Path(f"{name}.png")
+        _compare(comparison_of(per_second), runs, jobs, seed, json_file, picture)
 
 
-_add_figure(
+_add(
+    "table-1",
+    "Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets.",
+    table_1.Table1,
+)
+_add(
     "figure-3",
     "Fig. 3: climb over a ridge or go round it, by the weights of height and guide.",
     figures.figure_3,
 )
-_add_figure(
+_add(
     "figure-4",
     "Fig. 4: fly between two overlapping radars or round both, by d_overlap.",
     figures.figure_4,
@@ -122,16 +116,19 @@ def _compare(
     total = runs * len(comparison.cases)
     shown = partial(track, description="flying", total=total, console=bar, transient=True)
     found = fly_all(comparison.cases, runs, seed, jobs or processors(), shown)
-    for table in comparison.tables(found):
-        console.print(table)
+    for title, columns in comparison.tables.items():
+        console.print(table(title, columns, found))
     for remark in comparison.remarks(found):
         console.print(remark, highlight=False)
     if picture is not None:
+        from companion.paper.compare import pictures  # slow to import
+
         with writing("--figure", picture):
-            comparison.draw(found, picture)
+            pictures.draw(comparison, found, picture)
         console.out(f"picture: {picture}", highlight=False)
     if json_file is not None:
-        numbers = {"runs": runs, "seed": seed, "results": comparison.facts(found)}
+        results = [outcome.facts() | comparison.more(outcome) for outcome in found]
+        numbers = {"runs": runs, "seed": seed, "results": results}
         with writing("--json", json_file):
             json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
         console.out(f"numbers: {json_file}", highlight=False)

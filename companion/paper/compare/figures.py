@@ -8,19 +8,18 @@ and their radars are not passed where they overlap.  So each figure has a small 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from rich.table import Table
 
 from companion.geodesy import FloatArray
-from companion.paper.compare.missions import Case, Comparison, Outcome, bundled_case, table
+from companion.paper.compare.missions import Case, Comparison, Outcome, Tables, bundled_case
+from companion.paper.compare.table_1 import PER_SECOND
 from companion.profiles import Weights
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
 
-_T_S, _EVALUATIONS = 3.0, 3000  # as in Table 1
+_T_S = 3.0
 _RADAR_RANGE_M, _RADARS_OVERLAP_M, _RADARS_ASIDE_M = 16_000.0, 2_500.0, 1_000.0
 _RIDGE = tuple((k * 1e3, 100e3 - k * 1e3, 3_900.0, 10_000.0) for k in (42.0, 50.0, 58.0))
 _HILLS = (
@@ -37,7 +36,6 @@ Point = tuple[float, float]
 class Effect(Comparison):
     """A figure of the paper: two settings, and a line that routes cross or go round."""
 
-    name: str
     title: str
     paper: str
     """The paper's description."""
@@ -45,67 +43,56 @@ class Effect(Comparison):
     round: str
     line_ne_m: tuple[Point, Point]
     cases: tuple[Case, Case]
-    papers_ways: tuple[str, str]
-    """Which way the paper's panels go."""
 
     def ways(self, outcome: Outcome) -> list[str]:
         """Which way each run of a setting went."""
         crossed = (crosses(run.route_nea_m, *self.line_ne_m) for run in outcome.runs)
         return [self.across if each else self.round for each in crossed]
 
-    def papers_way(self, outcome: Outcome) -> str:
-        """Which way the paper's panel of this setting goes."""
-        return self.papers_ways[self.cases.index(outcome.case)]
+    def _as_the_papers(self, outcome: Outcome) -> str:
+        way = outcome.case.papers_way
+        return f"{way}: {self.ways(outcome).count(way)}/{len(outcome.runs)}"
 
-    def tables(self, found: Sequence[Outcome]) -> list[Table]:
+    @property
+    def tables(self) -> Tables:  # type: ignore[override]
         """What each setting leads to."""
-
-        def as_the_papers(outcome: Outcome) -> str:
-            way = self.papers_way(outcome)
-            return f"{way}: {self.ways(outcome).count(way)}/{len(outcome.runs)}"
-
-        columns = {
-            "way": as_the_papers,
-            "arrived": lambda outcome: outcome.arrivals,
-            "cost": lambda outcome: f"{outcome.shown.cost:.1f}",
-            "length": lambda outcome: f"{outcome.shown.length_m / 1000:.1f} km",
-            "highest": lambda outcome: f"{outcome.shown.highest_amsl_m / 1000:.2f} km",
-            "in radars": lambda outcome: f"{outcome.shown.violations['radar'] / 1000:.1f} km",
+        return {
+            self.title: {
+                "way": self._as_the_papers,
+                "arrived": lambda outcome: outcome.arrivals,
+                "cost": lambda outcome: f"{outcome.shown.cost:.1f}",
+                "length": lambda outcome: f"{outcome.shown.length_m / 1000:.1f} km",
+                "highest": lambda outcome: f"{outcome.shown.highest_amsl_m / 1000:.2f} km",
+                "in radars": lambda outcome: f"{outcome.shown.violations['radar'] / 1000:.1f} km",
+            }
         }
-        return [table(self.title, columns, found)]
 
     def remarks(self, found: Sequence[Outcome]) -> list[str]:
         """What the paper says, and which run is shown."""
-        del found
+        evaluations = found[0].case.task.settings.evaluations
         return [
             f"The paper: {self.paper}.",
             "Cost, length and heights are those of the run of median cost, which the picture "
-            f"shows. Improved DE, {_EVALUATIONS:,} evaluations for T = {_T_S:g} s.",
+            f"shows. Improved DE, {evaluations:,} evaluations for T = {_T_S:g} s.",
         ]
 
-    def facts(self, found: Sequence[Outcome]) -> list[dict[str, Any]]:
-        """All numbers, and the ways."""
-        return [
-            each.facts() | {"papers_way": self.papers_way(each), "ways": self.ways(each)}
-            for each in found
-        ]
-
-    def draw(self, found: Sequence[Outcome], path: Path) -> None:
-        """Both settings side by side."""
-        from companion.paper.compare import pictures  # slow to import
-
-        pictures.save(pictures.compose_effect(self, found), path)
+    def more(self, outcome: Outcome) -> dict[str, Any]:
+        """The ways."""
+        return {"papers_way": outcome.case.papers_way, "ways": self.ways(outcome)}
 
 
-def figure_3() -> Effect:
+def figure_3(per_second: int = PER_SECOND) -> Effect:
     """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
-    over, past, base = "climbs over", "goes round", _world("ridge", _RIDGE, ())
+    over, past, base = "climbs over", "goes round", _world("ridge", _RIDGE, (), per_second)
     one, two = (
-        replace(base.planned_with(weights=w), label=f"a2 = {w.height:g}, a3 = {w.guide:g}")
-        for w in (Weights(height=0.15, guide=0.15), Weights(height=0.25, guide=0.05))
+        replace(
+            base.planned_with(weights=Weights(height=a2, guide=a3)),
+            label=f"a2 = {a2:g}, a3 = {a3:g}",
+            papers_way=way,
+        )
+        for a2, a3, way in ((0.15, 0.15, over), (0.25, 0.05, past))
     )
     return Effect(
-        name="figure-3",
         title="Fig. 3: 3D path and vertical profile for two weightings",
         paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
         "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
@@ -113,11 +100,10 @@ def figure_3() -> Effect:
         round=past,
         line_ne_m=(_RIDGE[0][:2], _RIDGE[-1][:2]),
         cases=(one, two),
-        papers_ways=(over, past),
     )
 
 
-def figure_4() -> Effect:
+def figure_4(per_second: int = PER_SECOND) -> Effect:
     """Fly between two overlapping radars, or round both: d_overlap."""
     half_m, between, past = _RADAR_RANGE_M - 0.5 * _RADARS_OVERLAP_M, "flies between", "goes round"
     aside_m = [math.sqrt(0.5) * (_RADARS_ASIDE_M + side * half_m) for side in (-1.0, 1.0)]
@@ -126,13 +112,16 @@ def figure_4() -> Effect:
         Radar(name=f"radar {number}", centre_nea_m=(*centre, 0.0), range_m=_RADAR_RANGE_M)
         for number, centre in enumerate(centres, start=1)
     )
-    base = _world("two radars", _HILLS, radars)
+    base = _world("two radars", _HILLS, radars, per_second)
     one, two = (
-        replace(base.planned_with(overlap_m=1000.0 * km), label=f"d_overlap = {km:g} km")
-        for km in (2.0, 6.0)
+        replace(
+            base.planned_with(overlap_m=1000.0 * km),
+            label=f"d_overlap = {km:g} km",
+            papers_way=way,
+        )
+        for km, way in ((2.0, past), (6.0, between))
     )
     return Effect(
-        name="figure-4",
         title="Fig. 4: 3D path for two values of d_overlap",
         paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”",
@@ -140,7 +129,6 @@ def figure_4() -> Effect:
         round=past,
         line_ne_m=(centres[0], centres[1]),
         cases=(one, two),
-        papers_ways=(past, between),
     )
 
 
@@ -155,11 +143,14 @@ def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
 
 
 def _world(
-    name: str, peaks: Sequence[tuple[float, float, float, float]], radars: tuple[Radar, ...]
+    name: str,
+    peaks: Sequence[tuple[float, float, float, float]],
+    radars: tuple[Radar, ...],
+    per_second: int,
 ) -> Case:
     """A world with the vehicle, the band and the planner of environment-1."""
     base = bundled_case("environment-1").planned_with(
-        optimiser="improved-de", planning_time_s=_T_S, evaluations=_EVALUATIONS
+        optimiser="improved-de", planning_time_s=_T_S, evaluations=round(_T_S * per_second)
     )
     made = (
         Peak(north_m=n, east_m=e, height_amsl_m=height, spread_north_m=spread, spread_east_m=spread)

@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, final
 
 from rich import box
 from rich.table import Table
 
 from companion.config import load_mission, load_world
-from companion.errors import CompanionError, InputError
+from companion.errors import CompanionError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
 from companion.paper.compare.violations import KINDS, violations
@@ -49,6 +48,10 @@ class Case:
     planner: str = OURS
     """Who plans (`planning.planner_of`): ours plans by the task's profile."""
     seed: int = 1
+    papers_cost: tuple[float, float] = (math.nan, math.nan)
+    """The mean and the standard deviation that the paper has."""
+    papers_way: str = ""
+    """Which way the paper's route goes."""
 
     def planned_with(self, **settings: Any) -> "Case":
         """The case with other settings of the planner."""
@@ -143,27 +146,24 @@ class Outcome:
         }
 
 
+Tables = Mapping[str, Mapping[str, Callable[[Outcome], str]]]
+"""By title and column what a cell says of an outcome."""
+
+
 class Comparison(ABC):
-    """Cases that are flown, and how what came of them is told: as tables, remarks and a picture."""
+    """Cases that are flown, and how what came of them is told."""
 
-    name: str
-    """Of its command, and of its picture."""
     cases: Sequence[Case]
-
-    @abstractmethod
-    def tables(self, found: Sequence[Outcome]) -> list[Table]:
-        """What came of the cases, in their order."""
+    tables: Tables
 
     @abstractmethod
     def remarks(self, found: Sequence[Outcome]) -> list[str]:
         """What the tables cannot say by themselves."""
 
-    def facts(self, found: Sequence[Outcome]) -> list[dict[str, Any]]:
-        """Everything in the tables, and more, for --json."""
-        return [outcome.facts() for outcome in found]
-
-    def draw(self, found: Sequence[Outcome], path: Path) -> None:
-        """Write the picture, if there is one."""
+    def more(self, outcome: Outcome) -> dict[str, Any]:
+        """What is told beside the numbers of an outcome, for --json."""
+        del outcome
+        return {}
 
 
 def table(
@@ -177,26 +177,20 @@ def table(
     result.add_column("", no_wrap=True)
     for name in columns:
         result.add_column(name, justify="right")
-    by_heading = [
-        (heading, list(part))
-        for heading, part in itertools.groupby(found, lambda o: o.case.heading)
-    ]
-    for heading, part in by_heading:
-        indent = ""
-        if len(by_heading) > 1:
+    grouped = len({outcome.case.heading for outcome in found}) > 1
+    for heading, part in itertools.groupby(found, lambda outcome: outcome.case.heading):
+        if grouped:
             result.add_row(heading)
-            indent = "  "
         for outcome in part:
-            cells = (cell(outcome) for cell in columns.values())
-            result.add_row(indent + outcome.case.label, *cells)
+            label = ("  " if grouped else "") + outcome.case.label
+            result.add_row(label, *(cell(outcome) for cell in columns.values()))
     return result
 
 
 def bundled_case(name: str) -> Case:
     """A bundled environment as published: L = V T + d_s (eq. 4), where a scan takes no time."""
     mission, world = load_mission(name, PAPER.name), load_world(name)
-    if not isinstance(world.terrain, PeakTerrain):
-        raise InputError("world", name, "its terrain is not made of peaks", "Give another.")
+    assert isinstance(world.terrain, PeakTerrain)
     return Case(
         heading=name,
         label="",

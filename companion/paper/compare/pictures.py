@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,20 +10,28 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.paper.compare import figures, table_1
-from companion.paper.compare.missions import Outcome
+from companion.paper.compare import table_1
+from companion.paper.compare.figures import Effect
+from companion.paper.compare.missions import Comparison, Outcome
 from companion.views import figure as views
-from companion.views.figure import FlightFigure, TerrainPicture, save
+from companion.views.figure import FlightFigure, TerrainPicture
+from companion.world.known_map import empty_map
+from companion.world.simulated_scan import true_map
 
-__all__ = ["compose_effect", "compose_table", "save"]
-
-_CELLS = 440  # a side of the terrain: 250 m in the bundled environments
 _OURS, _PAPERS = "#0050b5", "#8a6d3b"
 _WIDELY = 3.0  # spread of costs from which on their scale is logarithmic
 _WIDE = 160  # characters in a line of the text under the panels
 
 
-def compose_effect(effect: figures.Effect, found: Sequence[Outcome]) -> Figure:
+def draw(comparison: Comparison, found: Sequence[Outcome], path: Path) -> None:
+    """Write the picture of a comparison."""
+    if isinstance(comparison, Effect):
+        views.save(compose_effect(comparison, found), path)
+    else:
+        views.save(compose_table(found, comparison.remarks(found)), path)
+
+
+def compose_effect(effect: Effect, found: Sequence[Outcome]) -> Figure:
     """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
@@ -80,7 +89,7 @@ def _draw_row(axes: Axes, row: Sequence[Outcome]) -> None:
         ends = np.nan_to_num([[below], [deviation]])
         axes.errorbar(at, mean, ends, color=_OURS, **bars, **label)
         label = {} if at else {"label": "the paper's (right scale)"}
-        other.errorbar(at + 0.2, *table_1.papers(outcome), color=_PAPERS, **bars)
+        other.errorbar(at + 0.2, *outcome.case.papers_cost, color=_PAPERS, **bars)
         axes.errorbar([], [], [], color=_PAPERS, **bars, **label)
     axes.set_xticks(range(len(row)), [each.case.label for each in row])
     axes.set_title(row[0].case.heading.replace(", ", ", T = "))
@@ -106,15 +115,11 @@ def _write_below(canvas: Figure, paragraphs: Sequence[str]) -> None:
 
 
 def _flight(outcome: Outcome) -> FlightFigure:
-    case, run = outcome.case, outcome.shown
-    limits = case.task.limits
-    north, east = (np.linspace(*ends, _CELLS + 1) for ends in (limits.north_m, limits.east_m))
-    middles = np.meshgrid((north[1:] + north[:-1]) / 2, (east[1:] + east[:-1]) / 2, indexing="ij")
+    case, run, limits = outcome.case, outcome.shown, outcome.case.task.limits
+    blank = empty_map(case.task.cell_m, limits.north_m, limits.east_m)
     return FlightFigure(
         title="",
-        terrain=TerrainPicture(
-            north_edges_m=north, east_edges_m=east, heights_m=case.terrain.height_m(*middles)
-        ),
+        terrain=TerrainPicture.of(true_map(case.terrain, blank)),
         floor_amsl_m=limits.floor_amsl_m,
         ceiling_amsl_m=limits.ceiling_amsl_m,
         start_nea_m=case.start_nea_m,

@@ -4,22 +4,32 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import final
 
-from rich.table import Table
-
 from companion import extras
 from companion.config import load_mission
-from companion.paper.compare.missions import Comparison, Outcome, bundled_case, table
-from companion.paper.compare.table_1 import ENVIRONMENTS
+from companion.paper.compare.missions import Comparison, Outcome, Tables, bundled_case
 from companion.paper.rivals.routes import PLANNERS
 from companion.planning import OURS, planner_of
 from companion.profiles import PAPER
+
+ENVIRONMENTS = ("environment-1", "environment-2")
+_TABLES: Tables = {
+    "Planners of whole routes, and planners of subpaths": {
+        "J": lambda outcome: f"{outcome.mean('j'):.2f}",
+        "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
+        "below d_s": lambda outcome: f"{outcome.violations['clearance']['mean_m']:,.0f}",
+        "legs": lambda outcome: f"{outcome.mean('legs'):.0f}",
+        "arrived": lambda outcome: outcome.arrivals,
+        "processor": lambda outcome: f"{outcome.mean('took_s'):.1f} s",
+    }
+}
+"""Means over the runs that arrived."""
 
 
 @final
 class Routes(Comparison):
     """Environment by environment, planner by planner; L as a flight needs it, for all alike."""
 
-    name = "routes"
+    tables = _TABLES
 
     def __init__(self, names: Sequence[str] = ()) -> None:
         """names: of planners; none: ours, the paper's, and all rivals that are installed."""
@@ -38,18 +48,6 @@ class Routes(Comparison):
             for environment in ENVIRONMENTS
             for name, planner in asked.items()
         ]
-
-    def tables(self, found: Sequence[Outcome]) -> list[Table]:
-        """Means over the runs that arrived."""
-        columns = {
-            "J": lambda outcome: f"{outcome.mean('j'):.2f}",
-            "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
-            "below d_s": lambda outcome: f"{outcome.violations['clearance']['mean_m']:,.0f}",
-            "legs": lambda outcome: f"{outcome.mean('legs'):.0f}",
-            "arrived": lambda outcome: outcome.arrivals,
-            "processor": lambda outcome: f"{outcome.mean('took_s'):.1f} s",
-        }
-        return [table("Planners of whole routes, and planners of subpaths", columns, found)]
 
     def remarks(self, found: Sequence[Outcome]) -> list[str]:
         """What the columns are."""

@@ -6,13 +6,11 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, final
 
-from rich.table import Table
 from scipy.stats import mannwhitneyu
 
-from companion.paper.compare.missions import Comparison, Outcome, bundled_case, table
+from companion.paper.compare.missions import Comparison, Outcome, Tables, bundled_case
 from companion.paper.compare.violations import KINDS
 
 ALGORITHMS = {
@@ -21,27 +19,43 @@ ALGORITHMS = {
     "PSO": "pso",
     "GA": "ga",
 }
-ENVIRONMENTS = ("environment-1", "environment-2")
-PLANNING_TIMES_S = (3.0, 5.0)  # T
 PER_SECOND = 1000
 """Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
 _SURE = 0.05  # significance at which costs count as different,
 _LEAST = 0.005  # if their medians differ by this part
 
 PAPERS = {
-    "environment-1, 3 s": ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
-    "environment-1, 5 s": ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
-    "environment-2, 3 s": ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
-    "environment-2, 5 s": ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
+    ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
+    ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
+    ("environment-2", 3.0): ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
+    ("environment-2", 5.0): ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
 }
-"""The paper's mean and standard deviation of the cost, in the order of `ALGORITHMS`."""
+"""By environment and T the paper's mean and standard deviation of the cost of `ALGORITHMS`."""
+
+
+def _broken(outcome: Outcome, kind: str) -> str:
+    of_kind = outcome.violations[kind]
+    return f"{math.ceil(100.0 * of_kind['missions'] - 1e-6)}% {of_kind['mean_m']:6,.0f}"
+
+
+_TABLES: Tables = {
+    "Table 1: cost from start to target, mean ± standard deviation": {
+        "cost": lambda outcome: f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+        "paper": lambda outcome: "{:.1f} ± {:.1f}".format(*outcome.case.papers_cost),
+        "arrived": lambda outcome: outcome.arrivals,
+        "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
+    },
+    "Missions that break a bound somewhere, and the mean metres that do": {
+        words: partial(_broken, kind=kind) for kind, words in KINDS.items()
+    },
+}
 
 
 @final
 class Table1(Comparison):
-    """Every cell of the table, row by row, algorithm by algorithm."""
+    """Our numbers beside the paper's, and what the routes break when looked at every 10 m."""
 
-    name = "table-1"
+    tables = _TABLES
 
     def __init__(self, per_second: int = PER_SECOND) -> None:
         """per_second: evaluations that stand for a second of T."""
@@ -55,38 +69,19 @@ class Table1(Comparison):
                 ),
                 heading=f"{environment}, {planning_time_s:g} s",
                 label=algorithm,
+                papers_cost=papers_cost,
             )
-            for environment in ENVIRONMENTS
-            for planning_time_s in PLANNING_TIMES_S
-            for algorithm, optimiser in ALGORITHMS.items()
-        ]
-
-    def tables(self, found: Sequence[Outcome]) -> list[Table]:
-        """Our numbers beside the paper's, and what the routes break when looked at every 10 m."""
-
-        def broken(outcome: Outcome, kind: str) -> str:
-            of_kind = outcome.violations[kind]
-            return f"{math.ceil(100.0 * of_kind['missions'] - 1e-6)}% {of_kind['mean_m']:6,.0f}"
-
-        costs = {
-            "cost": lambda outcome: f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
-            "paper": lambda outcome: "{:.1f} ± {:.1f}".format(*papers(outcome)),
-            "arrived": lambda outcome: outcome.arrivals,
-            "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
-        }
-        kinds = {words: partial(broken, kind=kind) for kind, words in KINDS.items()}
-        return [
-            table("Table 1: cost from start to target, mean ± standard deviation", costs, found),
-            table(
-                "Missions that break a bound somewhere, and the mean metres that do", kinds, found
-            ),
+            for (environment, planning_time_s), papers_costs in PAPERS.items()
+            for (algorithm, optimiser), papers_cost in zip(
+                ALGORITHMS.items(), papers_costs, strict=True
+            )
         ]
 
     def remarks(self, found: Sequence[Outcome]) -> list[str]:
         """The budget, and whose order it is."""
         budgets = ", ".join(
             f"T = {time_s:g} s is {round(time_s * self._per_second):,} evaluations"
-            for time_s in PLANNING_TIMES_S
+            for time_s in dict.fromkeys(time_s for _, time_s in PAPERS)
         )
         usual = self._per_second == PER_SECOND
         why = ", about what interpreted Matlab did in 2011" if usual else ""
@@ -96,31 +91,19 @@ class Table1(Comparison):
             "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
         ]
         for row in rows(found):
+            papers_order = " < ".join(outcome.case.label for outcome in by_the_paper(row))
             confirmed, contradicted = agreement(row)
             against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
             lines.append(
-                f"{row[0].case.heading}: {order(row)}. The paper: {' < '.join(papers_order(row))}. "
+                f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
                 f"{confirmed} of its 6 pairs are surely so here{against}."
             )
         return lines
 
-    def facts(self, found: Sequence[Outcome]) -> list[dict[str, Any]]:
-        """All numbers, ours and the paper's."""
-        names = ("paper_mean_cost", "paper_st_dev_cost")
-        return [
-            outcome.facts() | dict(zip(names, papers(outcome), strict=True)) for outcome in found
-        ]
-
-    def draw(self, found: Sequence[Outcome], path: Path) -> None:
-        """The cost of every run beside the paper's."""
-        from companion.paper.compare import pictures  # slow to import
-
-        pictures.save(pictures.compose_table(found, self.remarks(found)), path)
-
-
-def papers(outcome: Outcome) -> tuple[float, float]:
-    """The paper's mean and standard deviation of a cell."""
-    return PAPERS[outcome.case.heading][list(ALGORITHMS).index(outcome.case.label)]
+    def more(self, outcome: Outcome) -> dict[str, Any]:
+        """The paper's numbers."""
+        mean, deviation = outcome.case.papers_cost
+        return {"paper_mean_cost": mean, "paper_st_dev_cost": deviation}
 
 
 def rows(found: Sequence[Outcome]) -> list[Sequence[Outcome]]:
@@ -141,15 +124,17 @@ def order(row: Sequence[Outcome]) -> str:
     return words
 
 
-def papers_order(row: Sequence[Outcome]) -> list[str]:
-    """The paper's order, by its means."""
-    return [outcome.case.label for outcome in sorted(row, key=papers)]
+def by_the_paper(row: Sequence[Outcome]) -> list[Outcome]:
+    """In the paper's order, by its means."""
+    return sorted(row, key=lambda outcome: outcome.case.papers_cost)
 
 
 def agreement(row: Sequence[Outcome]) -> tuple[int, list[str]]:
     """How many of the paper's six pairs are surely as there, and which surely are not."""
     confirmed, contradicted = 0, []
-    for better, worse in itertools.combinations(sorted(row, key=papers), 2):
+    for better, worse in itertools.combinations(
+        sorted(row, key=lambda each: each.case.papers_cost), 2
+    ):
         confirmed += surely_less(better, worse)
         if surely_less(worse, better):
             contradicted.append(f"{worse.case.label} < {better.case.label}")

@@ -5,87 +5,74 @@ a step and how much nearer it brings the target.  Loops are cut out of their wal
 """
 
 import math
-from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from companion.geodesy import FloatArray
-from companion.paper.rivals.roadmaps import SIXTEEN, step_costs
+from companion.paper.rivals.roadmaps import over_grid
 from companion.paper.rivals.routes import IntArray, RouteProblem
 
 _STRIDE = 10  # points of the lattice to a step of the grid: R / 16
 _ANTS, _GENERATIONS, _EVAPORATES = 40, 60, 0.1
 _GREED = 4.0  # how strongly what lies in the target's direction draws, beside the pheromone
 _LEAST = 0.01  # of the most pheromone
-_WAYS = np.array(SIXTEEN)
 
 
 def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | str:
     """The best way that the colony has found, pulled straight."""
-    start, target = problem.start_ne_m, problem.target_ne_m
-    if math.isfinite(problem.line_cost(start, target)) and (
-        math.dist(start, target) < 3.0 * _STRIDE * problem.spacing_m
-    ):
-        return np.array([start, target])
-    costs = step_costs(problem.rate, _STRIDE, SIXTEEN) / _STRIDE
-    nodes = np.argwhere(np.isfinite(costs).any(axis=2))
-    ends = np.zeros(costs.shape[:2], dtype=bool)
-    begins = _joined(problem, nodes, start)
-    for node in _joined(problem, nodes, target):
-        ends[tuple(node)] = True
-    middle = problem.index(target) / _STRIDE
-    away = np.hypot(*(np.moveaxis(np.indices(ends.shape), 0, -1) - middle).transpose(2, 0, 1))
-    after = np.indices(ends.shape)[:, :, :, None] + _WAYS.T[:, None, None, :]
-    row, column = (np.clip(a, 0, n - 1) for a, n in zip(after, costs.shape[:2], strict=True))
-    beyond = costs + away[row, column] - away[:, :, None]
-    draw = np.exp(-_GREED * beyond / np.hypot(*_WAYS.T))
-    pheromone, best, best_way = np.ones(costs.shape), math.inf, None
-    for _ in range(_GENERATIONS if begins else 0):
-        for way in _walks(pheromone * draw, begins[0], ends, rng):
-            steps = [(*a, SIXTEEN.index((b[0] - a[0], b[1] - a[1]))) for a, b in pairwise(way)]
-            cost = sum(float(costs[step]) for step in steps)
-            if cost < best:
-                best, best_way, best_steps = cost, way, steps
+
+    def colony(graph: csr_array, places_m: FloatArray) -> list[int]:
+        return best_walk(graph, places_m, rng)
+
+    return over_grid(problem, _STRIDE, colony)
+
+
+def best_walk(graph: csr_array, places_m: FloatArray, rng: np.random.Generator) -> list[int]:
+    """The cheapest walk of a colony from the last place but one to the last; none: []."""
+    graph, end = graph.maximum(graph.T).tocsr(), len(places_m) - 1
+    step = np.repeat(np.arange(end + 1), np.diff(graph.indptr)), np.arange(graph.nnz)
+    step[1][:] -= graph.indptr[step[0]]  # node, and which of its steps
+    there = np.full((end + 1, np.diff(graph.indptr).max()), -1)
+    cost, draw = np.full(there.shape, np.inf), np.zeros(there.shape)
+    there[step], cost[step] = graph.indices, graph.data
+    left_m = np.linalg.norm(places_m - places_m[end], axis=-1)
+    length_m = np.linalg.norm(places_m[step[0]] - places_m[graph.indices], axis=-1)
+    beyond_m = graph.data + left_m[graph.indices] - left_m[step[0]]
+    draw[step] = np.exp(-_GREED * beyond_m / length_m)
+    pheromone, best, best_way = np.ones(there.shape), math.inf, np.empty(0, dtype=np.intp)
+    for _ in range(_GENERATIONS):
+        for way in _walks(pheromone * draw, there, rng):
+            steps = way[:-1], (there[way[:-1]] == way[1:, None]).argmax(axis=1)
+            if cost[steps].sum() < best:
+                best, best_way, best_steps = cost[steps].sum(), way, steps
         pheromone *= 1.0 - _EVAPORATES
-        for step in best_steps if best_way else ():
-            pheromone[step] += _EVAPORATES
+        if len(best_way):
+            pheromone[best_steps] += _EVAPORATES
         pheromone = np.clip(pheromone, _LEAST, 1.0)
-    if best_way is None:
-        return "no ant came to the target"
-    places = problem.place_m(_STRIDE * np.array(best_way))
-    return problem.straight(np.concatenate([[start], places, [target]]))
+    return best_way.tolist()
 
 
-def _joined(problem: RouteProblem, nodes: IntArray, place: FloatArray) -> list[IntArray]:
-    """Nodes about a place that a free line leads to, the nearest first."""
-    places = problem.place_m(_STRIDE * nodes)
-    near = np.argsort(np.linalg.norm(places - place, axis=-1), kind="stable")[:25]
-    return [nodes[k] for k in near if math.isfinite(problem.line_cost(place, places[k]))]
-
-
-def _walks(
-    weights: FloatArray, begin: IntArray, ends: np.ndarray, rng: np.random.Generator
-) -> list[list[tuple[int, int]]]:
-    """The walks of a generation that came to an end node, without their loops."""
-    at, going = np.tile(begin, (_ANTS, 1)), np.ones(_ANTS, dtype=bool)
+def _walks(weights: FloatArray, there: IntArray, rng: np.random.Generator) -> list[IntArray]:
+    """The walks of a generation that came to the last node, without their loops."""
+    end, total = len(there) - 1, np.cumsum(weights, axis=1)
+    at, going = np.full(_ANTS, end - 1), np.ones(_ANTS, dtype=bool)
     trails = [at]
-    for _ in range(4 * sum(ends.shape)):
-        going = going & ~ends[at[:, 0], at[:, 1]]
-        each = np.cumsum(weights[at[:, 0], at[:, 1]], axis=1)
-        going &= each[:, -1] > 0.0  # else it is stuck
+    for _ in range(8 * math.isqrt(end)):  # four times from edge to edge, and again
+        each = total[at]
+        going = going & (at != end) & (each[:, -1] > 0.0)  # there, or stuck
         if not going.any():
             break
         pick = (each < (rng.random(_ANTS) * each[:, -1])[:, None]).sum(axis=1)
-        at = np.where(going[:, None], at + _WAYS[np.minimum(pick, len(_WAYS) - 1)], at)
+        at = np.where(going, there[at, pick], at)
         trails.append(at)
-    walks = np.stack(trails, axis=1)[ends[at[:, 0], at[:, 1]]]
-    return [_without_loops(list(map(tuple, walk.tolist()))) for walk in walks]
+    return [_without_loops(walk) for walk in np.stack(trails, axis=1)[at == end].tolist()]
 
 
-def _without_loops(walk: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _without_loops(walk: list[int]) -> IntArray:
     last = {node: k for k, node in enumerate(walk)}
     way, k = [walk[0]], last[walk[0]]
     while k + 1 < len(walk):
         way.append(walk[k + 1])
         k = last[walk[k + 1]]
-    return way
+    return np.array(way)

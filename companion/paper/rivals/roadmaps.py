@@ -1,7 +1,7 @@
 """A* over a grid, and over a roadmap of Voronoi edges between obstacles (as in paper 1)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.ndimage import binary_erosion
@@ -12,19 +12,23 @@ from scipy.spatial import Voronoi
 from companion.geodesy import FloatArray
 from companion.paper.rivals.routes import IntArray, RouteProblem
 
-EIGHT = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
-SIXTEEN = (*EIGHT, *((i, j) for i in (-2, -1, 1, 2) for j in (-2, -1, 1, 2) if abs(i) != abs(j)))
+EIGHT = ((0, 1), (1, 0), (1, 1), (1, -1))  # and back
+SIXTEEN = (*EIGHT, (1, 2), (2, 1), (2, -1), (1, -2))
 _STRIDE = 4  # points of the lattice to a step of the grid: R / 40
 _THREAT = 2.5  # what a metre costs where ground is taken for an obstacle: within a radar's range
 _APART = 4  # points of the lattice between sites of the diagram, at least
 _JOINED = 25  # corners of a roadmap that start and target are joined to
 
 
+Edges = tuple[IntArray, IntArray, FloatArray]
+"""Lines between places a and b, each once, and their costs.  (E,) x3."""
+Search = Callable[[csr_array, FloatArray], list[int]]
+"""Of a graph and its places, the last but one the start, the last the target: the way's nodes."""
+
+
 def a_star(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | str:
-    """The cheapest way over a grid with 16 directions, pulled straight."""
-    costs = step_costs(problem.rate, _STRIDE, SIXTEEN) * problem.spacing_m
-    nodes = np.indices(costs.shape[:2]).reshape(2, -1).T
-    return over(problem, problem.place_m(_STRIDE * nodes), *grid(costs, SIXTEEN))
+    """The cheapest way over a grid, pulled straight."""
+    return over_grid(problem, _STRIDE, _cheapest_to_last)
 
 
 def voronoi(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | str:
@@ -43,30 +47,40 @@ def voronoi(problem: RouteProblem, _rng: np.random.Generator) -> FloatArray | st
     a, b = lines[inside[lines].all(axis=1)].T
     cost = np.array([problem.line_cost(*pair) for pair in zip(corners[a], corners[b], strict=True)])
     free = np.isfinite(cost)
-    return over(problem, corners, a[free], b[free], cost[free])
+    return over(problem, corners, (a[free], b[free], cost[free]), _cheapest_to_last)
+
+
+def over_grid(problem: RouteProblem, stride: int, search: Search) -> FloatArray | str:
+    """The way over a grid with 16 directions, whose nodes are every stride-th point of the rate."""
+    costs = step_costs(problem.rate, stride, SIXTEEN) * problem.spacing_m
+    nodes = np.indices(costs.shape[:2]).reshape(2, -1).T
+    return over(problem, problem.place_m(stride * nodes), edges(costs, SIXTEEN), search)
 
 
 def over(
-    problem: RouteProblem, places_m: FloatArray, a: IntArray, b: IntArray, cost: FloatArray
+    problem: RouteProblem, places_m: FloatArray, lines: Edges, search: Search
 ) -> FloatArray | str:
-    """The cheapest way over lines between places a and b, pulled straight; (K, 2), (E,) x3.
+    """The way over lines between places (K, 2), pulled straight.
 
     Start and target are joined to the places next to them, and to each other, by free lines.
     """
-    start, target = len(places_m), len(places_m) + 1
+    count, (a, b, cost) = len(places_m), lines
     every = np.concatenate([places_m, [problem.start_ne_m, problem.target_ne_m]])
-    used = np.unique(np.append(a, b))
-    joined = [(start, target)]
-    for node in (start, target):
-        away_m = np.linalg.norm(places_m[used] - every[node], axis=-1)
-        joined += [(node, k) for k in used[np.argsort(away_m, kind="stable")[:_JOINED]].tolist()]
+    used, joined = np.unique(np.append(a, b)), [(count, count + 1)]
+    for end in (count, count + 1):
+        away_m = np.linalg.norm(places_m[used] - every[end], axis=-1)
+        joined += [(end, k) for k in used[np.argsort(away_m, kind="stable")[:_JOINED]].tolist()]
     ends = np.array(joined, dtype=np.intp)
     costs = np.array([problem.line_cost(every[i], every[j]) for i, j in ends])
-    free = np.isfinite(costs)
-    a, b = np.append(a, ends[free, 0]), np.append(b, ends[free, 1])
-    graph = csr_array((np.append(cost, costs[free]), (a, b)), shape=(len(every), len(every)))
-    way = cheapest(graph, start, target)
+    ends, costs = ends[np.isfinite(costs)], costs[np.isfinite(costs)]
+    between = np.append(a, ends[:, 0]), np.append(b, ends[:, 1])
+    graph = csr_array((np.append(cost, costs), between), shape=(len(every), len(every)))
+    way = search(graph, every)
     return problem.straight(every[way]) if way else "there is no way over its map"
+
+
+def _cheapest_to_last(graph: csr_array, places_m: FloatArray) -> list[int]:
+    return cheapest(graph, len(places_m) - 2, len(places_m) - 1)
 
 
 def cheapest(graph: csr_array, start: int, end: int) -> list[int]:
@@ -95,9 +109,7 @@ def step_costs(rate: FloatArray, stride: int, ways: Sequence[tuple[int, int]]) -
     return result
 
 
-def grid(
-    costs: FloatArray, ways: Sequence[tuple[int, int]]
-) -> tuple[IntArray, IntArray, FloatArray]:
+def edges(costs: FloatArray, ways: Sequence[tuple[int, int]]) -> Edges:
     """A grid as a graph: of each step that is free the node before, the node after, the cost."""
     row, column, way = np.nonzero(np.isfinite(costs))
     before = row * costs.shape[1] + column

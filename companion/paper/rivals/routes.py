@@ -2,7 +2,7 @@
 
 A rival is a point: it turns on the spot and climbs without limit, chooses its way in the plane and
 flies it at the lowest safe altitude.  It knows the map that ours knows.  What nobody has seen is
-free for it; what it flies of its route ends where the map bounds nothing, or at the end of sight.
+free for it; what it flies of its route ends with what was seen, or at the end of sight.
 """
 
 import inspect
@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,12 +95,9 @@ class RouteProblem:
         return np.concatenate([route_ne_m[kept], route_ne_m[here + 1 :]])
 
 
-class RoutePlanner(Protocol):
-    """Plans a whole route; also what an entry point `companion.planners` names."""
-
-    def __call__(self, problem: RouteProblem, rng: np.random.Generator) -> FloatArray | str:
-        """Points (N, 2) from the start to the target, or why there is no route."""
-        ...
+RoutePlanner = Callable[[RouteProblem, np.random.Generator], FloatArray | str]
+"""Answers with points (N, 2) from the start to the target, or with why there is no route; also what
+an entry point `companion.planners` names."""
 
 
 def _wrong_with(planner: RoutePlanner) -> str | None:
@@ -133,40 +130,33 @@ def leg_by_leg(
     """A planner of whole routes as one of subpaths: of each route, what may be flown by the map."""
 
     def plan(request: PlanRequest) -> Planned | NotPlanned:
-        for hopes in (True, False):  # in vain: over what is not seen too, by what the map bounds
-            problem = problem_of(request, hopes=hopes)
-            route = route_planner(problem, request.rng(0))
-            if not isinstance(route, str):
-                control, arrives = _flown(_checked(route, problem), problem, request, seen=hopes)
-                if len(control):
-                    return reported(request, control, prove, reaches_target=arrives)
+        problem = problem_of(request)
+        route = route_planner(problem, request.rng(0))
+        if not isinstance(route, str):
+            control, arrives = _flown(_checked(route, problem), problem, request)
+            if len(control):
+                return reported(request, control, prove, reaches_target=arrives)
         return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE)
 
     return plan
 
 
-def problem_of(request: PlanRequest, *, hopes: bool = True) -> RouteProblem:
-    """The question of a plan.  hopes: what nobody has seen is free, else it is closed."""
+def problem_of(request: PlanRequest) -> RouteProblem:
+    """The question of a plan: what nobody has seen is free."""
     task, known, clear_m = request.task, request.known, _clear_m(request)
-    if hopes:
-        known = replace(known, upper_m=np.where(known.firm, known.upper_m, np.inf))
     sides = (task.limits.north_m, task.limits.east_m)
     surface = safe_surface(
-        known,
+        replace(known, upper_m=np.where(known.firm, known.upper_m, np.inf)),
         compiled(dilated_m),
         centre_ne_m=(0.5 * sum(sides[0]), 0.5 * sum(sides[1])),
         reach_m=0.5 * max(high - low for low, high in sides),
         clearance_m=clear_m,
-        unknown_m=-_HIGH_M if hopes else _HIGH_M,
+        unknown_m=-_HIGH_M,
     )
-    axes = [
-        first + surface.cell_m * np.arange(size)
-        for first, size in zip(surface[:2], surface.vertex_m.shape, strict=True)
-    ]
-    axes = [
-        axis[(axis >= low - _AT_M) & (axis <= high + _AT_M)]
-        for axis, (low, high) in zip(axes, sides, strict=True)
-    ]
+    axes = []
+    for first, size, (low, high) in zip(surface[:2], surface.vertex_m.shape, sides, strict=True):
+        axis = first + surface.cell_m * np.arange(size)
+        axes.append(axis[(axis >= low - _AT_M) & (axis <= high + _AT_M)])
     north, east = np.meshgrid(*axes, indexing="ij")
     need_m = surface.altitude_m(north, east)
     (floor, ceiling), weights = task.band_amsl_m, task.settings.weights
@@ -199,12 +189,9 @@ def _clear_m(request: PlanRequest) -> float:
 
 def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
     """The answer, (N, 2); InputError if it is no route from the start to the target."""
-    route = np.asarray(answer, dtype=np.float64)
-    shape_fits = route.ndim == 2 and route.shape[1] == 2 and len(route) > 1
-    ends = (problem.start_ne_m, problem.target_ne_m)
-    if not (shape_fits and np.isfinite(route).all()) or (
-        max(map(math.dist, (route[0], route[-1]), ends)) > _AT_M
-    ):
+    route, ends = np.asarray(answer, dtype=np.float64), (problem.start_ne_m, problem.target_ne_m)
+    is_line = route.ndim == 2 and route.shape[1] == 2 and len(route) > 1 and np.isfinite(route).all()
+    if not is_line or not np.allclose(route[[0, -1]], ends, rtol=0.0, atol=_AT_M):
         rule = "a route is (N, 2), finite, from the start to the target"
         answered = f"an answer of shape {route.shape}"
         raise InputError("planner", answered, rule, "Correct the planner.")
@@ -212,12 +199,9 @@ def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
 
 
 def _flown(
-    route: FloatArray, problem: RouteProblem, request: PlanRequest, *, seen: bool
+    route: FloatArray, problem: RouteProblem, request: PlanRequest
 ) -> tuple[FloatArray, bool]:
-    """Control points (K, 3) of what may be flown of a route, none if nothing; whether all of it.
-
-    seen: not over what nobody has seen, though the map bounds it.
-    """
+    """Control points (K, 3) of what may be flown of a route, none if nothing; whether all of it."""
     task, known, scan_ne_m = request.task, request.known, request.scan_nea_m[:2]
     range_m = task.settings.scan_range_m
     surface = safe_surface(
@@ -234,9 +218,8 @@ def _flown(
     nodes = problem.index(points)
     may_be = np.isfinite(problem.rate_at(points))
     may_be &= surface.altitude_m(*problem.place_m(nodes).T) <= ceiling
-    if seen:
-        cells = np.array([known.cell_of(*point) for point in points.tolist()])
-        may_be &= known.firm[tuple(np.clip(cells, 0, np.array(known.firm.shape) - 1).T)]
+    cells = np.array([known.cell_of(*point) for point in points.tolist()])
+    may_be &= known.firm[tuple(np.clip(cells, 0, np.array(known.firm.shape) - 1).T)]
     may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
     may_be |= binary_closing(may_be, _GRAZE)
     may_be &= np.hypot(*(points - scan_ne_m).T) < range_m
