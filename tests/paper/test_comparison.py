@@ -15,7 +15,7 @@ from rich.console import Console
 
 from companion.paper.compare import table_1
 from companion.paper.compare.figures import Effect, crosses, figure_3, figure_4
-from companion.paper.compare.missions import Outcome, Run, fly_all, table
+from companion.paper.compare.missions import Outcome, Run, by_heading, fly_all, table
 from companion.paper.compare.pictures import compose_effect, compose_table
 from companion.paper.compare.table_1 import Table1, agreement, order, surely_less
 from companion.paper.compare.violations import KINDS
@@ -155,7 +155,7 @@ def test_the_picture_of_the_table_shows_every_run_and_every_mean() -> None:
     figure = compose_table(found, ["a remark"])
     panels = [axes for axes in figure.axes if axes.get_label() == "row"]
     assert len(panels) == 4
-    for axes, each in zip(panels, table_1.rows(found), strict=True):
+    for axes, each in zip(panels, by_heading(found), strict=True):
         assert axes.get_yscale() == "log"
         lines = [np.asarray(line.get_ydata()).tolist() for line in axes.lines]
         for outcome in each:
@@ -218,7 +218,7 @@ def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
     figure = compose_effect(effect, found)
     words = [text.get_text() for text in figure.texts]
     for case, letter, most in zip(
-        effect.cases, "ab", (f"{effect.across} (2", f"{effect.round} (3"), strict=True
+        effect.cases, "ab", (f"{effect.across} (2", "goes round (3"), strict=True
     ):
         assert any(word.startswith(f"({letter}) {case.label}: {most} of 3") for word in words)
     assert effect.paper.replace(" ", "") in "".join(words).replace(" ", "").replace("\n", "")

@@ -47,8 +47,8 @@ FigureOption = Annotated[
 ]
 
 
-def _add(name: str, words: str, comparison_of: Callable[[int], Comparison]) -> None:
-    @compare_app.command(name, help=words)
+def _add(name: str, comparison_of: Callable[[int], Comparison]) -> None:
+    @compare_app.command(name, help=comparison_of.__doc__)
     def command(
         runs: RunsOption = 20,
         jobs: JobsOption = None,
@@ -63,21 +63,9 @@ def _add(name: str, words: str, comparison_of: Callable[[int], Comparison]) -> N
         _compare(comparison_of(per_second), runs, jobs, seed, json_file, picture)
 
 
-_add(
-    "table-1",
-    "Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets.",
-    table_1.Table1,
-)
-_add(
-    "figure-3",
-    "Fig. 3: climb over a ridge or go round it, by the weights of height and guide.",
-    figures.figure_3,
-)
-_add(
-    "figure-4",
-    "Fig. 4: fly between two overlapping radars or round both, by d_overlap.",
-    figures.figure_4,
-)
+_add("table-1", table_1.Table1)
+_add("figure-3", figures.figure_3)
+_add("figure-4", figures.figure_4)
 
 
 @compare_app.command("routes")

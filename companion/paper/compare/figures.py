@@ -40,14 +40,14 @@ class Effect(Comparison):
     paper: str
     """The paper's description."""
     across: str
-    round: str
+    """What is said of a route that crosses the line; any other goes round."""
     line_ne_m: tuple[Point, Point]
-    cases: tuple[Case, Case]
+    cases: Sequence[Case]
 
     def ways(self, outcome: Outcome) -> list[str]:
         """Which way each run of a setting went."""
         crossed = (crosses(run.route_nea_m, *self.line_ne_m) for run in outcome.runs)
-        return [self.across if each else self.round for each in crossed]
+        return [self.across if each else "goes round" for each in crossed]
 
     def _as_the_papers(self, outcome: Outcome) -> str:
         way = outcome.case.papers_way
@@ -82,30 +82,32 @@ class Effect(Comparison):
 
 
 def figure_3(per_second: int = PER_SECOND) -> Effect:
-    """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
-    over, past, base = "climbs over", "goes round", _world("ridge", _RIDGE, (), per_second)
-    one, two = (
-        replace(
-            base.planned_with(weights=Weights(height=a2, guide=a3)),
-            label=f"a2 = {a2:g}, a3 = {a3:g}",
-            papers_way=way,
-        )
-        for a2, a3, way in ((0.15, 0.15, over), (0.25, 0.05, past))
+    """Fig. 3: climb over a ridge or go round it, by the weights of height and guide."""
+    base = _world("ridge", _RIDGE, (), per_second)
+    settings = (
+        ("climbs over", Weights(height=0.15, guide=0.15)),
+        ("goes round", Weights(height=0.25, guide=0.05)),
     )
     return Effect(
         title="Fig. 3: 3D path and vertical profile for two weightings",
         paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
         "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
-        across=over,
-        round=past,
+        across="climbs over",
         line_ne_m=(_RIDGE[0][:2], _RIDGE[-1][:2]),
-        cases=(one, two),
+        cases=[
+            replace(
+                base.planned_with(weights=w),
+                label=f"a2 = {w.height:g}, a3 = {w.guide:g}",
+                papers_way=way,
+            )
+            for way, w in settings
+        ],
     )
 
 
 def figure_4(per_second: int = PER_SECOND) -> Effect:
-    """Fly between two overlapping radars, or round both: d_overlap."""
-    half_m, between, past = _RADAR_RANGE_M - 0.5 * _RADARS_OVERLAP_M, "flies between", "goes round"
+    """Fig. 4: fly between two overlapping radars or round both, by d_overlap."""
+    half_m = _RADAR_RANGE_M - 0.5 * _RADARS_OVERLAP_M
     aside_m = [math.sqrt(0.5) * (_RADARS_ASIDE_M + side * half_m) for side in (-1.0, 1.0)]
     centres = [(50_000.0 - each_m, 50_000.0 + each_m) for each_m in aside_m]
     radars = tuple(
@@ -113,22 +115,20 @@ def figure_4(per_second: int = PER_SECOND) -> Effect:
         for number, centre in enumerate(centres, start=1)
     )
     base = _world("two radars", _HILLS, radars, per_second)
-    one, two = (
-        replace(
-            base.planned_with(overlap_m=1000.0 * km),
-            label=f"d_overlap = {km:g} km",
-            papers_way=way,
-        )
-        for km, way in ((2.0, past), (6.0, between))
-    )
     return Effect(
         title="Fig. 4: 3D path for two values of d_overlap",
         paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”",
-        across=between,
-        round=past,
+        across="flies between",
         line_ne_m=(centres[0], centres[1]),
-        cases=(one, two),
+        cases=[
+            replace(
+                base.planned_with(overlap_m=1000.0 * km),
+                label=f"d_overlap = {km:g} km",
+                papers_way=way,
+            )
+            for way, km in (("goes round", 2.0), ("flies between", 6.0))
+        ],
     )
 
 

@@ -177,14 +177,19 @@ def table(
     result.add_column("", no_wrap=True)
     for name in columns:
         result.add_column(name, justify="right")
-    grouped = len({outcome.case.heading for outcome in found}) > 1
-    for heading, part in itertools.groupby(found, lambda outcome: outcome.case.heading):
-        if grouped:
-            result.add_row(heading)
+    parts = by_heading(found)
+    for part in parts:
+        if len(parts) > 1:
+            result.add_row(part[0].case.heading)
         for outcome in part:
-            label = ("  " if grouped else "") + outcome.case.label
+            label = ("  " if len(parts) > 1 else "") + outcome.case.label
             result.add_row(label, *(cell(outcome) for cell in columns.values()))
     return result
+
+
+def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
+    """Outcomes in parts of the same heading, as they follow each other."""
+    return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
 
 
 def bundled_case(name: str) -> Case:

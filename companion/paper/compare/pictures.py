@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.paper.compare import table_1
 from companion.paper.compare.figures import Effect
-from companion.paper.compare.missions import Comparison, Outcome
+from companion.paper.compare.missions import Comparison, Outcome, by_heading
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
 from companion.world.known_map import empty_map
@@ -65,7 +64,7 @@ def compose_table(found: Sequence[Outcome], remarks: Sequence[str]) -> Figure:
     FigureCanvasAgg(canvas)
     title = "Table 1: cost from start to target"
     canvas.text(0.03, 0.955, title, fontsize=18, weight="bold", parse_math=False)
-    for at, row in enumerate(table_1.rows(found)):
+    for at, row in enumerate(by_heading(found)):
         left, bottom = 0.07 + 0.49 * (at % 2), 0.61 - 0.365 * (at // 2)
         axes = canvas.add_axes((left, bottom, 0.37, 0.29), label="row")
         _draw_row(axes, row)

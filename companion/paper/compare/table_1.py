@@ -10,7 +10,7 @@ from typing import Any, final
 
 from scipy.stats import mannwhitneyu
 
-from companion.paper.compare.missions import Comparison, Outcome, Tables, bundled_case
+from companion.paper.compare.missions import Comparison, Outcome, Tables, bundled_case, by_heading
 from companion.paper.compare.violations import KINDS
 
 ALGORITHMS = {
@@ -53,7 +53,7 @@ _TABLES: Tables = {
 
 @final
 class Table1(Comparison):
-    """Our numbers beside the paper's, and what the routes break when looked at every 10 m."""
+    """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
 
     tables = _TABLES
 
@@ -90,7 +90,7 @@ class Table1(Comparison):
             "No result depends on the speed of this machine.",
             "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
         ]
-        for row in rows(found):
+        for row in by_heading(found):
             papers_order = " < ".join(outcome.case.label for outcome in by_the_paper(row))
             confirmed, contradicted = agreement(row)
             against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
@@ -104,12 +104,6 @@ class Table1(Comparison):
         """The paper's numbers."""
         mean, deviation = outcome.case.papers_cost
         return {"paper_mean_cost": mean, "paper_st_dev_cost": deviation}
-
-
-def rows(found: Sequence[Outcome]) -> list[Sequence[Outcome]]:
-    """The four algorithms on one environment with one budget."""
-    each = len(ALGORITHMS)
-    return [found[k : k + each] for k in range(0, len(found), each)]
 
 
 def order(row: Sequence[Outcome]) -> str:

@@ -190,7 +190,7 @@ def _clear_m(request: PlanRequest) -> float:
 def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
     """The answer, (N, 2); InputError if it is no route from the start to the target."""
     route, ends = np.asarray(answer, dtype=np.float64), (problem.start_ne_m, problem.target_ne_m)
-    is_line = route.ndim == 2 and route.shape[1] == 2 and len(route) > 1 and np.isfinite(route).all()
+    is_line = route.shape[1:] == (2,) and len(route) > 1 and np.isfinite(route).all()
     if not is_line or not np.allclose(route[[0, -1]], ends, rtol=0.0, atol=_AT_M):
         rule = "a route is (N, 2), finite, from the start to the target"
         answered = f"an answer of shape {route.shape}"
