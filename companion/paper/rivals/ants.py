@@ -30,49 +30,51 @@ def ants(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | str:
 
 def best_walk(graph: csr_array, places_m: FloatArray, rng: np.random.Generator) -> list[int]:
     """The cheapest walk of a colony from the last place but one to the last; none: []."""
-    graph, end = graph.maximum(graph.T).tocsr(), len(places_m) - 1
-    step = np.repeat(np.arange(end + 1), np.diff(graph.indptr)), np.arange(graph.nnz)
-    step[1][:] -= graph.indptr[step[0]]  # node, and which of its steps
-    there = np.full((end + 1, np.diff(graph.indptr).max()), -1)
-    cost, draw = np.full(there.shape, np.inf), np.zeros(there.shape)
-    there[step], cost[step] = graph.indices, graph.data
-    left_m = np.linalg.norm(places_m - places_m[end], axis=-1)
-    length_m = np.linalg.norm(places_m[step[0]] - places_m[graph.indices], axis=-1)
-    beyond_m = graph.data + left_m[graph.indices] - left_m[step[0]]
-    draw[step] = np.exp(-_GREED * beyond_m / length_m)
-    pheromone, best, best_way = np.ones(there.shape), math.inf, np.empty(0, dtype=np.intp)
+    graph = graph.maximum(graph.T).tocsr()  # a step is an index of its data
+    here, there = np.repeat(np.arange(len(places_m)), np.diff(graph.indptr)), graph.indices
+    left_m = np.linalg.norm(places_m - places_m[-1], axis=-1)
+    length_m = np.linalg.norm(places_m[here] - places_m[there], axis=-1)
+    draw = np.exp(-_GREED * (graph.data + left_m[there] - left_m[here]) / length_m)
+    pheromone, least, best = np.ones(graph.nnz), math.inf, list[int]()
     for _ in range(_GENERATIONS):
-        for way in _walks(pheromone * draw, there, rng):
-            steps = way[:-1], (there[way[:-1]] == way[1:, None]).argmax(axis=1)
-            if cost[steps].sum() < best:
-                best, best_way, best_steps = cost[steps].sum(), way, steps
+        weights = pheromone * draw
+        weights /= np.bincount(here, weights)[here]
+        for steps in _walks(graph, np.append(0.0, np.cumsum(weights)), rng):
+            walk = _without_loops(steps, here[steps])
+            if (cost := graph.data[walk].sum()) < least:
+                least, best = cost, walk
         pheromone *= 1.0 - _EVAPORATES
-        if len(best_way):
-            pheromone[best_steps] += _EVAPORATES
+        pheromone[best] += _EVAPORATES
         pheromone = np.clip(pheromone, _LEAST, 1.0)
-    return best_way.tolist()
+    return [*here[best].tolist(), len(places_m) - 1] if best else []
 
 
-def _walks(weights: FloatArray, there: IntArray, rng: np.random.Generator) -> list[IntArray]:
-    """The walks of a generation that came to the last node, without their loops."""
-    end, total = len(there) - 1, np.cumsum(weights, axis=1)
-    at, going = np.full(_ANTS, end - 1), np.ones(_ANTS, dtype=bool)
-    trails = [at]
-    for _ in range(8 * math.isqrt(end)):  # four times from edge to edge, and again
-        each = total[at]
-        going = going & (at != end) & (each[:, -1] > 0.0)  # there, or stuck
+def _walks(graph: csr_array, total: FloatArray, rng: np.random.Generator) -> list[IntArray]:
+    """The walks of a generation that came to the last place, as steps.
+
+    total: of the probabilities of all steps before each, (steps + 1,); those from a place sum to 1.
+    """
+    end = len(graph.indptr) - 2
+    at, walks = np.full(_ANTS, end - 1), list[IntArray]()
+    for _ in range(8 * math.isqrt(end)):  # four times from edge to edge of the grid, and back
+        low, high = total[graph.indptr[at]], total[graph.indptr[at + 1]]
+        going = (at != end) & (high > low)  # else it is there, or stuck
         if not going.any():
             break
-        pick = (each < (rng.random(_ANTS) * each[:, -1])[:, None]).sum(axis=1)
-        at = np.where(going, there[at, pick], at)
-        trails.append(at)
-    return [_without_loops(walk) for walk in np.stack(trails, axis=1)[at == end].tolist()]
+        drawn = low + rng.random(_ANTS) * (high - low)
+        step = np.where(going, np.searchsorted(total, drawn, side="right") - 1, -1)
+        at = np.where(going, graph.indices[step], at)
+        walks.append(step)
+    came = np.stack(walks, axis=1)[at == end] if walks else []
+    return [walk[walk >= 0] for walk in came]
 
 
-def _without_loops(walk: list[int]) -> IntArray:
-    last = {node: k for k, node in enumerate(walk)}
-    way, k = [walk[0]], last[walk[0]]
-    while k + 1 < len(walk):
-        way.append(walk[k + 1])
-        k = last[walk[k + 1]]
-    return np.array(way)
+def _without_loops(steps: IntArray, here: IntArray) -> list[int]:
+    """Of a walk only the last step from each place that it was in.  (K,) x2."""
+    last = {place: k for k, place in enumerate(here.tolist())}
+    way, k = list[int](), 0
+    while k < len(steps):
+        k = last[int(here[k])]
+        way.append(int(steps[k]))
+        k += 1
+    return way

@@ -18,8 +18,6 @@ _STRIDE = 4  # points of the lattice to a step of the grid: R / 40
 _THREAT = 2.5  # what a metre costs where ground is taken for an obstacle: within a radar's range
 _APART = 4  # points of the lattice between sites of the diagram, at least
 _JOINED = 25  # corners of a roadmap that start and target are joined to
-
-
 Edges = tuple[IntArray, IntArray, FloatArray]
 """Lines between places a and b, each once, and their costs.  (E,) x3."""
 Search = Callable[[csr_array, FloatArray], list[int]]
