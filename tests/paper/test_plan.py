@@ -48,13 +48,15 @@ def test_it_ends_at_the_range_of_the_scan_or_at_a_target_within_it() -> None:
     assert near.guide_rad == pytest.approx(math.atan2(16.0, 11.0))
 
 
-def test_it_leaves_along_the_papers_tangents() -> None:
-    outcome = planned()
+def test_from_rest_it_leaves_level_along_the_papers_tangents() -> None:
+    climbing = replace(hover_pose(START), tangent_nea=np.array([0.8, 0.0, 0.6]))
+    outcome = planned(start=climbing)
     guide = tangent_guide_rad(START[:2], CASE.target_ne_m, TASK.radars, TASK.settings.overlap_m)
     assert outcome.guide_rad == pytest.approx(guide, abs=1e-8)
     assert abs(guide - math.pi / 4) > 0.1  # a radar is in the way
     leaving = outcome.subpath.control_nea_m[1] - outcome.subpath.control_nea_m[0]
     assert math.atan2(leaving[1], leaving[0]) == pytest.approx(guide)
+    assert leaving[2] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_is_not_safe_is_reported_and_flown_all_the_same() -> None:
@@ -68,11 +70,3 @@ def test_what_is_not_safe_is_reported_and_flown_all_the_same() -> None:
 def test_the_same_question_has_the_same_answer_and_another_seed_another() -> None:
     a, b, c = (planned(seed=seed).subpath.control_nea_m for seed in (1, 1, 2))
     assert a.tobytes() == b.tobytes() != c.tobytes()
-
-
-def test_a_pose_at_rest_turns_level_and_without_a_bend() -> None:
-    pose = replace(hover_pose(START), curvature_nea_1_m=np.array([0.0, 0.01, 0.0]))
-    turned = pose.facing(2.0)
-    assert turned.position_nea_m is pose.position_nea_m
-    assert turned.tangent_nea == pytest.approx([math.cos(2.0), math.sin(2.0), 0.0])
-    assert not turned.curvature_nea_1_m.any()

@@ -6,14 +6,14 @@ and their radars are not passed where they overlap.  So each figure has a small 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.paper.compare.missions import Case, Comparison, Outcome, Tables, bundled_case
+from companion.paper.compare.missions import Case, Comparison, Outcome, bundled_case
 from companion.paper.compare.table_1 import PER_SECOND
 from companion.profiles import Weights
 from companion.world.radars import Radar
@@ -32,7 +32,7 @@ Point = tuple[float, float]
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Effect(Comparison):
     """A figure of the paper: two settings, and a line that routes cross or go round."""
 
@@ -44,6 +44,18 @@ class Effect(Comparison):
     line_ne_m: tuple[Point, Point]
     cases: Sequence[Case]
 
+    def __post_init__(self) -> None:
+        """What each setting leads to."""
+        columns: dict[str, Callable[[Outcome], str]] = {
+            "way": self._as_the_papers,
+            "arrived": lambda outcome: outcome.arrivals,
+            "cost": lambda outcome: f"{outcome.shown.cost:.1f}",
+            "length": lambda outcome: f"{outcome.shown.length_m / 1000:.1f} km",
+            "highest": lambda outcome: f"{outcome.shown.highest_amsl_m / 1000:.2f} km",
+            "in radars": lambda outcome: f"{outcome.shown.violations['radar'] / 1000:.1f} km",
+        }
+        self.tables = {self.title: columns}
+
     def ways(self, outcome: Outcome) -> list[str]:
         """Which way each run of a setting went."""
         crossed = (crosses(run.route_nea_m, *self.line_ne_m) for run in outcome.runs)
@@ -52,20 +64,6 @@ class Effect(Comparison):
     def _as_the_papers(self, outcome: Outcome) -> str:
         way = outcome.case.papers_way
         return f"{way}: {self.ways(outcome).count(way)}/{len(outcome.runs)}"
-
-    @property
-    def tables(self) -> Tables:  # type: ignore[override]
-        """What each setting leads to."""
-        return {
-            self.title: {
-                "way": self._as_the_papers,
-                "arrived": lambda outcome: outcome.arrivals,
-                "cost": lambda outcome: f"{outcome.shown.cost:.1f}",
-                "length": lambda outcome: f"{outcome.shown.length_m / 1000:.1f} km",
-                "highest": lambda outcome: f"{outcome.shown.highest_amsl_m / 1000:.2f} km",
-                "in radars": lambda outcome: f"{outcome.shown.violations['radar'] / 1000:.1f} km",
-            }
-        }
 
     def remarks(self, found: Sequence[Outcome]) -> list[str]:
         """What the paper says, and which run is shown."""
