@@ -5,8 +5,8 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.errors import InputError
-from companion.paper.compare import routes, table_1
 from companion.paper.compare.command import compare_app
+from companion.paper.compare.table_1 import PAPERS
 
 every_picture = pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])
 
@@ -29,8 +29,8 @@ def test_a_comparison_prints_tables_and_writes_a_picture_and_numbers(
     command: str, picture: str, magic: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the whole way, but for one row and with so few evaluations that it is quick
-    row = {("environment-1", 3.0): table_1.PAPERS["environment-1", 3.0]}
-    monkeypatch.setattr(table_1, "PAPERS", row)
+    for row in list(PAPERS)[1:]:
+        monkeypatch.delitem(PAPERS, row)
     words = [command, "--runs", "1", "--jobs", "1", "--seed", "3", "--per-second", "100"]
     files = tmp_path / picture, tmp_path / "numbers.json"
     shown = called(*words, "--figure", str(files[0]), "--json", str(files[1]))
@@ -49,7 +49,7 @@ def test_a_comparison_prints_tables_and_writes_a_picture_and_numbers(
 
 
 def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(routes, "ENVIRONMENTS", ("environment-1",))
+    monkeypatch.setattr("companion.paper.compare.routes.ENVIRONMENTS", ("environment-1",))
     words = ["routes", "--jobs", "1", "--planner", "paper", "--planner", "a-star"]
     shown = called(*words, "--json", str(tmp_path / "routes.json"))
     results = json.loads((tmp_path / "routes.json").read_text())["results"]

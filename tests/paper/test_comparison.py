@@ -13,14 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from companion.paper.compare import table_1
-from companion.paper.compare.figures import Effect, crosses, figure_3, figure_4
-from companion.paper.compare.missions import Outcome, Run, by_heading, fly_all, table
+from companion.paper.compare.figures import crosses, figure_3, figure_4
+from companion.paper.compare.missions import Comparison, Outcome, Run, by_heading, fly_all, table
 from companion.paper.compare.pictures import compose_effect, compose_table
-from companion.paper.compare.table_1 import Table1, agreement, order, surely_less
+from companion.paper.compare.table_1 import ALGORITHMS, agreement, order, surely_less, table_1
 from companion.paper.compare.violations import KINDS
 
-TABLE = Table1()
+TABLE = table_1()
 EFFECTS = [figure_3(), figure_4()]
 CLEAN = dict.fromkeys(KINDS, 0.0)
 Point = tuple[float, float]
@@ -65,9 +64,9 @@ def test_the_table_is_4_algorithms_on_2_environments_with_2_budgets() -> None:
     assert len({(case.heading, case.label) for case in TABLE.cases}) == len(TABLE.cases) == 16
     for case, each in zip(TABLE.cases, settings, strict=True):
         assert case.heading == f"{case.world}, {each.planning_time_s:g} s"
-        assert table_1.ALGORITHMS[case.label] == each.optimiser
+        assert ALGORITHMS[case.label] == each.optimiser
     assert {(s.planning_time_s, s.evaluations) for s in settings} == {(3.0, 3000), (5.0, 5000)}
-    assert {case.task.settings.evaluations for case in Table1(200).cases} == {600, 1000}
+    assert {case.task.settings.evaluations for case in table_1(200).cases} == {600, 1000}
 
 
 @given(costs=st.lists(st.floats(1.0, 1e4), min_size=2, max_size=20), lost=st.integers(0, 3))
@@ -142,7 +141,7 @@ def test_no_cell_of_a_table_is_cut(columns: str) -> None:
 
 def test_what_nobody_arrived_in_can_be_drawn_and_written() -> None:
     found = told((run(1.0, arrived=False), run(2.0, arrived=False)))
-    compose_table(found, [])
+    compose_table(TABLE, found)
     facts = [outcome.facts() | TABLE.more(outcome) for outcome in found]
     facts = json.loads(json.dumps(facts, allow_nan=False))
     assert facts[0]["costs"] == [None, None]
@@ -152,7 +151,7 @@ def test_what_nobody_arrived_in_can_be_drawn_and_written() -> None:
 def test_the_picture_of_the_table_shows_every_run_and_every_mean() -> None:
     rng = np.random.default_rng(1)
     found = told(*(tuple(map(run, rng.uniform(30.0, 500.0, 5).tolist())) for _ in range(16)))
-    figure = compose_table(found, ["a remark"])
+    figure = compose_table(TABLE, found)
     panels = [axes for axes in figure.axes if axes.get_label() == "row"]
     assert len(panels) == 4
     for axes, each in zip(panels, by_heading(found), strict=True):
@@ -196,10 +195,12 @@ def test_the_settings_of_the_figures_are_the_papers() -> None:
 
 @pytest.mark.parametrize(("runs", "seed"), [(1, 2), pytest.param(3, 1, marks=pytest.mark.nightly)])
 @every_effect
-def test_the_paper_s_way_is_flown_in_both_settings(effect: Effect, runs: int, seed: int) -> None:
+def test_the_paper_s_way_is_flown_in_both_settings(
+    effect: Comparison, runs: int, seed: int
+) -> None:
     one, other = fly_all(effect.cases, runs, seed, 1)
     for outcome in (one, other):  # a search of chance: nearly always
-        assert effect.ways(outcome).count(outcome.case.papers_way) >= (runs + 1) // 2
+        assert effect.more(outcome)["ways"].count(outcome.case.papers_way) >= (runs + 1) // 2
         assert outcome.arrivals == f"{runs}/{runs}"
     if effect is EFFECTS[0]:  # over: higher and shorter
         assert one.shown.highest_amsl_m > other.shown.highest_amsl_m + 300.0
@@ -211,17 +212,19 @@ def test_the_paper_s_way_is_flown_in_both_settings(effect: Effect, runs: int, se
 
 @every_effect
 def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
-    effect: Effect,
+    effect: Comparison,
 ) -> None:
     runs = [(run(30.0), run(20.0), run(40.0, 4e4)), (run(1.0, 4e4), run(9.0, 4e4), run(5.0, 4e4))]
     found = [Outcome(case=c, runs=each) for c, each in zip(effect.cases, runs, strict=True)]
     figure = compose_effect(effect, found)
     words = [text.get_text() for text in figure.texts]
+    across = "climbs over" if effect is EFFECTS[0] else "flies between"
     for case, letter, most in zip(
-        effect.cases, "ab", (f"{effect.across} (2", "goes round (3"), strict=True
+        effect.cases, "ab", (f"{across} (2", "goes round (3"), strict=True
     ):
         assert any(word.startswith(f"({letter}) {case.label}: {most} of 3") for word in words)
-    assert effect.paper.replace(" ", "") in "".join(words).replace(" ", "").replace("\n", "")
+    for remark in effect.remarks(found):
+        assert remark.replace(" ", "") in "".join(words).replace(" ", "").replace("\n", "")
     below = [axes for axes in figure.axes if axes.get_label() == "below"]
     for axes, outcome, cost in zip(below, found, (30.0, 5.0), strict=True):
         assert outcome.shown.cost == cost

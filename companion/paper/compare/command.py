@@ -10,8 +10,10 @@ import typer
 from rich.progress import track
 
 from companion.errors import InputError
-from companion.paper.compare import figures, routes, table_1
+from companion.paper.compare.figures import figure_3, figure_4
 from companion.paper.compare.missions import Comparison, fly_all, table
+from companion.paper.compare.routes import routes
+from companion.paper.compare.table_1 import PER_SECOND, table_1
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
@@ -57,15 +59,15 @@ def _add(name: str, comparison_of: Callable[[int], Comparison]) -> None:
         figure: FigureOption = None,
         per_second: Annotated[
             int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
-        ] = table_1.PER_SECOND,
+        ] = PER_SECOND,
     ) -> None:
         picture = figure or Path(f"{name}.png")
         _compare(comparison_of(per_second), runs, jobs, seed, json_file, picture)
 
 
-_add("table-1", table_1.Table1)
-_add("figure-3", figures.figure_3)
-_add("figure-4", figures.figure_4)
+_add("table-1", table_1)
+_add("figure-3", figure_3)
+_add("figure-4", figure_4)
 
 
 @compare_app.command("routes")
@@ -80,7 +82,7 @@ def routes_command(
     ] = None,
 ) -> None:
     """The planners that the paper's introduction names, beside ours, in both environments."""
-    _compare(routes.Routes(planners or ()), runs, jobs, seed, json_file, None)
+    _compare(routes(planners or ()), runs, jobs, seed, json_file, None)
 
 
 def _compare(

@@ -7,8 +7,7 @@ and their radars are not passed where they overlap.  So each figure has a small 
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,62 +30,14 @@ _HILLS = (
 Point = tuple[float, float]
 
 
-@final
-@dataclass(kw_only=True, eq=False)
-class Effect(Comparison):
-    """A figure of the paper: two settings, and a line that routes cross or go round."""
-
-    title: str
-    paper: str
-    """The paper's description."""
-    across: str
-    """What is said of a route that crosses the line; any other goes round."""
-    line_ne_m: tuple[Point, Point]
-    cases: Sequence[Case]
-
-    def __post_init__(self) -> None:
-        """What each setting leads to."""
-        columns: dict[str, Callable[[Outcome], str]] = {
-            "way": self._as_the_papers,
-            "arrived": lambda outcome: outcome.arrivals,
-            "cost": lambda outcome: f"{outcome.shown.cost:.1f}",
-            "length": lambda outcome: f"{outcome.shown.length_m / 1000:.1f} km",
-            "highest": lambda outcome: f"{outcome.shown.highest_amsl_m / 1000:.2f} km",
-            "in radars": lambda outcome: f"{outcome.shown.violations['radar'] / 1000:.1f} km",
-        }
-        self.tables = {self.title: columns}
-
-    def ways(self, outcome: Outcome) -> list[str]:
-        """Which way each run of a setting went."""
-        crossed = (crosses(run.route_nea_m, *self.line_ne_m) for run in outcome.runs)
-        return [self.across if each else "goes round" for each in crossed]
-
-    def _as_the_papers(self, outcome: Outcome) -> str:
-        way = outcome.case.papers_way
-        return f"{way}: {self.ways(outcome).count(way)}/{len(outcome.runs)}"
-
-    def remarks(self, found: Sequence[Outcome]) -> list[str]:
-        """What the paper says, and which run is shown."""
-        evaluations = found[0].case.task.settings.evaluations
-        return [
-            f"The paper: {self.paper}.",
-            "Cost, length and heights are those of the run of median cost, which the picture "
-            f"shows. Improved DE, {evaluations:,} evaluations for T = {_T_S:g} s.",
-        ]
-
-    def more(self, outcome: Outcome) -> dict[str, Any]:
-        """The ways."""
-        return {"papers_way": outcome.case.papers_way, "ways": self.ways(outcome)}
-
-
-def figure_3(per_second: int = PER_SECOND) -> Effect:
+def figure_3(per_second: int = PER_SECOND) -> Comparison:
     """Fig. 3: climb over a ridge or go round it, by the weights of height and guide."""
     base = _world("ridge", _RIDGE, (), per_second)
     settings = (
         ("climbs over", Weights(height=0.15, guide=0.15)),
         ("goes round", Weights(height=0.25, guide=0.05)),
     )
-    return Effect(
+    return _effect(
         title="Fig. 3: 3D path and vertical profile for two weightings",
         paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
         "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
@@ -103,7 +54,7 @@ def figure_3(per_second: int = PER_SECOND) -> Effect:
     )
 
 
-def figure_4(per_second: int = PER_SECOND) -> Effect:
+def figure_4(per_second: int = PER_SECOND) -> Comparison:
     """Fig. 4: fly between two overlapping radars or round both, by d_overlap."""
     half_m = _RADAR_RANGE_M - 0.5 * _RADARS_OVERLAP_M
     aside_m = [math.sqrt(0.5) * (_RADARS_ASIDE_M + side * half_m) for side in (-1.0, 1.0)]
@@ -113,7 +64,7 @@ def figure_4(per_second: int = PER_SECOND) -> Effect:
         for number, centre in enumerate(centres, start=1)
     )
     base = _world("two radars", _HILLS, radars, per_second)
-    return Effect(
+    return _effect(
         title="Fig. 4: 3D path for two values of d_overlap",
         paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”",
@@ -127,6 +78,43 @@ def figure_4(per_second: int = PER_SECOND) -> Effect:
             )
             for way, km in (("goes round", 2.0), ("flies between", 6.0))
         ],
+    )
+
+
+def _effect(
+    *, title: str, paper: str, across: str, line_ne_m: tuple[Point, Point], cases: Sequence[Case]
+) -> Comparison:
+    """Settings with which routes cross a line, and are said to, or go round it.
+
+    paper: its description.
+    """
+
+    def ways(outcome: Outcome) -> list[str]:
+        crossed = (crosses(run.route_nea_m, *line_ne_m) for run in outcome.runs)
+        return [across if each else "goes round" for each in crossed]
+
+    def as_the_papers(outcome: Outcome) -> str:
+        way = outcome.case.papers_way
+        return f"{way}: {ways(outcome).count(way)}/{len(outcome.runs)}"
+
+    columns: dict[str, Callable[[Outcome], str]] = {
+        "way": as_the_papers,
+        "arrived": lambda outcome: outcome.arrivals,
+        "cost": lambda outcome: f"{outcome.shown.cost:.1f}",
+        "length": lambda outcome: f"{outcome.shown.length_m / 1000:.1f} km",
+        "highest": lambda outcome: f"{outcome.shown.highest_amsl_m / 1000:.2f} km",
+        "in radars": lambda outcome: f"{outcome.shown.violations['radar'] / 1000:.1f} km",
+    }
+    remarks = [
+        f"The paper: {paper}.",
+        "Cost, length and heights are those of the run of median cost, which the picture shows. "
+        f"Improved DE, {cases[0].task.settings.evaluations:,} evaluations for T = {_T_S:g} s.",
+    ]
+    return Comparison(
+        cases=cases,
+        tables={title: columns},
+        remarks=lambda _: remarks,
+        more=lambda each: {"papers_way": each.case.papers_way, "ways": ways(each)},
     )
 
 

@@ -4,7 +4,6 @@ import itertools
 import math
 import statistics
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -146,24 +145,18 @@ class Outcome:
         }
 
 
-Tables = Mapping[str, Mapping[str, Callable[[Outcome], str]]]
-"""By title and column what a cell says of an outcome."""
-
-
-class Comparison(ABC):
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
     """Cases that are flown, and how what came of them is told."""
 
     cases: Sequence[Case]
-    tables: Tables
-
-    @abstractmethod
-    def remarks(self, found: Sequence[Outcome]) -> list[str]:
-        """What the tables cannot say by themselves."""
-
-    def more(self, outcome: Outcome) -> dict[str, Any]:
-        """What is told beside the numbers of an outcome, for --json."""
-        del outcome
-        return {}
+    tables: Mapping[str, Mapping[str, Callable[[Outcome], str]]]
+    """By title and column what a cell says of an outcome."""
+    remarks: Callable[[Sequence[Outcome]], list[str]]
+    """What the tables cannot say by themselves."""
+    more: Callable[[Outcome], dict[str, Any]] = lambda _: {}
+    """What is told beside the numbers of an outcome, for --json."""
 
 
 def table(

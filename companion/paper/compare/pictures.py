@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.paper.compare.figures import Effect
 from companion.paper.compare.missions import Comparison, Outcome, by_heading
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
@@ -24,23 +23,22 @@ _WIDE = 160  # characters in a line of the text under the panels
 
 def draw(comparison: Comparison, found: Sequence[Outcome], path: Path) -> None:
     """Write the picture of a comparison."""
-    if isinstance(comparison, Effect):
-        views.save(compose_effect(comparison, found), path)
-    else:
-        views.save(compose_table(found, comparison.remarks(found)), path)
+    compose = compose_effect if found[0].case.papers_way else compose_table
+    views.save(compose(comparison, found), path)
 
 
-def compose_effect(effect: Effect, found: Sequence[Outcome]) -> Figure:
+def compose_effect(comparison: Comparison, found: Sequence[Outcome]) -> Figure:
     """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
-    canvas.text(0.03, 0.967, effect.title, fontsize=18, weight="bold", parse_math=False)
+    (title,) = comparison.tables
+    canvas.text(0.03, 0.967, title, fontsize=18, weight="bold", parse_math=False)
     profiles = not any(outcome.case.task.radars for outcome in found)
     for at, (outcome, letters) in enumerate(zip(found, ("ac", "bd"), strict=True)):
         flight, left = _flight(outcome), 0.02 + 0.49 * at
         box = (left, 0.525, 0.47, 0.42)
         views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
-        heading = f"({letters[0]}) {outcome.case.label}: {_most(effect.ways(outcome))}"
+        heading = f"({letters[0]}) {outcome.case.label}: {_most(comparison.more(outcome)['ways'])}"
         canvas.text(left + 0.02, 0.93, heading, fontsize=14, weight="bold", parse_math=False)
         below = canvas.add_axes(
             (left + 0.045, 0.175, 0.41, 0.27) if profiles else (left + 0.075, 0.165, 0.30, 0.33),
@@ -54,11 +52,11 @@ def compose_effect(effect: Effect, found: Sequence[Outcome]) -> Figure:
             below.set_title(f"({letters[0]}) from above")
     lower = [axes for axes in canvas.axes if axes.get_label() == "below"]
     views.add_legend(canvas, lower, columns=8, bottom=0.085)
-    _write_below(canvas, effect.remarks(found))
+    _write_below(canvas, comparison.remarks(found))
     return canvas
 
 
-def compose_table(found: Sequence[Outcome], remarks: Sequence[str]) -> Figure:
+def compose_table(comparison: Comparison, found: Sequence[Outcome]) -> Figure:
     """Table 1: the cost of every run, mean and standard deviation, beside the paper's."""
     canvas = Figure(figsize=(14.0, 11.5))
     FigureCanvasAgg(canvas)
@@ -70,7 +68,7 @@ def compose_table(found: Sequence[Outcome], remarks: Sequence[str]) -> Figure:
         _draw_row(axes, row)
     handles, labels = canvas.axes[0].get_legend_handles_labels()
     canvas.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=11)
-    _write_below(canvas, remarks)
+    _write_below(canvas, comparison.remarks(found))
     return canvas
 
 

@@ -6,11 +6,10 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, final
 
 from scipy.stats import mannwhitneyu
 
-from companion.paper.compare.missions import Comparison, Outcome, Tables, bundled_case, by_heading
+from companion.paper.compare.missions import Comparison, Outcome, bundled_case, by_heading
 from companion.paper.compare.violations import KINDS
 
 ALGORITHMS = {
@@ -33,77 +32,71 @@ PAPERS = {
 """By environment and T the paper's mean and standard deviation of the cost of `ALGORITHMS`."""
 
 
-def _broken(outcome: Outcome, kind: str) -> str:
-    of_kind = outcome.violations[kind]
-    return f"{math.ceil(100.0 * of_kind['missions'] - 1e-6)}% {of_kind['mean_m']:6,.0f}"
-
-
-_TABLES: Tables = {
-    "Table 1: cost from start to target, mean ± standard deviation": {
-        "cost": lambda outcome: f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
-        "paper": lambda outcome: "{:.1f} ± {:.1f}".format(*outcome.case.papers_cost),
-        "arrived": lambda outcome: outcome.arrivals,
-        "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
-    },
-    "Missions that break a bound somewhere, and the mean metres that do": {
-        words: partial(_broken, kind=kind) for kind, words in KINDS.items()
-    },
-}
-
-
-@final
-class Table1(Comparison):
+def table_1(per_second: int = PER_SECOND) -> Comparison:
     """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
 
-    tables = _TABLES
+    def broken(outcome: Outcome, kind: str) -> str:
+        of_kind = outcome.violations[kind]
+        return f"{math.ceil(100.0 * of_kind['missions'] - 1e-6)}% {of_kind['mean_m']:6,.0f}"
 
-    def __init__(self, per_second: int = PER_SECOND) -> None:
-        """per_second: evaluations that stand for a second of T."""
-        self._per_second = per_second
-        self.cases = [
-            replace(
-                bundled_case(environment).planned_with(
-                    optimiser=optimiser,
-                    planning_time_s=planning_time_s,
-                    evaluations=round(planning_time_s * per_second),
-                ),
-                heading=f"{environment}, {planning_time_s:g} s",
-                label=algorithm,
-                papers_cost=papers_cost,
-            )
-            for (environment, planning_time_s), papers_costs in PAPERS.items()
-            for (algorithm, optimiser), papers_cost in zip(
-                ALGORITHMS.items(), papers_costs, strict=True
-            )
-        ]
-
-    def remarks(self, found: Sequence[Outcome]) -> list[str]:
-        """The budget, and whose order it is."""
-        budgets = ", ".join(
-            f"T = {time_s:g} s is {round(time_s * self._per_second):,} evaluations"
-            for time_s in dict.fromkeys(time_s for _, time_s in PAPERS)
+    cases = [
+        replace(
+            bundled_case(environment).planned_with(
+                optimiser=optimiser,
+                planning_time_s=planning_time_s,
+                evaluations=round(planning_time_s * per_second),
+            ),
+            heading=f"{environment}, {planning_time_s:g} s",
+            label=algorithm,
+            papers_cost=papers_cost,
         )
-        usual = self._per_second == PER_SECOND
-        why = ", about what interpreted Matlab did in 2011" if usual else ""
-        lines = [
-            f"{budgets}: {self._per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
-            "No result depends on the speed of this machine.",
-            "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
-        ]
-        for row in by_heading(found):
-            papers_order = " < ".join(outcome.case.label for outcome in by_the_paper(row))
-            confirmed, contradicted = agreement(row)
-            against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
-            lines.append(
-                f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
-                f"{confirmed} of its 6 pairs are surely so here{against}."
-            )
-        return lines
+        for (environment, planning_time_s), papers_costs in PAPERS.items()
+        for (algorithm, optimiser), papers_cost in zip(
+            ALGORITHMS.items(), papers_costs, strict=True
+        )
+    ]
+    return Comparison(
+        cases=cases,
+        tables={
+            "Table 1: cost from start to target, mean ± standard deviation": {
+                "cost": lambda outcome: f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+                "paper": lambda outcome: "{:.1f} ± {:.1f}".format(*outcome.case.papers_cost),
+                "arrived": lambda outcome: outcome.arrivals,
+                "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
+            },
+            "Missions that break a bound somewhere, and the mean metres that do": {
+                words: partial(broken, kind=kind) for kind, words in KINDS.items()
+            },
+        },
+        remarks=partial(remarks, per_second=per_second),
+        more=lambda outcome: dict(
+            zip(("paper_mean_cost", "paper_st_dev_cost"), outcome.case.papers_cost, strict=True)
+        ),
+    )
 
-    def more(self, outcome: Outcome) -> dict[str, Any]:
-        """The paper's numbers."""
-        mean, deviation = outcome.case.papers_cost
-        return {"paper_mean_cost": mean, "paper_st_dev_cost": deviation}
+
+def remarks(found: Sequence[Outcome], per_second: int) -> list[str]:
+    """The budget, and whose order it is."""
+    budgets = ", ".join(
+        f"T = {time_s:g} s is {round(time_s * per_second):,} evaluations"
+        for time_s in dict.fromkeys(time_s for _, time_s in PAPERS)
+    )
+    usual = per_second == PER_SECOND
+    why = ", about what interpreted Matlab did in 2011" if usual else ""
+    lines = [
+        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
+        "No result depends on the speed of this machine.",
+        "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
+    ]
+    for row in by_heading(found):
+        papers_order = " < ".join(outcome.case.label for outcome in by_the_paper(row))
+        confirmed, contradicted = agreement(row)
+        against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
+        lines.append(
+            f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
+            f"{confirmed} of its 6 pairs are surely so here{against}."
+        )
+    return lines
 
 
 def order(row: Sequence[Outcome]) -> str:
