@@ -17,7 +17,6 @@ from companion.paper.evolution import Generations
 class Genetic(Generations):
     """Generations of children; the best member so far takes the place of the worst child."""
 
-    fewest = multiple = 2  # parents come in pairs
     crossover = 0.9
     """Probability that a pair of parents is crossed."""
     crossover_index = 15.0

@@ -2,12 +2,16 @@
 
 import math
 
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
 from companion.geodesy import wrap_rad
 from companion.world.radars import Radar
 
 _WIDEST_RAD = math.radians(135.0)  # row 15: a cluster may span more than half a turn
 
-Place = tuple[float, float]
+Place = tuple[float, ...]
+"""North and east, metres; more does not count."""
 
 
 def tangent_guide_rad(
@@ -22,22 +26,26 @@ def tangent_guide_rad(
     """
     straight = _bearing_rad(scan_ne_m, target_ne_m)
     reach_m = math.hypot(target_ne_m[0] - scan_ne_m[0], target_ne_m[1] - scan_ne_m[1])
-    around = [radar for radar in radars if _apart_m(scan_ne_m, radar) > radar.range_m]
-    entries = [(_entry_m(scan_ne_m, radar, straight), radar) for radar in around]
-    entered = [(entry_m, radar) for entry_m, radar in entries if entry_m < reach_m]
-    if not entered:
+    around = [each for each in radars if _apart_m(scan_ne_m, each) > each.range_m]
+    entries_m = [_entry_m(scan_ne_m, each, straight) for each in around]
+    if not around or min(entries_m) >= reach_m:
         return straight
-    nearest = min(entered, key=lambda pair: pair[0])[1]
+    joined = [
+        [_apart_m(a.centre_nea_m, b) < a.range_m + b.range_m - overlap_m for b in around]
+        for a in around
+    ]
+    cluster = connected_components(np.array(joined))[1]  # a number for each radar
     left, right = 0.0, 0.0
-    for radar in _cluster(nearest, around, overlap_m):
-        offset = wrap_rad(_bearing_rad(scan_ne_m, radar.centre_nea_m) - straight)
-        half_width = math.asin(radar.range_m / _apart_m(scan_ne_m, radar))
-        left, right = min(left, offset - half_width), max(right, offset + half_width)
+    for each, number in zip(around, cluster, strict=True):
+        if number == cluster[np.argmin(entries_m)]:
+            offset = wrap_rad(_bearing_rad(scan_ne_m, each.centre_nea_m) - straight)
+            half_width = math.asin(each.range_m / _apart_m(scan_ne_m, each))
+            left, right = min(left, offset - half_width), max(right, offset + half_width)
     left, right = max(left, -_WIDEST_RAD), min(right, _WIDEST_RAD)
     return wrap_rad(straight + (left if -left < right else right))
 
 
-def _bearing_rad(here: Place, there: tuple[float, ...]) -> float:
+def _bearing_rad(here: Place, there: Place) -> float:
     return math.atan2(there[1] - here[1], there[0] - here[0])
 
 
@@ -54,16 +62,3 @@ def _entry_m(scan_ne_m: Place, radar: Radar, bearing_rad: float) -> float:
     if along <= 0.0 or abs(aside) >= radar.range_m:
         return math.inf
     return along - math.sqrt(radar.range_m**2 - aside**2)
-
-
-def _cluster(first: Radar, radars: list[Radar], overlap_m: float) -> list[Radar]:
-    """All radars joined to the first by overlaps of more than d_overlap, transitively."""
-    cluster, waiting = [first], [first]
-    while waiting:
-        here = waiting.pop()
-        for other in radars:
-            apart_m = _apart_m((here.centre_nea_m[0], here.centre_nea_m[1]), other)
-            if other not in cluster and apart_m < here.range_m + other.range_m - overlap_m:
-                cluster.append(other)
-                waiting.append(other)
-    return cluster

@@ -5,13 +5,13 @@ flown as it is.  Its certificate is only a report.
 """
 
 import math
-from dataclasses import replace
 
+from companion.geodesy import FloatArray
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
-from companion.paper import terms
+from companion.paper import terms as objective
 from companion.paper.guide import tangent_guide_rad
-from companion.paper.terms import VARIABLES, Scene, control_points
+from companion.paper.terms import VARIABLES, Scene, control_points, cost_table
 from companion.path.certificate import Prover, certify, pack_surroundings
 from companion.path.subpath import Subpath
 from companion.planner.request import REACH, Planned, PlanRequest
@@ -21,29 +21,35 @@ from companion.world.clearance import terrain_surface
 def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
     """The best candidate of one search."""
     settings, scene = request.task.settings, scene_of(request)
-    name = settings.optimiser or settings.profile.optimiser
-    optimiser = OPTIMISERS[name](VARIABLES, settings.evaluations, request.rng(0), None)
-    ranked = minimise(optimiser, lambda x: terms.cost(x, scene), settings.evaluations)
+    make = OPTIMISERS[settings.optimiser or settings.profile.optimiser]
+    optimiser = make(VARIABLES, settings.evaluations, request.rng(0), None)
+    ranked = minimise(optimiser, lambda x: objective.cost(x, scene), settings.evaluations)
     best = ranked.x[:1]
-    return replace(
-        reported(
-            request,
-            Subpath(control_nea_m=control_points(best, scene)[0]),
-            prove,
-            scene.final_ne_m is not None,
-        ),
+    return reported(
+        request,
+        control_points(best, scene)[0],
+        prove,
+        reaches_target=scene.final_ne_m is not None,
         cost=float(ranked.costs[0]),
-        terms={name: float(column[0]) for name, column in terms.cost_table(best, scene).items()},
+        terms={name: float(column[0]) for name, column in cost_table(best, scene).items()},
         guide_rad=scene.guide_rad,
         evaluations=ranked.evaluations,
     )
 
 
 def reported(
-    request: PlanRequest, subpath: Subpath, prove: Prover, reaches_target: bool
+    request: PlanRequest,
+    control_nea_m: FloatArray,
+    prove: Prover,
+    *,
+    reaches_target: bool,
+    cost: float = 0.0,
+    terms: dict[str, float] | None = None,
+    guide_rad: float = 0.0,
+    evaluations: int = 0,
 ) -> Planned:
-    """A subpath that is flown as it is; its certificate says what could be proven."""
-    task = request.task
+    """A subpath (K, 3) that is flown as it is; its certificate says what could be proven."""
+    task, subpath = request.task, Subpath(control_nea_m=control_nea_m)
     surroundings = pack_surroundings(
         request.known,
         task.limits,
@@ -58,13 +64,13 @@ def reported(
         kernel="numpy",
         subpath=subpath,
         reaches_target=reaches_target,
-        cost=0.0,
+        cost=cost,
         to_go=0.0,
-        terms={},
+        terms=terms or {},
         certificate=certify(subpath, surroundings, from_rest=request.from_rest, prover=prove),
-        guide_rad=0.0,
+        guide_rad=guide_rad,
         route_ne_m=(),
-        evaluations=0,
+        evaluations=evaluations,
         rank=0,
         tries=1,
     )
@@ -82,19 +88,12 @@ def scene_of(request: PlanRequest) -> Scene:
     final = math.hypot(north, east) <= settings.scan_range_m and request.known.is_known(*target)
     if final:
         guide = math.atan2(east, north)
+    reach_m = REACH * settings.scan_range_m
     return Scene(
-        samples=settings.profile.samples,
-        weights=settings.weights,
-        limits=task.limits,
+        task=task,
         start=request.start.facing(guide) if request.from_rest else request.start,
         scan_ne_m=scan_ne,
-        scan_range_m=settings.scan_range_m,
         guide_rad=guide,
         final_ne_m=target if final else None,
-        safety_distance_m=settings.safety_distance_m,
-        surface=terrain_surface(
-            request.known, centre_ne_m=scan_ne, reach_m=REACH * settings.scan_range_m
-        ),
-        radars=task.radars,
-        zones=task.zones,
+        surface=terrain_surface(request.known, centre_ne_m=scan_ne, reach_m=reach_m),
     )

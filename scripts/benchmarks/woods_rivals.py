@@ -23,12 +23,11 @@ from pymavlink.dialects.v20 import all as wire
 from scipy.sparse import csr_array
 from stepped import Flight
 
-from companion.caches import compiled
 from companion.config import load_mission
 from companion.geodesy import FloatArray
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import Phase
-from companion.paper.rivals.roadmaps import EIGHT, grid, search, step_costs
+from companion.paper.rivals.roadmaps import EIGHT, cheapest, edges, step_costs
 from companion.world.near_map import NearMap
 from vehicle_sim.world import World
 
@@ -141,7 +140,7 @@ class AStar(Clearances):
         cells = np.stack([ends.real, ends.imag], axis=-1) / lattice.cell_m
         start, end = np.clip(cells.astype(int), 0, np.array(lattice.shape) - 1)
         rate = np.where(self.away_m >= self._required_m, 1.0, _DEAR)
-        _, way = a_star(np.where(self.away_m > 0.0, rate, np.inf), tuple(start), tuple(end))
+        way = a_star(np.where(self.away_m > 0.0, rate, np.inf), tuple(start), tuple(end))
         places = corner + (way @ np.array([1.0, 1.0j]) + 0.5 + 0.5j) * lattice.cell_m
         if not len(places):
             return here
@@ -151,22 +150,18 @@ class AStar(Clearances):
         return complex(places[np.searchsorted(along_m, self._ahead_m)])
 
 
-def a_star(
-    rate: FloatArray, start: tuple[int, int], end: tuple[int, int]
-) -> tuple[float, NDArray[np.int64]]:
-    """The cheapest way over cells, eight neighbours each: its cost, and the cells.  (K, 2).
+def a_star(rate: FloatArray, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int64]:
+    """The cheapest way over cells, eight neighbours each, (K, 2); none: there is no way.
 
     rate: of a cell, 1 or more; inf: not to be entered.  A step costs its length in cells times the
-    mean of both; the start counts 1.  -> inf and nothing if there is no way.
+    mean of both; the start counts 1.
     """
     rate = rate.copy()
     rate[start] = 1.0
-    before, after, cost = grid(step_costs(rate, 1, EIGHT), EIGHT)
+    before, after, cost = edges(step_costs(rate, 1, EIGHT), EIGHT)
     graph = csr_array((cost, (before, after)), shape=(rate.size, rate.size))
-    left = np.hypot(*(np.indices(rate.shape).reshape(2, -1).T - end).T)
-    nodes = (start[0] * rate.shape[1] + start[1], end[0] * rate.shape[1] + end[1])
-    found, way = compiled(search)(graph.indptr, graph.indices, graph.data, left, *nodes)
-    return found, np.stack(np.divmod(way, rate.shape[1]), axis=-1)
+    way = cheapest(graph, *(row * rate.shape[1] + column for row, column in (start, end)))
+    return np.stack(np.divmod(np.array(way, dtype=np.int64), rate.shape[1]), axis=-1)
 
 
 @final

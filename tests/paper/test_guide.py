@@ -1,9 +1,9 @@
-import itertools
+import cmath
 import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
@@ -62,61 +62,14 @@ def brute_force_guide(s: Place, t: Place, radars: list[Radar], overlap_m: float)
         for k in np.flatnonzero(label == label[first])
         for bearing in tangent_bearings(s, radars[k])
     ]
-    left, right = min(offsets), max(offsets)
+    left, right = np.clip([min(offsets), max(offsets)], *np.radians([-135.0, 135.0]))
     return straight + (left if abs(left) < abs(right) else right)
-
-
-# --- case 1
-
-
-@given(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5))
-def test_without_radars_the_guide_points_at_the_target(
-    a: float, b: float, c: float, d: float
-) -> None:
-    assume(math.dist((a, b), (c, d)) > 1.0)
-    found = guide(s=(a, b), t=(c, d))
-    assert complex(c - a, d - b) / complex(math.cos(found), math.sin(found)) == pytest.approx(
-        math.dist((a, b), (c, d)), rel=1e-9, abs=1e-6
-    )
 
 
 @pytest.mark.parametrize("gap_m", [1.0, 0.001])
 def test_a_circle_that_the_line_just_misses_does_not_turn_the_guide(gap_m: float) -> None:
     assert guide(radar(50_000.0, 10_000.0 + gap_m, 10_000.0)) == 0.0
     assert guide(radar(50_000.0, 10_000.0 - gap_m, 10_000.0)) != 0.0
-
-
-def test_a_circle_behind_the_scan_or_beyond_the_target_does_not_turn_the_guide() -> None:
-    assert guide(radar(-30_000.0, 0.0, 20_000.0)) == 0.0
-    assert guide(radar(120_100.0, 0.0, 20_000.0)) == 0.0
-    assert guide(radar(119_900.0, 100.0, 20_000.0)) != 0.0
-
-
-def test_a_radar_around_the_scanning_point_is_ignored() -> None:
-    inside = radar(5_000.0, 1_000.0, 9_000.0)
-    assert guide(inside) == 0.0
-    ahead = radar(60_000.0, 2_000.0, 9_000.0)
-    assert guide(inside, ahead) == guide(ahead)
-
-
-# --- case 2
-
-
-@given(turn=st.floats(-3.1, 3.1), north=st.floats(-1e5, 1e5), east=st.floats(-1e5, 1e5))
-def test_the_guide_turns_with_the_world(turn: float, north: float, east: float) -> None:
-    here = [(40_000.0, 3_000.0, 9_000.0), (52_000.0, -9_000.0, 8_000.0)]
-    rotation = complex(math.cos(turn), math.sin(turn))
-
-    def moved(n: float, e: float) -> Place:
-        p = complex(n, e) * rotation + complex(north, east)
-        return p.real, p.imag
-
-    there = [radar(*moved(n, e), r) for n, e, r in here]
-    found = guide(*there, s=moved(*S), t=moved(*T))
-    assert turned(found, guide(*(radar(*r) for r in here)) + turn) == pytest.approx(0.0, abs=1e-9)
-
-
-# --- clusters
 
 
 @pytest.mark.parametrize("off_m", [-100.0, -0.01, 0.01, 100.0])
@@ -137,39 +90,37 @@ def test_overlaps_join_from_circle_to_circle() -> None:
     assert guide(*chain) == pytest.approx(min(tangent_bearings(S, chain[0])))
     # with a link missing, the rest does not count
     assert guide(chain[0], *chain[2:]) == guide(chain[0])
-    for order in itertools.permutations(chain):
-        assert guide(*order) == pytest.approx(guide(*chain))
 
 
-@given(seed=st.integers(0, 10**6), overlap_m=st.sampled_from([0.0, 2_000.0, 6_000.0]))
-def test_the_guide_is_that_of_section_2_6_by_brute_force(seed: int, overlap_m: float) -> None:
-    rng = np.random.default_rng(seed)
-    radars = [
-        radar(n, e, r)
-        for n, e, r in zip(
-            rng.uniform(15_000, 95_000, 5),
-            rng.uniform(-30_000, 30_000, 5),
-            rng.uniform(3_000, 12_000, 5),
-            strict=True,
-        )
-    ]
-    s, t = (0.0, float(rng.uniform(-5e3, 5e3))), (100_000.0, float(rng.uniform(-5e3, 5e3)))
+@given(
+    seed=st.integers(0, 10**6),
+    overlap_m=st.sampled_from([0.0, 2_000.0, 6_000.0]),
+    turn=st.floats(-3.1, 3.1),
+)
+def test_the_guide_is_that_of_section_2_6_by_brute_force(
+    seed: int, overlap_m: float, turn: float
+) -> None:
+    rng, way = np.random.default_rng(seed), complex(math.cos(turn), math.sin(turn))
+
+    def place(north: float, east: float) -> Place:
+        return (complex(north, east) * way).real, (complex(north, east) * way).imag
+
+    # some about S, some behind it, some beyond T
+    around = zip(rng.uniform(-15e3, 115e3, 5), rng.uniform(-30e3, 30e3, 5), strict=True)
+    radars = [radar(*place(*at), rng.uniform(3_000, 12_000)) for at in around]
+    s, t = place(0.0, rng.uniform(-5e3, 5e3)), place(100e3, rng.uniform(-5e3, 5e3))
     expected = brute_force_guide(s, t, radars, overlap_m)
-    assert turned(guide(*radars, overlap_m=overlap_m, s=s, t=t), expected) == pytest.approx(
-        0.0, abs=1e-9
-    )
+    found = guide(*radars, overlap_m=overlap_m, s=s, t=t)
+    assert turned(found, expected) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_cluster_around_the_scanning_point_turns_the_guide_by_135_degrees_at_most(
     side: float,
 ) -> None:
-    bearings = [0.0, 50.0, 100.0, 150.0, -50.0, -100.0]  # wider on one side than on the other
-    ring = [
-        radar(
-            10_000.0 * math.cos(math.radians(b)), side * 10_000.0 * math.sin(math.radians(b)), 7e3
-        )
-        for b in bearings
+    ring = [  # wider on one side than on the other
+        radar(at.real, side * at.imag, 7e3)
+        for at in (cmath.rect(10e3, math.radians(b)) for b in (0, 50, 100, 150, -50, -100))
     ]
     assert abs(guide(*ring)) == pytest.approx(math.radians(135.0))
     # to the other side the cluster ends before that

@@ -7,117 +7,91 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from companion.paper.compare.missions import bundled_case
-from companion.paper.compare.violations import Violations, peak_distance_m, violations
+from companion.paper.compare.violations import KINDS, peak_distance_m, violations
 from companion.path.subpath import Subpath
-from companion.planner.settings import Task
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain
 
-FloatArray = NDArray[np.float64]
+Point = tuple[float, float, float]
+TASK = replace(bundled_case("environment-1").task, radars=())
+"""The limits of environment-1: 3 to 5 km, turns of 2.5 km, 10 degrees; d_s 500 m."""
 FLAT = PeakTerrain(peaks=(), ground_amsl_m=0.0)
 STEP_M = 10.0
+LEVEL = ((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
 
 
-@pytest.fixture(scope="module")
-def task() -> Task:
-    """The limits of environment-1: 3 to 5 km, turns of 2.5 km, 10 degrees; d_s 500 m."""
-    return replace(bundled_case("environment-1").task, radars=())
-
-
-def straight(one: tuple[float, float, float], two: tuple[float, float, float]) -> Subpath:
+def straight(one: Point, two: Point) -> Subpath:
     return Subpath(control_nea_m=np.linspace(one, two, 4))
 
 
-def measured(
-    subpath: Subpath, task: Task, terrain: PeakTerrain = FLAT, flown_m: float | None = None
-) -> Violations:
+def level(*corners: tuple[float, float]) -> Subpath:
+    return Subpath(control_nea_m=np.insert(np.array(corners), 2, 3000.0, axis=1))
+
+
+def measured(subpath: Subpath, *radars: Radar, flown_m: float | None = None) -> dict[str, float]:
     flown_m = subpath.length_m if flown_m is None else flown_m
-    return violations([(subpath, flown_m)], task, terrain)
+    return violations([(subpath, flown_m)], replace(TASK, radars=radars), FLAT)
 
 
-def test_a_level_straight_line_over_a_plain_violates_nothing(task: Task) -> None:
-    found = measured(straight((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0)), task)
-    assert not found.any
+def radar(north_m: float, east_m: float, range_m: float) -> Radar:
+    return Radar(name="r", centre_nea_m=(north_m, east_m, 0.0), range_m=range_m)
+
+
+def test_a_level_straight_line_over_a_plain_violates_nothing() -> None:
+    assert measured(straight(*LEVEL)) == dict.fromkeys(KINDS, 0.0)
 
 
 @given(range_m=st.floats(4_000.0, 15_000.0), off=st.floats(0.0, 0.95))
-def test_a_line_through_a_radar_is_seen_for_the_length_of_the_chord(
+def test_a_line_through_radars_is_seen_for_the_length_of_the_chord_once(
     range_m: float, off: float
 ) -> None:
-    task = bundled_case("environment-1").task
     aside_m = off * math.sqrt(range_m**2 - 3000.0**2)
-    radar = Radar(name="r", centre_nea_m=(25_000.0, aside_m, 0.0), range_m=range_m)
-    found = measured(
-        straight((0.0, 0.0, 3000.0), (50_000.0, 0.0, 3000.0)), replace(task, radars=(radar,))
-    )
+    seen_by = radar(25_000.0, aside_m, range_m)
+    line = straight((0.0, 0.0, 3000.0), (50_000.0, 0.0, 3000.0))
     chord_m = 2.0 * math.sqrt(range_m**2 - 3000.0**2 - aside_m**2)
-    assert found.radar_m == pytest.approx(chord_m, abs=2.0 * STEP_M)
-
-
-def test_ground_seen_by_two_radars_counts_once(task: Task) -> None:
-    radar = Radar(name="r", centre_nea_m=(10_000.0, 0.0, 0.0), range_m=5_000.0)
-    line = straight((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
-    one = measured(line, replace(task, radars=(radar,)))
-    two = measured(line, replace(task, radars=(radar, radar)))
-    assert one.radar_m == two.radar_m == pytest.approx(8_000.0, abs=2.0 * STEP_M)
+    for radars in ([seen_by], [seen_by, seen_by]):
+        assert measured(line, *radars)["radar"] == pytest.approx(chord_m, abs=2.0 * STEP_M)
 
 
 @given(bottom_m=st.floats(2_000.0, 2_990.0), top_m=st.floats(5_010.0, 6_000.0))
 def test_a_line_that_rises_through_the_band_leaves_it_at_both_ends(
     bottom_m: float, top_m: float
 ) -> None:
-    task = bundled_case("environment-1").task
     line = straight((0.0, 0.0, bottom_m), (30_000.0, 0.0, top_m))
-    found = measured(line, task)
     outside = (3000.0 - bottom_m + top_m - 5000.0) / (top_m - bottom_m)
-    assert found.band_m == pytest.approx(outside * line.length_m, abs=2.0 * STEP_M)
+    band_m = measured(line)["band"]
+    assert band_m == pytest.approx(outside * line.length_m, abs=2.0 * STEP_M)
 
 
 @pytest.mark.parametrize(("angle_deg", "broken"), [(9.9, 0.0), (10.1, 1.0), (-9.9, 0), (-10.1, 1)])
-def test_a_slope_counts_when_it_is_steeper_than_the_limit(
-    task: Task, angle_deg: float, broken: float
-) -> None:
+def test_a_slope_counts_when_it_is_steeper_than_the_limit(angle_deg: float, broken: float) -> None:
     rise_m = 5_000.0 * math.tan(math.radians(angle_deg))
     line = straight((0.0, 0.0, 4000.0), (5_000.0, 0.0, 4000.0 + rise_m))
-    assert measured(line, task).climb_m == pytest.approx(broken * line.length_m)
+    assert measured(line)["climb"] == pytest.approx(broken * line.length_m)
 
 
-@pytest.mark.parametrize(("radius_m", "breaks"), [(2_300.0, True), (2_700.0, False)])
-def test_a_turn_counts_when_it_is_tighter_than_the_limit(
-    task: Task, radius_m: float, breaks: bool
-) -> None:
+@pytest.mark.parametrize(("radius_m", "broken"), [(2_300.0, 1.0), (2_700.0, 0.0)])
+def test_a_turn_counts_when_it_is_tighter_than_the_limit(radius_m: float, broken: float) -> None:
     # a quarter of a circle; the cubic Bezier curve is one to 0.03 % (its curvature to 1.5 %)
-    k = 4.0 / 3.0 * math.tan(math.pi / 8.0)
-    corners = np.array([(0.0, 0.0), (k, 0.0), (1.0, 1.0 - k), (1.0, 1.0)]) * radius_m
-    curve = Subpath(control_nea_m=np.insert(corners, 2, 3000.0, axis=1))
-    found = measured(curve, task)
-    assert (found.turn_m == pytest.approx(curve.length_m, rel=0.01)) if breaks else not found.turn_m
+    k = 4.0 / 3.0 * math.tan(math.pi / 8.0) * radius_m
+    curve = level((0.0, 0.0), (k, 0.0), (radius_m, radius_m - k), (radius_m, radius_m))
+    assert measured(curve)["turn"] == pytest.approx(broken * curve.length_m, rel=0.01)
 
 
-def test_a_join_with_r2_of_0_is_a_corner(task: Task) -> None:
-    corners = np.array([(0.0, 0.0), (0.0, 0.0), (9_000.0, 4_000.0), (20_000.0, 0.0)])
-    found = measured(Subpath(control_nea_m=np.insert(corners, 2, 3000.0, axis=1)), task)
-    assert found.turn_m > 0.0
+def test_a_join_with_r2_of_0_is_a_corner() -> None:
+    assert measured(level((0.0, 0.0), (0.0, 0.0), (9e3, 4e3), (20e3, 0.0)))["turn"] > 0.0
 
 
-def test_what_is_not_flown_is_not_measured(task: Task) -> None:
-    radar = Radar(name="r", centre_nea_m=(20_000.0, 0.0, 0.0), range_m=5_000.0)
-    line = straight((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
-    with_radar = replace(task, radars=(radar,))
-    assert measured(line, with_radar).radar_m > 3_900.0
-    found = measured(line, with_radar, flown_m=15_000.0)
-    assert found.radar_m == 0.0
-
-
-def test_subpaths_add_up(task: Task) -> None:
+def test_what_is_not_flown_is_not_measured_and_subpaths_add_up() -> None:
+    seen_by = radar(20_000.0, 0.0, 5_000.0)
+    assert measured(straight(*LEVEL), seen_by)["radar"] > 3_900.0
+    assert measured(straight(*LEVEL), seen_by, flown_m=15_000.0)["radar"] == 0.0
     one = straight((0.0, 0.0, 2900.0), (5_000.0, 0.0, 2900.0))
     two = straight((5_000.0, 0.0, 3000.0), (9_000.0, 0.0, 3000.0))
-    found = violations([(one, 4_000.0), (two, two.length_m)], task, FLAT)
-    assert found.band_m == pytest.approx(4_000.0)
-    assert not violations([], task, FLAT).any
+    found = violations([(one, 4_000.0), (two, two.length_m)], TASK, FLAT)
+    assert found["band"] == pytest.approx(4_000.0)
 
 
 @given(

@@ -1,24 +1,22 @@
 """`companion compare`: the paper's table and figures, computed again."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.progress import track
-from rich.table import Table
 
 from companion.errors import InputError
-from companion.paper.compare import figures, routes, table_1
-from companion.paper.compare.missions import Case, Outcome, fly_all
+from companion.paper.compare.figures import figure_3, figure_4
+from companion.paper.compare.missions import Comparison, fly_all, table
+from companion.paper.compare.routes import routes
+from companion.paper.compare.table_1 import PER_SECOND, table_1
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 compare_app = typer.Typer(
     no_args_is_help=True,
@@ -51,54 +49,25 @@ FigureOption = Annotated[
 ]
 
 
-@compare_app.command("table-1")
-def table_1_command(
-    runs: RunsOption = 20,
-    jobs: JobsOption = None,
-    seed: SeedOption = 1,
-    json_file: JsonOption = None,
-    figure: FigureOption = None,
-    per_second: Annotated[
-        int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
-    ] = table_1.PER_SECOND,
-) -> None:
-    """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
-    files = _files(figure or Path("table-1.png"), json_file)
-    found = _flown(table_1.cases(per_second), runs, seed, jobs)
-    remarks = table_1.remarks(found, per_second)
-    _tell(table_1.tables(found), remarks)
-    _draw(lambda pictures: pictures.compose_table(found, remarks), files[0])
-    _write({"runs": runs, "seed": seed, "results": table_1.facts(found)}, files[1])
-
-
-def _add_figure(name: str, words: str, effect_of: Callable[[], figures.Effect]) -> None:
-    @compare_app.command(name, help=words)
-    def figure_command(
+def _add(name: str, comparison_of: Callable[[int], Comparison]) -> None:
+    @compare_app.command(name, help=comparison_of.__doc__)
+    def command(
         runs: RunsOption = 20,
         jobs: JobsOption = None,
         seed: SeedOption = 1,
         json_file: JsonOption = None,
         figure: FigureOption = None,
+        per_second: Annotated[
+            int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
+        ] = PER_SECOND,
     ) -> None:
-        effect = effect_of()
-        files = _files(figure or Path(f"{effect.name}.png"), json_file)
-        found, remarks = _flown(effect.cases, runs, seed, jobs), figures.remarks(effect)
-        _tell([figures.table(effect, found)], remarks)
-        _draw(lambda pictures: pictures.compose_effect(effect, found, remarks[-1]), files[0])
-        numbers = {"runs": runs, "seed": seed, "results": figures.facts(effect, found)}
-        _write(numbers, files[1])
+        picture = figure or Path(f"{name}.png")
+        _compare(comparison_of(per_second), runs, jobs, seed, json_file, picture)
 
 
-_add_figure(
-    "figure-3",
-    "Fig. 3: climb over a ridge or go round it, by the weights of height and guide.",
-    figures.figure_3,
-)
-_add_figure(
-    "figure-4",
-    "Fig. 4: fly between two overlapping radars or round both, by d_overlap.",
-    figures.figure_4,
-)
+_add("table-1", table_1)
+_add("figure-3", figure_3)
+_add("figure-4", figure_4)
 
 
 @compare_app.command("routes")
@@ -113,53 +82,43 @@ def routes_command(
     ] = None,
 ) -> None:
     """The planners that the paper's introduction names, beside ours, in both environments."""
-    json_file = json_file and writable("--json", json_file)
-    found = _flown(routes.cases(planners or routes.installed()), runs, seed, jobs)
-    _tell([routes.table(found)], [routes.REMARK])
-    results = [outcome.facts() for outcome in found]
-    _write({"runs": runs, "seed": seed, "results": results}, json_file)
+    _compare(routes(planners or ()), runs, jobs, seed, json_file, None)
 
 
-def _flown(cases: Sequence[Case], runs: int, seed: int, jobs: int | None) -> list[Outcome]:
-    """Fly them all, with a bar that shows how far it is."""
-    shown = partial(
-        track,
-        description="flying",
-        total=runs * len(cases),
-        console=plain_console(stderr=True),
-        transient=True,
-    )
-    return fly_all(cases, runs, seed, jobs or processors(), shown)
+def _compare(
+    comparison: Comparison,
+    runs: int,
+    jobs: int | None,
+    seed: int,
+    json_file: Path | None,
+    picture: Path | None,
+) -> None:
+    """Fly the cases with a bar that shows how far it is; print the tables, and write the files.
 
-
-def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:
-    """The picture's file and that of the numbers: both can be written, and they are two."""
-    if json_file is not None and json_file.absolute() == picture.absolute():
+    A file that cannot be written is refused before anything is flown.
+    """
+    if picture is not None and json_file is not None and json_file.absolute() == picture.absolute():
         rule = "the picture goes there (--figure)"
         raise InputError("--json", str(json_file), rule, "Name another file.")
-    return picture_file("--figure", picture), json_file and writable("--json", json_file)
+    picture = picture and picture_file("--figure", picture)
+    json_file = json_file and writable("--json", json_file)
+    console, bar = plain_console(), plain_console(stderr=True)
+    total = runs * len(comparison.cases)
+    shown = partial(track, description="flying", total=total, console=bar, transient=True)
+    found = fly_all(comparison.cases, runs, seed, jobs or processors(), shown)
+    for title, columns in comparison.tables.items():
+        console.print(table(title, columns, found))
+    for remark in comparison.remarks(found):
+        console.print(remark, highlight=False)
+    if picture is not None:
+        from companion.paper.compare import pictures  # slow to import
 
-
-def _tell(tables: Sequence[Table], remarks: Sequence[str]) -> None:
-    """Print tables, and what they cannot say."""
-    for table in tables:
-        plain_console().print(table)
-    for remark in remarks:
-        plain_console().print(remark, highlight=False, markup=False)
-
-
-def _draw(compose: Callable[[Any], "Figure"], picture: Path) -> None:
-    """Write a picture; compose makes it with the module `pictures`."""
-    from companion.paper.compare import pictures  # slow to import
-    from companion.views.figure import save
-
-    with writing("--figure", picture):
-        save(compose(pictures), picture)
-    plain_console().out(f"picture: {picture}", highlight=False)
-
-
-def _write(numbers: dict[str, Any], json_file: Path | None) -> None:
+        with writing("--figure", picture):
+            pictures.draw(comparison, found, picture)
+        console.out(f"picture: {picture}", highlight=False)
     if json_file is not None:
+        results = [outcome.facts() | comparison.more(outcome) for outcome in found]
+        numbers = {"runs": runs, "seed": seed, "results": results}
         with writing("--json", json_file):
             json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-        plain_console().out(f"numbers: {json_file}", highlight=False)
+        console.out(f"numbers: {json_file}", highlight=False)

@@ -1,23 +1,23 @@
-"""Missions as the paper flies them, without a vehicle, and what they cost."""
+"""Missions as the paper flies them, without a vehicle, what they cost, and what is told of them."""
 
 import itertools
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 from rich import box
 from rich.table import Table
 
 from companion.config import load_mission, load_world
-from companion.errors import CompanionError, InputError
+from companion.errors import CompanionError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
-from companion.paper.compare.violations import Violations, violations
+from companion.paper.compare.violations import KINDS, violations
 from companion.planner.offline import fly_offline
 from companion.planner.settings import Task
 from companion.planning import OURS, planner_of
@@ -47,6 +47,15 @@ class Case:
     planner: str = OURS
     """Who plans (`planning.planner_of`): ours plans by the task's profile."""
     seed: int = 1
+    papers_cost: tuple[float, float] = (math.nan, math.nan)
+    """The mean and the standard deviation that the paper has."""
+    papers_way: str = ""
+    """Which way the paper's route goes."""
+
+    def planned_with(self, **settings: Any) -> "Case":
+        """The case with other settings of the planner."""
+        task = replace(self.task, settings=replace(self.task.settings, **settings))
+        return replace(self, task=task)
 
 
 @final
@@ -66,7 +75,13 @@ class Run:
     route_nea_m: FloatArray  # (S, 3)
     """The path as flown, every 100 m."""
     scans_nea_m: tuple[tuple[float, float, float], ...]
-    violations: Violations
+    violations: dict[str, float]
+    """Metres of each kind."""
+
+    @property
+    def highest_amsl_m(self) -> float:
+        """The highest point of the route."""
+        return float(self.route_nea_m[:, 2].max())
 
 
 @final
@@ -92,9 +107,9 @@ class Outcome:
         """The run of median cost: the one in pictures."""
         return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
 
-    def mean(self, measure: Callable[[Run], float] = lambda run: run.cost) -> float:
-        """Mean of a measure over the runs that arrived; not a number when none did."""
-        values = [measure(run) for run in self.runs if run.arrived]
+    def mean(self, measure: str = "cost") -> float:
+        """Mean of a number of `Run` over the runs that arrived; not a number when none did."""
+        values = [getattr(run, measure) for run in self.runs if run.arrived]
         return statistics.fmean(values) if values else math.nan
 
     @property
@@ -105,13 +120,13 @@ class Outcome:
     @property
     def violations(self) -> dict[str, dict[str, float]]:
         """Of each kind the share of missions that break it, and the mean metres that do."""
-        rows = [asdict(run.violations) for run in self.runs]
+        metres = {kind: [run.violations[kind] for run in self.runs] for kind in KINDS}
         return {
-            kind.removesuffix("_m"): {
-                "missions": statistics.fmean(row[kind] > 0.0 for row in rows),
-                "mean_m": statistics.fmean(row[kind] for row in rows),
+            kind: {
+                "missions": statistics.fmean(each > 0.0 for each in found),
+                "mean_m": statistics.fmean(found),
             }
-            for kind in rows[0]
+            for kind, found in metres.items()
         }
 
     def facts(self) -> dict[str, Any]:
@@ -124,18 +139,57 @@ class Outcome:
             "arrived": [run.arrived for run in self.runs],
             "costs": [run.cost if run.arrived else None for run in self.runs],
             "lengths_m": [run.length_m for run in self.runs],
-            "highest_amsl_m": [float(run.route_nea_m[:, 2].max()) for run in self.runs],
+            "highest_amsl_m": [run.highest_amsl_m for run in self.runs],
             "j": [run.j for run in self.runs],
             "violations": self.violations,
         }
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
+    """Cases that are flown, and how what came of them is told."""
+
+    cases: Sequence[Case]
+    tables: Mapping[str, Mapping[str, Callable[[Outcome], str]]]
+    """By title and column what a cell says of an outcome."""
+    remarks: Callable[[Sequence[Outcome]], list[str]]
+    """What the tables cannot say by themselves."""
+    more: Callable[[Outcome], dict[str, Any]] = lambda _: {}
+    """What is told beside the numbers of an outcome, for --json."""
+
+
+def table(
+    title: str, columns: Mapping[str, Callable[[Outcome], str]], found: Sequence[Outcome]
+) -> Table:
+    """A row for each outcome, and one for each heading if there are several.
+
+    Its cells stay whole in a terminal of 80 columns.
+    """
+    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
+    result.add_column("", no_wrap=True)
+    for name in columns:
+        result.add_column(name, justify="right")
+    parts = by_heading(found)
+    for part in parts:
+        if len(parts) > 1:
+            result.add_row(part[0].case.heading)
+        for outcome in part:
+            label = ("  " if len(parts) > 1 else "") + outcome.case.label
+            result.add_row(label, *(cell(outcome) for cell in columns.values()))
+    return result
+
+
+def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
+    """Outcomes in parts of the same heading, as they follow each other."""
+    return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
+
+
 def bundled_case(name: str) -> Case:
     """A bundled environment as published: L = V T + d_s (eq. 4), where a scan takes no time."""
     mission, world = load_mission(name, PAPER.name), load_world(name)
-    if not isinstance(world.terrain, PeakTerrain):
-        raise InputError("world", name, "its terrain is not made of peaks", "Give another.")
-    case = Case(
+    assert isinstance(world.terrain, PeakTerrain)
+    return Case(
         heading=name,
         label="",
         world=name,
@@ -143,14 +197,7 @@ def bundled_case(name: str) -> Case:
         task=mission.task,
         start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
         target_ne_m=mission.targets_ne_m[-1],
-    )
-    return planned_with(case, scan_time_s=0.0, position_period_s=0.0, scan_distance_m=None)
-
-
-def planned_with(case: Case, *, seed: int = 1, **settings: Any) -> Case:
-    """The case with other settings of the planner."""
-    task = replace(case.task, settings=replace(case.task.settings, **settings))
-    return replace(case, task=task, seed=seed)
+    ).planned_with(scan_time_s=0.0, position_period_s=0.0, scan_distance_m=None)
 
 
 def fly(case: Case) -> Run:
@@ -207,23 +254,3 @@ def fly_all(
             raise CompanionError("a worker process ended early. Try fewer --jobs.") from error
     parts = (flown[k : k + runs] for k in range(0, len(flown), runs))
     return [Outcome(case=case, runs=tuple(part)) for case, part in zip(cases, parts, strict=True)]
-
-
-def narrow_table(title: str, *headings: str) -> Table:
-    """A table whose cells stay whole in a terminal of 80 columns."""
-    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
-    result.add_column("", no_wrap=True)
-    for heading in headings:
-        result.add_column(heading, justify="right")
-    return result
-
-
-def add_rows(
-    table: Table, found: Sequence[Outcome], cells: Callable[[Outcome], Iterable[str]]
-) -> Table:
-    """Add a row for each outcome, and one for each heading."""
-    for heading, part in itertools.groupby(found, lambda outcome: outcome.case.heading):
-        table.add_row(heading)
-        for outcome in part:
-            table.add_row(f"  {outcome.case.label}", *cells(outcome))
-    return table

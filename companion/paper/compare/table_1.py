@@ -5,19 +5,12 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
-import scipy
-from rich.table import Table
+from scipy.stats import mannwhitneyu
 
-from companion.paper.compare.missions import (
-    Case,
-    Outcome,
-    add_rows,
-    bundled_case,
-    narrow_table,
-    planned_with,
-)
+from companion.paper.compare.missions import Comparison, Outcome, bundled_case, by_heading
+from companion.paper.compare.violations import KINDS
 
 ALGORITHMS = {
     "improved DE": "improved-de",
@@ -25,50 +18,85 @@ ALGORITHMS = {
     "PSO": "pso",
     "GA": "ga",
 }
-ENVIRONMENTS = ("environment-1", "environment-2")
-PLANNING_TIMES_S = (3.0, 5.0)  # T
 PER_SECOND = 1000
 """Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
 _SURE = 0.05  # significance at which costs count as different,
 _LEAST = 0.005  # if their medians differ by this part
 
 PAPERS = {
-    "environment-1, 3 s": ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
-    "environment-1, 5 s": ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
-    "environment-2, 3 s": ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
-    "environment-2, 5 s": ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
+    ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
+    ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
+    ("environment-2", 3.0): ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
+    ("environment-2", 5.0): ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
 }
-"""The paper's mean and standard deviation of the cost, in the order of `ALGORITHMS`."""
+"""By environment and T the paper's mean and standard deviation of the cost of `ALGORITHMS`."""
 
 
-def cases(per_second: int = PER_SECOND) -> list[Case]:
-    """Every cell of the table, row by row, algorithm by algorithm."""
-    return [
+def table_1(per_second: int = PER_SECOND) -> Comparison:
+    """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
+
+    def broken(outcome: Outcome, kind: str) -> str:
+        of_kind = outcome.violations[kind]
+        return f"{math.ceil(100.0 * of_kind['missions'] - 1e-6)}% {of_kind['mean_m']:6,.0f}"
+
+    cases = [
         replace(
-            planned_with(
-                bundled_case(environment),
+            bundled_case(environment).planned_with(
                 optimiser=optimiser,
                 planning_time_s=planning_time_s,
                 evaluations=round(planning_time_s * per_second),
             ),
             heading=f"{environment}, {planning_time_s:g} s",
             label=algorithm,
+            papers_cost=papers_cost,
         )
-        for environment in ENVIRONMENTS
-        for planning_time_s in PLANNING_TIMES_S
-        for algorithm, optimiser in ALGORITHMS.items()
+        for (environment, planning_time_s), papers_costs in PAPERS.items()
+        for (algorithm, optimiser), papers_cost in zip(
+            ALGORITHMS.items(), papers_costs, strict=True
+        )
     ]
+    return Comparison(
+        cases=cases,
+        tables={
+            "Table 1: cost from start to target, mean ± standard deviation": {
+                "cost": lambda outcome: f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+                "paper": lambda outcome: "{:.1f} ± {:.1f}".format(*outcome.case.papers_cost),
+                "arrived": lambda outcome: outcome.arrivals,
+                "length": lambda outcome: f"{outcome.mean('length_m') / 1000:.1f} km",
+            },
+            "Missions that break a bound somewhere, and the mean metres that do": {
+                words: partial(broken, kind=kind) for kind, words in KINDS.items()
+            },
+        },
+        remarks=partial(remarks, per_second=per_second),
+        more=lambda outcome: dict(
+            zip(("paper_mean_cost", "paper_st_dev_cost"), outcome.case.papers_cost, strict=True)
+        ),
+    )
 
 
-def papers(outcome: Outcome) -> tuple[float, float]:
-    """The paper's mean and standard deviation of a cell."""
-    return PAPERS[outcome.case.heading][list(ALGORITHMS).index(outcome.case.label)]
-
-
-def rows(found: Sequence[Outcome]) -> list[Sequence[Outcome]]:
-    """The four algorithms on one environment with one budget."""
-    each = len(ALGORITHMS)
-    return [found[k : k + each] for k in range(0, len(found), each)]
+def remarks(found: Sequence[Outcome], per_second: int) -> list[str]:
+    """The budget, and whose order it is."""
+    budgets = ", ".join(
+        f"T = {time_s:g} s is {round(time_s * per_second):,} evaluations"
+        for time_s in dict.fromkeys(time_s for _, time_s in PAPERS)
+    )
+    usual = per_second == PER_SECOND
+    why = ", about what interpreted Matlab did in 2011" if usual else ""
+    lines = [
+        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
+        "No result depends on the speed of this machine.",
+        "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
+    ]
+    for row in by_heading(found):
+        papers_order = " < ".join(outcome.case.label for outcome in by_the_paper(row))
+        confirmed, contradicted = agreement(row)
+        against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
+        lines.append(
+            f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
+            f"{confirmed} of its 6 pairs are surely so here{against}."
+        )
+    return lines
 
 
 def order(row: Sequence[Outcome]) -> str:
@@ -83,15 +111,17 @@ def order(row: Sequence[Outcome]) -> str:
     return words
 
 
-def papers_order(row: Sequence[Outcome]) -> list[str]:
-    """The paper's order, by its means."""
-    return [outcome.case.label for outcome in sorted(row, key=papers)]
+def by_the_paper(row: Sequence[Outcome]) -> list[Outcome]:
+    """In the paper's order, by its means."""
+    return sorted(row, key=lambda outcome: outcome.case.papers_cost)
 
 
 def agreement(row: Sequence[Outcome]) -> tuple[int, list[str]]:
     """How many of the paper's six pairs are surely as there, and which surely are not."""
     confirmed, contradicted = 0, []
-    for better, worse in itertools.combinations(sorted(row, key=papers), 2):
+    for better, worse in itertools.combinations(
+        sorted(row, key=lambda each: each.case.papers_cost), 2
+    ):
         confirmed += surely_less(better, worse)
         if surely_less(worse, better):
             contradicted.append(f"{worse.case.label} < {better.case.label}")
@@ -107,58 +137,4 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
         return False
     if statistics.median(one.costs) > (1.0 - _LEAST) * statistics.median(other.costs):
         return False
-    test = scipy.stats.mannwhitneyu(one.costs, other.costs, alternative="less")
-    return bool(test.pvalue < _SURE)
-
-
-def tables(found: Sequence[Outcome]) -> list[Table]:
-    """Our numbers beside the paper's, and what the routes break when looked at every 10 m."""
-
-    def cells(outcome: Outcome) -> list[str]:
-        mean, deviation = papers(outcome)
-        return [
-            f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
-            f"{mean:.1f} ± {deviation:.1f}",
-            outcome.arrivals,
-            f"{outcome.mean(lambda run: run.length_m) / 1000:.1f} km",
-        ]
-
-    def broken(outcome: Outcome) -> list[str]:
-        return [
-            f"{math.ceil(100.0 * kind['missions'] - 1e-6)}% {kind['mean_m']:6,.0f}"
-            for kind in outcome.violations.values()
-        ]
-
-    title = "Table 1: cost from start to target, mean ± standard deviation"
-    costs = narrow_table(title, "cost", "paper", "arrived", "length")
-    title = "Missions that break a bound somewhere, and the mean metres that do"
-    kinds = ("nearer than d_s", "seen by radars", "turn", "climb", "altitude")
-    return [add_rows(costs, found, cells), add_rows(narrow_table(title, *kinds), found, broken)]
-
-
-def remarks(found: Sequence[Outcome], per_second: int = PER_SECOND) -> list[str]:
-    """What the table cannot say by itself: the budget, and whose order it is."""
-    budgets = ", ".join(
-        f"T = {planning_time_s:g} s is {round(planning_time_s * per_second):,} evaluations"
-        for planning_time_s in PLANNING_TIMES_S
-    )
-    why = ", about what interpreted Matlab did in 2011" if per_second == PER_SECOND else ""
-    lines = [
-        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
-        "No result depends on the speed of this machine.",
-        "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
-    ]
-    for row in rows(found):
-        confirmed, contradicted = agreement(row)
-        against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
-        lines.append(
-            f"{row[0].case.heading}: {order(row)}. The paper: {' < '.join(papers_order(row))}. "
-            f"{confirmed} of its 6 pairs are surely so here{against}."
-        )
-    return lines
-
-
-def facts(found: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Everything in the table, and more, for --json."""
-    names = ("paper_mean_cost", "paper_st_dev_cost")
-    return [outcome.facts() | dict(zip(names, papers(outcome), strict=True)) for outcome in found]
+    return bool(mannwhitneyu(one.costs, other.costs, alternative="less").pvalue < _SURE)

@@ -2,16 +2,15 @@
 
 A rival is a point: it turns on the spot and climbs without limit, chooses its way in the plane and
 flies it at the lowest safe altitude.  It knows the map that ours knows.  What nobody has seen is
-free for it; what it flies of its route ends where the map bounds nothing, or at the end of sight.
+free for it; what it flies of its route ends with what was seen, or at the end of sight.
 """
 
 import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
 from itertools import pairwise
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +19,14 @@ from scipy.ndimage import binary_closing
 from companion.caches import compiled
 from companion.entry_points import Parts
 from companion.errors import InputError
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import FloatArray
 from companion.paper.plan import reported
 from companion.path.certificate import Prover
-from companion.path.subpath import Subpath
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
-from companion.planner.settings import Task
 from companion.world.clearance import dilated_m, safe_surface
 from companion.world.radars import detection_probability
-from companion.world.zones import Zone
 
 IntArray = NDArray[np.intp]
-Planner = Callable[[PlanRequest], Planned | NotPlanned]
 
 _CONTROL = 121  # points of a subpath: R / 120 apart, less than a cell
 _SPARE = 0.5  # of a cell, kept beside the clearance: the curve lies between points of the lattice
@@ -45,18 +40,24 @@ _LINES = 7  # lines for each evaluation of ours: 20,000 for 3,000, about a secon
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Field:
-    """A world as known: what a metre costs at the lowest safe altitude, on a square lattice."""
+class RouteProblem:
+    """From a start to a target by what is known now, on a square lattice; places are (2,)."""
 
+    start_ne_m: FloatArray
+    target_ne_m: FloatArray
     corner_ne_m: FloatArray
-    """(2,), of point (0, 0): the south-west corner of the map."""
+    """Of point (0, 0), the south-west corner of the map."""
     spacing_m: float
     rate: FloatArray
-    """(rows, columns): cost per metre in metres of level flight at the floor, so never below 1;
-    infinite: no one may be there."""
+    """(rows, columns): what a metre costs at the lowest safe altitude, in metres of level flight at
+    the floor, so never below 1; infinite: no one may be there."""
+    lines: int
+    """How many lines may be costed; a planner that does not sample needs no limit."""
+    ahead_m: float
+    """How far ahead it will be flown before the next question: further on, details do not count."""
 
     def place_m(self, index: IntArray) -> FloatArray:
-        """North and east of points.  (..., 2) -> (..., 2)."""
+        """North and east of points of the lattice.  (..., 2) -> (..., 2)."""
         return self.corner_ne_m + self.spacing_m * np.asarray(index)
 
     def index(self, at_ne_m: FloatArray) -> IntArray:
@@ -75,49 +76,28 @@ class Field:
         share = np.linspace(0.0, 1.0, max(math.ceil(2.0 * length_m / self.spacing_m), 2) + 1)
         return length_m * float(self.rate_at(a_ne_m + share[:, None] * (b_ne_m - a_ne_m)).mean())
 
-    def straightened(self, route_ne_m: FloatArray, ahead_m: float) -> FloatArray:
+    def straight(self, route_ne_m: FloatArray) -> FloatArray:
         """A route with lines in place of its bends where they cost no more, as far as ahead_m.
 
         A piece that a grid took for free, and that is not quite, counts double its length.
         """
         pieces = [(self.line_cost(a, b), math.dist(a, b)) for a, b in pairwise(route_ne_m)]
         cost = np.cumsum([0.0, *(c if math.isfinite(c) else 2.0 * m for c, m in pieces)])
-        last, here, kept = sum(np.cumsum([m for _, m in pieces]) <= ahead_m), 0, [0]
+        last, here, kept = sum(np.cumsum([m for _, m in pieces]) <= self.ahead_m), 0, [0]
         while here < last:
-            line = partial(self.line_cost, route_ne_m[here])
-            spared = (
-                k for k in range(last, here, -1) if line(route_ne_m[k]) <= cost[k] - cost[here]
-            )
-            here = next(spared, here + 1)
+            begin, there = route_ne_m[here], last
+            while there > here + 1 and (
+                self.line_cost(begin, route_ne_m[there]) > cost[there] - cost[here]
+            ):
+                there -= 1
+            here = there
             kept.append(here)
         return np.concatenate([route_ne_m[kept], route_ne_m[here + 1 :]])
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RouteProblem:
-    """From a start to a target, by what is known now; places are (2,), north and east."""
-
-    task: Task
-    field: Field
-    start_ne_m: FloatArray
-    target_ne_m: FloatArray
-    lines: int
-    """How many lines may be costed; a planner that does not sample needs no limit."""
-    ahead_m: float
-    """How far ahead it will be flown before the next question: further on, details do not count."""
-
-    def straight(self, route_ne_m: FloatArray) -> FloatArray:
-        """A route pulled straight.  (N, 2) -> (M, 2)."""
-        return self.field.straightened(route_ne_m, self.ahead_m)
-
-
-class RoutePlanner(Protocol):
-    """Plans a whole route; also what an entry point `companion.planners` names."""
-
-    def __call__(self, problem: RouteProblem, rng: np.random.Generator) -> FloatArray | str:
-        """Points (N, 2) from the start to the target, or why there is no route."""
-        ...
+RoutePlanner = Callable[[RouteProblem, np.random.Generator], FloatArray | str]
+"""Answers with points (N, 2) from the start to the target, or with why there is no route; also what
+an entry point `companion.planners` names."""
 
 
 def _wrong_with(planner: RoutePlanner) -> str | None:
@@ -144,49 +124,42 @@ PLANNERS = Parts[RoutePlanner](
 """Every planner of whole routes by its name; other distributions add theirs."""
 
 
-def leg_by_leg(route_planner: RoutePlanner, prove: Prover) -> Planner:
+def leg_by_leg(
+    route_planner: RoutePlanner, prove: Prover
+) -> Callable[[PlanRequest], Planned | NotPlanned]:
     """A planner of whole routes as one of subpaths: of each route, what may be flown by the map."""
 
     def plan(request: PlanRequest) -> Planned | NotPlanned:
-        for hopes in (True, False):  # in vain: over what is not seen too, by what the map bounds
-            problem = problem_of(request, hopes=hopes)
-            route = route_planner(problem, request.rng(0))
-            if isinstance(route, str):
-                continue
-            control, arrives = _flown(_checked(route, problem), problem, request, seen=hopes)
+        problem = problem_of(request)
+        route = route_planner(problem, request.rng(0))
+        if not isinstance(route, str):
+            control, arrives = _flown(_checked(route, problem), problem, request)
             if len(control):
-                return reported(request, Subpath(control_nea_m=control), prove, arrives)
+                return reported(request, control, prove, reaches_target=arrives)
         return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE)
 
     return plan
 
 
-def problem_of(request: PlanRequest, *, hopes: bool = True) -> RouteProblem:
-    """The question of a plan.  hopes: what nobody has seen is free, else it is closed."""
-    task, known = request.task, request.known
-    if hopes:
-        known = replace(known, upper_m=np.where(known.firm, known.upper_m, np.inf))
-    limits, settings, clear_m = task.limits, task.settings, _clear_m(request)
-    sides = (limits.north_m, limits.east_m)
-    centre = (0.5 * sum(limits.north_m), 0.5 * sum(limits.east_m))
+def problem_of(request: PlanRequest) -> RouteProblem:
+    """The question of a plan: what nobody has seen is free."""
+    task, known, clear_m = request.task, request.known, _clear_m(request)
+    sides = (task.limits.north_m, task.limits.east_m)
     surface = safe_surface(
-        known,
+        replace(known, upper_m=np.where(known.firm, known.upper_m, np.inf)),
         compiled(dilated_m),
-        centre_ne_m=centre,
+        centre_ne_m=(0.5 * sum(sides[0]), 0.5 * sum(sides[1])),
         reach_m=0.5 * max(high - low for low, high in sides),
         clearance_m=clear_m,
-        unknown_m=-_HIGH_M if hopes else _HIGH_M,
+        unknown_m=-_HIGH_M,
     )
-    first = (surface.north_min_m, surface.east_min_m)
-    axes = [
-        low
-        + surface.cell_m
-        * np.arange(math.ceil((a - low) / surface.cell_m), (b - low) / surface.cell_m + 1e-6)
-        for low, (a, b) in zip(first, sides, strict=True)
-    ]
+    axes = []
+    for first, size, (low, high) in zip(surface[:2], surface.vertex_m.shape, sides, strict=True):
+        axis = first + surface.cell_m * np.arange(size)
+        axes.append(axis[(axis >= low - _AT_M) & (axis <= high + _AT_M)])
     north, east = np.meshgrid(*axes, indexing="ij")
     need_m = surface.altitude_m(north, east)
-    (floor, ceiling), weights = task.band_amsl_m, settings.weights
+    (floor, ceiling), weights = task.band_amsl_m, task.settings.weights
     altitude_m = np.clip(need_m, floor, ceiling)
     # eq. 5 to 7 and 10 a metre, as in `library.route_terms`, in metres of level flight
     high, seen = (2.4 * weight / weights.length for weight in (weights.height, 3.0 * weights.radar))
@@ -194,30 +167,20 @@ def problem_of(request: PlanRequest, *, hopes: bool = True) -> RouteProblem:
     for radar in task.radars:
         points = np.stack([north, east, altitude_m], axis=-1)
         rate += seen * detection_probability(radar.distance_m(points), radar.range_m)
-    rate[_closed(task.zones, clear_m, *map(tuple, axes)) | (need_m > ceiling)] = np.inf
-    field = Field(
-        corner_ne_m=np.array([axes[0][0], axes[1][0]]), spacing_m=surface.cell_m, rate=rate
-    )
-    start = np.array(request.start.point_nea_m[:2])
-    field.rate[tuple(field.index(start))] = 1.0 + high  # it is there
-    return RouteProblem(
-        task=task,
-        field=field,
-        start_ne_m=start,
+    for zone in task.zones:
+        rate[zone.distance_m(north, east) < clear_m] = np.inf
+    rate[need_m > ceiling] = np.inf
+    problem = RouteProblem(
+        start_ne_m=np.array(request.start.point_nea_m[:2]),
         target_ne_m=np.array(request.target_ne_m),
-        lines=_LINES * settings.evaluations,
-        ahead_m=_AHEAD * settings.scan_range_m,
+        corner_ne_m=np.array([axes[0][0], axes[1][0]]),
+        spacing_m=surface.cell_m,
+        rate=rate,
+        lines=_LINES * task.settings.evaluations,
+        ahead_m=_AHEAD * task.settings.scan_range_m,
     )
-
-
-@lru_cache(maxsize=2)
-def _closed(
-    zones: tuple[Zone, ...], clear_m: float, north_m: tuple[float, ...], east_m: tuple[float, ...]
-) -> BoolArray:
-    """Where zones forbid to be, or are too near.  -> (rows, columns)."""
-    north, east = np.meshgrid(north_m, east_m, indexing="ij")
-    gaps = (zone.distance_m(north, east) < clear_m for zone in zones)
-    return np.logical_or.reduce([np.zeros(north.shape, dtype=bool), *gaps])
+    rate[tuple(problem.index(problem.start_ne_m))] = 1.0 + high  # it is there
+    return problem
 
 
 def _clear_m(request: PlanRequest) -> float:
@@ -226,21 +189,17 @@ def _clear_m(request: PlanRequest) -> float:
 
 def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
     """The answer, (N, 2); InputError if it is no route from the start to the target."""
-    route = np.asarray(answer, dtype=np.float64)
-    is_route = (
-        route.ndim == 2 and route.shape[1] == 2 and len(route) > 1 and np.isfinite(route).all()
-    )
-    ends = (problem.start_ne_m, problem.target_ne_m)
-    if not is_route or max(map(math.dist, (route[0], route[-1]), ends)) > _AT_M:
+    route, ends = np.asarray(answer, dtype=np.float64), (problem.start_ne_m, problem.target_ne_m)
+    is_line = route.shape[1:] == (2,) and len(route) > 1 and np.isfinite(route).all()
+    if not is_line or not np.allclose(route[[0, -1]], ends, rtol=0.0, atol=_AT_M):
         rule = "a route is (N, 2), finite, from the start to the target"
-        raise InputError(
-            "planner", f"an answer of shape {route.shape}", rule, "Correct the planner."
-        )
+        answered = f"an answer of shape {route.shape}"
+        raise InputError("planner", answered, rule, "Correct the planner.")
     return route
 
 
 def _flown(
-    route: FloatArray, problem: RouteProblem, request: PlanRequest, *, seen: bool
+    route: FloatArray, problem: RouteProblem, request: PlanRequest
 ) -> tuple[FloatArray, bool]:
     """Control points (K, 3) of what may be flown of a route, none if nothing; whether all of it."""
     task, known, scan_ne_m = request.task, request.known, request.scan_nea_m[:2]
@@ -254,13 +213,13 @@ def _flown(
         unknown_m=_HIGH_M,
     )
     floor, ceiling = task.band_amsl_m
-    points = resampled(route, 0.5 * problem.field.spacing_m)
-    nodes = problem.field.index(points)
-    places = problem.field.place_m(nodes)
-    may_be = np.isfinite(problem.field.rate_at(points)) & (surface.altitude_m(*places.T) <= ceiling)
+    length_m = np.hypot(*np.diff(route, axis=0).T).sum()
+    points = resampled(route, math.ceil(2.0 * length_m / problem.spacing_m) + 1)
+    nodes = problem.index(points)
+    may_be = np.isfinite(problem.rate_at(points))
+    may_be &= surface.altitude_m(*problem.place_m(nodes).T) <= ceiling
     cells = np.array([known.cell_of(*point) for point in points.tolist()])
-    row, column = np.clip(cells, 0, np.array(known.upper_m.shape) - 1).T
-    may_be &= known.firm[row, column] | (not seen)
+    may_be &= known.firm[tuple(np.clip(cells, 0, np.array(known.firm.shape) - 1).T)]
     may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
     may_be |= binary_closing(may_be, _GRAZE)
     may_be &= np.hypot(*(points - scan_ne_m).T) < range_m
@@ -268,15 +227,14 @@ def _flown(
     points = points if arrives else points[: np.argmin(may_be)]
     if len(points) < _LEAST:
         return np.empty((0, 3)), False
-    points = resampled(points, evenly=_CONTROL)
+    points = resampled(points, _CONTROL)
     altitude_m = np.clip(surface.altitude_m(*points.T), floor, ceiling)
     altitude_m[0] = request.start.point_nea_m[2]
     return np.column_stack([points, altitude_m]), arrives
 
 
-def resampled(route: FloatArray, step_m: float = 0.0, *, evenly: int = 0) -> FloatArray:
-    """Points evenly along a route, a step apart or less, or so many.  (N, 2) -> (S, 2)."""
-    along = np.cumsum([0.0, *np.hypot(*np.diff(route, axis=0).T)])
-    count = evenly or max(math.ceil(along[-1] / step_m), 1) + 1
-    at = np.linspace(0.0, along[-1], count)
-    return np.stack([np.interp(at, along, column) for column in route.T], axis=-1)
+def resampled(route: FloatArray, count: int) -> FloatArray:
+    """So many points evenly along a route.  (N, 2) -> (count, 2)."""
+    along_m = np.cumsum([0.0, *np.hypot(*np.diff(route, axis=0).T)])
+    at_m = np.linspace(0.0, along_m[-1], count)
+    return np.stack([np.interp(at_m, along_m, column) for column in route.T], axis=-1)

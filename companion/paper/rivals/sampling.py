@@ -19,19 +19,18 @@ def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> Fl
     extras.need("compare", "planner", planner)
     from ompl import base, geometric, util  # an extra, and slow to import
 
-    field, known, asked = problem.field, dict[tuple[float, ...], float](), 0
+    corner, known, asked = problem.corner_ne_m, dict[tuple[float, ...], float](), 0
 
     def cost(a: Any, b: Any) -> float:
         """Of the line between two states; infinite: it is not free."""
         ends = (a[0], a[1], b[0], b[1])
         if ends not in known:
-            corner = field.corner_ne_m
-            known[ends] = field.line_cost(corner + ends[:2], corner + ends[2:])
+            known[ends] = problem.line_cost(corner + ends[:2], corner + ends[2:])
         return known[ends]
 
     def is_free(state: Any) -> bool:
-        at_m = field.corner_ne_m + np.array([state[0], state[1]])
-        return bool(np.isfinite(field.rate_at(at_m)))
+        at_m = corner + np.array([state[0], state[1]])
+        return bool(np.isfinite(problem.rate_at(at_m)))
 
     def is_spent() -> bool:
         nonlocal asked
@@ -55,9 +54,9 @@ def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> Fl
     util.noOutputHandler()
     util.RNG.setSeed(int(rng.integers(1, 2**31)))
     space, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
-    for axis, size in enumerate(field.rate.shape):
+    for axis, size in enumerate(problem.rate.shape):
         bounds.setLow(axis, 0.0)
-        bounds.setHigh(axis, (size - 1) * field.spacing_m)
+        bounds.setHigh(axis, (size - 1) * problem.spacing_m)
     space.setBounds(bounds)
     information = base.SpaceInformation(space)
     validator, objective = Validator(information), Objective(information)  # OMPL does not keep them
@@ -67,7 +66,7 @@ def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> Fl
     definition = base.ProblemDefinition(information)
     ends = [space.allocState(), space.allocState()]
     for state, place in zip(ends, (problem.start_ne_m, problem.target_ne_m), strict=True):
-        state[0], state[1] = (float(value) for value in place - field.corner_ne_m)
+        state[0], state[1] = (float(value) for value in place - corner)
     definition.setStartAndGoalStates(*ends)
     definition.setOptimizationObjective(objective)
     searching = getattr(geometric, planner)(information)
@@ -77,7 +76,7 @@ def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> Fl
     if not definition.hasExactSolution():
         return f"none found with {problem.lines} lines"
     states = definition.getSolutionPath().getStates()
-    route = field.corner_ne_m + np.array([[state[0], state[1]] for state in states])
+    route = corner + np.array([[state[0], state[1]] for state in states])
     route[0], route[-1] = problem.start_ne_m, problem.target_ne_m
     return problem.straight(route)
 

@@ -1,0 +1,223 @@
+"""The four optimisers of Table 1 against their published formulae.
+
+What all optimisers keep is in tests/contracts/test_optimisers.py.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from companion.paper.evolution import (
+    ClassicalDE,
+    DifferentialEvolution,
+    Generations,
+    ImprovedDE,
+    three_others,
+)
+from companion.paper.genetic import Genetic
+from companion.paper.swarm import ParticleSwarm
+
+FloatArray = NDArray[np.float64]
+NP, D, GENERATIONS, MANY = 7, 3, 8, 40_000
+CHI = 0.7298437881283576  # the root for phi = 4.1, to all digits
+seeds = st.integers(0, 10**6)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_members() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Generations, "members", NP)
+        yield
+
+
+# --- differential evolution: the same draws by hand
+
+
+def blended(
+    x: FloatArray, costs: FloatArray, r: FloatArray, a: float, f1: float, f2: float
+) -> list[float]:
+    """Eq. 15 for one member, r its three others."""
+    best = x[costs.tolist().index(min(costs))]
+    return [
+        a * x[r[0]][j]
+        + (1 - a) * best[j]
+        + f1 * (best[j] - x[r[0]][j])
+        + f2 * (x[r[1]][j] - x[r[2]][j])
+        for j in range(D)
+    ]
+
+
+@given(seed=seeds, a=st.floats(0.0, 1.0), f1=st.floats(0.0, 1.0), f2=st.floats(0.0, 1.0))
+def test_the_blend_is_the_sum_that_equation_15_prints(
+    seed: int, a: float, f1: float, f2: float
+) -> None:
+    de, draws = ClassicalDE(D, 0, np.random.default_rng(seed)), np.random.default_rng(seed)
+    x, costs = draws.random((NP, D)), np.random.default_rng(seed + 1).random(NP)
+    de.tell(costs)
+    others = three_others(NP, draws)
+    for i, mutant in enumerate(de.blend(a, f1, f2)):
+        assert mutant == pytest.approx(blended(x, costs, others[:, i], a, f1, f2), abs=1e-14)
+
+
+@pytest.mark.parametrize("make", [ClassicalDE, ImprovedDE])
+@given(seed=seeds)
+def test_the_same_draws_make_the_trials_of_equations_12_to_18(
+    make: type[DifferentialEvolution], seed: int
+) -> None:
+    de = make(D, GENERATIONS * NP, np.random.default_rng(seed))
+    draws, judge = np.random.default_rng(seed), np.random.default_rng(seed + 1)
+    x, costs = draws.random((NP, D)), judge.random(NP)
+    assert de.ask().tolist() == x.tolist()
+    de.tell(costs)
+    a_mean, cr_mean = 1.0, 0.5  # 3.2; row 4
+    for g in range(GENERATIONS - 1):
+        if make is ClassicalDE:
+            a, f1, f2, cr = np.ones(NP), np.zeros(NP), np.full(NP, 0.5), np.full(NP, 0.9)
+            others = three_others(NP, draws)
+        else:
+            k1, k2 = 0.5 * (g / GENERATIONS) ** 2, 1.0 - 0.5 * (g / GENERATIONS) ** 2  # eq. 18
+            a = np.clip(draws.normal(a_mean, 0.2, NP), 0.0, 1.0)
+            f1, f2 = k1 * (1.0 - a), k2 * a  # eq. 16
+            others = three_others(NP, draws)
+            cr = np.clip(draws.normal(cr_mean, 0.2, NP), 0.0, 1.0)
+        taken, certain = draws.random((NP, D)), draws.integers(D, size=NP)
+        told, trials = judge.choice([-0.1, 0.0, 0.1], NP) + costs, de.ask().copy()
+        if g == 3:
+            told = costs + 1.0  # nothing succeeds: the means stay
+        after = x.copy()
+        for i in range(NP):
+            mutant = blended(x, costs, others[:, i], a[i], f1[i], f2[i])
+            for j in range(D):
+                wanted = mutant[j] if taken[i, j] <= cr[i] or certain[i] == j else x[i, j]
+                assert trials[i, j] == pytest.approx(min(max(wanted, 0.0), 1.0), abs=1e-13)
+            if told[i] <= costs[i]:  # eq. 14
+                after[i] = trials[i]
+        de.tell(told)
+        better = told <= costs
+        if better.any():
+            a_mean, cr_mean = np.mean(a[better]), np.mean(cr[better])
+        x, costs = after, np.minimum(told, costs)
+        assert de.population.tolist() == x.tolist()
+        assert de.costs.tolist() == costs.tolist()
+
+
+def test_every_ordered_triple_of_others_is_drawn_about_as_often_and_never_oneself() -> None:
+    rng = np.random.default_rng(1)
+    draws = np.concatenate([three_others(5, rng).T[:1] for _ in range(24_000)])
+    triples, counts = np.unique(draws, axis=0, return_counts=True)
+    assert len(triples) == 4 * 3 * 2
+    assert all(len({0, *triple}) == 4 for triple in triples.tolist())
+    # 1000 expected of each: 6 standard deviations
+    assert abs(counts - 1_000).max() < 6 * np.sqrt(1_000)
+
+
+# --- the swarm, particle by particle
+
+
+@given(seed=seeds)
+def test_every_particle_moves_by_the_equations_of_clerc_and_kennedy(seed: int) -> None:
+    swarm = ParticleSwarm(D, 0, np.random.default_rng(seed))
+    draws = np.random.default_rng(seed)  # the same numbers, drawn by hand
+    costs_of = np.random.default_rng(seed + 1)
+    x = draws.random((NP, D))
+    v = np.zeros((NP, D))
+    own, own_costs = x.copy(), np.full(NP, np.inf)
+    for generation in range(6):
+        assert swarm.ask() == pytest.approx(x, abs=1e-12)
+        costs = costs_of.random(NP)
+        swarm.tell(costs)
+        for i in range(NP):
+            if costs[i] <= own_costs[i]:
+                own[i], own_costs[i] = x[i], costs[i]
+        assert swarm.costs == pytest.approx(own_costs)
+        assert swarm.population == pytest.approx(own, abs=1e-12), generation
+        best = own[own_costs.argmin()]
+        u1, u2 = draws.random((NP, D)), draws.random((NP, D))
+        for i, j in np.ndindex(NP, D):
+            # chi (v + 2.05 u1 (own - x) + 2.05 u2 (best - x))
+            pull = 2.05 * u1[i, j] * (own[i, j] - x[i, j])
+            pull += 2.05 * u2[i, j] * (best[j] - x[i, j])
+            v[i, j] = min(max(CHI * (v[i, j] + pull), -0.5), 0.5)
+            free = x[i, j] + v[i, j]
+            x[i, j] = min(max(free, 0.0), 1.0)
+            if x[i, j] != free:
+                v[i, j] = 0.0
+
+
+# --- the genetic algorithm: its operators by their distributions
+
+
+def told(x: FloatArray, costs: FloatArray, **operators: float) -> Genetic:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Genetic, "members", len(x))
+        ga = Genetic(x.shape[1], 0, np.random.default_rng(1), x)
+    for name, value in operators.items():
+        assert hasattr(ga, name)
+        setattr(ga, name, value)
+    assert (ga.ask() == x).all()
+    ga.tell(costs)
+    return ga
+
+
+def test_mutations_are_of_one_variable_in_d_with_the_polynomial_distribution() -> None:
+    d = 5
+    ga = told(np.full((MANY, d), 0.5), np.zeros(MANY), crossover=0.0)
+    step = ga.ask() - 0.5
+    # 200,000 draws of 1 / 5: 5 standard deviations are 0.0045
+    assert (step != 0.0).mean() == pytest.approx(1 / d, abs=0.0045)
+    step = np.sort(step[step != 0.0])
+    assert np.abs(step).max() < 0.5  # nothing was clipped
+    # density (n + 1) / 2 (1 - |s|)^n, n = 20: the distribution function by hand
+    half = 0.5 * (1.0 - np.abs(step)) ** 21.0
+    assert_distributed(np.where(step < 0.0, half, 1.0 - half))
+
+
+def test_crossed_children_have_the_binary_distribution_about_the_middle_of_their_parents() -> None:
+    x = np.tile([[0.4], [0.6]], (MANY // 2, 1))
+    # mutations of no size; parents in both halves are drawn at random
+    children = told(x, np.zeros(MANY), crossover=1.0, mutation_index=1e12).ask()[:, 0]
+    one, two = np.split(children, 2)
+    assert (one + two)[np.abs(one - two) > 1e-9] == pytest.approx(1.0, abs=1e-9)
+    spread = np.abs(one - two) / 0.2  # of pairs whose parents differ
+    different = np.abs(one + two - 1.0) < 1e-6
+    beta = np.sort(spread[different & (np.abs(spread - 1.0) > 1e-9)])
+    assert len(beta) > 3_000
+    # density 0.5 (n + 1) beta^n below 1, 0.5 (n + 1) beta^-(n + 2) above, n = 15
+    assert_distributed(np.where(beta < 1.0, 0.5 * beta**16.0, 1.0 - 0.5 * beta**-16.0))
+    # of the pairs that differ, half the variables are crossed
+    assert len(beta) / different.sum() == pytest.approx(0.5, abs=0.03)
+
+
+def assert_distributed(expected: FloatArray) -> None:
+    """Kolmogorov's test at 0.1 %; expected: the distribution function at the sorted draws."""
+    empirical = (np.arange(len(expected)) + 0.5) / len(expected)
+    assert np.abs(expected - empirical).max() < 2.0 / np.sqrt(len(expected))
+
+
+def test_a_parent_is_the_better_of_two() -> None:
+    ranks = np.arange(MANY) / MANY
+    # neither crossover nor mutations of any size: children are parents
+    children = told(ranks[:, None], ranks, crossover=0.0, mutation_index=1e12).ask()[:, 0]
+    # the lesser of two uniform numbers has mean 1/3 and median 1 - sqrt(1/2)
+    assert children.mean() == pytest.approx(1 / 3, abs=0.006)
+    assert np.median(children) == pytest.approx(1.0 - np.sqrt(0.5), abs=0.009)
+
+
+@given(seed=seeds)
+def test_the_best_parent_takes_the_place_of_the_worst_child_unless_a_child_is_as_good(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    x, costs, after = rng.random((6, 2)), rng.random(6), rng.random(6)
+    ga = told(x, costs)
+    expected, expected_costs = ga.ask().tolist(), after.tolist()
+    ga.tell(after)
+    if costs.min() < after.min():
+        worst = expected_costs.index(max(expected_costs))
+        expected[worst], expected_costs[worst] = x[costs.argmin()].tolist(), costs.min()
+    assert ga.population.tolist() == expected
+    assert ga.costs.tolist() == expected_costs
