@@ -347,7 +347,7 @@ def test_the_simplex_makes_the_moves_of_another_implementation(
     while n := ask(state):
         phase = int(state.phase[0])
         if phase not in (names.START, names.EVOLVE, names.BUILD):
-            simplex = simplex if len(simplex) else state.simplex.copy()
+            simplex = simplex if len(simplex) else state.simplex[:-1].copy()
             moves += list(state.trial[:n].copy())
         state.trial_costs[:n] = [cost(x) for x in state.trial[:n]]
         tell(state, n)
@@ -390,14 +390,14 @@ def test_the_worst_vertex_is_replaced_as_nelder_and_mead_decide(
     told: list[float], worst: float, then: int
 ) -> None:
     state = begin(2, 100, np.empty((0, 2)), Settings(), np.random.default_rng(0))
-    state.simplex[:] = [[0.4, 0.4], [0.5, 0.4], [0.4, 0.5]]
-    state.simplex_costs[:] = 1.0, 2.0, 3.0
+    state.simplex[:3] = [[0.4, 0.4], [0.5, 0.4], [0.4, 0.5]]
+    state.simplex_costs[:3] = 1.0, 2.0, 3.0
     state.phase[0] = names.REFLECT
     for cost in told:
         assert ask(state) == 1
         state.trial_costs[0] = cost
         tell(state, 1)
-    assert sorted(state.simplex_costs) == sorted([1.0, 2.0, worst])
+    assert state.simplex_costs.tolist() == [*sorted([1.0, 2.0, worst]), math.inf]
     assert state.phase[0] == then
 
 
