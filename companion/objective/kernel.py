@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import Scene
+from companion.objective.scene import TERMS, Scene
 from companion.path.envelope import ending_m_s, flown_on_m, rising_m_s
 from companion.world.clearance import Surface
 from companion.world.zones import NearCells, polygon_at
@@ -42,42 +42,46 @@ BETWEEN = 3  # points a chord at which terrain and zones count: they are met at 
 _FAR = 1e12
 
 
+LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(len(TERMS))
+
+
 def cost(x: FloatArray, bound: float, scene: Scene) -> float:
     """Eq. 5 for one candidate, (D,) in the unit cube; infinity if it would exceed the bound.
 
-    Its terms, unweighted, stay in `scene.at.terms`, by their place in `scene.TERMS`.
+    Its terms, unweighted, stay in `scene.at.terms`, in the order of `TERMS`.
     """
     a, terms = scene.weights, scene.at.terms
     control, points, ahead = scene.at.control, scene.at.points, scene.at.ahead
     each = PER_SAMPLE / (len(points) - 1)
     place_control_points(x, control, scene)
     sample(points, control, scene.at.basis)
-    terms[0] = points[-1, 3] * PER_LENGTH / scene.scan_range_m
-    terms[1] = height(points, scene)
-    terms[2] = guide(control, scene)
-    terms[6] = remaining_m(control, scene) * PER_LENGTH / scene.scan_range_m
-    total = a[0] * terms[0] + a[1] * terms[1] + a[2] * terms[2] + a[6] * terms[6]
+    terms[LENGTH] = points[-1, 3] * PER_LENGTH / scene.scan_range_m
+    terms[HEIGHT] = height(points, scene)
+    terms[GUIDE] = guide(control, scene)
+    terms[TO_GO] = remaining_m(control, scene) * PER_LENGTH / scene.scan_range_m
+    total = a[LENGTH] * terms[LENGTH] + a[HEIGHT] * terms[HEIGHT] + a[GUIDE] * terms[GUIDE]
+    total += a[TO_GO] * terms[TO_GO]
     if total > bound:
         return math.inf
-    terms[4] = each * RADAR_SCALE * detection(points, scene.radars)
+    terms[RADAR] = each * RADAR_SCALE * detection(points, scene.radars)
     short_m = max(scene.margin * scene.shortest_m - points[-1, 3], 0.0)
-    terms[5] = PER_SAMPLE * SHORT_SCALE * short_m / scene.scan_range_m
-    terms[5] += each * steering(ahead, control, scene.at.basis, scene)
-    total += a[4] * terms[4] + a[5] * terms[5]
+    terms[CONSTRAINTS] = PER_SAMPLE * SHORT_SCALE * short_m / scene.scan_range_m
+    terms[CONSTRAINTS] += each * steering(ahead, control, scene.at.basis, scene)
+    total += a[RADAR] * terms[RADAR] + a[CONSTRAINTS] * terms[CONSTRAINTS]
     if total > bound:
         return math.inf
     outside = leaving(points, scene)
-    scale = a[5] * each * OUTSIDE_SCALE
+    scale = a[CONSTRAINTS] * each * OUTSIDE_SCALE
     outside += intruding(points, scene, (bound - total) / max(scale, 1e-12) - outside)
-    terms[5] += each * OUTSIDE_SCALE * outside
+    terms[CONSTRAINTS] += each * OUTSIDE_SCALE * outside
     total += scale * outside
     if total > bound:
         return math.inf
     low_m = too_low_m(points, scene.surface)
     if scene.limits.hovers:  # a plane circles, and its surface stands off by that
         low_m += dead_man_m(points, ahead, scene)
-    terms[3] = each * CRASH_SCALE / scene.safety_distance_m * low_m
-    total += a[3] * terms[3]
+    terms[CRASH] = each * CRASH_SCALE / scene.safety_distance_m * low_m
+    total += a[CRASH] * terms[CRASH]
     return math.inf if total > bound else float(total)
 
 
@@ -288,13 +292,15 @@ def steering(ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: S
 def leaving(points: FloatArray, scene: Scene) -> float:
     """How far samples lie outside the band or the map, in R / 20."""
     total, limits = 0.0, scene.limits
-    low, high = scene.band_amsl_m
     for j in range(1, len(points)):
-        north, east, altitude = points[j, 0], points[j, 1], points[j, 2]
-        total += max(low - altitude, 0.0) + max(altitude - high, 0.0)
-        total += max(limits.north_m[0] - north, 0.0) + max(north - limits.north_m[1], 0.0)
-        total += max(limits.east_m[0] - east, 0.0) + max(east - limits.east_m[1], 0.0)
+        total += beyond(points[j, 2], scene.band_amsl_m)
+        total += beyond(points[j, 0], limits.north_m) + beyond(points[j, 1], limits.east_m)
     return total / (scene.scan_range_m / 20.0)
+
+
+def beyond(value: float, bounds: tuple[float, float]) -> float:
+    """How far a value lies outside of bounds."""
+    return max(bounds[0] - value, 0.0) + max(value - bounds[1], 0.0)
 
 
 def intruding(points: FloatArray, scene: Scene, most: float) -> float:
