@@ -295,6 +295,7 @@ def test_at_every_moment_the_best_so_far_is_known_and_the_budget_is_kept(
 ) -> None:
     state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(seed))
     told: list[float] = []
+    assert ranked(state)[0].shape == (0, D)
     while n := ask(state):
         assert state.trial[:n].min() >= 0.0
         assert state.trial[:n].max() <= 1.0
@@ -311,29 +312,21 @@ def test_at_every_moment_the_best_so_far_is_known_and_the_budget_is_kept(
     assert ask(state) == 0
 
 
-def test_before_the_first_costs_nothing_is_ranked() -> None:
-    x, costs = ranked(begin(D, 100, NO_SEEDS, Settings(), np.random.default_rng(0)))
-    assert x.shape == (0, D)
-    assert costs.shape == (0,)
-
-
 def rosenbrock(x: FloatArray) -> float:
     y = 2.0 * x - 0.2
     return float((100.0 * (y[1:] - y[:-1] ** 2) ** 2 + (1.0 - y[:-1]) ** 2).sum())
 
 
 def creased(x: FloatArray) -> float:
-    """Kinks and waves about the middle of the cube."""
+    """Kinks and waves about the middle of the cube, so steep that a simplex has to shrink."""
     near = x - 0.45 - 0.01 * np.arange(len(x))
     return float(
-        np.abs(near).sum()
-        + 3.0 * np.abs(near[1:] - near[:-1]).max()
-        + 0.05 * np.sin(90.0 * near).sum()
+        np.abs(near).sum() + 3.0 * np.abs(near[1:] - near[:-1]).max() + np.sin(900.0 * near).sum()
     )
 
 
 @pytest.mark.parametrize("cost", [rosenbrock, creased])
-@pytest.mark.parametrize("dimensions", [2, 3, 7])
+@pytest.mark.parametrize("dimensions", [3, 5, 7])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_simplex_makes_the_moves_of_another_implementation(
     dimensions: int, seed: int, cost: Cost
@@ -373,23 +366,14 @@ def test_the_simplex_makes_the_moves_of_another_implementation(
     assert np.array(moves[:compared]) == pytest.approx(np.array(after[:compared]), abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("told", "worst", "then"),
-    [
-        ([0.5, 0.4], 0.4, names.REFLECT),  # expanded: better still
-        ([0.5, 0.6], 0.5, names.REFLECT),  # expanded: worse than reflected
-        ([1.5], 1.5, names.REFLECT),
-        ([2.5, 2.5], 2.5, names.REFLECT),  # contracted outside
-        ([2.5, 2.6], 3.0, names.SHRINK),
-        ([3.5, 2.9], 2.9, names.REFLECT),  # contracted inside
-        ([3.5, 3.0], 3.0, names.SHRINK),
-        ([math.inf, math.inf], 3.0, names.SHRINK),
-    ],
-)
-def test_the_worst_vertex_is_replaced_as_nelder_and_mead_decide(
-    told: list[float], worst: float, then: int
+EQUAL = [([1.0], 1.0), ([2.0, 1.9], 1.9), ([2.5, 2.5], 2.5), ([3.0, 2.9], 2.9), ([3.5, 3.0], 3.0)]
+
+
+@pytest.mark.parametrize(("told", "worst"), EQUAL)
+def test_between_equals_a_simplex_decides_as_nelder_and_mead(
+    told: list[float], worst: float
 ) -> None:
-    state = begin(2, 100, np.empty((0, 2)), Settings(), np.random.default_rng(0))
+    state = begin(2, 100, None, Settings(), np.random.default_rng(0))
     state.simplex[:3] = [[0.4, 0.4], [0.5, 0.4], [0.4, 0.5]]
     state.simplex_costs[:3] = 1.0, 2.0, 3.0
     state.phase[0] = names.REFLECT
@@ -398,7 +382,7 @@ def test_the_worst_vertex_is_replaced_as_nelder_and_mead_decide(
         state.trial_costs[0] = cost
         tell(state, 1)
     assert state.simplex_costs.tolist() == [*sorted([1.0, 2.0, worst]), math.inf]
-    assert state.phase[0] == then
+    assert state.phase[0] == (names.SHRINK if worst == 3.0 else names.REFLECT)
 
 
 def test_a_simplex_that_has_collapsed_is_begun_anew_and_its_best_vertex_kept() -> None:
