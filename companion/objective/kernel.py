@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import TERMS, Scene
+from companion.objective.scene import Scene
 from companion.path.envelope import ending_m_s, flown_on_m, rising_m_s
 from companion.world.clearance import Surface
 from companion.world.zones import NearCells, polygon_at
@@ -42,7 +42,8 @@ BETWEEN = 3  # points a chord at which terrain and zones count: they are met at 
 _FAR = 1e12
 
 
-LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(len(TERMS))
+LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(7)
+"""Places of `TERMS`."""
 
 
 def cost(x: FloatArray, bound: float, scene: Scene) -> float:

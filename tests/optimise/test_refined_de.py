@@ -129,13 +129,13 @@ def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
 def test_members_of_the_archive_and_each_of_the_p_best_come_into_use() -> None:
     x_best, x_3 = set(), set()
     for seed in range(60):
-        state = started(seed=seed, a=0.5)
+        state = started(seed=seed, a=0.4)
         state.archive[0], state.archived[0] = 0.9, 1
         order = np.argsort(state.costs)
         ask(state)
         for i in range(7):
             for k, b in enumerate(order[:2]):
-                can_be = mutants(state, i, 0.5, [members(state)[b]])
+                can_be = mutants(state, i, 0.4, [members(state)[b]])
                 if nearest(state.trial[i], can_be) < 1e-12:
                     x_best.add(k)
             x_3.add(bool((state.trial[i] < 0.4).any()))
@@ -366,18 +366,25 @@ def test_the_simplex_makes_the_moves_of_another_implementation(
     assert np.array(moves[:compared]) == pytest.approx(np.array(after[:compared]), abs=1e-9)
 
 
-EQUAL = [([1.0], 1.0), ([2.0, 1.9], 1.9), ([2.5, 2.5], 2.5), ([3.0, 2.9], 2.9), ([3.5, 3.0], 3.0)]
+EQUAL = [
+    ([1.0], 1.0, names.REFLECT),
+    ([2.0, 1.9], 1.9, names.OUTSIDE),
+    ([2.5, 2.5], 2.5, names.OUTSIDE),
+    ([3.0, 2.9], 2.9, names.INSIDE),
+    ([3.5, 3.0], 3.0, names.INSIDE),
+]
 
 
-@pytest.mark.parametrize(("told", "worst"), EQUAL)
+@pytest.mark.parametrize(("told", "worst", "second"), EQUAL)
 def test_between_equals_a_simplex_decides_as_nelder_and_mead(
-    told: list[float], worst: float
+    told: list[float], worst: float, second: int
 ) -> None:
     state = begin(2, 100, None, Settings(), np.random.default_rng(0))
     state.simplex[:3] = [[0.4, 0.4], [0.5, 0.4], [0.4, 0.5]]
     state.simplex_costs[:3] = 1.0, 2.0, 3.0
     state.phase[0] = names.REFLECT
-    for cost in told:
+    for k, cost in enumerate(told):
+        assert state.phase[0] == (second if k else names.REFLECT)
         assert ask(state) == 1
         state.trial_costs[0] = cost
         tell(state, 1)
