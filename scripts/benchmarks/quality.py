@@ -165,8 +165,7 @@ def refine(state: refined_de.State, problem: Problem, budget: int) -> tuple[floa
 def solve(name: str, problem: Problem, budget: int, seed: int) -> tuple[float, FloatArray]:
     """The best cost that a search finds, and where."""
     if name == OURS:
-        rng = np.random.default_rng(seed)
-        how = refined_de.Settings()
+        rng, how = np.random.default_rng(seed), refined_de.Settings()
         state = refined_de.begin(problem.dimensions, budget, problem.seeds, how, rng)
         return refine(state, problem, budget)
     cost = Counted(problem, budget)
