@@ -95,14 +95,14 @@ def place_control_points(x: FloatArray, control: FloatArray, scene: Scene) -> No
     From rest the bearing of the tangent is a variable, too.
     """
     last = len(control) - 1
-    at, tangent, bend = scene.start[0], scene.start[1], scene.start[2]
-    tn, te, tz = tangent[0], tangent[1], tangent[2]
+    at, bend = scene.start[0], scene.start[2]
+    tangent = (scene.start[1, 0], scene.start[1, 1], scene.start[1, 2])
     height, free = 3 * last - 7, 3 * last - 6
     if scene.from_rest:
         bearing = scene.guide_rad + (2.0 * x[free] - 1.0) * math.pi
         free += 1
-        tn, te, tz = math.cos(bearing), math.sin(bearing), 0.0
-    azimuth, unit = math.atan2(te, tn), 0.0
+        tangent = (math.cos(bearing), math.sin(bearing), 0.0)
+    azimuth = math.atan2(tangent[1], tangent[0])
     if scene.is_final:
         control[last, 0], control[last, 1] = scene.final_ne_m
         unit = math.hypot(control[last, 0] - at[0], control[last, 1] - at[1])
@@ -116,10 +116,9 @@ def place_control_points(x: FloatArray, control: FloatArray, scene: Scene) -> No
     r2 = (SHORTEST_R2 + (LONGEST_R2 - SHORTEST_R2) * x[0]) * unit
     s = r2 + (SHORTEST_S + (LONGEST_S - SHORTEST_S) * x[1]) * unit
     for i in range(3):
-        along = tn if i == 0 else (te if i == 1 else tz)
         control[0, i] = at[i]
-        control[1, i] = at[i] + r2 * along
-        control[2, i] = at[i] + s * along + 3.0 * r2 * r2 * bend[i]
+        control[1, i] = at[i] + r2 * tangent[i]
+        control[2, i] = at[i] + s * tangent[i] + 3.0 * r2 * r2 * bend[i]
     low, high = scene.band_amsl_m
     for k in range(3, last):
         r = (SHORTEST_R + (LONGEST_R - SHORTEST_R) * x[3 * k - 7]) * unit
