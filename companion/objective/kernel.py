@@ -42,42 +42,47 @@ BETWEEN = 3  # points a chord at which terrain and zones count: they are met at 
 _FAR = 1e12
 
 
+LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(7)
+"""Places of `TERMS`."""
+
+
 def cost(x: FloatArray, bound: float, scene: Scene) -> float:
     """Eq. 5 for one candidate, (D,) in the unit cube; infinity if it would exceed the bound.
 
-    Its terms, unweighted, stay in `scene.at.terms`, by their place in `scene.TERMS`.
+    Its terms, unweighted, stay in `scene.at.terms`, in the order of `TERMS`.
     """
     a, terms = scene.weights, scene.at.terms
     control, points, ahead = scene.at.control, scene.at.points, scene.at.ahead
     each = PER_SAMPLE / (len(points) - 1)
     place_control_points(x, control, scene)
     sample(points, control, scene.at.basis)
-    terms[0] = points[-1, 3] * PER_LENGTH / scene.scan_range_m
-    terms[1] = height(points, scene)
-    terms[2] = guide(control, scene)
-    terms[6] = remaining_m(control, scene) * PER_LENGTH / scene.scan_range_m
-    total = a[0] * terms[0] + a[1] * terms[1] + a[2] * terms[2] + a[6] * terms[6]
+    terms[LENGTH] = points[-1, 3] * PER_LENGTH / scene.scan_range_m
+    terms[HEIGHT] = height(points, scene)
+    terms[GUIDE] = guide(control, scene)
+    terms[TO_GO] = remaining_m(control, scene) * PER_LENGTH / scene.scan_range_m
+    total = a[LENGTH] * terms[LENGTH] + a[HEIGHT] * terms[HEIGHT] + a[GUIDE] * terms[GUIDE]
+    total += a[TO_GO] * terms[TO_GO]
     if total > bound:
         return math.inf
-    terms[4] = each * RADAR_SCALE * detection(points, scene.radars)
+    terms[RADAR] = each * RADAR_SCALE * detection(points, scene.radars)
     short_m = max(scene.margin * scene.shortest_m - points[-1, 3], 0.0)
-    terms[5] = PER_SAMPLE * SHORT_SCALE * short_m / scene.scan_range_m
-    terms[5] += each * steering(ahead, control, scene.at.basis, scene)
-    total += a[4] * terms[4] + a[5] * terms[5]
+    terms[CONSTRAINTS] = PER_SAMPLE * SHORT_SCALE * short_m / scene.scan_range_m
+    terms[CONSTRAINTS] += each * steering(ahead, control, scene.at.basis, scene)
+    total += a[RADAR] * terms[RADAR] + a[CONSTRAINTS] * terms[CONSTRAINTS]
     if total > bound:
         return math.inf
     outside = leaving(points, scene)
-    scale = a[5] * each * OUTSIDE_SCALE
+    scale = a[CONSTRAINTS] * each * OUTSIDE_SCALE
     outside += intruding(points, scene, (bound - total) / max(scale, 1e-12) - outside)
-    terms[5] += each * OUTSIDE_SCALE * outside
+    terms[CONSTRAINTS] += each * OUTSIDE_SCALE * outside
     total += scale * outside
     if total > bound:
         return math.inf
     low_m = too_low_m(points, scene.surface)
     if scene.limits.hovers:  # a plane circles, and its surface stands off by that
         low_m += dead_man_m(points, ahead, scene)
-    terms[3] = each * CRASH_SCALE / scene.safety_distance_m * low_m
-    total += a[3] * terms[3]
+    terms[CRASH] = each * CRASH_SCALE / scene.safety_distance_m * low_m
+    total += a[CRASH] * terms[CRASH]
     return math.inf if total > bound else float(total)
 
 
@@ -90,14 +95,14 @@ def place_control_points(x: FloatArray, control: FloatArray, scene: Scene) -> No
     From rest the bearing of the tangent is a variable, too.
     """
     last = len(control) - 1
-    at, tangent, bend = scene.start[0], scene.start[1], scene.start[2]
-    tn, te, tz = tangent[0], tangent[1], tangent[2]
+    at, bend = scene.start[0], scene.start[2]
+    tangent = (scene.start[1, 0], scene.start[1, 1], scene.start[1, 2])
     height, free = 3 * last - 7, 3 * last - 6
     if scene.from_rest:
         bearing = scene.guide_rad + (2.0 * x[free] - 1.0) * math.pi
         free += 1
-        tn, te, tz = math.cos(bearing), math.sin(bearing), 0.0
-    azimuth, unit = math.atan2(te, tn), 0.0
+        tangent = (math.cos(bearing), math.sin(bearing), 0.0)
+    azimuth = math.atan2(tangent[1], tangent[0])
     if scene.is_final:
         control[last, 0], control[last, 1] = scene.final_ne_m
         unit = math.hypot(control[last, 0] - at[0], control[last, 1] - at[1])
@@ -111,10 +116,9 @@ def place_control_points(x: FloatArray, control: FloatArray, scene: Scene) -> No
     r2 = (SHORTEST_R2 + (LONGEST_R2 - SHORTEST_R2) * x[0]) * unit
     s = r2 + (SHORTEST_S + (LONGEST_S - SHORTEST_S) * x[1]) * unit
     for i in range(3):
-        along = tn if i == 0 else (te if i == 1 else tz)
         control[0, i] = at[i]
-        control[1, i] = at[i] + r2 * along
-        control[2, i] = at[i] + s * along + 3.0 * r2 * r2 * bend[i]
+        control[1, i] = at[i] + r2 * tangent[i]
+        control[2, i] = at[i] + s * tangent[i] + 3.0 * r2 * r2 * bend[i]
     low, high = scene.band_amsl_m
     for k in range(3, last):
         r = (SHORTEST_R + (LONGEST_R - SHORTEST_R) * x[3 * k - 7]) * unit
@@ -288,13 +292,15 @@ def steering(ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: S
 def leaving(points: FloatArray, scene: Scene) -> float:
     """How far samples lie outside the band or the map, in R / 20."""
     total, limits = 0.0, scene.limits
-    low, high = scene.band_amsl_m
     for j in range(1, len(points)):
-        north, east, altitude = points[j, 0], points[j, 1], points[j, 2]
-        total += max(low - altitude, 0.0) + max(altitude - high, 0.0)
-        total += max(limits.north_m[0] - north, 0.0) + max(north - limits.north_m[1], 0.0)
-        total += max(limits.east_m[0] - east, 0.0) + max(east - limits.east_m[1], 0.0)
+        total += beyond(points[j, 2], scene.band_amsl_m)
+        total += beyond(points[j, 0], limits.north_m) + beyond(points[j, 1], limits.east_m)
     return total / (scene.scan_range_m / 20.0)
+
+
+def beyond(value: float, bounds: tuple[float, float]) -> float:
+    """How far a value lies outside of bounds."""
+    return max(bounds[0] - value, 0.0) + max(value - bounds[1], 0.0)
 
 
 def intruding(points: FloatArray, scene: Scene, most: float) -> float:

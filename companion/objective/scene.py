@@ -1,21 +1,11 @@
 """What one subpath is planned in, and the weights of what it costs, in profile `flight`.
 
-What differs from the paper as printed (`paper.terms`), and why, is in design 5.2:
+What differs from the paper as printed (`paper.terms`), and why, is in design 5.2; how control
+points are drawn from the search's variables, in `planner-numbers`, part E.
 
-- the curve has five or six control points, of which the third continues the curvature of the
-  subpath before it (`planner-numbers` part E), so joins are smooth to the second derivative; its
-  end lies anywhere within the circle on whose rim the paper has it, and from rest it leaves in any
-  direction;
-- f1 is the length of the curve, not of its control polygon, and goes on beyond the curve: what is
-  left to fly is the cost-to-go at its end, in the same currency;
-- f3 pulls towards where the best way to the target leaves the circle;
-- f4 counts what lies below a surface that already stands off the terrain, and below that on the
-  stretch that the vehicle would cover if the companion died (a plane would circle: the surface
-  stands off by its circle too);
-- f6 bounds the curvature and the climb of the curve itself.
-
-The costs themselves are in `kernel`.  One more term takes two places: a row of `Weights` here, from
-which the key of the mission file, journal, report and figures derive, and a line in `kernel.cost`.
+The costs themselves are in `kernel`.  One more term takes two places: a row of `Weights`, from
+which the key of the mission file, journal, report, view and figures derive, and `kernel`, where it
+is named and computed, in `cost`.
 """
 
 from dataclasses import fields
@@ -85,47 +75,28 @@ class Scene(NamedTuple):
     Positions are north, east, altitude AMSL; metres, radians.
     """
 
-    weights: tuple[float, ...]
-    """Of `TERMS`."""
+    weights: tuple[float, ...]  # of `TERMS`
     limits: Bounds
     motion: Envelope
-    margin: float
-    """Factor on the turn radius and on the steepness that the search aims at."""
+    margin: float  # on the turn radius and on the steepness, a factor that the search aims at
     start: FloatArray  # (3, 3): p_prog, the tangent and the curvature there
-    from_rest: bool
-    """Whether it starts from a hover: slow at first, and in any direction."""
-    shortest_m: float
-    """The least length: in flight, what the vehicle stops in."""
-    scan_ne_m: tuple[float, float]
-    """p_scan: the centre of the circle in which the subpath ends."""
-    scan_range_m: float
-    """R, the unit of distances along the curve."""
-    end_radius_m: float
-    """Radius of that circle: so much of R that d_s is kept inside."""
-    is_final: bool
-    """Whether the subpath ends at the target."""
-    final_ne_m: tuple[float, float]
-    """The target."""
-    guide_rad: float
-    """Bearing of the guide direction from p_scan."""
-    to_go: Surface
-    """Cost to the target from each place, in metres of level flight at the floor of the band."""
-    needed: Surface
-    """The lowest altitude at each place from which the way on can be climbed, AMSL."""
-    look_ahead_m: float
-    """The cost-to-go counts so far straight on from the end: an end that faces terrain is dear."""
-    descent_m: float
-    """What it costs to come down from the ceiling to the floor, in metres of level flight."""
-    safety_distance_m: float
-    """d_s."""
-    clearance_m: float
-    """What the search keeps from zones."""
-    surface: Surface
-    """The altitude that keeps the clearance from the terrain."""
-    contact: Surface
-    """The altitude that the dead-man stretch must keep."""
-    band_amsl_m: tuple[float, float]
-    """Lowest and highest altitude to plan for: the vehicle on the path stays in the band too."""
+    from_rest: bool  # from a hover: slow at first, and in any direction
+    shortest_m: float  # the least length: in flight, what the vehicle stops in
+    scan_ne_m: tuple[float, float]  # p_scan: the centre of the circle in which the subpath ends
+    scan_range_m: float  # R, the unit of distances along the curve
+    end_radius_m: float  # of that circle: so much of R that d_s is kept inside
+    is_final: bool  # it ends at the target
+    final_ne_m: tuple[float, float]  # the target
+    guide_rad: float  # bearing of the guide direction from p_scan
+    to_go: Surface  # cost to the target from each place, in metres of level flight at the floor
+    needed: Surface  # the lowest altitude from which the way on can be climbed, AMSL
+    look_ahead_m: float  # cost-to-go counts so far straight on: an end that faces terrain is dear
+    descent_m: float  # cost of coming down from ceiling to floor, in metres of level flight
+    safety_distance_m: float  # d_s
+    clearance_m: float  # what the search keeps from zones
+    surface: Surface  # the altitude that keeps the clearance from the terrain
+    contact: Surface  # the altitude that the dead-man stretch must keep
+    band_amsl_m: tuple[float, float]  # to plan in: the vehicle on the path stays within limits
     radars: FloatArray  # (n, 5): north, east, altitude, range, range and margin
     zones: ZoneTable
     near_polygons: NearCells

@@ -44,6 +44,9 @@ _COLLAPSED = 1e-5  # widest edge of a simplex that is begun anew
 
 START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)
 """`State.phase`: what the trials under way are."""
+SLOT, P_BEST, R1, R2, R3, CERTAIN, ARCHIVE, CROSS = range(8)
+"""Columns of `State.uniforms`: slot of the memory, x_best, x_r1, x_r2 and x_r3 of eq. 17, the
+variable that certainly changes, whose place in the archive is taken; from CROSS on, eq. 13."""
 
 
 class Settings(NamedTuple):
@@ -57,8 +60,6 @@ class Settings(NamedTuple):
     """Share of the population among which x_best of eq. 17 is drawn."""
     own: float = 0.5
     """Share of trials whose x_r1 of eq. 17 is the member itself: it keeps basins apart."""
-    archive: float = 1.0
-    """Beaten parents that are kept, per member."""
     memory: int = 5
     """Pairs of a and Cr that are remembered."""
     spread: float = 0.1
@@ -74,29 +75,14 @@ class Settings(NamedTuple):
         return self.population or max(min(max(wanted, _LEAST), _MOST), self.smallest)
 
 
-class Draws(NamedTuple):
-    """Uniform numbers: row e is for evaluation e of the evolution."""
-
-    slot: FloatArray  # (E,): of the memory
-    p_best: FloatArray
-    r1: FloatArray
-    r2: FloatArray
-    r3: FloatArray
-    kept: FloatArray  # the variable that certainly changes
-    archive: FloatArray  # whose place there a beaten parent takes
-    cross: FloatArray  # (E, D)
-    deviates: FloatArray  # (E, 2): Cauchy's for a, normal ones for Cr
-
-
 class State(NamedTuple):
     """A search under way: arrays that are changed in place.  NP members, D variables."""
 
     settings: Settings
     budget: int
     polish_at: int  # evaluations before the simplex
-    first: int  # members at the start
-    smallest: int  # at the end
-    draws: Draws
+    uniforms: FloatArray  # (E, CROSS + D): row e is drawn for evaluation e of the evolution
+    deviates: FloatArray  # (E, 2): likewise, Cauchy's for a, normal ones for Cr
     spent: IntArray  # (1,): evaluations
     phase: IntArray  # (1,)
     size: IntArray  # (1,): members
@@ -109,20 +95,17 @@ class State(NamedTuple):
     trial_costs: FloatArray  # (max(NP, D),): the answer
     trial_bounds: FloatArray  # (max(NP, D),): a trial that costs more is sure to be rejected
     archived: IntArray  # (1,)
-    archive: FloatArray  # (A, D): the first `archived` rows count
+    archive: FloatArray  # (NP, D): beaten parents, the first `archived` rows count
     slot: IntArray  # (1,): of the memory, the next to be written
     memory: FloatArray  # (H, 2): 1 - a and Cr that succeeded
-    simplex: FloatArray  # (D + 1, D): vertices, best first
-    simplex_costs: FloatArray  # (D + 1,)
-    centre: FloatArray  # (D,): of all vertices but the worst
-    reflected: FloatArray  # (1, D): the worst vertex reflected at the centre
-    reflected_cost: FloatArray  # (1,)
+    simplex: FloatArray  # (D + 2, D): vertices, best first, and one that may replace the worst
+    simplex_costs: FloatArray  # (D + 2,): infinite where there is none
 
 
 def begin(
     dimensions: int,
     evaluations: int,
-    seeds: FloatArray,
+    seeds: FloatArray | None,
     settings: Settings,
     rng: np.random.Generator,
 ) -> State:
@@ -137,14 +120,12 @@ def begin(
     trial = np.zeros((rows, dimensions))
     trial[:size] = first_members(size, dimensions, rng, seeds)
     deviates = np.stack([rng.standard_cauchy(polish_at), rng.standard_normal(polish_at)], axis=1)
-    uniforms = rng.random((polish_at, 7 + dimensions))
     return State(
         settings=settings,
         budget=evaluations,
         polish_at=polish_at,
-        first=size,
-        smallest=min(settings.smallest, size),
-        draws=Draws._make([*uniforms.T[:7], uniforms[:, 7:], deviates]),
+        uniforms=rng.random((polish_at, CROSS + dimensions)),
+        deviates=deviates,
         spent=np.array([0]),
         phase=np.array([START]),
         size=np.array([size]),
@@ -157,14 +138,11 @@ def begin(
         trial_costs=np.full(rows, math.inf),
         trial_bounds=np.full(rows, math.inf),
         archived=np.array([0]),
-        archive=np.zeros((int(settings.archive * size), dimensions)),
+        archive=np.zeros((size, dimensions)),
         slot=np.array([0]),
         memory=np.full((settings.memory, 2), 0.5),
-        simplex=np.zeros((dimensions + 1, dimensions)),
-        simplex_costs=np.full(dimensions + 1, math.inf),
-        centre=np.zeros(dimensions),
-        reflected=np.zeros((1, dimensions)),
-        reflected_cost=np.zeros(1),
+        simplex=np.zeros((dimensions + 2, dimensions)),
+        simplex_costs=np.full(dimensions + 2, math.inf),
     )
 
 
@@ -173,20 +151,10 @@ def ranked(state: State) -> tuple[FloatArray, FloatArray]:
 
     -> (M, D) in the unit cube, and their costs (M,); nothing before the first tell().
     """
-    phase = int(state.phase[0])
-    size = int(state.size[0]) if phase != START else 0
-    vertices = state.simplex_costs < math.inf  # the others have not been evaluated
-    pending = int(phase in (EXPAND, OUTSIDE))  # a reflected vertex may be the best so far
-    x = np.concatenate(
-        [state.simplex[vertices], state.reflected[:pending], state.population[:size]]
-    )
-    costs = np.concatenate(
-        [
-            state.simplex_costs[vertices],
-            state.reflected_cost[:pending],
-            state.costs[:size],
-        ]
-    )
+    size = int(state.size[0]) if state.phase[0] != START else 0
+    vertices = state.simplex_costs < math.inf
+    x = np.concatenate([state.simplex[vertices], state.population[:size]])
+    costs = np.concatenate([state.simplex_costs[vertices], state.costs[:size]])
     order = np.argsort(costs, kind="stable")
     x, costs = x[order], costs[order]
     first = np.sort(np.unique(x, axis=0, return_index=True)[1])
@@ -195,7 +163,7 @@ def ranked(state: State) -> tuple[FloatArray, FloatArray]:
 
 @final
 class RefinedDE:
-    """The search as an `Optimiser` for the one loop; it goes on polishing beyond its budget."""
+    """The search as an `Optimiser` for the one loop."""
 
     def __init__(
         self,
@@ -205,10 +173,7 @@ class RefinedDE:
         seeds: FloatArray | None = None,
     ) -> None:
         """evaluations: the budget; seeds: candidates to start from, (K, D) in the unit cube."""
-        if seeds is None:
-            seeds = np.empty((0, dimensions))
-        state = begin(dimensions, max(evaluations, 1), seeds, Settings(), rng)
-        self._state = state._replace(budget=np.iinfo(np.int64).max)
+        self._state = begin(dimensions, evaluations, seeds, Settings(), rng)
 
     @property
     def population(self) -> FloatArray:
@@ -240,70 +205,57 @@ def spent(state: State) -> int:
 
 def ask(state: State) -> int:
     """Put the next candidates into trial[:n] and trial_bounds[:n].  -> n, 0 at the budget's end."""
-    left = int(state.budget - state.spent[0])
-    phase = int(state.phase[0])
+    left, size, phase = state.budget - spent(state), int(state.size[0]), int(state.phase[0])
     if left <= 0:
         return 0
     if phase == START:
-        return min(int(state.size[0]), left)
+        return min(size, left)
     if phase == EVOLVE:
-        n = min(int(state.size[0]), int(state.polish_at - state.spent[0]))
-        _propose(state, n)
-        return n
-    return min(propose_vertices(state, phase), left)
+        return _propose(state, min(size, state.polish_at - spent(state)))
+    return min(_propose_vertices(state, phase), left)
 
 
 def tell(state: State, n: int) -> None:
     """Learn from trial_costs[:n], the costs of the trials of the last ask()."""
-    phase = int(state.phase[0])
+    phase, costs = int(state.phase[0]), state.trial_costs[:n]
+    costs[:] = np.where(np.isnan(costs), math.inf, costs)
     state.spent[0] += n
-    for i in range(n):
-        if math.isnan(state.trial_costs[i]):
-            state.trial_costs[i] = math.inf
-    if phase == START:
-        _populate(state, n)
-    elif phase == EVOLVE:
-        _select(state, n)
-    else:
-        transform(state, n, phase)
+    if phase not in (START, EVOLVE):
+        _transform(state, n, phase)
         return
-    _sort(state)
+    if phase == START:
+        state.population[:n], state.costs[:n] = state.trial[:n], costs
+        state.size[0], state.phase[0] = n, EVOLVE
+    else:
+        _select(state, n)
+    _sort(state.order[: state.size[0]], state.costs)
     _reduce(state)
     if state.spent[0] >= state.polish_at or state.size[0] < FEWEST:
-        begin_polish(state)
+        best = state.order[0]
+        state.simplex[0], state.simplex_costs[0] = state.population[best], state.costs[best]
+        state.phase[0] = BUILD
 
 
-def _populate(state: State, n: int) -> None:
-    """The first trials are the population."""
-    state.population[:n] = state.trial[:n]
-    state.costs[:n] = state.trial_costs[:n]
-    state.size[0] = n
-    state.phase[0] = EVOLVE
-
-
-def _propose(state: State, n: int) -> None:
-    """The trials of the first n members: eq. 17 with k1 and k2 of eq. 18, and eq. 13."""
-    rules, draws, memory = state.settings, state.draws, state.memory
+def _propose(state: State, n: int) -> int:
+    """The trials of the first n members: eq. 17 with k1 and k2 of eq. 18, and eq. 13.  -> n."""
+    rules, memory = state.settings, state.memory
     population, archive, trial = state.population, state.archive, state.trial
     size, total = int(state.size[0]), int(state.size[0] + state.archived[0])
     among = min(max(int(rules.p_best * size + 0.5), 2), size)
-    spread, own = rules.spread, rules.own
-    memories, dimensions = memory.shape[0], trial.shape[1]
-    deviates = state.draws.deviates
     for i in range(n):
-        row = int(state.spent[0]) + i
-        slot = int(draws.slot[row] * memories)
-        pull = min(max(memory[slot, 0] + spread * deviates[row, 0], 0.0), 1.0)  # 1 - a
-        cr = memory[slot, 1] + spread * deviates[row, 1]
+        u, deviates = state.uniforms[spent(state) + i], state.deviates[spent(state) + i]
+        slot = int(u[SLOT] * len(memory))
+        pull = min(max(memory[slot, 0] + rules.spread * deviates[0], 0.0), 1.0)  # 1 - a
+        cr = memory[slot, 1] + rules.spread * deviates[1]
         state.pull[i], state.cr[i] = pull, min(max(cr, 0.0), 1.0)
-        best = state.order[int(draws.p_best[row] * among)]
-        drawn = (draws.r1[row] - own) / (1.0 - own)
-        r1, r2, r3 = others(i, size, total, max(drawn, 0.0), draws.r2[row], draws.r3[row])
+        best = state.order[int(u[P_BEST] * among)]
+        drawn = (u[R1] - rules.own) / (1.0 - rules.own)
+        r1, r2, r3 = others(i, size, total, max(drawn, 0.0), u[R2], u[R3])
         if drawn < 0.0:
             r1 = i
-        kept = int(draws.kept[row] * dimensions)
-        for j in range(dimensions):
-            if draws.cross[row, j] <= cr or j == kept:
+        certain = int(u[CERTAIN] * trial.shape[1])
+        for j in range(trial.shape[1]):
+            if u[CROSS + j] <= cr or j == certain:
                 x_3 = population[r3, j] if r3 < size else archive[r3 - size, j]
                 mutant = (1.0 - pull) * population[r1, j] + pull * population[best, j]
                 mutant += pull * (population[r2, j] - x_3)
@@ -311,34 +263,26 @@ def _propose(state: State, n: int) -> None:
             else:
                 trial[i, j] = population[i, j]
         state.trial_bounds[i] = state.costs[i]
+    return n
 
 
 def others(i: int, size: int, total: int, u1: float, u2: float, u3: float) -> tuple[int, int, int]:
     """Three that are not i nor each other, two of size and the third of total, by uniform u."""
-    r1 = int(u1 * (size - 1))
-    if r1 >= i:
-        r1 += 1
+    r1 = _past(int(u1 * (size - 1)), i)
     low, high = min(i, r1), max(i, r1)
-    r2 = int(u2 * (size - 2))
-    if r2 >= low:
-        r2 += 1
-    if r2 >= high:
-        r2 += 1
-    middle = max(low, min(high, r2))
-    low, high = min(low, r2), max(high, r2)
-    r3 = int(u3 * (total - 3))
-    if r3 >= low:
-        r3 += 1
-    if r3 >= middle:
-        r3 += 1
-    if r3 >= high:
-        r3 += 1
-    return r1, r2, r3
+    r2 = _past(_past(int(u2 * (size - 2)), low), high)
+    low, middle, high = min(low, r2), max(low, min(high, r2)), max(high, r2)
+    return r1, r2, _past(_past(_past(int(u3 * (total - 3)), low), middle), high)
+
+
+def _past(index: int, taken: int) -> int:
+    """An index among those that are left, counted with the one that is taken."""
+    return index + 1 if index >= taken else index
 
 
 def _select(state: State, n: int) -> None:
     """Eq. 14, and what it teaches: the archive and the memory of a and Cr, by gains in cost."""
-    first_row = int(state.spent[0]) - n
+    first_row = spent(state) - n
     total = pulls = squares = crs = 0.0
     for i in range(n):
         cost, trial_cost = float(state.costs[i]), float(state.trial_costs[i])
@@ -350,37 +294,26 @@ def _select(state: State, n: int) -> None:
             pulls += gain * state.pull[i]
             squares += gain * state.pull[i] ** 2
             crs += gain * state.cr[i]
-            _keep(state, i, first_row + i)
+            kept = int(state.archived[0])
+            if kept < state.size[0]:
+                state.archived[0] += 1
+            else:  # in the place of a random one
+                kept = int(state.uniforms[first_row + i, ARCHIVE] * state.size[0])
+            state.archive[kept] = state.population[i]
         state.population[i] = state.trial[i]
         state.costs[i] = trial_cost
     if total > 0.0:
         slot = int(state.slot[0])
         state.memory[slot, 0] = squares / pulls if pulls > 0.0 else 0.0
         state.memory[slot, 1] = crs / total
-        state.slot[0] = (slot + 1) % state.memory.shape[0]
+        state.slot[0] = (slot + 1) % len(state.memory)
 
 
-def _keep(state: State, i: int, row: int) -> None:
-    """Member i, beaten by its trial, goes into the archive, in place of a random one if full."""
-    room = int(state.settings.archive * state.size[0])
-    if room == 0:
-        return
-    slot = int(state.archived[0])
-    if slot < room:
-        state.archived[0] += 1
-    else:
-        slot = int(state.draws.archive[row] * room)
-    state.archive[slot] = state.population[i]
-
-
-def _sort(state: State) -> None:
-    """Bring the order up to date: by insertion, as few members change their place."""
-    order, costs = state.order, state.costs
-    for k in range(1, int(state.size[0])):
-        member = order[k]
-        cost = costs[member]
-        at = k
-        while at > 0 and costs[order[at - 1]] > cost:
+def _sort(order: IntArray, costs: FloatArray) -> None:
+    """Bring an order by costs up to date: by insertion, as few change their place."""
+    for k in range(1, len(order)):
+        member, at = order[k], k
+        while at > 0 and costs[order[at - 1]] > costs[member]:
             order[at] = order[at - 1]
             at -= 1
         order[at] = member
@@ -388,18 +321,16 @@ def _sort(state: State) -> None:
 
 def _reduce(state: State) -> None:
     """Drop the worst members: the size falls linearly with the evaluations."""
+    first = len(state.population)
+    smallest = min(state.settings.smallest, first)
     progress = min(state.spent[0] / state.polish_at, 1.0)
-    wanted = int(state.first + (state.smallest - state.first) * progress + 0.5)
-    while state.size[0] > wanted:
-        last = int(state.size[0]) - 1
-        worst = int(state.order[last])
-        state.population[worst] = state.population[last]
-        state.costs[worst] = state.costs[last]
-        for k in range(last):
-            if state.order[k] == last:
-                state.order[k] = worst
-        state.size[0] = last
-    state.archived[0] = min(state.archived[0], int(state.settings.archive * state.size[0]))
+    wanted = int(first + (smallest - first) * progress + 0.5)
+    for last in range(int(state.size[0]) - 1, wanted - 1, -1):  # the last takes the worst's place
+        order, worst = state.order[:last], int(state.order[last])
+        state.population[worst], state.costs[worst] = state.population[last], state.costs[last]
+        order[order == last] = worst
+    state.size[0] = min(state.size[0], wanted)
+    state.archived[0] = min(state.archived[0], state.size[0])
 
 
 # The simplex.  Factors for the number of variables D as Gao and Han choose them (Comput. Optim.
@@ -407,136 +338,57 @@ def _reduce(state: State) -> None:
 # Vertices are clipped into the unit cube; one that has collapsed is begun anew about its best.
 
 
-def begin_polish(state: State) -> None:
-    """The best member is the simplex's first vertex."""
-    best = int(state.order[0])
-    state.simplex[0] = state.population[best]
-    state.simplex_costs[0] = state.costs[best]
-    state.phase[0] = BUILD
-
-
-def propose_vertices(state: State, phase: int) -> int:
+def _propose_vertices(state: State, phase: int) -> int:
     """The trials of one step of the simplex.  -> how many."""
-    if phase == BUILD:
-        _propose_simplex(state)
-        return state.simplex.shape[1]
-    if phase == SHRINK:
-        _propose_smaller(state)
-        return state.simplex.shape[1]
-    worst = state.simplex.shape[1]
-    variables = float(max(worst, 2))
-    factor, bound = 1.0, float(state.simplex_costs[worst])
-    if phase == REFLECT:
-        _find_centre(state.simplex, state.centre)
-    elif phase == EXPAND:
-        factor, bound = 1.0 + 2.0 / variables, float(state.reflected_cost[0])
-    elif phase == OUTSIDE:
-        factor, bound = 0.75 - 0.5 / variables, float(state.reflected_cost[0])
-    else:
-        factor = 0.5 / variables - 0.75
-    simplex, centre, trial = state.simplex, state.centre, state.trial
-    for j in range(worst):
-        at = centre[j] + factor * (centre[j] - simplex[worst, j])
-        trial[0, j] = min(max(at, 0.0), 1.0)
-    state.trial_bounds[0] = bound
+    simplex, trial, bounds = state.simplex, state.trial, state.trial_bounds
+    dimensions = simplex.shape[1]
+    best, worst, variables = simplex[0], simplex[dimensions], max(dimensions, 2)
+    if phase == BUILD:  # one edge from the best along each axis, inwards where there is no room
+        edge = state.settings.edge
+        for k in range(dimensions):
+            trial[k] = best
+            trial[k, k] += edge if best[k] + edge <= 1.0 else -edge
+    elif phase == SHRINK:
+        trial[:dimensions] = best + (1.0 - 1.0 / variables) * (simplex[1 : dimensions + 1] - best)
+    if phase in (BUILD, SHRINK):
+        bounds[:dimensions] = math.inf
+        return dimensions
+    contraction = 0.75 - 0.5 / variables
+    factor = 1.0
+    if phase == EXPAND:
+        factor = 1.0 + 2.0 / variables
+    elif phase != REFLECT:
+        factor = contraction if phase == OUTSIDE else -contraction
+    centre = simplex[:dimensions].sum(axis=0) / dimensions
+    trial[0] = np.clip(centre + factor * (centre - worst), 0.0, 1.0)
+    is_beyond = phase in (EXPAND, OUTSIDE)
+    bounds[0] = state.simplex_costs[-1 if is_beyond else dimensions]
     return 1
 
 
-def transform(state: State, n: int, phase: int) -> None:
+def _transform(state: State, n: int, phase: int) -> None:
     """Decide by the costs of the trials what the simplex becomes and what it tries next."""
-    simplex, costs = state.simplex, state.simplex_costs
-    worst = simplex.shape[1]
-    cost = float(state.trial_costs[0])
+    simplex, costs, trial = state.simplex, state.simplex_costs, state.trial
+    cost, to_beat, worst = state.trial_costs[0], state.trial_bounds[0], simplex.shape[1]
     following = REFLECT
     if phase in (BUILD, SHRINK):
-        for k in range(n):
-            simplex[k + 1] = state.trial[k]
-            costs[k + 1] = state.trial_costs[k]
-        _sort_vertices(simplex, costs)
-    elif phase == REFLECT:
-        following = _after_reflection(state, cost)
+        simplex[1 : n + 1], costs[1 : n + 1] = trial[:n], state.trial_costs[:n]
+    elif phase == REFLECT and cost >= to_beat:
+        following = INSIDE
+    elif phase == REFLECT and not costs[0] <= cost < costs[worst - 1]:
+        simplex[-1], costs[-1] = trial[0], cost
+        following = EXPAND if cost < costs[0] else OUTSIDE
+    elif cost < to_beat or (phase == OUTSIDE and cost == to_beat):
+        simplex[worst], costs[worst] = trial[0], cost
     elif phase == EXPAND:
-        if cost < state.reflected_cost[0]:
-            _insert(simplex, costs, state.trial, cost)
-        else:
-            _insert(simplex, costs, state.reflected, float(state.reflected_cost[0]))
-    elif (phase == OUTSIDE and cost <= state.reflected_cost[0]) or (
-        phase == INSIDE and cost < costs[worst]
-    ):
-        _insert(simplex, costs, state.trial, cost)
+        simplex[worst], costs[worst] = simplex[-1], to_beat
     else:
         following = SHRINK
-    if following == REFLECT and _has_collapsed(simplex):
-        following = BUILD
+    if following not in (EXPAND, OUTSIDE):
+        costs[-1] = math.inf
+    if following == REFLECT:
+        order = np.argsort(costs[:-1], kind="mergesort")  # a stable one, and known to numba
+        simplex[:-1], costs[:-1] = simplex[order], costs[order]
+        if np.abs(simplex[1:-1] - simplex[0]).max() < _COLLAPSED:
+            following = BUILD
     state.phase[0] = following
-
-
-def _after_reflection(state: State, cost: float) -> int:
-    """Take the reflected vertex, or keep it in mind.  -> what to try next."""
-    costs, worst = state.simplex_costs, state.simplex.shape[1]
-    if cost >= costs[worst]:
-        return INSIDE
-    if costs[0] <= cost < costs[worst - 1]:
-        _insert(state.simplex, costs, state.trial, cost)
-        return REFLECT
-    state.reflected[0] = state.trial[0]
-    state.reflected_cost[0] = cost
-    return EXPAND if cost < costs[0] else OUTSIDE
-
-
-def _propose_simplex(state: State) -> None:
-    """Vertices one edge from the first, along each axis, inwards where there is no room."""
-    dimensions, edge = state.simplex.shape[1], state.settings.edge
-    for k in range(dimensions):
-        state.trial[k] = state.simplex[0]
-        up = state.simplex[0, k] + edge
-        state.trial[k, k] = up if up <= 1.0 else state.simplex[0, k] - edge
-        state.trial_bounds[k] = math.inf
-
-
-def _propose_smaller(state: State) -> None:
-    """All vertices but the best drawn towards it."""
-    dimensions = state.simplex.shape[1]
-    left = 1.0 - 1.0 / max(dimensions, 2)
-    for k in range(dimensions):
-        for j in range(dimensions):
-            best = state.simplex[0, j]
-            state.trial[k, j] = best + left * (state.simplex[k + 1, j] - best)
-        state.trial_bounds[k] = math.inf
-
-
-def _find_centre(simplex: FloatArray, centre: FloatArray) -> None:
-    """Of all vertices but the worst."""
-    dimensions = len(centre)
-    for j in range(dimensions):
-        total = 0.0
-        for k in range(dimensions):
-            total += simplex[k, j]
-        centre[j] = total / dimensions
-
-
-def _insert(simplex: FloatArray, costs: FloatArray, found: FloatArray, cost: float) -> None:
-    """The first row of what was found takes the worst vertex's place."""
-    simplex[-1] = found[0]
-    costs[-1] = cost
-    _sort_vertices(simplex, costs)
-
-
-def _sort_vertices(simplex: FloatArray, costs: FloatArray) -> None:
-    """Vertices by cost, by insertion."""
-    for k in range(1, len(costs)):
-        at = k
-        while at > 0 and costs[at - 1] > costs[at]:
-            costs[at - 1], costs[at] = costs[at], costs[at - 1]
-            for j in range(simplex.shape[1]):
-                simplex[at - 1, j], simplex[at, j] = simplex[at, j], simplex[at - 1, j]
-            at -= 1
-
-
-def _has_collapsed(simplex: FloatArray) -> bool:
-    """Whether all vertices are as good as one."""
-    for k in range(1, simplex.shape[0]):
-        for j in range(simplex.shape[1]):
-            if abs(simplex[k, j] - simplex[0, j]) >= _COLLAPSED:
-                return False
-    return True

@@ -42,23 +42,19 @@ class Kernel:
     terms: Callable[[FloatArray, Scene], dict[str, float]]
     """The terms of a candidate, (D,), by name, unweighted."""
     prove: Prover
-    """Proves a subpath (`path.certificate`)."""
     dilated_m: Callable[..., FloatArray]
     """Of `world.clearance`."""
     guidance: Any
     """What guidance calls of `cheapest_ways` and `cost_samples`, by name."""
     zone_gaps: LatticeGaps
-    """Distances to zones on a lattice (`world.zones`)."""
 
 
 @cache
 def signature() -> str:
-    """Names numba and the arithmetic: equal names give equal plans to the last digit."""
-    return f"numba {_arithmetic()}"
+    """Names numba and the platform's arithmetic: equal names give equal plans to the last digit.
 
-
-def _arithmetic() -> str:
-    """Digest of the platform's arithmetic: results of libm, numpy, OpenBLAS and PROJ."""
+    The arithmetic is named by a digest of results of libm, numpy, OpenBLAS and PROJ.
+    """
     x = np.linspace(0.1, 3.0, 1600)
     frame = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
     square = x.reshape(40, 40)
@@ -71,7 +67,7 @@ def _arithmetic() -> str:
     digest = hashlib.sha256()
     for each in found:
         digest.update(np.asarray(each, dtype=np.float64).tobytes())
-    return digest.hexdigest()[:8]
+    return f"numba {digest.hexdigest()[:8]}"
 
 
 @cache

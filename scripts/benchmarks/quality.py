@@ -26,6 +26,7 @@ from rich.table import Table
 from running import Bar
 from subpaths import Problem
 
+from companion.caches import compiled
 from companion.geodesy import FloatArray
 from companion.objective.scene import Scene
 from companion.optimise import refined_de
@@ -152,7 +153,7 @@ def refine(state: refined_de.State, problem: Problem, budget: int) -> tuple[floa
     if isinstance(problem.scene, Scene):
         kernels.compiled().search(state, problem.scene, budget)
     else:
-        ask, tell = map(kernels.compiled_alone, (refined_de.ask, refined_de.tell))
+        ask, tell = map(compiled, (refined_de.ask, refined_de.tell))
         while refined_de.spent(state) < budget:
             count = ask(state)
             state.trial_costs[:count] = problem.costs(state.trial[:count])
@@ -164,8 +165,7 @@ def refine(state: refined_de.State, problem: Problem, budget: int) -> tuple[floa
 def solve(name: str, problem: Problem, budget: int, seed: int) -> tuple[float, FloatArray]:
     """The best cost that a search finds, and where."""
     if name == OURS:
-        rng = np.random.default_rng(seed)
-        how = refined_de.Settings()
+        rng, how = np.random.default_rng(seed), refined_de.Settings()
         state = refined_de.begin(problem.dimensions, budget, problem.seeds, how, rng)
         return refine(state, problem, budget)
     cost = Counted(problem, budget)

@@ -1,7 +1,7 @@
 """Random scenes of profile `flight`, with everything in them that its objective knows."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ def random_scene(
         level = np.array([math.cos(heading), math.sin(heading), 0.0])
         start = Pose(position_nea_m=start.position_nea_m, tangent_nea=level)
     north, east, _ = start.point_nea_m
-    weights = rng.uniform(0.05, 1.0, 6).tolist()
+    weights = rng.uniform(0.05, 1.0, len(fields(Weights))).tolist()
     zones = random_zones(rng)
     near = near_cells(
         tuple(zone for zone in zones if isinstance(zone, PolygonZone)),

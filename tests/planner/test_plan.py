@@ -1,6 +1,6 @@
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import count
 
 import numpy as np
@@ -275,11 +275,9 @@ def test_a_wider_search_has_more_time_where_the_vehicle_hovers_but_no_longer_tha
 def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported(
     task: Task, truth: KnownMap
 ) -> None:
-    outcome = planned(ask(task, truth))
-    weights = {"length": 0.1, "height": 0.15, "guide": 0.15, "crash": 0.3, "radar": 0.3}
-    weights["constraints"] = 1.0
+    outcome, weights = planned(ask(task, truth)), asdict(task.settings.weights)
     assert outcome.cost == pytest.approx(sum(a * outcome.terms[f] for f, a in weights.items()))
-    assert outcome.to_go == pytest.approx(0.1 * outcome.terms["to_go"])
+    assert outcome.to_go == pytest.approx(weights["length"] * outcome.terms["to_go"])
     assert outcome.to_go > 0.0
 
 
