@@ -8,13 +8,12 @@ stop, holds on a circle about a point of the curve: its bounds hold for the circ
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import basis
+from companion.path.bspline import cubics_of
 from companion.path.envelope import Envelope, flown_on_m
 from companion.path.limits import Limits
 from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, prove
@@ -213,33 +212,6 @@ def pack_surroundings(
         map_west_m=float(limits.east_m[0]),
         map_east_m=float(limits.east_m[1]),
     )
-
-
-@lru_cache(maxsize=8)
-def _span_coefficients(points: int) -> tuple[FloatArray, FloatArray]:
-    """From control points to the spans' coefficients: of 1, and of t, t^2, t^3.
-
-    -> (spans, points) by the control points, (spans * 3, points - 1) by the legs between them, so
-    that control points that coincide give a speed of exactly 0.
-    """
-    spans = points - 3
-    start = basis(np.arange(spans) / spans, points)
-    end = basis(np.arange(1, spans + 1) / spans, points)
-    first, second = start.first / spans, start.second / spans**2
-    third = end.second / spans**2 - second
-    by_points = np.stack([first, second / 2.0, third / 6.0], axis=1)  # (spans, 3, points)
-    by_legs = -np.cumsum(by_points, axis=-1)[..., :-1].reshape(3 * spans, points - 1)
-    by_legs[np.abs(by_legs) < 1e-12] = 0.0
-    return start.value, by_legs
-
-
-def cubics_of(control_nea_m: FloatArray) -> FloatArray:
-    """Coefficients of 1, t, t^2, t^3 of a B-spline's spans.  (points, 3) -> (spans, 4, 3)."""
-    value, by_legs = _span_coefficients(len(control_nea_m))
-    result = np.empty((len(value), 4, 3))
-    result[:, 0] = value @ control_nea_m
-    result[:, 1:] = (by_legs @ np.diff(control_nea_m, axis=0)).reshape(-1, 3, 3)
-    return result
 
 
 def _table(rows: list[tuple[float, ...]], width: int) -> FloatArray:

@@ -6,7 +6,7 @@ What was proven stays proven: a leg is checked only against rules that are new o
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.certificate import cubics_of
+from companion.path.bspline import cubics_of
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
 from companion.world.columns import distances_to_cells_m

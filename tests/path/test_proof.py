@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.path import proof
-from companion.path.certificate import cubics_of
+from companion.path.bspline import cubics_of
 from companion.path.proof import exposure, first_pieces, piece_of, stretch_of
 from companion.path.proof_shape import extremes, largest, runs_forward
 from companion.planner import kernels
@@ -30,16 +30,6 @@ def a_curve(seed: int) -> FloatArray:
 
 def along(segment: tuple[float, ...]) -> FloatArray:
     return np.array(segment[:3]) + T[:, None] * np.array(segment[3:])
-
-
-@given(seed=seeds)
-def test_the_cubics_are_the_spline(seed: int) -> None:
-    control = a_curve(seed)
-    cubics = cubics_of(control)
-    t = np.linspace(0.0, 1.0, 7)
-    for span, cubic in enumerate(cubics):
-        mine = np.vander(t, 4, increasing=True) @ cubic
-        np.testing.assert_allclose(mine, curve(control)((span + t) / len(cubics)), atol=1e-8)
 
 
 @given(seed=seeds, start=st.floats(0, 0.9), share=st.floats(0.05, 1.0))

@@ -92,7 +92,7 @@ def _measured(
     """Points (S, 3), horizontal curvature, climb angle and metres that each stands for (S,)."""
     whole = subpath.length_m
     samples = subpath.sampled(SPACING_M)
-    at_m = np.linspace(0.0, whole, len(samples.points_nea_m))
+    at_m = np.linspace(0.0, whole, len(samples.value))
     flown = at_m <= flown_m + 1e-9
     edges = np.concatenate([[0.0], 0.5 * (at_m[1:] + at_m[:-1]), [whole]]).clip(max=flown_m)
     speed = np.linalg.norm(samples.first, axis=1)
@@ -100,7 +100,7 @@ def _measured(
     curvature = horizontal_curvature_1_m(samples.first, samples.second)
     climb = climb_angle_rad(samples.first)
     return (
-        samples.points_nea_m[flown],
+        samples.value[flown],
         np.where(corner, np.inf, curvature)[flown],
         np.where(corner, 0.0, climb)[flown],
         np.diff(edges)[flown],
