@@ -10,15 +10,15 @@ Everything runs as plain Python, and compiles with numba as it is.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.envelope import beyond_m, ending_m_s, flown_on_m, rising_m_s
-from companion.path.proof_distance import Surroundings
+from companion.path.envelope import Envelope, beyond_m, ending_m_s, flown_on_m, rising_m_s
 from companion.path.proof_shape import extremes, largest
-from companion.world.columns import Segment, terrain_distance
-from companion.world.zones import zone_distance
+from companion.world.columns import Columns, Segment, terrain_distance
+from companion.world.zones import ZoneTable, zone_distance
 
 ROUNDING = 1e-9
 """A bound missed by no more than this, relative, is missed by arithmetic and not by the curve."""
@@ -33,6 +33,29 @@ _FINEST = 2.0**-24
 _NEVER = 1e12
 _INSIDE_M = 1.0  # how deep in a zone a dead-man stretch ends is not looked into
 _TERRAIN, _ZONES, _DEAD_MAN = 0, 1, 2
+
+
+class Surroundings(NamedTuple):
+    """What a proof is about: terrain, zones, radars and bounds, as plain numbers and arrays."""
+
+    columns: Columns
+    """Of a plane's terrain its circle is dealt with in `registration_m`."""
+    zones: ZoneTable
+    radars: FloatArray  # (N, 4): north, east, altitude, range
+    clearance_m: float
+    """The curve keeps this from terrain and zones; the dead-man stretches keep `contact_m`."""
+    contact_m: float
+    motion: Envelope
+    stops: bool
+    """Whether the vehicle stops at the end of the curve; if not, it may be at full speed there."""
+    curvature_1_m: float
+    climb: float
+    """Tangent of the largest climb angle; `dive` likewise."""
+    dive: float
+    lowest_nea_m: tuple[float, float, float]
+    """The south-western corner of the map, and the floor; `highest_nea_m` likewise."""
+    highest_nea_m: tuple[float, float, float]
+
 
 Piece = tuple[Segment, float, float, float]
 """Its chord; sag, how far it may be from the chord; turn, the cosine of the half-angle of the cone
@@ -112,36 +135,6 @@ def stretch_of(
     return (x, y, z, dx * grow, dy * grow, dz * grow), slack
 
 
-def piece_distance(
-    around: Surroundings,
-    what: int,
-    piece: Piece,
-    flown: float,
-    left: float,
-    limit: float,
-    found: FloatArray,
-) -> tuple[float, float, float]:
-    """Lower and upper bound of a distance over a piece, both at most `limit`, and the slack."""
-    segment, slack = piece[0], piece[1]
-    if what == _DEAD_MAN:
-        segment, slack = stretch_of(around, piece, flown, left)
-    if slack > max(limit, 0.0) + 2.0 * around.clearance_m:
-        return (0.0 if what == _TERRAIN else -_NEVER), limit, slack  # too coarse to be worth it
-    tolerance = 1e-3 * around.clearance_m
-    lower, upper = limit, limit
-    if what != _ZONES:
-        far = terrain_distance(around.columns, segment, limit + slack, tolerance, found)
-        lower, upper = max(far - slack, 0.0), far + tolerance + slack
-    if what != _TERRAIN:
-        within = max(limit + slack + around.motion.loiter_m, 0.0)
-        low, high = zone_distance(around.zones, segment, within)
-        low, high = low - around.motion.loiter_m, high - around.motion.loiter_m
-        if what == _DEAD_MAN:
-            low, high = max(low, -_INSIDE_M), max(high, -_INSIDE_M)
-        lower, upper = min(lower, low - slack), min(upper, high + slack)
-    return min(lower, limit), min(upper, limit), slack
-
-
 def first_pieces(cubics: FloatArray) -> FloatArray:
     """The pieces to begin with: span, start, end, length flown before and left after, at most."""
     spans = cubics.shape[0]
@@ -170,17 +163,36 @@ def part_distance(
     limit: float,
     found: FloatArray,
 ) -> tuple[float, float, float]:
-    """`piece_distance` of a part, start <= t <= end, of one of the first pieces (a row)."""
+    """Bounds of a distance over a part, start <= t <= end, of one of the first pieces (a row).
+
+    -> the lower and the upper one, both at most `limit`, and how far off the part is at most from
+    the segment that stands for it: the slack.
+    """
     span = int(row[0])
     piece = piece_of(cubics, span, start, end)
-    flown, left = math.inf, 0.0
+    segment, slack = piece[0], piece[1]
     if what == _DEAD_MAN:
-        left = math.inf
+        flown, left = math.inf, math.inf
         if around.stops:
             left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
         if from_rest:
             flown = row[3] + piece_of(cubics, span, float(row[1]), end)[3]
-    return piece_distance(around, what, piece, flown, left, limit, found)
+        segment, slack = stretch_of(around, piece, flown, left)
+    if slack > max(limit, 0.0) + 2.0 * around.clearance_m:
+        return (0.0 if what == _TERRAIN else -_NEVER), limit, slack  # too coarse to be worth it
+    tolerance = 1e-3 * around.clearance_m
+    lower, upper = limit, limit
+    if what != _ZONES:
+        far = terrain_distance(around.columns, segment, limit + slack, tolerance, found)
+        lower, upper = max(far - slack, 0.0), far + tolerance + slack
+    if what != _TERRAIN:
+        within = max(limit + slack + around.motion.loiter_m, 0.0)
+        low, high = zone_distance(around.zones, segment, within)
+        low, high = low - around.motion.loiter_m, high - around.motion.loiter_m
+        if what == _DEAD_MAN:
+            low, high = max(low, -_INSIDE_M), max(high, -_INSIDE_M)
+        lower, upper = min(lower, low - slack), min(upper, high + slack)
+    return min(lower, limit), min(upper, limit), slack
 
 
 def least_distance(
@@ -320,12 +332,12 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> FloatArr
         bound, more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
         result[3 + what] = math.sqrt(bound) if what == 0 else bound
         pieces += more
-    south, north = extremes(cubics, 0)
-    west, east = extremes(cubics, 1)
     result[6], result[7] = extremes(cubics, 2)
-    off_n = max(around.map_south_m - south, north - around.map_north_m)
-    off_e = max(around.map_west_m - west, east - around.map_east_m)
-    result[8] = max(0.0, max(off_n, off_e))
+    result[8] = 0.0
+    for axis in range(2):
+        low, high = extremes(cubics, axis)
+        off = max(around.lowest_nea_m[axis] - low, high - around.highest_nea_m[axis])
+        result[8] = max(result[8], off)
     result[9], result[10], more = exposure(cubics, around, table)
     result[11] = pieces + more
     return result

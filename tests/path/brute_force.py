@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from companion.path.certificate import Margins, pack_surroundings
 from companion.path.envelope import Envelope, envelope_of
 from companion.path.limits import Limits
-from companion.path.proof_distance import Surroundings
+from companion.path.proof import Surroundings
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
