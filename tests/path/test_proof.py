@@ -204,15 +204,20 @@ def test_a_track_that_turns_back_does_not_run_forward() -> None:
     assert not runs_forward(cubics_of(line[[0, 3, 3, 0]]))
 
 
-@pytest.mark.parametrize("miss", [0.0, 0.5, 0.9])
-def test_exposure_is_the_chord_and_the_detection_that_of_the_nearest_point(miss: float) -> None:
+@pytest.mark.parametrize("miss", [0.0, 0.5, 0.9, 1.1])
+def test_exposure_is_the_chord_once_and_the_detection_that_of_the_nearest_point(
+    miss: float,
+) -> None:
     cubics = cubics_of(np.array([[1_000.0 * k, 0.0, 0.0] for k in range(4)]))
-    radars = np.array([[1_500.0, 500.0 * miss, 0.0, 500.0]])
-    here = a_case(0).surroundings()._replace(radars=radars)
-    within, detection, _ = exposure(cubics, here, first_pieces(cubics))
-    chord = 1_000.0 * math.sqrt(1.0 - miss**2)
-    assert chord <= within <= chord + 2 * 0.002 * 3_000.0
-    assert detection == pytest.approx(1.0 / (1.0 + miss**4))
+    radar = np.array([1_500.0, 500.0 * miss, 0.0, 500.0])
+    chord = 1_000.0 * math.sqrt(max(1.0 - miss**2, 0.0))
+    for further in (0.0, 0.4 * chord):  # of a second radar that the path meets later
+        radars = radar + np.outer([0.0, further], [1.0, 0.0, 0.0, 0.0])
+        here = a_case(0).surroundings()._replace(radars=radars)
+        within, detection, _ = exposure(cubics, here, first_pieces(cubics))
+        assert chord + further <= within + 1e-9
+        assert within <= chord + further + 2 * 0.002 * 3_000.0
+        assert detection == pytest.approx(1.0 / (1.0 + miss**4) if chord else 0.0)
 
 
 def test_compiled_and_plain_agree_to_1e_9() -> None:
