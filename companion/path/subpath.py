@@ -89,12 +89,12 @@ class Subpath:
             for a, b, c, d in axes
         ]
         position, first, second = zip(*values, strict=True)
-        speed = math.hypot(*first)
+        speed, bend = math.hypot(*first), np.array(second)
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
             inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
-            first, second = [inward * each for each in second], np.zeros(3)
+            first, bend = tuple(inward * each for each in second), np.zeros(3)
             speed = math.hypot(*first)
-        speed, bend = max(speed, 1e-12), np.array(second)
+        speed = max(speed, 1e-12)
         tangent = np.array(first) / speed
         pose = Pose(
             position_nea_m=np.array(position),

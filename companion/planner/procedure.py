@@ -36,7 +36,6 @@ _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
 _PACES = 100  # parts of a leg for each of which a speed is known
 _PROJECTIONS = 2  # to the nearest point of a path that hardly bends over a tracking error
 _LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
-_ON_CIRCLE = 1.0  # tracking errors beyond the circle: farther off a plane has left its path
 
 
 @final
@@ -271,9 +270,9 @@ def is_on_circle(
     position_nea_m: tuple[float, float, float],
     limits: Limits,
 ) -> bool:
-    """Whether a plane has reached its loiter circle."""
+    """Whether a plane has reached its loiter circle, but for its tracking error."""
     off_m = off_disc_m(centre_nea_m, position_nea_m, limits.loiter_radius_m)
-    return off_m <= _ON_CIRCLE * limits.tracking_error_m
+    return off_m <= limits.tracking_error_m
 
 
 def may_leave(

@@ -20,6 +20,7 @@ from companion.path.certificate import Margins, pack_surroundings
 from companion.path.envelope import Envelope, envelope_of
 from companion.path.limits import Limits
 from companion.path.proof import Surroundings
+from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
@@ -405,6 +406,37 @@ def broken_by(told: Any, real: Truth) -> list[str]:
     wrong = [n for n in wrong if getattr(told, n) > getattr(real, n) * (1.0 + 1e-9)]
     wrong += [name for name in most if getattr(told, name) < getattr(real, name) - 2e-6]
     return wrong + ["radar_m"] * (told.radar_m < real.radar_m - 0.002 * real.length_m)
+
+
+def violations(
+    control_nea_m: FloatArray, task: Task, known: KnownMap, *, from_rest: bool
+) -> list[str]:
+    """The bounds of a task that a curve breaks somewhere, in words; empty: none was found."""
+    limits = task.limits
+    error = limits.tracking_error_m + limits.navigation_error_m
+    wanted = task.settings.safety_distance_m + error
+    case = Case(
+        control_nea_m=control_nea_m,
+        from_rest=from_rest,
+        known=known,
+        peaks=None,
+        limits=limits,
+        margins=task.margins,
+        radars=(),
+        zones=task.zones,
+    )
+    real = truth(case, samples=400)
+    broken = {
+        "clearance": min(real.clearance_m, real.keep_out_m) < wanted - 1e-3,
+        "dead man": real.dead_man_m < error - 1e-3,
+        "turn": real.turn_radius_m < limits.turn_radius_m * (1.0 - 1e-6),
+        "climb": real.climb_angle_rad > limits.climb_angle_rad + 1e-6,
+        "dive": real.dive_angle_rad > limits.dive_angle_rad + 1e-6,
+        "floor": real.lowest_amsl_m < limits.floor_amsl_m + error - 1e-3,
+        "ceiling": real.highest_amsl_m > limits.ceiling_amsl_m - error + 1e-3,
+        "map": real.off_map_m > 1e-3,
+    }
+    return [name for name, is_broken in broken.items() if is_broken]
 
 
 def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None) -> FloatArray:

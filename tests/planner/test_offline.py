@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dense_check import violations
+from brute_force import violations
 
 from companion.planner.offline import OfflineFlight, fly_offline, usual_most_legs
 from companion.planner.plan import plan
