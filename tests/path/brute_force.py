@@ -345,10 +345,10 @@ def _least(of: Callable[..., FloatArray], u: FloatArray) -> tuple[float, float]:
 
 
 def truth(case: Case, samples: int = 200) -> Truth:
-    """Everything about a curve, by search."""
-    spline = curve(case.control_nea_m)
+    """Everything about a curve, by search; distances up to four times the clearance."""
+    spline, far_m = curve(case.control_nea_m), 4.0 * case.margins.clearance_m
     u = np.linspace(0.0, 1.0, samples + 1)
-    clearance, where = _least(lambda at, far=np.inf: terrain_m(case, spline(at), far), u)
+    clearance, where = _least(lambda at, far=far_m: terrain_m(case, spline(at), far), u)
     keep_out = np.inf
     for zone in case.zones:
         keep_out = min(
@@ -486,7 +486,7 @@ def _dead_man(
     def at(u: FloatArray, share: FloatArray) -> FloatArray:
         return stretch_points_nea_m(case, spline, fine, lengths, u, share)
 
-    def distance(points: FloatArray, far: float = np.inf) -> FloatArray:
+    def distance(points: FloatArray, far: float = 4.0 * case.margins.clearance_m) -> FloatArray:
         result = column_distance_m(case.known, points, far)
         for zone in case.zones:
             result = np.minimum(result, planning.zone_distance_m(zone, *points.T[:2]))
