@@ -28,9 +28,9 @@ RESULTS = 12
 detection, pieces."""
 _PIECES = 24  # that a curve is cut into at first, about
 _BUDGET = 3_000  # pieces for each bound; what is not proven by then is not
-_STACK = 64
-_FINEST = 2.0**-24
-_NEVER = 1e12
+_FINEST = 2.0**-24  # of a span: 1 mm of 20 km, below which halving brings nothing
+_STACK = 64  # halves that wait, one for each halving: 24 at most
+_NEVER = 1e12  # m: no zone is as deep
 _INSIDE_M = 1.0  # how deep in a zone a dead-man stretch ends is not looked into
 _TERRAIN, _ZONES, _DEAD_MAN = 0, 1, 2
 
