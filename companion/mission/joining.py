@@ -135,7 +135,7 @@ def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:
     """Distance of a point from a leg, and the length along it where it is nearest, metres."""
     length_m = leg.subpath.length_m
     spacing_m = max(_SPACING_M, length_m / _MAX_SAMPLES)
-    points = leg.subpath.sampled(spacing_m).points_nea_m
+    points = leg.subpath.sampled(spacing_m).value
     distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
     k = int(distance.argmin())
     at_m, step_m = length_m * k / (len(points) - 1), length_m / (len(points) - 1)

@@ -1,113 +1,77 @@
-"""Clamped cubic B-splines, evaluated for whole populations at once.
+"""Clamped cubic B-splines with uniform inner knots, held as the cubics of their spans.
 
 A clamped B-spline starts at its first control point, along the first leg of the control
 polygon, and ends at its last one along the last leg (paper 2.4).  With four control points,
 as in the paper, it is the cubic Bezier curve.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import final
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.geodesy import FloatArray
 
-Triple = tuple[float, ...]
-"""One number for each axis."""
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Basis:
-    """Basis functions and their first two derivatives by u at S parameters; each (S, points)."""
+class Samples(NamedTuple):
+    """Values and the first two derivatives by u, which is 0 to 1 along the spline; each (S, D)."""
 
     value: FloatArray
     first: FloatArray
     second: FloatArray
 
 
-@lru_cache(maxsize=64)
-def uniform_basis(samples: int, points: int = 4) -> Basis:
-    """The basis at u = j / samples, j = 0 .. samples (the start and the end included)."""
-    return basis(np.linspace(0.0, 1.0, samples + 1), points)
+def cubics_of(control: FloatArray) -> FloatArray:
+    """Coefficients of 1, t, t^2, t^3, 0 <= t <= 1, of each span.  (points, D) -> (spans, 4, D).
+
+    They are taken from the legs of the polygon: where control points coincide the speed is
+    exactly 0.
+    """
+    cubics: FloatArray = _cubics_by_legs(len(control)) @ np.diff(control, axis=0)
+    cubics[:, 0] += control[0]
+    return cubics
 
 
-def basis(u: FloatArray, points: int = 4) -> Basis:
-    """The basis of a clamped cubic B-spline with uniform inner knots.  (S,), 0 <= u <= 1."""
-    matrices = _span_matrices(points)  # (spans, 4, points)
-    spans = len(matrices)
+def samples_at(cubics: FloatArray, u: FloatArray) -> Samples:
+    """The spline at parameters.  (spans, 4, D), (S,)."""
+    spans = len(cubics)
     span = np.minimum((u * spans).astype(np.intp), spans - 1)
-    t = u * spans - span
-    zero, one = np.zeros_like(t), np.ones_like(t)
-    value = np.stack([one, t, t**2, t**3], axis=-1)
-    first = np.stack([zero, one, 2.0 * t, 3.0 * t**2], axis=-1) * spans
-    second = np.stack([zero, zero, 2.0 * one, 6.0 * t], axis=-1) * spans**2
-    here = matrices[span]  # (S, 4, points)
-    return Basis(
-        value=np.einsum("sk,skn->sn", value, here),
-        first=np.einsum("sk,skn->sn", first, here),
-        second=np.einsum("sk,skn->sn", second, here),
+    t = (u * spans - span)[:, None]
+    c0, c1, c2, c3 = cubics.transpose(1, 0, 2)[:, span]
+    return Samples(
+        value=c0 + t * (c1 + t * (c2 + t * c3)),
+        first=(c1 + t * (2.0 * c2 + t * 3.0 * c3)) * spans,
+        second=(2.0 * c2 + t * 6.0 * c3) * spans**2,
     )
 
 
-@final
-class Cubics:
-    """One curve as a cubic of each span: what a single point costs a tenth of as by `basis`.
+@lru_cache(maxsize=64)
+def uniform_basis(samples: int, points: int = 4) -> Samples:
+    """The basis functions at u = j / samples, j = 0 .. samples; D is the number of points.
 
-    In flight a point is asked for with every position.
+    They are the splines whose control points are 0 but for one.
     """
-
-    def __init__(self, control: FloatArray) -> None:
-        """control: (points, 3)."""
-        coefficients = _span_matrices(len(control)) @ control  # (spans, 4, 3)
-        self._axes = [tuple(map(tuple, span.T.tolist())) for span in coefficients]
-
-    def at(self, u: float) -> tuple[Triple, Triple, Triple]:
-        """Value and first two derivatives by u at one parameter, 0 <= u <= 1."""
-        spans = len(self._axes)
-        span = min(int(u * spans), spans - 1)
-        t = u * spans - span
-        value, first, second = [], [], []
-        for a, b, c, d in self._axes[span]:
-            value.append(a + t * (b + t * (c + t * d)))
-            first.append((b + t * (2.0 * c + t * 3.0 * d)) * spans)
-            second.append((2.0 * c + t * 6.0 * d) * spans**2)
-        return tuple(value), tuple(first), tuple(second)
+    return samples_at(cubics_of(np.eye(points)), np.linspace(0.0, 1.0, samples + 1))
 
 
 @lru_cache(maxsize=8)
-def _span_matrices(points: int) -> FloatArray:
-    """Coefficients of 1, t, t^2, t^3 of each basis function on each span, 0 <= t <= 1.
+def _cubics_by_legs(points: int) -> FloatArray:
+    """Cubics of the splines of which one leg is 1 long and the others 0.  -> (spans, 4, legs).
 
-    Fitted through four values of the Cox-de Boor recursion, which a cubic passes exactly.
-    -> (spans, 4, points).  (scipy's BSpline gives the same, and takes 0.6 s to import.)
+    The derivative of a spline is a spline with the differences of its control points, each divided
+    by the stretch of knots that it spans (de Boor, A Practical Guide to Splines, chapter X).
     """
     spans = points - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    t = np.linspace(0.0, 1.0, 4)
-    powers = np.vander(t, 4, increasing=True)
-    return np.stack(
-        [np.linalg.solve(powers, _cox_de_boor((k + t) / spans, k, knots)) for k in range(spans)]
-    )
-
-
-def _cox_de_boor(u: FloatArray, span: int, knots: FloatArray) -> FloatArray:
-    """Cubic basis functions at parameters of one span (0 is the first).  -> (S, points)."""
-    lower = np.zeros((len(u), len(knots) - 1))
-    lower[:, span + 3] = 1.0
-    for degree in (1, 2, 3):
-        count = len(knots) - 1 - degree
-        higher = np.zeros((len(u), count))
-        for i in range(count):
-            rise = knots[i + degree] - knots[i]
-            fall = knots[i + degree + 1] - knots[i + 1]
-            if rise > 0.0:
-                higher[:, i] += (u - knots[i]) / rise * lower[:, i]
-            if fall > 0.0:
-                higher[:, i] += (knots[i + degree + 1] - u) / fall * lower[:, i + 1]
-        lower = higher
-    return lower
+    knots = np.clip(np.arange(-3.0, spans + 4.0), 0.0, spans)[:, None]
+    control = np.tril(np.ones((points, points - 1)), -1)
+    first = 3.0 * np.diff(control, axis=0) / (knots[4:-1] - knots[1:-4])
+    second = 2.0 * np.diff(first, axis=0) / (knots[4:-2] - knots[2:-4])  # at the knots
+    third = np.diff(second, axis=0)  # on each span
+    speed = 0.5 * (first[:-2] + first[1:-1])  # at the knots: inside halfway between two
+    speed[0] = first[0]
+    moved = speed + second[:-1] / 2.0 + third / 6.0
+    start = np.cumsum(moved, axis=0) - moved
+    return np.stack([start, speed, second[:-1] / 2.0, third / 6.0], axis=1)
 
 
 def horizontal_curvature_1_m(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -8,17 +8,15 @@ stop, holds on a circle about a point of the curve: its bounds hold for the circ
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import basis
+from companion.path.bspline import cubics_of
 from companion.path.envelope import Envelope, flown_on_m
 from companion.path.limits import Limits
-from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, prove
-from companion.path.proof_distance import Surroundings
+from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, Surroundings, prove
 from companion.path.subpath import Subpath
 from companion.world.columns import pack_columns
 from companion.world.known_map import KnownMap
@@ -123,39 +121,36 @@ class Certificate:
 
 
 def certify(
-    subpath: Subpath, surroundings: Surroundings, *, from_rest: bool, prover: Prover = prove
+    subpath: Subpath, around: Surroundings, *, from_rest: bool, prover: Prover = prove
 ) -> Certificate:
     """Prove a subpath, its tail included, against its surroundings.
 
     from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
     finite is never proven, and no error.
     """
-    control = subpath.control_nea_m
+    control, values = subpath.control_nea_m, [math.nan] * (RESULTS - 1) + [0.0]
     if np.all(np.abs(control) < _SANE_M):
-        values = prover(cubics_of(control), surroundings, from_rest).tolist()
-    else:
-        values = [math.nan] * (RESULTS - 1) + [0.0]
+        values = prover(cubics_of(control), around, from_rest).tolist()
     clearance, keep_out, dead_man, curvature, climb, dive = values[:6]
     lowest, highest, off_map, radar, detection, pieces = values[6:]
-    asked = surroundings
-    bounds = (
-        ("terrain clearance", clearance >= asked.clearance_m - ROUNDING_M),
-        ("keep-out zone", keep_out >= asked.clearance_m - ROUNDING_M),
-        ("dead-man reach", dead_man >= asked.contact_m - ROUNDING_M),
-        ("turn radius", curvature <= asked.curvature_1_m * (1.0 + 2.0 * ROUNDING)),
-        ("climb angle", climb <= asked.climb * (1.0 + 2.0 * ROUNDING)),
-        ("dive angle", dive <= asked.dive * (1.0 + 2.0 * ROUNDING)),
-        ("floor of the band", lowest >= asked.floor_m - ROUNDING_M),
-        ("ceiling of the band", highest <= asked.ceiling_m + ROUNDING_M),
-        ("edge of the map", off_map <= ROUNDING_M),
-    )
+    kept = {
+        "terrain clearance": clearance >= around.clearance_m - ROUNDING_M,
+        "keep-out zone": keep_out >= around.clearance_m - ROUNDING_M,
+        "dead-man reach": dead_man >= around.contact_m - ROUNDING_M,
+        "turn radius": curvature <= around.curvature_1_m * (1.0 + 2.0 * ROUNDING),
+        "climb angle": climb <= around.climb * (1.0 + 2.0 * ROUNDING),
+        "dive angle": dive <= around.dive * (1.0 + 2.0 * ROUNDING),
+        "floor of the band": lowest >= around.lowest_nea_m[2] - ROUNDING_M,
+        "ceiling of the band": highest <= around.highest_nea_m[2] + ROUNDING_M,
+        "edge of the map": off_map <= ROUNDING_M,
+    }
     return Certificate(
         clearance_m=clearance,
         keep_out_m=keep_out,
         dead_man_m=dead_man,
-        required_clearance_m=surroundings.clearance_m,
-        required_contact_m=surroundings.contact_m,
-        speed_m_s=surroundings.motion.speed_m_s,
+        required_clearance_m=around.clearance_m,
+        required_contact_m=around.contact_m,
+        speed_m_s=around.motion.speed_m_s,
         turn_radius_m=1.0 / curvature if curvature != 0.0 else math.inf,
         climb_angle_rad=math.atan(climb),
         dive_angle_rad=math.atan(dive),
@@ -165,7 +160,7 @@ def certify(
         radar_m=radar,
         detection=detection,
         pieces=int(pieces),
-        broken=tuple(name for name, kept in bounds if not kept),
+        broken=tuple(name for name, is_kept in kept.items() if not is_kept),
     )
 
 
@@ -189,6 +184,10 @@ def pack_surroundings(
     motion = margins.motion
     farther_m = flown_on_m(motion, motion.speed_m_s) + 3.0 * margins.clearance_m
     registration_m = known.registration_m + motion.loiter_m
+    (south_m, north_m), (west_m, east_m) = limits.north_m, limits.east_m
+    floor_m = limits.floor_amsl_m + margins.band_inset_m
+    ceiling_m = limits.ceiling_amsl_m - margins.band_inset_m
+    circles = [(*radar.centre_nea_m, radar.range_m) for radar in radars]
     return Surroundings(
         columns=pack_columns(
             known,
@@ -198,7 +197,7 @@ def pack_surroundings(
             registration_m=registration_m,
         ),
         zones=packed(zones),
-        radars=_table([(*radar.centre_nea_m, radar.range_m) for radar in radars], 4),
+        radars=np.array(circles, dtype=np.float64).reshape(-1, 4),
         clearance_m=float(margins.clearance_m),
         contact_m=float(margins.contact_m),
         motion=motion,
@@ -206,41 +205,6 @@ def pack_surroundings(
         curvature_1_m=1.0 / limits.turn_radius_m,
         climb=math.tan(limits.climb_angle_rad),
         dive=math.tan(limits.dive_angle_rad),
-        floor_m=float(limits.floor_amsl_m + margins.band_inset_m),
-        ceiling_m=float(limits.ceiling_amsl_m - margins.band_inset_m),
-        map_south_m=float(limits.north_m[0]),
-        map_north_m=float(limits.north_m[1]),
-        map_west_m=float(limits.east_m[0]),
-        map_east_m=float(limits.east_m[1]),
+        lowest_nea_m=(float(south_m), float(west_m), float(floor_m)),
+        highest_nea_m=(float(north_m), float(east_m), float(ceiling_m)),
     )
-
-
-@lru_cache(maxsize=8)
-def _span_coefficients(points: int) -> tuple[FloatArray, FloatArray]:
-    """From control points to the spans' coefficients: of 1, and of t, t^2, t^3.
-
-    -> (spans, points) by the control points, (spans * 3, points - 1) by the legs between them, so
-    that control points that coincide give a speed of exactly 0.
-    """
-    spans = points - 3
-    start = basis(np.arange(spans) / spans, points)
-    end = basis(np.arange(1, spans + 1) / spans, points)
-    first, second = start.first / spans, start.second / spans**2
-    third = end.second / spans**2 - second
-    by_points = np.stack([first, second / 2.0, third / 6.0], axis=1)  # (spans, 3, points)
-    by_legs = -np.cumsum(by_points, axis=-1)[..., :-1].reshape(3 * spans, points - 1)
-    by_legs[np.abs(by_legs) < 1e-12] = 0.0
-    return start.value, by_legs
-
-
-def cubics_of(control_nea_m: FloatArray) -> FloatArray:
-    """Coefficients of 1, t, t^2, t^3 of a B-spline's spans.  (points, 3) -> (spans, 4, 3)."""
-    value, by_legs = _span_coefficients(len(control_nea_m))
-    result = np.empty((len(value), 4, 3))
-    result[:, 0] = value @ control_nea_m
-    result[:, 1:] = (by_legs @ np.diff(control_nea_m, axis=0)).reshape(-1, 3, 3)
-    return result
-
-
-def _table(rows: list[tuple[float, ...]], width: int) -> FloatArray:
-    return np.array(rows, dtype=np.float64).reshape(-1, width)

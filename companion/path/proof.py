@@ -10,15 +10,15 @@ Everything runs as plain Python, and compiles with numba as it is.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.envelope import beyond_m, ending_m_s, flown_on_m, rising_m_s
-from companion.path.proof_distance import Surroundings
+from companion.path.envelope import Envelope, beyond_m, ending_m_s, flown_on_m, rising_m_s
 from companion.path.proof_shape import extremes, largest
-from companion.world.columns import Segment, terrain_distance
-from companion.world.zones import zone_distance
+from companion.world.columns import Columns, Segment, terrain_distance
+from companion.world.zones import ZoneTable, zone_distance
 
 ROUNDING = 1e-9
 """A bound missed by no more than this, relative, is missed by arithmetic and not by the curve."""
@@ -28,11 +28,45 @@ RESULTS = 12
 detection, pieces."""
 _PIECES = 24  # that a curve is cut into at first, about
 _BUDGET = 3_000  # pieces for each bound; what is not proven by then is not
-_STACK = 64
-_FINEST = 2.0**-24
-_NEVER = 1e12
+_FINEST = 2.0**-24  # of a span: 1 mm of 20 km, below which halving brings nothing
+_STACK = 64  # halves that wait, one for each halving: 24 at most
+_NEVER = 1e12  # m: no zone is as deep
 _INSIDE_M = 1.0  # how deep in a zone a dead-man stretch ends is not looked into
 _TERRAIN, _ZONES, _DEAD_MAN = 0, 1, 2
+
+
+class Surroundings(NamedTuple):
+    """What a proof is about: terrain, zones, radars and bounds, as plain numbers and arrays."""
+
+    columns: Columns
+    """Of a plane's terrain its circle is dealt with in `registration_m`."""
+    zones: ZoneTable
+    radars: FloatArray  # (N, 4): north, east, altitude, range
+    clearance_m: float
+    """The curve keeps this from terrain and zones; the dead-man stretches keep `contact_m`."""
+    contact_m: float
+    motion: Envelope
+    stops: bool
+    """Whether the vehicle stops at the end of the curve; if not, it may be at full speed there."""
+    curvature_1_m: float
+    climb: float
+    """Tangent of the largest climb angle; `dive` likewise."""
+    dive: float
+    lowest_nea_m: tuple[float, float, float]
+    """The south-western corner of the map, and the floor; `highest_nea_m` likewise."""
+    highest_nea_m: tuple[float, float, float]
+
+
+class Question(NamedTuple):
+    """A curve, what it is proven against, and what is made once for both."""
+
+    cubics: FloatArray  # (spans, 4, 3)
+    around: Surroundings
+    rows: FloatArray  # (N, 5), of `first_pieces`
+    from_rest: bool
+    found: FloatArray
+    """Scratch of `terrain_distance`."""
+
 
 Piece = tuple[Segment, float, float, float]
 """Its chord; sag, how far it may be from the chord; turn, the cosine of the half-angle of the cone
@@ -112,25 +146,44 @@ def stretch_of(
     return (x, y, z, dx * grow, dy * grow, dz * grow), slack
 
 
-def piece_distance(
-    around: Surroundings,
-    what: int,
-    piece: Piece,
-    flown: float,
-    left: float,
-    limit: float,
-    found: FloatArray,
+def first_pieces(cubics: FloatArray) -> FloatArray:
+    """The pieces to begin with: span, start, end, length flown before and left after, at most."""
+    spans = cubics.shape[0]
+    each = (_PIECES + spans - 1) // spans
+    table, flown = np.zeros((spans * each, 5)), 0.0
+    for k in range(spans * each):
+        table[k, 0], table[k, 1], table[k, 2] = k // each, k % each / each, (k % each + 1) / each
+        table[k, 3] = flown
+        flown += piece_of(cubics, k // each, float(table[k, 1]), float(table[k, 2]))[3]
+    table[:-1, 4] = flown - table[1:, 3]
+    return table
+
+
+def part_distance(
+    asked: Question, what: int, k: int, start: float, end: float, limit: float
 ) -> tuple[float, float, float]:
-    """Lower and upper bound of a distance over a piece, both at most `limit`, and the slack."""
+    """Bounds of a distance over a part, start <= t <= end, of the k-th of the first pieces.
+
+    -> the lower and the upper one, both at most `limit`, and how far off the part is at most from
+    the segment that stands for it: the slack.
+    """
+    cubics, around, row = asked.cubics, asked.around, asked.rows[k]
+    span = int(row[0])
+    piece = piece_of(cubics, span, start, end)
     segment, slack = piece[0], piece[1]
     if what == _DEAD_MAN:
+        flown, left = math.inf, math.inf
+        if around.stops:
+            left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
+        if asked.from_rest:
+            flown = row[3] + piece_of(cubics, span, float(row[1]), end)[3]
         segment, slack = stretch_of(around, piece, flown, left)
     if slack > max(limit, 0.0) + 2.0 * around.clearance_m:
         return (0.0 if what == _TERRAIN else -_NEVER), limit, slack  # too coarse to be worth it
     tolerance = 1e-3 * around.clearance_m
     lower, upper = limit, limit
     if what != _ZONES:
-        far = terrain_distance(around.columns, segment, limit + slack, tolerance, found)
+        far = terrain_distance(around.columns, segment, limit + slack, tolerance, asked.found)
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
         within = max(limit + slack + around.motion.loiter_m, 0.0)
@@ -142,85 +195,26 @@ def piece_distance(
     return min(lower, limit), min(upper, limit), slack
 
 
-def first_pieces(cubics: FloatArray) -> FloatArray:
-    """The pieces to begin with: span, start, end, length flown before and left after, at most."""
-    spans = cubics.shape[0]
-    each = (_PIECES + spans - 1) // spans
-    table = np.zeros((spans * each, 5))
-    flown = 0.0
-    for k in range(spans * each):
-        table[k, 0], table[k, 1] = k // each, (k % each) / each
-        table[k, 2], table[k, 3] = (k % each + 1) / each, flown
-        flown += piece_of(cubics, k // each, float(table[k, 1]), float(table[k, 2]))[3]
-    left = 0.0
-    for k in range(spans * each - 1, -1, -1):
-        table[k, 4] = left
-        left += piece_of(cubics, int(table[k, 0]), float(table[k, 1]), float(table[k, 2]))[3]
-    return table
-
-
-def part_distance(
-    cubics: FloatArray,
-    around: Surroundings,
-    what: int,
-    row: FloatArray,
-    start: float,
-    end: float,
-    from_rest: bool,
-    limit: float,
-    found: FloatArray,
-) -> tuple[float, float, float]:
-    """`piece_distance` of a part, start <= t <= end, of one of the first pieces (a row)."""
-    span = int(row[0])
-    piece = piece_of(cubics, span, start, end)
-    flown, left = math.inf, 0.0
-    if what == _DEAD_MAN:
-        left = math.inf
-        if around.stops:
-            left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
-        if from_rest:
-            flown = row[3] + piece_of(cubics, span, float(row[1]), end)[3]
-    return piece_distance(around, what, piece, flown, left, limit, found)
-
-
-def least_distance(
-    cubics: FloatArray,
-    around: Surroundings,
-    what: int,
-    table: FloatArray,
-    from_rest: bool,
-    cap: float,
-    found: FloatArray,
-) -> tuple[float, int]:
+def least_distance(asked: Question, what: int, cap: float) -> tuple[float, int]:
     """Lower bound of a distance over the whole curve, at most `cap`, and the pieces it took.
 
     A piece is done when its bound is within 1 % of d_s (2 % for the dead man) of what the curve is
     known to come to (five times that if the bound is broken), and suffices; or when nothing is
     left that halving it would bring.
     """
+    around, rows = asked.around, asked.rows
     need = around.contact_m if what == _DEAD_MAN else around.clearance_m
     tolerance = (0.02 if what == _DEAD_MAN else 0.01) * around.clearance_m
     smallest = min(0.0015 * around.clearance_m, 0.1 * around.columns.cell_m)
-    rows = table.shape[0]
-    lowers, slacks = np.empty(rows), np.empty(rows)
-    upper, result, count = cap, cap, rows
-    for k in range(rows):
-        lowers[k], high, slacks[k] = part_distance(
-            cubics,
-            around,
-            what,
-            table[k],
-            float(table[k, 1]),
-            float(table[k, 2]),
-            from_rest,
-            upper,
-            found,
-        )
+    upper, result, count = cap, cap, len(rows)
+    lowers, slacks, stack = np.empty(count), np.empty(count), np.empty((_STACK, 2))
+    for k in range(len(rows)):
+        start, end = float(rows[k, 1]), float(rows[k, 2])
+        lowers[k], high, slacks[k] = part_distance(asked, what, k, start, end, upper)
         upper = min(upper, high)
-    stack = np.empty((_STACK, 2))
-    for k in range(rows):
+    for k in range(len(rows)):
         lower, slack, depth = float(lowers[k]), float(slacks[k]), 0
-        start, end = float(table[k, 1]), float(table[k, 2])
+        start, end = float(rows[k, 1]), float(rows[k, 2])
         while True:
             enough = upper - 5.0 * tolerance  # broken: by how much need not be known well
             if upper >= need - ROUNDING_M:
@@ -235,9 +229,7 @@ def least_distance(
             else:
                 stack[depth, 0], stack[depth, 1] = 0.5 * (start + end), end
                 depth, end = depth + 1, 0.5 * (start + end)
-            lower, high, slack = part_distance(
-                cubics, around, what, table[k], start, end, from_rest, upper, found
-            )
+            lower, high, slack = part_distance(asked, what, k, start, end, upper)
             upper, count = min(upper, high), count + 1
     return result, count
 
@@ -267,18 +259,17 @@ def under_radars(around: Surroundings, piece: Piece) -> tuple[bool, bool, float]
 
 
 def exposure(
-    cubics: FloatArray, around: Surroundings, table: FloatArray
+    cubics: FloatArray, around: Surroundings, rows: FloatArray
 ) -> tuple[float, float, int]:
     """Length within radar ranges at most (a stretch in two counts once); detection; pieces."""
-    rows = table.shape[0]
     if around.radars.shape[0] == 0:
         return 0.0, 0.0, 0
-    short = 1e-3 * (table[rows - 1, 3] + 1e-9)
+    short = 1e-3 * (rows[-1, 3] + 1e-9)
     within, detection, count = 0.0, 0.0, 0
     stack = np.empty((_STACK, 2))
-    for k in range(rows):
-        span = int(table[k, 0])
-        stack[0, 0], stack[0, 1], depth = table[k, 1], table[k, 2], 1
+    for k in range(len(rows)):
+        span = int(rows[k, 0])
+        stack[0, 0], stack[0, 1], depth = rows[k, 1], rows[k, 2], 1
         while depth > 0:
             depth -= 1
             start, end = float(stack[depth, 0]), float(stack[depth, 1])
@@ -302,8 +293,8 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> FloatArr
     from_rest: the vehicle hovers at the curve's start, and is the slower for it.  A plane has no
     straight dead-man stretches: it circles wherever it is sent to last.
     """
-    table = first_pieces(cubics)
-    found = np.empty((around.columns.blocks_m.size, 3))
+    rows, found = first_pieces(cubics), np.empty((around.columns.blocks_m.size, 3))
+    asked = Question(cubics, around, rows, from_rest, found)
     result = np.empty(RESULTS)
     result[1], pieces = math.inf, 0
     for what in range(3):  # terrain, zones, dead man; in a loop, so that it is compiled once
@@ -313,19 +304,19 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> FloatArr
         if what == _DEAD_MAN and around.motion.loiter_m > 0.0:
             result[what] = min(cap, min(result[_TERRAIN], result[_ZONES]))
         elif what != _ZONES or around.zones.circles.size + around.zones.polygons.size > 0:
-            result[what], more = least_distance(cubics, around, what, table, from_rest, cap, found)
+            result[what], more = least_distance(asked, what, cap)
             pieces += more
     for what in range(3):  # squared curvature, climb, dive
         limit = (around.curvature_1_m**2, around.climb, around.dive)[what] * (1.0 + ROUNDING)
         bound, more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
         result[3 + what] = math.sqrt(bound) if what == 0 else bound
         pieces += more
-    south, north = extremes(cubics, 0)
-    west, east = extremes(cubics, 1)
     result[6], result[7] = extremes(cubics, 2)
-    off_n = max(around.map_south_m - south, north - around.map_north_m)
-    off_e = max(around.map_west_m - west, east - around.map_east_m)
-    result[8] = max(0.0, max(off_n, off_e))
-    result[9], result[10], more = exposure(cubics, around, table)
+    result[8] = 0.0
+    for axis in range(2):
+        low, high = extremes(cubics, axis)
+        off = max(around.lowest_nea_m[axis] - low, high - around.highest_nea_m[axis])
+        result[8] = max(result[8], off)
+    result[9], result[10], more = exposure(cubics, around, rows)
     result[11] = pieces + more
     return result

@@ -11,7 +11,8 @@ from itertools import pairwise, zip_longest
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.certificate import Prover, certify, cubics_of, pack_surroundings
+from companion.path.bspline import cubics_of
+from companion.path.certificate import Prover, certify, pack_surroundings
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import Backtrack, FlownSegment

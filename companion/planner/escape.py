@@ -16,7 +16,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.path.certificate import Certificate, Prover, certify, pack_surroundings
-from companion.path.proof_distance import Surroundings
+from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import PlanRequest
 from companion.planner.settings import Task

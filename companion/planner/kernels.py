@@ -23,7 +23,7 @@ from companion.objective import kernel as objective
 from companion.objective.scene import TERMS, Scene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
-from companion.path import envelope, proof, proof_distance, proof_shape
+from companion.path import envelope, proof, proof_shape
 from companion.path.certificate import Prover
 from companion.planner import cheapest_ways, cost_samples
 from companion.world import clearance, columns, zones
@@ -114,7 +114,6 @@ SOURCES = (
     refined_de,
     envelope,
     proof,
-    proof_distance,
     proof_shape,
     columns,
     zones,

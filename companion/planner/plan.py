@@ -27,7 +27,7 @@ from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import Certificate, certify, pack_surroundings
 from companion.path.envelope import Envelope, slowing_m
-from companion.path.proof_distance import Surroundings
+from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner import kernels
 from companion.planner.backtrack import backtrack

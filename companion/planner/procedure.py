@@ -33,11 +33,9 @@ _ROUNDING_M = 1e-6
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
-_HALVINGS = 40  # of V, to a speed
 _PACES = 100  # parts of a leg for each of which a speed is known
 _PROJECTIONS = 2  # to the nearest point of a path that hardly bends over a tracking error
 _LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
-_ON_CIRCLE = 1.0  # tracking errors beyond the circle: farther off a plane has left its path
 
 
 @final
@@ -72,13 +70,11 @@ class Leg:
 
     def motion(self, task: Task) -> Envelope:
         """How the vehicle moves on it: it may have been proven for a lower speed than V."""
-        rules = self.rules or task
-        return (rules if self.speed_m_s is None else rules.at_speed(self.speed_m_s)).envelope
+        return (self.rules or task).at_speed(self.speed_m_s).envelope
 
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
-        task = task if self.speed_m_s is None else task.at_speed(self.speed_m_s)
-        return max(self.subpath.length_m - task.scan_distance_m, 0.0)
+        return max(self.subpath.length_m - task.at_speed(self.speed_m_s).scan_distance_m, 0.0)
 
     def wants_successor(self, at_m: float, task: Task) -> bool:
         """Whether to scan and plan for the next leg, at this length flown: from p_scan on."""
@@ -86,10 +82,19 @@ class Leg:
         return is_past_scan and not self.reaches_target and self.can_be_left(task)
 
     def leaving(self, task: Task) -> tuple[float, float]:
-        """Length flown at p_prog, the tail before the end, and the speed there.
+        r"""Length flown at p_prog, the tail before the end, and the speed there.
 
         Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
-        start at speed V, are done while it can still stop at the end.
+        start at speed V, are done while it can still stop at the end:
+
+            V  \
+                \
+            v    \______________
+            0                   |\
+             start         p_prog end
+
+        It takes v T + (V - v)^2 / 2a up to p_prog, where T is the time of scan and plan, and from
+        there on v d + v^2 / 2a to stop: together v^2 / a + v (T + d - V/a) + V^2 / 2a.
         """
         motion, length_m = self.motion(task), self.subpath.length_m
         task, speed_m_s = task.at_speed(self.speed_m_s), motion.speed_m_s
@@ -100,25 +105,20 @@ class Leg:
         at_m = min(max(length_m - task.tail_m, earliest_m), length_m)
         if length_m >= least_m or not task.settings.is_near:
             return at_m, speed_m_s
-        time_s = (least_m - task.tail_m) / speed_m_s
-
-        def slows_at_m(slow_m_s: float) -> float:
-            """What it flies from V at its start on, at this speed as soon as it can."""
-            return slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / motion.braking_m_s2
-
-        slow_m_s, most_m_s = 0.0, speed_m_s  # the fastest that leaves room to slow down for the end
-        for _ in range(_HALVINGS):
-            middle_m_s = 0.5 * (slow_m_s + most_m_s)
-            if slows_at_m(middle_m_s) + slowing_m(motion, middle_m_s) <= length_m:
-                slow_m_s = middle_m_s
-            else:
-                most_m_s = middle_m_s
-        return min(slows_at_m(slow_m_s), length_m), slow_m_s
+        brake_m_s2, time_s = motion.braking_m_s2, (least_m - task.tail_m) / speed_m_s
+        slow_m_s = speed_m_s
+        for delay_s, beyond_m in ((motion.settling_s, 0.0), (motion.dead_man_s, motion.overrun_m)):
+            half_m_s = 0.5 * (brake_m_s2 * (time_s + delay_s) - speed_m_s)
+            room_m = length_m + beyond_m - 0.5 * speed_m_s**2 / brake_m_s2
+            root_m_s = math.sqrt(max(half_m_s**2 + brake_m_s2 * room_m, 0.0))
+            slow_m_s = min(slow_m_s, max(root_m_s - half_m_s, 0.0))
+        at_m = slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / brake_m_s2
+        return min(at_m, length_m), slow_m_s
 
     def slows_to_m_s(self, task: Task) -> float | None:
         """The speed that a short leg is flown at, from its start on; None: V."""
-        task, is_last = task.at_speed(self.speed_m_s), self.reaches_target or self.through
-        if is_last or self.subpath.length_m >= task.shortest_scan_distance_m:
+        shortest_m = task.at_speed(self.speed_m_s).shortest_scan_distance_m
+        if self.reaches_target or self.through or self.subpath.length_m >= shortest_m:
             return None
         return self.leaving(task)[1] if self.can_be_left(task) else None
 
@@ -270,9 +270,9 @@ def is_on_circle(
     position_nea_m: tuple[float, float, float],
     limits: Limits,
 ) -> bool:
-    """Whether a plane has reached its loiter circle."""
+    """Whether a plane has reached its loiter circle, but for its tracking error."""
     off_m = off_disc_m(centre_nea_m, position_nea_m, limits.loiter_radius_m)
-    return off_m <= _ON_CIRCLE * limits.tracking_error_m
+    return off_m <= limits.tracking_error_m
 
 
 def may_leave(

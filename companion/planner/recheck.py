@@ -5,8 +5,6 @@ What was proven stays proven: a leg is checked only against rules that are new o
 
 import numpy as np
 
-from companion.geodesy import FloatArray
-from companion.path.certificate import cubics_of
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
 from companion.world.columns import distances_to_cells_m
@@ -17,8 +15,8 @@ _PIECES = 48
 """Of the rest of a leg at first: most are clear as wholes, by one look at all of them."""
 _LEEWAY, _LEEWAY_M = 2e-3, 0.01
 """Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
-_FINEST = 1e-5
-"""Of the curve's parameter, 0.2 m of 20 km: what is not clear by then is not."""
+_FINEST = 0.25
+"""Of the leeway: of a piece whose half is shorter, what is not clear by then is not."""
 _BAND_SLACK_M = 0.5
 """A ceiling above home moves that much with where the autopilot has its home."""
 _BAND_SAMPLES = 100
@@ -62,19 +60,21 @@ def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m:
     """
     if not zones:
         return False
-    wanted_m = required_m * (1.0 - _LEEWAY) - _LEEWAY_M
-    cubics = cubics_of(leg.subpath.control_nea_m)[..., :2]
-    pieces = _pieces(leg.subpath.parameter_at(from_m), len(cubics))
-    while len(pieces):
-        middles, radii_m = _discs(cubics, pieces)
-        enough_m = np.maximum(wanted_m + radii_m, 0.0) + _LEEWAY_M
-        told_m = gaps_m(packed(zones), middles[:, 0], middles[:, 1], enough_m)
-        left = told_m - radii_m < wanted_m
-        if (told_m < wanted_m).any() or (np.diff(pieces[left]) < _FINEST).any():
+    leeway_m = _LEEWAY * required_m + _LEEWAY_M
+    wanted_m, table = required_m - leeway_m, packed(zones)
+    length_m = leg.subpath.length_m
+    cuts_m = np.linspace(min(from_m, length_m), length_m, _PIECES + 1)
+    begin_m, end_m = cuts_m[:-1], cuts_m[1:]
+    while len(begin_m):
+        middle_m, half_m = 0.5 * (begin_m + end_m), 0.5 * (end_m - begin_m)
+        north, east, _ = leg.subpath.points_nea_m(middle_m).T
+        enough_m = np.maximum(wanted_m + half_m, 0.0) + _LEEWAY_M
+        told_m = gaps_m(table, north, east, enough_m)
+        left = told_m - half_m < wanted_m  # no point of a piece is nearer than by half its length
+        if (told_m < wanted_m).any() or (half_m[left] < _FINEST * leeway_m).any():
             return True
-        begin, end = pieces[left].T
-        middle = 0.5 * (begin + end)
-        pieces = np.stack([np.append(begin, middle), np.append(middle, end)], axis=-1)
+        begin_m = np.append(begin_m[left], middle_m[left])
+        end_m = np.append(middle_m[left], end_m[left])
     return False
 
 
@@ -98,25 +98,3 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     if left_at and lengths[left_at] - from_m > required_m:
         return True
     return bool((gaps_m[:left_at] < gaps_m[0]).any() or not kept[left_at:].all())
-
-
-def _pieces(start: float, spans: int) -> FloatArray:
-    """Pieces of the rest of a curve, none over a knot.  -> (N, 2): from where to where, 0 to 1."""
-    knots = np.arange(spans + 1) / spans
-    cuts = np.union1d(np.linspace(start, 1.0, _PIECES + 1), knots[knots > start])
-    return np.stack([cuts[:-1], cuts[1:]], axis=-1)
-
-
-def _discs(cubics: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A disc about each piece of the ground track: its control polygon lies in it.
-
-    (spans, 4, 2), (N, 2) -> (N, 2), on the curve; (N,).
-    """
-    spans = len(cubics)
-    span = np.minimum((pieces.mean(axis=1) * spans).astype(np.intp), spans - 1)
-    a, b = (pieces * spans - span[:, None]).T[:, :, None]
-    c0, c1, c2, c3 = np.moveaxis(cubics[span], 1, 0)
-    start, middle, end = (c0 + (c1 + (c2 + c3 * at) * at) * at for at in (a, 0.5 * (a + b), b))
-    leaving, arriving = ((c1 + (2.0 * c2 + 3.0 * c3 * at) * at) * (b - a) / 3.0 for at in (a, b))
-    corners = np.stack([start, start + leaving, end - arriving, end])
-    return middle, np.linalg.norm(corners - middle, axis=-1).max(axis=0)

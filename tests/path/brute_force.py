@@ -19,7 +19,8 @@ from scipy.spatial import cKDTree
 from companion.path.certificate import Margins, pack_surroundings
 from companion.path.envelope import Envelope, envelope_of
 from companion.path.limits import Limits
-from companion.path.proof_distance import Surroundings
+from companion.path.proof import Surroundings
+from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
@@ -344,10 +345,10 @@ def _least(of: Callable[..., FloatArray], u: FloatArray) -> tuple[float, float]:
 
 
 def truth(case: Case, samples: int = 200) -> Truth:
-    """Everything about a curve, by search."""
-    spline = curve(case.control_nea_m)
+    """Everything about a curve, by search; distances up to four times the clearance."""
+    spline, far_m = curve(case.control_nea_m), 4.0 * case.margins.clearance_m
     u = np.linspace(0.0, 1.0, samples + 1)
-    clearance, where = _least(lambda at, far=np.inf: terrain_m(case, spline(at), far), u)
+    clearance, where = _least(lambda at, far=far_m: terrain_m(case, spline(at), far), u)
     keep_out = np.inf
     for zone in case.zones:
         keep_out = min(
@@ -407,6 +408,37 @@ def broken_by(told: Any, real: Truth) -> list[str]:
     return wrong + ["radar_m"] * (told.radar_m < real.radar_m - 0.002 * real.length_m)
 
 
+def violations(
+    control_nea_m: FloatArray, task: Task, known: KnownMap, *, from_rest: bool
+) -> list[str]:
+    """The bounds of a task that a curve breaks somewhere, in words; empty: none was found."""
+    limits = task.limits
+    error = limits.tracking_error_m + limits.navigation_error_m
+    wanted = task.settings.safety_distance_m + error
+    case = Case(
+        control_nea_m=control_nea_m,
+        from_rest=from_rest,
+        known=known,
+        peaks=None,
+        limits=limits,
+        margins=task.margins,
+        radars=(),
+        zones=task.zones,
+    )
+    real = truth(case, samples=400)
+    broken = {
+        "clearance": min(real.clearance_m, real.keep_out_m) < wanted - 1e-3,
+        "dead man": real.dead_man_m < error - 1e-3,
+        "turn": real.turn_radius_m < limits.turn_radius_m * (1.0 - 1e-6),
+        "climb": real.climb_angle_rad > limits.climb_angle_rad + 1e-6,
+        "dive": real.dive_angle_rad > limits.dive_angle_rad + 1e-6,
+        "floor": real.lowest_amsl_m < limits.floor_amsl_m + error - 1e-3,
+        "ceiling": real.highest_amsl_m > limits.ceiling_amsl_m - error + 1e-3,
+        "map": real.off_map_m > 1e-3,
+    }
+    return [name for name, is_broken in broken.items() if is_broken]
+
+
 def fastest_m_s(it: Envelope, left: FloatArray, flown: FloatArray | None = None) -> FloatArray:
     """The fastest that the reference point may be, by halving what its rules allow."""
     low, high = np.zeros_like(left), np.full_like(left, it.speed_m_s)
@@ -454,7 +486,7 @@ def _dead_man(
     def at(u: FloatArray, share: FloatArray) -> FloatArray:
         return stretch_points_nea_m(case, spline, fine, lengths, u, share)
 
-    def distance(points: FloatArray, far: float = np.inf) -> FloatArray:
+    def distance(points: FloatArray, far: float = 4.0 * case.margins.clearance_m) -> FloatArray:
         result = column_distance_m(case.known, points, far)
         for zone in case.zones:
             result = np.minimum(result, planning.zone_distance_m(zone, *points.T[:2]))

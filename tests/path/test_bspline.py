@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from companion.path.bspline import basis, climb_angle_rad, horizontal_curvature_1_m, uniform_basis
+from companion.path.bspline import (
+    climb_angle_rad,
+    cubics_of,
+    horizontal_curvature_1_m,
+    samples_at,
+    uniform_basis,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -27,22 +33,23 @@ def control(seed: int, points: int) -> FloatArray:
 
 @every_size
 @given(seed=seeds)
-def test_the_basis_is_that_of_a_b_spline_with_threefold_ends_and_uniform_inner_knots(
+def test_cubics_and_basis_are_those_of_a_b_spline_with_threefold_ends_and_uniform_inner_knots(
     points: int, seed: int
 ) -> None:
     polygon = control(seed, points)
-    u = np.linspace(0.0, 1.0, 33)
     spline = BSpline(np.array(EXPLICIT_KNOTS[points], dtype=float), polygon, 3)
-    at = basis(u, points)
-    assert at.value @ polygon == pytest.approx(spline(u), abs=1e-8)
-    assert at.first @ polygon == pytest.approx(spline(u, 1), abs=1e-8)
-    assert at.second @ polygon == pytest.approx(spline(u, 2), abs=1e-7)
+    at, basis = samples_at(cubics_of(polygon), np.linspace(0.0, 1.0, 33)), uniform_basis(32, points)
+    for order in range(3):
+        expected = spline(np.linspace(0.0, 1.0, 33), order)
+        assert at[order] == pytest.approx(expected, abs=1e-7)
+        assert basis[order] @ polygon == pytest.approx(expected, abs=1e-7)
 
 
-def test_the_uniform_basis_is_at_even_parameters_with_both_ends() -> None:
-    expected = basis(np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0]))
-    assert uniform_basis(5).value == pytest.approx(expected.value)
-    assert uniform_basis(5) is uniform_basis(5)
+@every_size
+def test_where_control_points_coincide_the_curve_stands_still_exactly(points: int) -> None:
+    polygon = control(1, points)
+    polygon[1] = polygon[0]
+    assert (cubics_of(polygon)[0, 1] == 0.0).all()
 
 
 @given(

@@ -97,7 +97,7 @@ def test_the_tangent_is_a_direction_even_where_two_control_points_coincide(
 def test_samples_are_evenly_spaced_and_have_both_ends(seed: int, spacing_m: float) -> None:
     subpath = a_subpath(seed)
     samples = subpath.sampled(spacing_m)
-    points = samples.points_nea_m
+    points = samples.value
     assert points[0] == pytest.approx(subpath.control_nea_m[0])
     assert points[-1] == pytest.approx(subpath.control_nea_m[-1])
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
@@ -111,8 +111,8 @@ def test_samples_are_evenly_spaced_and_have_both_ends(seed: int, spacing_m: floa
 def test_samples_carry_the_derivatives_of_the_curve_there(seed: int) -> None:
     subpath = a_subpath(seed)
     samples = subpath.sampled(500.0)
-    gaps = np.linspace(0.0, subpath.length_m, len(samples.points_nea_m))
-    for at, point, first in zip(gaps, samples.points_nea_m, samples.first, strict=True):
+    gaps = np.linspace(0.0, subpath.length_m, len(samples.value))
+    for at, point, first in zip(gaps, samples.value, samples.first, strict=True):
         pose = subpath.pose(float(at))
         assert pose.position_nea_m == pytest.approx(point)
         assert pose.tangent_nea == pytest.approx(first / np.linalg.norm(first))

@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from dense_check import violations
+from brute_force import violations
 from planning import ask, fly, spline
 
 from companion.path import proof

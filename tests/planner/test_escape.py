@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dense_check import violations
+from brute_force import violations
 from planning import ask, column_distance_m, spline, zone_distance_m
 
 from companion.planner.plan import plan

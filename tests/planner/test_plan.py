@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from dense_check import violations
+from brute_force import violations
 from numpy.typing import NDArray
 from planning import ask as asked
 from planning import column_distance_m

@@ -35,7 +35,7 @@ def violations(
     total = dict.fromkeys(KINDS, 0.0)
     for subpath, flown_m in flown:
         samples, length_m = subpath.sampled(_SPACING_M), subpath.length_m
-        points, altitude = samples.points_nea_m, samples.points_nea_m[:, 2]
+        points, altitude = samples.value, samples.value[:, 2]
         at_m = np.linspace(0.0, length_m, len(points))
         edges_m = np.concatenate([[0.0], 0.5 * (at_m[1:] + at_m[:-1]), [length_m]])
         stands_for_m = np.diff(edges_m.clip(max=flown_m)) * (at_m <= flown_m + 1e-9)
