@@ -59,7 +59,7 @@ def _barred(known: KnownMap, task: Task) -> BoolArray:
     places, far_m = (tuple(north[:, 0].tolist()), tuple(east[0].tolist())), task.zone_clearance_m
     barred = too_near(task.zones, *places, far_m - half_m, compiled().zone_gaps).copy()
     reach = math.ceil(clearance_m / known.cell_m)
-    top = np.pad(np.where(known.firm, known.upper_m, -np.inf), reach, constant_values=-np.inf)
+    top = np.pad(np.where(known.surveyed, known.upper_m, -np.inf), reach, constant_values=-np.inf)
     for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
         gaps = (max(abs(at - reach) - 0.5, 0.0) * known.cell_m for at in (i, j))
         away_m = math.hypot(*gaps) + half_m
@@ -75,7 +75,7 @@ def _finer(known: KnownMap) -> KnownMap:
         known,
         cell_m=0.5 * known.cell_m,
         upper_m=known.upper_m.repeat(2, axis=0).repeat(2, axis=1),
-        seen=known.firm.repeat(2, axis=0).repeat(2, axis=1),
+        seen=known.surveyed.repeat(2, axis=0).repeat(2, axis=1),
         given=None,
         guess_m=None,
     )

@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
-from companion.world.rays import Lattice
+from companion.world.lattice import Lattice, Window
 
 _FAR_M = 1e12
 """Farther than anything on earth, and small enough to calculate with."""
@@ -117,7 +117,7 @@ def distances_to_terrain_m(
     cells = np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :]
     upper, counts = known.upper_m[cells], on_map
     if seen_only:
-        counts = on_map & known.firm[cells]
+        counts = on_map & known.surveyed[cells]
     upper = np.where(counts & np.isfinite(upper), upper, -np.inf if seen_only else np.inf)
     apart = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
     above = np.maximum(up[:, None, None] - upper, 0.0)
@@ -125,7 +125,7 @@ def distances_to_terrain_m(
 
 
 def distances_to_cells_m(
-    points_ne_m: FloatArray, cells: BoolArray, window: tuple[slice, slice], lattice: Lattice
+    points_ne_m: FloatArray, cells: BoolArray, window: Window, lattice: Lattice
 ) -> FloatArray:
     """Distance of points, seen from above, to the nearest of some cells, metres; inf without any.
 

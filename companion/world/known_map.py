@@ -10,7 +10,7 @@ section 4, decision 0020).
 import hashlib
 import io
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -18,14 +18,12 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from companion.geodesy import LEAST_RADIUS_M, BoolArray, FloatArray
-from companion.world.rays import Lattice, Rays, overlooking_line_m
+from companion.world.lattice import Lattice, Window
+from companion.world.rays import Rays, overlooking_line_m
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
-_ON_EDGE_M = 1e-3
-"""So near below an edge between cells a point is taken to be on it: far above rounding of positions
-(1e-9 m), far below what a map resolves."""
 _NO_LENGTH = -(2**52)
 """Millimetres that no length has: 4.5 million km below the sea."""
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
@@ -65,13 +63,11 @@ class Scan:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KnownMap:
+class KnownMap(Lattice):
     """Upper bound of the terrain, cell by cell."""
 
-    cell_m: float
-    north_min_m: float
-    east_min_m: float
-    upper_m: FloatArray  # (rows, columns), rows to the north, columns to the east
+    shape: tuple[int, int] = field(init=False)
+    upper_m: FloatArray  # (rows, columns)
     seen: BoolArray  # (rows, columns), cells that a scan has seen: nothing more to learn
     registration_m: float = 0.0
     """How far the terrain of a cell may lie from it."""
@@ -80,36 +76,18 @@ class KnownMap:
     guess_m: FloatArray | None = None
     """(rows, columns), the terrain as a file tells it for guidance alone; NaN: it does not."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", self.upper_m.shape)
+
     @property
-    def firm(self) -> BoolArray:
+    def surveyed(self) -> BoolArray:
         """The cells in which `upper_m` is terrain: seen, or known in advance; not a sight line."""
         return self.seen if self.given is None else self.seen | self.given
-
-    @property
-    def lattice(self) -> Lattice:
-        """Where the cells are."""
-        return Lattice(
-            cell_m=self.cell_m,
-            north_min_m=self.north_min_m,
-            east_min_m=self.east_min_m,
-            shape=_shape(self.upper_m),
-        )
-
-    def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
-        """Row and column of the cell that holds a point (may lie outside the lattice).
-
-        A mission often begins on an edge between cells: of that, and a millimetre short of it, it
-        is the cell to the north or east, whatever the last digits of the position are.
-        """
-        return (
-            math.floor((north_m - self.north_min_m + _ON_EDGE_M) / self.cell_m),
-            math.floor((east_m - self.east_min_m + _ON_EDGE_M) / self.cell_m),
-        )
 
     def is_known(self, north_m: float, east_m: float) -> bool:
         """Whether the terrain under a point is bounded."""
         row, column = self.cell_of(north_m, east_m)
-        rows, columns = self.upper_m.shape
+        rows, columns = self.shape
         inside = 0 <= row < rows and 0 <= column < columns
         return inside and bool(np.isfinite(self.upper_m[row, column]))
 
@@ -158,14 +136,6 @@ class KnownMap:
             guess_m=None if self.guess_m is None else self.guess_m[rows, columns],
         )
 
-    def middles_m(
-        self, row: int, column: int, shape: tuple[int, int]
-    ) -> tuple[FloatArray, FloatArray]:
-        """North (rows, 1) and east (1, columns) of the middles of a window of cells, metres."""
-        north = self.north_min_m + np.arange(row + 0.5, row + shape[0]) * self.cell_m
-        east = self.east_min_m + np.arange(column + 0.5, column + shape[1]) * self.cell_m
-        return north[:, None], east[None, :]
-
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
     """A map of an area (minimum, maximum north and east) of which nothing is known."""
@@ -190,7 +160,7 @@ def _farthest_seen_m(scan: Scan, distance_m: FloatArray) -> float:
 
 
 def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
-    north, east = known.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    north, east = known.middles_m(scan.row, scan.column, scan.heights_m.shape)
     return np.hypot(north - scan.radar_nea_m[..., 0], east - scan.radar_nea_m[..., 1])
 
 
@@ -220,7 +190,7 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     The ground curves away below the line (`sight_line_m`).  Refraction bends sight down, too, so
     that more is seen and less is hidden: it is left out.
     """
-    north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    north, east = seen.middles_m(scan.row, scan.column, scan.heights_m.shape)
     slack = _SLACK_CELLS * seen.cell_m + scan.drift_m + scan.registration_m
     not_seen = np.isneginf(scan.heights_m)
     distance = _distances_m(seen, scan)
@@ -231,9 +201,13 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
         rows, columns = np.nonzero(hidden)
         middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
         radars = scan.radar_nea_m[rows, columns]
-        south, west, around = _around(seen, scan, radars, slack)
-        here = replace(scan, row=scan.row - south, column=scan.column - west)
-        obstacles = around.upper_m[_window(here)]  # a view of a copy
+        corners = np.stack([north[[0, -1], 0], east[0, [0, -1]]], axis=-1)
+        all_ne_m = np.concatenate([corners, radars[:, :2]])
+        part = seen.part(*seen.about(all_ne_m, slack + 2.0 * seen.cell_m))
+        around = replace(part, upper_m=part.upper_m.copy())
+        south, west = part.cell_of(*corners[0].tolist())
+        height, width = hidden.shape
+        obstacles = around.upper_m[south : south + height, west : west + width]  # a view of a copy
         obstacles[not_seen] = -np.inf  # it hides nothing
         bound = sight_line_m(around, radars, middles, slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
@@ -255,10 +229,10 @@ def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
     answered = np.nonzero(~np.isnan(scan.heights_m))
     if not len(answered[0]):
         return result
-    north, east = after.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    north, east = after.middles_m(scan.row, scan.column, scan.heights_m.shape)
     middles = np.stack([north[answered[0], 0], east[0, answered[1]]], axis=-1)
     slack = _SLACK_CELLS * after.cell_m + scan.drift_m + scan.registration_m
-    window = after.part(*_window(scan)).lattice
+    window = after.part(*_window(scan))
     for radar_nea_m, above_m, spread_m, members in _groups(
         scan.radar_nea_m[answered], after.cell_m
     ):
@@ -274,24 +248,6 @@ def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
             )
             result[rows[unseen], columns[unseen]] = np.ceil(line)
     return result
-
-
-def _around(
-    known: KnownMap, scan: Scan, radars_nea_m: FloatArray, slack_m: float
-) -> tuple[int, int, KnownMap]:
-    """A copy of what sight lines of a scan may cross, and row and column of where it begins."""
-    margin = math.ceil(slack_m / known.cell_m) + 2
-    rows, columns = _window(scan)
-    low, high = (
-        known.cell_of(*(float(x) for x in bound(radars_nea_m[:, :2], axis=0)))
-        for bound in (np.min, np.max)
-    )
-    limits = known.upper_m.shape
-    south = min(max(min(rows.start, low[0]) - margin, 0), limits[0] - 1)
-    west = min(max(min(columns.start, low[1]) - margin, 0), limits[1] - 1)
-    north, east = max(rows.stop, high[0]) + margin, max(columns.stop, high[1]) + margin
-    part = known.part(slice(south, north), slice(west, east))
-    return south, west, replace(part, upper_m=part.upper_m.copy())
 
 
 def sight_line_m(
@@ -377,7 +333,7 @@ def _line_from_one_m(
     rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
     distance = rays.distance_m
     steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
-    flat = highest.lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
+    flat = highest.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     rise = highest.upper_m.ravel().take(flat)
     rise -= radar_nea_m[2]
     nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)  # nearer ones: one by one
@@ -452,13 +408,9 @@ def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, Floa
     return np.arctan2(away_m[:, 1], away_m[:, 0]), half, distance + radius_m
 
 
-def _window(scan: Scan) -> tuple[slice, slice]:
+def _window(scan: Scan) -> Window:
     rows, columns = scan.heights_m.shape
     return slice(scan.row, scan.row + rows), slice(scan.column, scan.column + columns)
-
-
-def _shape(array: FloatArray) -> tuple[int, int]:
-    return array.shape[0], array.shape[1]
 
 
 # --- a map as bytes, and what tells it from others
@@ -494,7 +446,7 @@ def digest_of(known: KnownMap) -> str:
     lattice = known.cell_m, known.north_min_m, known.east_min_m, known.registration_m
     digest = hashlib.sha256(repr((known.upper_m.shape, _millimetres(lattice).tolist())).encode())
     digest.update(_millimetres(known.upper_m).astype("<i8").tobytes())
-    for cells in (known.seen, known.firm):
+    for cells in (known.seen, known.surveyed):
         digest.update(np.packbits(cells).tobytes())
     if known.guess_m is not None:
         digest.update(_millimetres(known.guess_m).astype("<i8").tobytes())

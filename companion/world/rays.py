@@ -1,57 +1,17 @@
 """Rays that go out from a radar over a lattice of cells: which cell each crosses at every step."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
-
-IntArray = NDArray[np.intp]
+from companion.world.lattice import IntArray, Lattice
 
 RAY_CELLS = 0.3
 """Between neighbouring rays at the farthest point, in cells."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Lattice:
-    """Where the cells of an array are, in the local frame."""
-
-    cell_m: float
-    north_min_m: float
-    east_min_m: float
-    shape: tuple[int, int]
-    """Rows and columns."""
-
-    def wider(self) -> "Lattice":
-        """The lattice with one more cell on each side."""
-        return replace(
-            self,
-            north_min_m=self.north_min_m - self.cell_m,
-            east_min_m=self.east_min_m - self.cell_m,
-            shape=(self.shape[0] + 2, self.shape[1] + 2),
-        )
-
-    def crossed(
-        self, radar_ne_m: tuple[float, float], azimuth_rad: FloatArray, steps: FloatArray
-    ) -> IntArray:
-        """Cells under points steps x cell_m away from a radar, as indices of the ravelled array.
-
-        (rays,), (steps,) -> (steps, rays).  Beyond the edge it is the nearest cell.
-        """
-        rows, columns = self.shape
-        row = np.multiply.outer(steps, np.cos(azimuth_rad))  # in place from here on
-        row += (radar_ne_m[0] - self.north_min_m) / self.cell_m
-        column = np.multiply.outer(steps, np.sin(azimuth_rad))
-        column += (radar_ne_m[1] - self.east_min_m) / self.cell_m
-        flat = np.clip(row, 0, rows - 1, out=row).astype(np.intp)
-        flat *= columns
-        flat += np.clip(column, 0, columns - 1, out=column).astype(np.intp)
-        return flat
 
 
 @final

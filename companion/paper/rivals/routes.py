@@ -165,7 +165,7 @@ def problem_of(request: PlanRequest, *, hopes: bool = True) -> RouteProblem:
     """The question of a plan.  hopes: what nobody has seen is free, else it is closed."""
     task, known = request.task, request.known
     if hopes:
-        known = replace(known, upper_m=np.where(known.firm, known.upper_m, np.inf))
+        known = replace(known, upper_m=np.where(known.surveyed, known.upper_m, np.inf))
     limits, settings, clear_m = task.limits, task.settings, _clear_m(request)
     sides = (limits.north_m, limits.east_m)
     centre = (0.5 * sum(limits.north_m), 0.5 * sum(limits.east_m))
@@ -260,7 +260,7 @@ def _flown(
     may_be = np.isfinite(problem.field.rate_at(points)) & (surface.altitude_m(*places.T) <= ceiling)
     cells = np.array([known.cell_of(*point) for point in points.tolist()])
     row, column = np.clip(cells, 0, np.array(known.upper_m.shape) - 1).T
-    may_be &= known.firm[row, column] | (not seen)
+    may_be &= known.surveyed[row, column] | (not seen)
     may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
     may_be |= binary_closing(may_be, _GRAZE)
     may_be &= np.hypot(*(points - scan_ne_m).T) < range_m
