@@ -49,20 +49,13 @@ def pack_columns(
     registration_m: float,
 ) -> Columns:
     """The columns within reach of a point; without a top beyond."""
-    row, column = known.cell_of(*centre_ne_m)
-    half = math.ceil(reach_m / known.cell_m) + 1
-    rows, columns = (
-        slice(min(max(at - half, 0), size), max(min(at + half + 1, size), 0))
-        for at, size in zip((row, column), known.upper_m.shape, strict=True)
-    )
-    heights_m = np.array(known.upper_m[rows, columns], dtype=np.float64, order="C")
-    heights_m[np.isnan(heights_m)] = np.inf
+    south_m, west_m, heights_m = known.square_m(centre_ne_m, reach_m)
     return Columns(
         heights_m=heights_m,
         blocks_m=_block_maxima(heights_m, block),
         block=block,
-        south_m=float(known.north_min_m + rows.start * known.cell_m),
-        west_m=float(known.east_min_m + columns.start * known.cell_m),
+        south_m=south_m,
+        west_m=west_m,
         cell_m=known.cell_m,
         registration_m=float(registration_m),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from companion.geodesy import LEAST_RADIUS_M, BoolArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
 from companion.world.lattice import Lattice
-from companion.world.rays import Rays
+from companion.world.sight_lines import Rays
 from companion.world.terrain import Terrain
 
 _NEAR_CELLS = 2.0

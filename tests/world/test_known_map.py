@@ -15,8 +15,8 @@ from companion.world.known_map import (
     KnownMap,
     Scan,
     empty_map,
-    sight_line_m,
 )
+from companion.world.sight_lines import sight_line_m
 
 FloatArray = NDArray[np.float64]
 Heights = Callable[[FloatArray, FloatArray], FloatArray]
@@ -262,7 +262,7 @@ def test_the_sight_line_over_a_wall_is_the_straight_line_loosened_by_the_slack(
     far = (wall_cell + behind) * CELL_M  # to the middle of a cell behind the wall
     point = np.array([radar[0] + far, radar[1]])
     slack = 150.0
-    found = sight_line_m(known, radar[None], point[None], slack)[0]
+    found = sight_line_m(known, known.upper_m, radar[None], point[None], slack)[0]
 
     def line(over_m: float, to_m: float) -> float:
         return 400.0 + (top_m - 400.0) / over_m * to_m
@@ -286,23 +286,23 @@ def test_the_sight_line_over_unknown_ground_is_infinitely_high() -> None:
     known.upper_m[:] = 10.0
     known.upper_m[9, :] = np.inf
     radars, points = np.array([[50.0, 1_350.0, 100.0]] * 2), np.array([[2e3, 1_350], [500, 1_350]])
-    found = sight_line_m(known, radars, points, 50.0)
+    found = sight_line_m(known, known.upper_m, radars, points, 50.0)
     assert np.isposinf(found[0])
     assert math.isfinite(found[1])
 
 
 def test_there_is_no_sight_line_where_nothing_lies_between() -> None:
     radar, point = np.array([[50.0, 50.0, 100.0]]), np.array([[120.0, 50.0]])
-    assert np.isneginf(sight_line_m(blank(), radar, point, 150.0)).all()
+    assert np.isneginf(sight_line_m(blank(), blank().upper_m, radar, point, 150.0)).all()
 
 
 def test_the_sight_line_does_not_depend_on_what_lies_behind_the_point() -> None:
     known = blank()
     known.upper_m[:] = 10.0
     radar, point = np.array([[50.0, 1_350.0, 400.0]]), np.array([[1_050.0, 1_350.0]])
-    before = sight_line_m(known, radar, point, 50.0)
+    before = sight_line_m(known, known.upper_m, radar, point, 50.0)
     known.upper_m[13:] = 5_000.0
-    assert sight_line_m(known, radar, point, 50.0) == before
+    assert sight_line_m(known, known.upper_m, radar, point, 50.0) == before
     assert math.isfinite(before[0])
 
 
@@ -335,7 +335,7 @@ def test_the_sight_lines_of_radars_near_each_other_are_above_those_of_brute_forc
     first = np.array([*rng.uniform(0.3, 0.7, 2) * CELLS * CELL_M, rng.uniform(50.0, 1_000.0)])
     radars = first + rng.uniform(-apart_m, apart_m, (30, 3)) * (1.0, 1.0, 0.3)
     middles = (rng.integers(0, CELLS, (30, 2)) + 0.5) * CELL_M
-    found = sight_line_m(known, radars, middles, 1.5 * CELL_M)
+    found = sight_line_m(known, known.upper_m, radars, middles, 1.5 * CELL_M)
     brute = [
         brute_force_line_m(known, radar, middle, 0.5 * CELL_M)
         for radar, middle in zip(radars, middles, strict=True)
