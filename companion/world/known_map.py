@@ -221,17 +221,15 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     hidden = not_seen & (distance < reach)
     result = np.full(hidden.shape, np.inf)
     if hidden.any():
-        rows, columns = np.nonzero(hidden)
-        middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-        radars = scan.radar_nea_m[rows, columns]
-        corners = np.stack([north[[0, -1], 0], east[0, [0, -1]]], axis=-1)
+        middles, radars = np.dstack(np.broadcast_arrays(north, east)), scan.radar_nea_m[hidden]
+        corners = middles[[0, -1], [0, -1]]
         all_ne_m = np.concatenate([corners, radars[:, :2]])
         around = seen.part(*seen.about(all_ne_m, slack + 2.0 * seen.cell_m))
         south, west = around.cell_of(*corners[0].tolist())
         height, width = hidden.shape
         top = around.upper_m.copy()
         top[south : south + height, west : west + width][not_seen] = -np.inf  # it hides nothing
-        bound = sight_line_m(around, top, radars, middles, slack)
+        bound = sight_line_m(around, top, radars, middles[hidden], slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
     return result
 

@@ -101,23 +101,9 @@ class Sweep:
         span += 1 + len(ring) * (span < 0)
         all_round = (low == high) & (2.0 * aside_rad > self.width_rad)
         span[all_round | (aside_rad >= math.pi)] = len(ring)
-        return _least_of_runs(ring, low, span)
-
-
-def _least_of_runs(values: FloatArray, first: IntArray, length: IntArray) -> FloatArray:
-    """The least of each run of values in a ring.  Two runs of a power of two cover any other."""
-    count, runs = len(values), [values]
-    while 2 ** len(runs) <= count:
-        step = 2 ** (len(runs) - 1)
-        runs.append(np.minimum(runs[-1], np.concatenate([runs[-1][step:], runs[-1][:step]])))
-    lengths = np.maximum(np.arange(count + 1), 1)
-    levels = np.log2(lengths).astype(np.intp)
-    table = np.stack(runs).ravel()
-    row = (levels * count).take(length)  # of the table
-    last = first + (lengths - 2**levels).take(length)
-    last -= count * (last >= count)
-    last += row
-    return np.minimum(table.take(row + first), table.take(last))
+        turned = np.add.outer(np.arange(len(ring)), np.arange(len(ring))) % len(ring)
+        least_m = np.minimum.accumulate(ring[turned], axis=1)  # by first sector, and how many more
+        return least_m[low, span - 1]
 
 
 @final
