@@ -73,7 +73,7 @@ def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission)
 
     Of near things nothing is guessed; they are drawn as high as the highest path.
     """
-    range_m, firm = mission.task.settings.scan_range_m, known.firm & np.isfinite(known.upper_m)
+    range_m, firm = mission.task.settings.scan_range_m, known.surveyed & np.isfinite(known.upper_m)
     if mission.near is not None:
         highest_m = mission.task.limits.ceiling_amsl_m
         height_m = np.where(firm, np.minimum(known.upper_m, highest_m), -np.inf)
@@ -228,6 +228,6 @@ def _nearness_m(known: KnownMap, here_nea_m: Vector) -> tuple[float, float]:
     away_m = distance_to_terrain_m(known, np.array(here_nea_m), most_m, seen_only=True)
     row, column = known.cell_of(*here_nea_m[:2])
     rows, columns = known.upper_m.shape
-    is_firm = 0 <= row < rows and 0 <= column < columns and bool(known.firm[row, column])
+    is_firm = 0 <= row < rows and 0 <= column < columns and bool(known.surveyed[row, column])
     under_m = float(known.upper_m[row, column]) if is_firm else math.nan
     return math.nan if away_m >= most_m else away_m, under_m

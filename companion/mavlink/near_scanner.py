@@ -15,7 +15,8 @@ from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.known_map import KnownMap
-from companion.world.near_map import NearMap, Rules, Sight, Window, both, top_amsl_m
+from companion.world.lattice import Window
+from companion.world.near_map import NearMap, Rules, Sight, both, top_amsl_m
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
@@ -60,7 +61,7 @@ class NearScanner:
         self._component = sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
         rules = Rules.of(sensor, mission.task.limits.navigation_error_m)
-        self._near = NearMap.empty(blank.lattice, rules)
+        self._near = NearMap.empty(blank.bare(), rules)
         self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings
         self._top_m = top_amsl_m(limits.ceiling_amsl_m, settings.scan_range_m)

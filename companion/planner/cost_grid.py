@@ -297,7 +297,7 @@ class CostGrid:
             lowest_m,
             tuple(vertices),
             known.upper_m,
-            known.firm,
+            known.surveyed,
             (north[:, 0], east[0]),
             self.shut,
             self.costly,

@@ -66,7 +66,7 @@ def _barred(known: KnownMap, task: Task, across: int) -> BoolArray:
     away_m = np.hypot(gap_m[:, None], gap_m[None, :]) + half_m
     rises_m = np.sqrt(np.maximum(clearance_m**2 - away_m**2, 0.0))
     rises_m[away_m >= clearance_m] = -np.inf
-    upper_m = np.where(known.firm, known.upper_m, -np.inf)
+    upper_m = np.where(known.surveyed, known.upper_m, -np.inf)
     barred = compiled().dilated_m(upper_m, rises_m, across, -np.inf) > ceiling_m
     if task.zones:
         rows, columns = barred.shape

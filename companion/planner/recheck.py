@@ -91,7 +91,7 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     steps = max(round(2.0 * (leg.subpath.length_m - from_m) / cell_m), 1)
     lengths = np.linspace(from_m, leg.subpath.length_m, steps + 1)
     points = leg.subpath.points_nea_m(lengths)[:, :2]
-    window = near.about_points(points, required_m)
+    window = near.lattice.about(points, required_m)
     gaps_m = distances_to_cells_m(points, near.occupied(window), window, near.lattice)
     kept = gaps_m >= required_m
     left_at = int(np.argmax(kept)) if kept.any() else steps

@@ -76,7 +76,7 @@ def watch(
     plans = plans and mission is not None
     if not plans:
         chosen = replace(chosen, targets_ne_m=(), targets_from_vehicle=False)
-    charted = chosen.known is not None and bool(chosen.known.firm.any())
+    charted = chosen.known is not None and bool(chosen.known.surveyed.any())
     blind = charted and chosen.scanner_component_id is not None
     if blind:  # what a radar answered then, it did not answer to these questions
         chosen = replace(chosen, scanner_component_id=None)

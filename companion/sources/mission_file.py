@@ -432,7 +432,7 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         return replace(blank, guess_m=told.upper_m)
     if table.trust != "guidance":
         return told
-    return replace(blank, guess_m=np.where(told.firm, told.upper_m, np.nan))
+    return replace(blank, guess_m=np.where(told.surveyed, told.upper_m, np.nan))
 
 
 def _stated_ground(model: MissionTable) -> float | None:

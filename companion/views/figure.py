@@ -69,7 +69,7 @@ class TerrainPicture:
         return cls(
             north_edges_m=known.north_min_m + np.arange(rows + 1) * known.cell_m,
             east_edges_m=known.east_min_m + np.arange(columns + 1) * known.cell_m,
-            heights_m=np.where(known.firm, known.upper_m, np.nan),
+            heights_m=np.where(known.surveyed, known.upper_m, np.nan),
         )
 
     def under_m(self, points_ne_m: FloatArray) -> FloatArray:

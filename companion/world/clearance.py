@@ -52,30 +52,6 @@ class Surface(NamedTuple):
         return south + u * (north - south), rise_north**2 + rise_east**2
 
 
-def _window(
-    known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float, unknown_m: float
-) -> tuple[float, float, FloatArray]:
-    """Southern and western edge and cells of the map within reach of a point.
-
-    Unknown or off the map: unknown_m.
-    """
-    row, column = known.cell_of(*centre_ne_m)
-    half = math.ceil(reach_m / known.cell_m) + 1
-    rows, columns = known.upper_m.shape
-    window = np.full((2 * half + 1, 2 * half + 1), np.inf)
-    south, north = max(row - half, 0), min(row + half + 1, rows)
-    west, east = max(column - half, 0), min(column + half + 1, columns)
-    if south < north and west < east:
-        window[
-            south - row + half : north - row + half, west - column + half : east - column + half
-        ] = known.upper_m[south:north, west:east]
-    return (
-        float(known.north_min_m + (row - half) * known.cell_m),
-        float(known.east_min_m + (column - half) * known.cell_m),
-        np.where(np.isfinite(window), window, unknown_m),
-    )
-
-
 def safe_surface(
     known: KnownMap,
     dilated: Callable[..., FloatArray],
@@ -96,7 +72,8 @@ def safe_surface(
     dilated: `dilated_m`, compiled.  floor_m: at lower altitudes it need not be right.
     """
     radius = clearance_m + known.registration_m
-    south, west, upper_m = _window(known, centre_ne_m, reach_m + radius, unknown_m)
+    south, west, upper_m = known.square_m(centre_ne_m, reach_m + radius)
+    upper_m[~np.isfinite(upper_m)] = unknown_m
     refine = 2 if radius < _COARSE_FROM * known.cell_m else 1
     half = math.ceil(radius / known.cell_m)
     gaps = np.stack([_gaps(half, part / refine, 1.0 / refine)[::-1] for part in range(refine)])
@@ -169,15 +146,15 @@ def terrain_surface(
 
     Bilinear between the middles of the cells: smooth, for the paper's objective, not a bound.
     """
-    south, west, upper = _window(known, centre_ne_m, reach_m, 0.0)
+    south, west, upper_m = known.square_m(centre_ne_m, reach_m)
     return Surface(
         north_min_m=south + 0.5 * known.cell_m,
         east_min_m=west + 0.5 * known.cell_m,
         cell_m=known.cell_m,
-        vertex_m=upper,
+        vertex_m=np.where(np.isfinite(upper_m), upper_m, 0.0),
     )
 
 
 def sees_anything(known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float) -> bool:
     """Whether any ground within reach of a point is known."""
-    return bool(np.isfinite(_window(known, centre_ne_m, reach_m, math.inf)[2]).any())
+    return bool(np.isfinite(known.square_m(centre_ne_m, reach_m)[2]).any())

@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
-from companion.world.rays import Lattice
+from companion.world.lattice import Lattice, Window
 
 _FAR_M = 1e12
 """Farther than anything on earth, and small enough to calculate with."""
@@ -49,20 +49,13 @@ def pack_columns(
     registration_m: float,
 ) -> Columns:
     """The columns within reach of a point; without a top beyond."""
-    row, column = known.cell_of(*centre_ne_m)
-    half = math.ceil(reach_m / known.cell_m) + 1
-    rows, columns = (
-        slice(min(max(at - half, 0), size), max(min(at + half + 1, size), 0))
-        for at, size in zip((row, column), known.upper_m.shape, strict=True)
-    )
-    heights_m = np.array(known.upper_m[rows, columns], dtype=np.float64, order="C")
-    heights_m[np.isnan(heights_m)] = np.inf
+    south_m, west_m, heights_m = known.square_m(centre_ne_m, reach_m)
     return Columns(
         heights_m=heights_m,
         blocks_m=_block_maxima(heights_m, block),
         block=block,
-        south_m=float(known.north_min_m + rows.start * known.cell_m),
-        west_m=float(known.east_min_m + columns.start * known.cell_m),
+        south_m=south_m,
+        west_m=west_m,
         cell_m=known.cell_m,
         registration_m=float(registration_m),
     )
@@ -117,7 +110,7 @@ def distances_to_terrain_m(
     cells = np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :]
     upper, counts = known.upper_m[cells], on_map
     if seen_only:
-        counts = on_map & known.firm[cells]
+        counts = on_map & known.surveyed[cells]
     upper = np.where(counts & np.isfinite(upper), upper, -np.inf if seen_only else np.inf)
     apart = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
     above = np.maximum(up[:, None, None] - upper, 0.0)
@@ -125,7 +118,7 @@ def distances_to_terrain_m(
 
 
 def distances_to_cells_m(
-    points_ne_m: FloatArray, cells: BoolArray, window: tuple[slice, slice], lattice: Lattice
+    points_ne_m: FloatArray, cells: BoolArray, window: Window, lattice: Lattice
 ) -> FloatArray:
     """Distance of points, seen from above, to the nearest of some cells, metres; inf without any.
 

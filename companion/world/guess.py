@@ -88,7 +88,7 @@ def guess_of(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) ->
     """
     near = _within(_REACH * range_m, known, here_ne_m)
     part = known.part(*near)
-    told, unseen = part.guess_m, ~part.firm
+    told, unseen = part.guess_m, ~part.surveyed
     is_told = told is not None and not (np.isnan(told.min()) and np.isnan(told[unseen]).any())
     if is_told or not unseen.any() or unseen.all():
         return Guess.nothing(known)
@@ -161,7 +161,7 @@ def _between(blocks: FloatArray, cells: NDArray[np.intp], size: int) -> FloatArr
 
 def _blocks(known: KnownMap, size: int) -> tuple[FloatArray, BoolArray]:
     """Means over squares of size x size cells, and whether half of a square was seen."""
-    firm = known.firm
+    firm = known.surveyed
     terrain = np.where(firm, known.upper_m, 0.0)
     padding = [(0, -count % size) for count in firm.shape]
 

@@ -10,29 +10,26 @@ section 4, decision 0020).
 import hashlib
 import io
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from companion.geodesy import LEAST_RADIUS_M, BoolArray, FloatArray
-from companion.world.rays import Lattice, Rays, overlooking_line_m
+from companion.geodesy import BoolArray, FloatArray
+from companion.world.lattice import Lattice, Window
+from companion.world.sight_lines import (
+    SLACK_CELLS,
+    overlooking_line_m,
+    sight_line_m,
+    standpoints,
+)
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
-_ON_EDGE_M = 1e-3
-"""So near below an edge between cells a point is taken to be on it: far above rounding of positions
-(1e-9 m), far below what a map resolves."""
 _NO_LENGTH = -(2**52)
 """Millimetres that no length has: 4.5 million km below the sea."""
-_GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
-"""Radars this close, level and up, count as one: what that costs is proven as slack and as height
-(`sight_line_m`), and saves a march for each position of a moving radar."""
-_SLACK_CELLS = 1.5
-"""Of a sight line, for the lattice alone (`_hidden_bound_m`, `_line_from_one_m` say why)."""
 
 
 @final
@@ -65,13 +62,11 @@ class Scan:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KnownMap:
+class KnownMap(Lattice):
     """Upper bound of the terrain, cell by cell."""
 
-    cell_m: float
-    north_min_m: float
-    east_min_m: float
-    upper_m: FloatArray  # (rows, columns), rows to the north, columns to the east
+    shape: tuple[int, int] = field(init=False)
+    upper_m: FloatArray  # (rows, columns)
     seen: BoolArray  # (rows, columns), cells that a scan has seen: nothing more to learn
     registration_m: float = 0.0
     """How far the terrain of a cell may lie from it."""
@@ -80,36 +75,18 @@ class KnownMap:
     guess_m: FloatArray | None = None
     """(rows, columns), the terrain as a file tells it for guidance alone; NaN: it does not."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", self.upper_m.shape)
+
     @property
-    def firm(self) -> BoolArray:
+    def surveyed(self) -> BoolArray:
         """The cells in which `upper_m` is terrain: seen, or known in advance; not a sight line."""
         return self.seen if self.given is None else self.seen | self.given
-
-    @property
-    def lattice(self) -> Lattice:
-        """Where the cells are."""
-        return Lattice(
-            cell_m=self.cell_m,
-            north_min_m=self.north_min_m,
-            east_min_m=self.east_min_m,
-            shape=_shape(self.upper_m),
-        )
-
-    def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
-        """Row and column of the cell that holds a point (may lie outside the lattice).
-
-        A mission often begins on an edge between cells: of that, and a millimetre short of it, it
-        is the cell to the north or east, whatever the last digits of the position are.
-        """
-        return (
-            math.floor((north_m - self.north_min_m + _ON_EDGE_M) / self.cell_m),
-            math.floor((east_m - self.east_min_m + _ON_EDGE_M) / self.cell_m),
-        )
 
     def is_known(self, north_m: float, east_m: float) -> bool:
         """Whether the terrain under a point is bounded."""
         row, column = self.cell_of(north_m, east_m)
-        rows, columns = self.upper_m.shape
+        rows, columns = self.shape
         inside = 0 <= row < rows and 0 <= column < columns
         return inside and bool(np.isfinite(self.upper_m[row, column]))
 
@@ -158,13 +135,29 @@ class KnownMap:
             guess_m=None if self.guess_m is None else self.guess_m[rows, columns],
         )
 
-    def middles_m(
-        self, row: int, column: int, shape: tuple[int, int]
-    ) -> tuple[FloatArray, FloatArray]:
-        """North (rows, 1) and east (1, columns) of the middles of a window of cells, metres."""
-        north = self.north_min_m + np.arange(row + 0.5, row + shape[0]) * self.cell_m
-        east = self.east_min_m + np.arange(column + 0.5, column + shape[1]) * self.cell_m
-        return north[:, None], east[None, :]
+    def square_m(
+        self, centre_ne_m: tuple[float, float], reach_m: float
+    ) -> tuple[float, float, FloatArray]:
+        """A square of cells with all within reach of a point; off the map nothing is known.
+
+        -> its southern and western edge, metres, and a copy of its upper bounds (N, N).
+        """
+        row, column = self.cell_of(*centre_ne_m)
+        half = math.ceil(reach_m / self.cell_m) + 1
+        first, size = (row - half, column - half), 2 * half + 1
+        square = np.full((size, size), np.inf)
+        (south, north), (west, east) = (
+            (max(at, 0), min(at + size, cells)) for at, cells in zip(first, self.shape, strict=True)
+        )
+        if south < north and west < east:
+            here = (
+                slice(south - first[0], north - first[0]),
+                slice(west - first[1], east - first[1]),
+            )
+            square[here] = self.upper_m[south:north, west:east]
+        square[np.isnan(square)] = np.inf
+        south_m = self.north_min_m + first[0] * self.cell_m
+        return float(south_m), float(self.east_min_m + first[1] * self.cell_m), square
 
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
@@ -190,7 +183,7 @@ def _farthest_seen_m(scan: Scan, distance_m: FloatArray) -> float:
 
 
 def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
-    north, east = known.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    north, east = known.middles_m(scan.row, scan.column, scan.heights_m.shape)
     return np.hypot(north - scan.radar_nea_m[..., 0], east - scan.radar_nea_m[..., 1])
 
 
@@ -220,22 +213,23 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     The ground curves away below the line (`sight_line_m`).  Refraction bends sight down, too, so
     that more is seen and less is hidden: it is left out.
     """
-    north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
-    slack = _SLACK_CELLS * seen.cell_m + scan.drift_m + scan.registration_m
+    north, east = seen.middles_m(scan.row, scan.column, scan.heights_m.shape)
+    slack = SLACK_CELLS * seen.cell_m + scan.drift_m + scan.registration_m
     not_seen = np.isneginf(scan.heights_m)
     distance = _distances_m(seen, scan)
     reach = min(scan.range_m - slack, _farthest_seen_m(scan, distance))
     hidden = not_seen & (distance < reach)
     result = np.full(hidden.shape, np.inf)
     if hidden.any():
-        rows, columns = np.nonzero(hidden)
-        middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-        radars = scan.radar_nea_m[rows, columns]
-        south, west, around = _around(seen, scan, radars, slack)
-        here = replace(scan, row=scan.row - south, column=scan.column - west)
-        obstacles = around.upper_m[_window(here)]  # a view of a copy
-        obstacles[not_seen] = -np.inf  # it hides nothing
-        bound = sight_line_m(around, radars, middles, slack)
+        middles, radars = np.dstack(np.broadcast_arrays(north, east)), scan.radar_nea_m[hidden]
+        corners = middles[[0, -1], [0, -1]]
+        all_ne_m = np.concatenate([corners, radars[:, :2]])
+        around = seen.part(*seen.about(all_ne_m, slack + 2.0 * seen.cell_m))
+        south, west = around.cell_of(*corners[0].tolist())
+        height, width = hidden.shape
+        top = around.upper_m.copy()
+        top[south : south + height, west : west + width][not_seen] = -np.inf  # it hides nothing
+        bound = sight_line_m(around, top, radars, middles[hidden], slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
     return result
 
@@ -255,210 +249,27 @@ def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
     answered = np.nonzero(~np.isnan(scan.heights_m))
     if not len(answered[0]):
         return result
-    north, east = after.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    north, east = after.middles_m(scan.row, scan.column, scan.heights_m.shape)
     middles = np.stack([north[answered[0], 0], east[0, answered[1]]], axis=-1)
-    slack = _SLACK_CELLS * after.cell_m + scan.drift_m + scan.registration_m
-    window = after.part(*_window(scan)).lattice
-    for radar_nea_m, above_m, spread_m, members in _groups(
-        scan.radar_nea_m[answered], after.cell_m
-    ):
-        rows, columns = answered[0][members], answered[1][members]
+    slack = SLACK_CELLS * after.cell_m + scan.drift_m + scan.registration_m
+    window = after.part(*_window(scan))
+    for each in standpoints(scan.radar_nea_m[answered], after.cell_m):
+        rows, columns = answered[0][each.members], answered[1][each.members]
         top = np.full(result.shape, np.inf)  # beyond what was not seen from here nothing is proven
         top[rows, columns] = scan.heights_m[rows, columns]
         top[np.isneginf(top)] = np.inf
         unseen = np.isinf(top[rows, columns])
         if unseen.any() and not unseen.all():
-            radar = (*radar_nea_m[:2], radar_nea_m[2] + above_m)
-            line = overlooking_line_m(
-                window, top, radar, middles[members][unseen], slack + spread_m
-            )
+            radar = (*each.lowest_nea_m[:2], each.lowest_nea_m[2] + each.height_m)
+            points, spread_m = middles[each.members][unseen], each.spread_m
+            line = overlooking_line_m(window, top, radar, points, slack + spread_m)
             result[rows[unseen], columns[unseen]] = np.ceil(line)
     return result
 
 
-def _around(
-    known: KnownMap, scan: Scan, radars_nea_m: FloatArray, slack_m: float
-) -> tuple[int, int, KnownMap]:
-    """A copy of what sight lines of a scan may cross, and row and column of where it begins."""
-    margin = math.ceil(slack_m / known.cell_m) + 2
-    rows, columns = _window(scan)
-    low, high = (
-        known.cell_of(*(float(x) for x in bound(radars_nea_m[:, :2], axis=0)))
-        for bound in (np.min, np.max)
-    )
-    limits = known.upper_m.shape
-    south = min(max(min(rows.start, low[0]) - margin, 0), limits[0] - 1)
-    west = min(max(min(columns.start, low[1]) - margin, 0), limits[1] - 1)
-    north, east = max(rows.stop, high[0]) + margin, max(columns.stop, high[1]) + margin
-    part = known.part(slice(south, north), slice(west, east))
-    return south, west, replace(part, upper_m=part.upper_m.copy())
-
-
-def sight_line_m(
-    known: KnownMap,
-    radars_nea_m: FloatArray,
-    points_ne_m: FloatArray,
-    slack_m: float,
-) -> FloatArray:
-    """Altitude of the highest sight line from radars to points over the terrain between.
-
-    radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL; +inf over unknown ground, -inf
-    where nothing lies between.  slack_m: 1.5 cells for the lattice, and how wrong the radar and the
-    terrain may be; the march looks at every cell within it of the line.
-
-    Lines are straight over a round earth: seen from the radar, ground at a distance d is d^2 / 2
-    R_e lower than its altitude says, and beyond what hides it the line is higher by as much.
-
-    Radars that are close to each other, as on a flight along, count as one in the middle of
-    them; how far they are from it is added to the slack.
-    """
-    groups = _groups(radars_nea_m, known.cell_m)
-    slack = slack_m + max((spread for _, _, spread, _ in groups), default=0.0)
-    size = 2 * math.ceil(slack / known.cell_m - 0.5) + 1
-    highest = scipy.ndimage.maximum_filter(known.upper_m, size=size, mode="nearest")
-    filtered = replace(known, upper_m=highest)
-    result = np.empty(len(points_ne_m))
-    for radar_nea_m, sink, _, members in groups:
-        points = points_ne_m[members]
-        result[members] = sink + _line_from_one_m(known, filtered, radar_nea_m, points, slack)
-    return result
-
-
-_Group = tuple[tuple[float, float, float], float, float, slice | NDArray[np.intp]]
-"""A radar's north, east and altitude; what the highest of the group is above it; how far the
-others are from it; and which they are."""
-
-
-def _groups(radars_nea_m: FloatArray, cell_m: float) -> list[_Group]:
-    """Radars that are within a fraction of a cell of each other."""
-    if len(radars_nea_m) == 0:
-        return []
-    low, high = radars_nea_m.min(axis=0), radars_nea_m.max(axis=0)
-    fine = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * cell_m
-    key = np.zeros(len(radars_nea_m), dtype=np.intp)
-    for axis in np.flatnonzero(high > low):
-        bins = ((radars_nea_m[:, axis] - low[axis]) / fine[axis]).astype(np.intp)
-        key = key * (int(bins.max()) + 1) + bins
-    if not key.any():
-        return [_group(radars_nea_m, slice(None))]
-    order = np.argsort(key, kind="stable")
-    parts = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
-    return [_group(radars_nea_m[part], part) for part in parts]
-
-
-def _group(radars_nea_m: FloatArray, members: slice | NDArray[np.intp]) -> _Group:
-    """The radar in the middle, as low as the lowest: lines over terrain are steepest from there."""
-    low, high = radars_nea_m.min(axis=0), radars_nea_m.max(axis=0)
-    middle = 0.5 * (low + high)
-    spread = 0.5 * math.hypot(high[0] - low[0], high[1] - low[1])
-    radar = (float(middle[0]), float(middle[1]), float(low[2]))
-    return radar, float(high[2] - low[2]), spread, members
-
-
-def _line_from_one_m(
-    known: KnownMap,
-    highest: KnownMap,
-    radar_nea_m: tuple[float, float, float],
-    points_ne_m: FloatArray,
-    slack_m: float,
-) -> FloatArray:
-    """`sight_line_m` from one radar; `highest` holds the highest cell within the slack.
-
-    One march along rays whose ends are RAY_CELLS apart serves all points: each takes the ray
-    nearest to it, half of that beside it at most.  A line to anywhere in a cell (0.71 cells
-    beside its middle) and between two steps (0.5) is then less than a cell from what the march
-    looks at in north and in east, which is what the slack of 1.5 cells of a scan leaves for it.
-
-    Slopes are rise over distance less distance / 2 R_e.  Of that a cell has the least, its rise
-    the most that the slack allows.  What this leaves out of the sphere is the square of heights
-    over R_e: z / (1 - z / R_e) is not below it.
-    """
-    cell = highest.cell_m
-    rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
-    distance = rays.distance_m
-    steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
-    flat = highest.lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
-    rise = highest.upper_m.ravel().take(flat)
-    rise -= radar_nea_m[2]
-    nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)  # nearer ones: one by one
-    steepest = rise / (steps * cell + slack_m)[:, None]
-    rise /= nearest[:, None]
-    np.maximum(steepest, rise, out=steepest)
-    steepest -= (np.maximum(steps * cell - slack_m, 0.0) / (2.0 * LEAST_RADIUS_M))[:, None]
-    np.maximum.accumulate(steepest, axis=0, out=steepest)
-    before = np.ceil(distance / cell).astype(np.intp) - 1
-    slope = steepest[np.clip(before, 1, len(steps)) - 1, rays.ray_of]
-    near = _slope_over_near_cells(known, radar_nea_m, points_ne_m, slack_m)
-    slope = np.where(before > 0, np.maximum(slope, near), -np.inf)
-    finite = np.isfinite(slope)
-    runs = np.maximum(distance - slack_m, 0.0), distance + slack_m
-    ends = [np.where(finite, slope, 0.0) * run + run**2 / (2.0 * LEAST_RADIUS_M) for run in runs]
-    share = np.minimum(np.maximum(*ends) / LEAST_RADIUS_M, 1.0)
-    with np.errstate(divide="ignore"):  # a line that never comes down again is no bound
-        line = radar_nea_m[2] + LEAST_RADIUS_M * share / (1.0 - share)
-    return np.where(finite, line, slope)
-
-
-def _slope_over_near_cells(
-    known: KnownMap,
-    radar_nea_m: tuple[float, float, float],
-    points_ne_m: FloatArray,
-    slack_m: float,
-) -> FloatArray:
-    """Slope of the steepest line to each point over the cells beside the radar, one by one.
-
-    A cell that rises above the radar does so where it is nearest: at no distance at all if that
-    may hold the radar, and then nothing is bounded behind it.  A line to anywhere in a point's
-    cell goes over all cells whose circle is in the direction of that cell's.  (K, 2) -> (K,).
-    """
-    cell = known.cell_m
-    reach_m = slack_m + cell  # the march takes no cell beyond for nearer than half a cell
-    error_m = max(slack_m - _SLACK_CELLS * cell, 0.0)
-    around = math.ceil((reach_m + error_m) / cell) + 1
-    row, column = known.cell_of(*radar_nea_m[:2])
-    rows, columns = (np.arange(at - around, at + around + 1) for at in (row, column))
-    limits = known.upper_m.shape
-    tops = known.upper_m[
-        np.ix_(np.clip(rows, 0, limits[0] - 1), np.clip(columns, 0, limits[1] - 1))
-    ]
-    north = known.north_min_m + (rows + 0.5) * cell - radar_nea_m[0]
-    east = known.east_min_m + (columns + 0.5) * cell - radar_nea_m[1]
-    off = np.abs(north)[:, None], np.abs(east)[None, :]
-    nearest = np.maximum(np.hypot(*(np.maximum(x - 0.5 * cell, 0.0) for x in off)) - error_m, 0.0)
-    farthest = np.hypot(*(x + 0.5 * cell for x in off)) + error_m
-    rise = tops - radar_nea_m[2]
-    with np.errstate(divide="ignore"):
-        slope = np.where(rise > 0.0, rise / np.where(rise > 0.0, nearest, 1.0), rise / farthest)
-    near = np.nonzero((nearest <= reach_m) & (rise > -np.inf))
-    to_cells = np.stack([north[near[0]], east[near[1]]], axis=-1)
-    to_points = points_ne_m - np.asarray(radar_nea_m[:2])
-    (azimuth, half, _), (towards, wide, far) = (
-        _circles_seen(away, math.sqrt(0.5) * cell + error_m) for away in (to_cells, to_points)
-    )
-    result = np.full(len(points_ne_m), -np.inf)
-    for each in range(len(azimuth)):
-        turned = np.abs(np.remainder(towards - azimuth[each] + math.pi, math.tau) - math.pi)
-        at = near[0][each], near[1][each]
-        over = (turned <= half[each] + wide) & (nearest[at] <= far)
-        np.maximum(result, slope[at], out=result, where=over)
-    return result
-
-
-def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Azimuths of circles, half the angles that they take up, and their far ends.  (K, 2)."""
-    distance = np.hypot(away_m[:, 0], away_m[:, 1])
-    half = np.arcsin(np.minimum(radius_m / np.maximum(distance, 1e-9), 1.0))
-    half[distance <= radius_m] = math.pi
-    return np.arctan2(away_m[:, 1], away_m[:, 0]), half, distance + radius_m
-
-
-def _window(scan: Scan) -> tuple[slice, slice]:
+def _window(scan: Scan) -> Window:
     rows, columns = scan.heights_m.shape
     return slice(scan.row, scan.row + rows), slice(scan.column, scan.column + columns)
-
-
-def _shape(array: FloatArray) -> tuple[int, int]:
-    return array.shape[0], array.shape[1]
 
 
 # --- a map as bytes, and what tells it from others
@@ -494,7 +305,7 @@ def digest_of(known: KnownMap) -> str:
     lattice = known.cell_m, known.north_min_m, known.east_min_m, known.registration_m
     digest = hashlib.sha256(repr((known.upper_m.shape, _millimetres(lattice).tolist())).encode())
     digest.update(_millimetres(known.upper_m).astype("<i8").tobytes())
-    for cells in (known.seen, known.firm):
+    for cells in (known.seen, known.surveyed):
         digest.update(np.packbits(cells).tobytes())
     if known.guess_m is not None:
         digest.update(_millimetres(known.guess_m).astype("<i8").tobytes())

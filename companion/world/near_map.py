@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from companion.geodesy import BoolArray, FloatArray
 from companion.ranges import NotNegative, Positive
 from companion.world.known_map import NO_ANSWER, Scan
-from companion.world.rays import IntArray, Lattice
+from companion.world.lattice import IntArray, Lattice, Window
 
 _NO_GAP_RAD = 1e-6
 """What is left of a turn that sectors go all round."""
@@ -40,8 +40,6 @@ _NO_DRIFT_S = 1.0
 CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6
 Kind = Literal["obstacle_distance", "distance_sensor"]
 """What the messages of a sensor are called."""
-Window = tuple[slice, slice]
-"""Rows and columns of a lattice."""
 
 
 class Sight(enum.Enum):
@@ -103,23 +101,9 @@ class Sweep:
         span += 1 + len(ring) * (span < 0)
         all_round = (low == high) & (2.0 * aside_rad > self.width_rad)
         span[all_round | (aside_rad >= math.pi)] = len(ring)
-        return _least_of_runs(ring, low, span)
-
-
-def _least_of_runs(values: FloatArray, first: IntArray, length: IntArray) -> FloatArray:
-    """The least of each run of values in a ring.  Two runs of a power of two cover any other."""
-    count, runs = len(values), [values]
-    while 2 ** len(runs) <= count:
-        step = 2 ** (len(runs) - 1)
-        runs.append(np.minimum(runs[-1], np.concatenate([runs[-1][step:], runs[-1][:step]])))
-    lengths = np.maximum(np.arange(count + 1), 1)
-    levels = np.log2(lengths).astype(np.intp)
-    table = np.stack(runs).ravel()
-    row = (levels * count).take(length)  # of the table
-    last = first + (lengths - 2**levels).take(length)
-    last -= count * (last >= count)
-    last += row
-    return np.minimum(table.take(row + first), table.take(last))
+        turned = np.add.outer(np.arange(len(ring)), np.arange(len(ring))) % len(ring)
+        least_m = np.minimum.accumulate(ring[turned], axis=1)  # by first sector, and how many more
+        return least_m[low, span - 1]
 
 
 @final
@@ -307,7 +291,8 @@ class NearMap:
         """
         rules, now_s = self.rules, sweep.time_s
         expired = self.expire(now_s)
-        window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
+        place = np.array([sweep.sensor_ne_m])
+        window = self.lattice.about(place, sweep.range_m + sweep.error_m)
         self.swept.append((now_s, window))
         (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
         looks, passes = self.looks[window], self.passes[window]  # views, as all of these
@@ -330,18 +315,6 @@ class NearMap:
         self.sharp[window] = (self.sharp[window] | sharp) & ~(wiped | gone)
         return both(expired, window)
 
-    def about_points(self, points_ne_m: FloatArray, reach_m: float) -> Window:
-        """The rows and columns within reach of points, north and east.  (N, 2)."""
-        lattice = self.lattice
-        corner = np.array([lattice.north_min_m, lattice.east_min_m])
-        low, high = points_ne_m.min(axis=0) - reach_m, points_ne_m.max(axis=0) + reach_m
-        first = np.floor((low - corner) / lattice.cell_m).astype(np.intp)
-        last = np.floor((high - corner) / lattice.cell_m).astype(np.intp) + 1
-        (row, column), (row_end, column_end) = (
-            np.clip(each, 0, lattice.shape).tolist() for each in (first, last)
-        )
-        return slice(row, row_end), slice(column, column_end)
-
     def _passed(self, sweep: Sweep, window: Window) -> tuple[BoolArray, BoolArray]:
         """The cells of a window that beams have passed all over, and those that were near by.
 
@@ -349,10 +322,9 @@ class NearMap:
         corner.  Near by: and nothing stands before them.
         """
         lattice, (rows, columns) = self.lattice, window
-        south_m = lattice.north_min_m - sweep.sensor_ne_m[0]
-        west_m = lattice.east_min_m - sweep.sensor_ne_m[1]
-        north = south_m + (np.arange(rows.start, rows.stop)[:, None] + 0.5) * lattice.cell_m
-        east = west_m + (np.arange(columns.start, columns.stop)[None, :] + 0.5) * lattice.cell_m
+        shape = rows.stop - rows.start, columns.stop - columns.start
+        north, east = lattice.middles_m(rows.start, columns.start, shape)
+        north, east = north - sweep.sensor_ne_m[0], east - sweep.sensor_ne_m[1]
         away_m, half_m = np.hypot(north, east), math.sqrt(0.5) * lattice.cell_m
         around_m = half_m + sweep.error_m
         aside_rad = np.arcsin(around_m / np.maximum(away_m, around_m)) + sweep.bearing_error_rad

@@ -8,7 +8,8 @@ import numpy as np
 
 from companion.geodesy import LEAST_RADIUS_M, BoolArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
-from companion.world.rays import Rays
+from companion.world.lattice import Lattice
+from companion.world.sight_lines import Rays
 from companion.world.terrain import Terrain
 
 _NEAR_CELLS = 2.0
@@ -17,28 +18,23 @@ _NEAR_CELLS = 2.0
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
+class Truth(Lattice):
     """The terrain on the lattice of a map, rasterised where it is looked at.
 
     So a scan takes as long in a big world as in a small one.
     """
 
     terrain: Terrain
-    cell_m: float
-    north_min_m: float
-    east_min_m: float
-    shape: tuple[int, int]
-    """Rows and columns."""
 
     @classmethod
-    def of(cls, terrain: Terrain, like: KnownMap) -> Self:
+    def of(cls, terrain: Terrain, like: Lattice) -> Self:
         """The truth behind a map."""
         return cls(
             terrain=terrain,
             cell_m=like.cell_m,
             north_min_m=like.north_min_m,
             east_min_m=like.east_min_m,
-            shape=(like.upper_m.shape[0], like.upper_m.shape[1]),
+            shape=like.shape,
         )
 
     def part(self, rows: slice, columns: slice) -> KnownMap:
@@ -59,17 +55,16 @@ class Truth:
         )
 
 
-def true_map(terrain: Terrain, like: KnownMap) -> KnownMap:
+def true_map(terrain: Terrain, like: Lattice) -> KnownMap:
     """The truth of a whole map at once."""
-    rows, columns = like.upper_m.shape
-    return Truth.of(terrain, like).part(slice(0, rows), slice(0, columns))
+    return Truth.of(terrain, like).part(slice(0, like.shape[0]), slice(0, like.shape[1]))
 
 
 def simulated_scan(
     truth: KnownMap | Truth, radar_nea_m: tuple[float, float, float], range_m: float
 ) -> Scan:
     """What a complete radar at a point sees of the truth (design section 4)."""
-    rows, columns = truth.shape if isinstance(truth, Truth) else truth.upper_m.shape
+    rows, columns = truth.shape
     row = math.floor((radar_nea_m[0] - truth.north_min_m) / truth.cell_m)
     column = math.floor((radar_nea_m[1] - truth.east_min_m) / truth.cell_m)
     half = math.ceil(range_m / truth.cell_m)
@@ -112,7 +107,7 @@ def _in_sight(
     rays = Rays.towards(middles, radar_nea_m[:2], here.cell_m)
     steps = np.arange(1.0, math.ceil(rays.farthest_m / here.cell_m) + 2)
     top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
-    crossed = here.lattice.wider().crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
+    crossed = here.wider().crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     slope = top.ravel().take(crossed)
     slope -= radar_nea_m[2]
     slope /= (steps * here.cell_m)[:, None]

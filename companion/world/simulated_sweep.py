@@ -12,8 +12,8 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
+from companion.world.lattice import IntArray
 from companion.world.near_map import Kind, NearSensor, Sweep
-from companion.world.rays import IntArray
 
 SECTORS: dict[Kind, int] = {"obstacle_distance": 72, "distance_sensor": 8}
 """All round, of each kind: what their MAVLink messages have room for."""

@@ -11,9 +11,8 @@ from typing import Any, Protocol, final
 import numpy as np
 import numpy.typing as npt
 
-from companion.geodesy import FloatArray, LocalFrame
-
-IntArray = npt.NDArray[np.intp]
+from companion.geodesy import FloatArray, LocalFrame, wrap_deg
+from companion.world.lattice import IntArray
 
 _NEGLIGIBLE_M = 1e-9
 """What all peaks that are left out of a sum may add up to; it is added."""
@@ -167,8 +166,8 @@ class GridTerrain:
         """Fractional row and column of points, each projected.  (...) x2 -> (...) x2."""
         latitude, longitude = self.frame.to_geodetic_deg(north_m, east_m)
         half = 0.5 * self.step_east_deg * (self.heights_m.shape[1] - 1)
-        off_middle = _wrapped_deg(self.frame.longitude_deg - self.west_deg - half)
-        east = _wrapped_deg(longitude - self.frame.longitude_deg) + off_middle + half
+        off_middle = wrap_deg(self.frame.longitude_deg - self.west_deg - half)
+        east = wrap_deg(longitude - self.frame.longitude_deg) + off_middle + half
         return (latitude - self.south_deg) / self.step_north_deg, east / self.step_east_deg
 
     def _outlines(
@@ -274,7 +273,7 @@ def _highest_between_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -
 def _highest_node_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> FloatArray:
     """Highest node in and next to boxes of fractional nodes.  2 x (...) x2 -> (...).
 
-    Maxima over squares of 2^k nodes, doubled up once for all boxes, then a few squares a box.
+    Maxima over squares as wide as the narrowest box, once for all, then a few squares a box.
     """
     first, last, count = [], [], []
     for a, b, size in zip(low, high, heights_m.shape, strict=True):
@@ -282,10 +281,14 @@ def _highest_node_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> F
         last.append(np.clip(np.ceil(b).astype(np.intp), 0, size - 1))
         count.append(last[-1] - first[-1] + 1)
     start = [int(index.min()) for index in first]
-    window = np.asarray(heights_m[start[0] : last[0].max() + 1, start[1] : last[1].max() + 1])
-    width = [1 << (int(c.min()).bit_length() - 1) for c in count]
-    for axis, wanted in enumerate(width):
-        window = _running_maximum(window, wanted, axis)
+    window = heights_m[start[0] : last[0].max() + 1, start[1] : last[1].max() + 1]
+    width = [int(c.min()) for c in count]
+    for wanted in width:  # of the maxima from each node on, down the rows, then the columns
+        done = 1
+        while done < wanted:
+            more = min(done, wanted - done)
+            window, done = np.maximum(window[:-more], window[more:]), done + more
+        window = window.T
     result = np.full(first[0].shape, -np.inf)
     for i in range(0, int(count[0].max()), width[0]):
         row = np.minimum(first[0] + i, last[0] + 1 - width[0]) - start[0]
@@ -293,17 +296,6 @@ def _highest_node_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> F
             column = np.minimum(first[1] + j, last[1] + 1 - width[1]) - start[1]
             np.maximum(result, window[row, column], out=result)
     return result
-
-
-def _running_maximum(values: npt.NDArray[Any], width: int, axis: int) -> npt.NDArray[Any]:
-    """Maxima over this many neighbours (a power of 2) from each index on; the end falls away."""
-    done = 1
-    while done < width:
-        size = values.shape[axis] - done
-        head = values[:size] if axis == 0 else values[:, :size]
-        tail = values[done:] if axis == 0 else values[:, done:]
-        values, done = np.maximum(head, tail), 2 * done
-    return values
 
 
 def _chebyshev(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -316,8 +308,3 @@ def _chebyshev(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     basis = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
     weights = np.polynomial.chebyshev.chebvander((points - middle) / half, _NODES - 1)
     return middle + half * nodes, weights @ np.linalg.inv(basis)
-
-
-def _wrapped_deg(angle_deg: Any) -> Any:
-    """The same angle from -180 up to 180 degrees."""
-    return (angle_deg + 180.0) % 360.0 - 180.0

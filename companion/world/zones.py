@@ -145,8 +145,14 @@ def gaps_m(
         np.minimum(result, sign * (away_m - radius_m), out=result)
     if len(result) and len(zones.polygons):
         low, high = (north.min(), east.min()), (north.max(), east.max())
-        for k in np.flatnonzero(_may_matter(zones.polygons[:, 2:], low, high, result.max())):
-            _lower(result, zones, int(k), north, east)
+        may_matter = _may_matter(zones.polygons[:, 2:], low, high, result.max())
+        for polygon in zones.polygons[may_matter]:
+            apart_m2 = _box_gaps_m2(polygon[3:], north, east)
+            some = np.flatnonzero((apart_m2 <= np.maximum(result, 0.0) ** 2) | (polygon[2] < 0.0))
+            step = max(int(_AT_ONCE / (polygon[1] - polygon[0])), 1)
+            for part in (some[k : k + step] for k in range(0, len(some), step)):
+                here = north[part], east[part]
+                result[part] = _from_polygon_m(zones, polygon, *here, result[part])
     return result.reshape(shape)
 
 
@@ -189,20 +195,6 @@ def _may_matter(
     gap_e = np.maximum(np.maximum(west - high[1], low[1] - east), 0.0)
     apart_m = np.hypot(gap_n, gap_e)
     return np.asarray((apart_m < within_m) | (apart_m == 0.0) | (sign < 0.0))
-
-
-def _lower(
-    result: FloatArray, table: ZoneTable, polygon: int, north: FloatArray, east: FloatArray
-) -> None:
-    """Lower `result` to the distances of a polygon.  (N,) x3."""
-    row = table.polygons[polygon]
-    apart_m2 = _box_gaps_m2(row[3:], north, east)
-    enough_m = np.maximum(result, 0.0)
-    some = np.flatnonzero((apart_m2 < enough_m * enough_m) | (apart_m2 == 0.0) | (row[2] < 0.0))
-    step = max(int(_AT_ONCE / (row[1] - row[0])), 1)
-    for first in range(0, len(some), step):
-        part = some[first : first + step]
-        result[part] = _from_polygon_m(table, row, north[part], east[part], result[part])
 
 
 def _from_polygon_m(
@@ -282,16 +274,10 @@ def edge_distance(
 
 
 def box_gap(
-    south: float,
-    north: float,
-    west: float,
-    east: float,
-    n0: float,
-    e0: float,
-    n1: float,
-    e1: float,
+    box: tuple[float, float, float, float], n0: float, e0: float, n1: float, e1: float
 ) -> float:
     """A lower bound of the distance of a segment from what lies in a box: that of the boxes."""
+    south, north, west, east = box
     gap_n = max(max(south - max(n0, n1), min(n0, n1) - north), 0.0)
     gap_e = max(max(west - max(e0, e1), min(e0, e1) - east), 0.0)
     return math.sqrt(gap_n * gap_n + gap_e * gap_e)
@@ -318,11 +304,11 @@ def edges_distance(
     """Least horizontal distance of a segment from a polygon's edges, at most `limit`."""
     first, last, _, south, north, west, east = zones.polygons[polygon]
     nearest = limit
-    if box_gap(south, north, west, east, n0, e0, n1, e1) >= limit:
+    if box_gap((south, north, west, east), n0, e0, n1, e1) >= limit:
         return nearest
     for group in range(int(first), int(last)):
         south, north, west, east, count = zones.groups[group]
-        if box_gap(south, north, west, east, n0, e0, n1, e1) < nearest:
+        if box_gap((south, north, west, east), n0, e0, n1, e1) < nearest:
             for k in range(int(count)):
                 an, ae, bn, be = zones.edges[group, k]
                 nearest = min(nearest, edge_distance(n0, e0, n1, e1, an, ae, bn, be))

@@ -51,8 +51,8 @@ class Clearances:
     def look(self, near: NearMap, here: complex, reach_m: float) -> None:
         """The map may have changed within reach of a place."""
         point = np.array([[here.real, here.imag]])
-        told = near.about_points(point, reach_m + self._most_m)
-        wide = near.about_points(point, reach_m + 2.0 * self._most_m)
+        told = near.lattice.about(point, reach_m + self._most_m)
+        wide = near.lattice.about(point, reach_m + 2.0 * self._most_m)
         stands = near.occupied(wide) & near.sharp[wide]
         away_m = np.full(stands.shape, np.inf)
         if stands.any():

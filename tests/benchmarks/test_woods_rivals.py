@@ -10,8 +10,8 @@ from woods import true_gap_m
 from woods_rivals import AStar, Bendy, Clearances
 
 from companion.config import folder_of
+from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap, Rules
-from companion.world.rays import Lattice
 from vehicle_sim.world import read_world
 
 CELL_M, MARGIN_M, RANGE_M = 0.5, 1.0, 16.0

@@ -80,7 +80,7 @@ def test_the_ground_is_what_the_flight_knew(run_dir: tuple[Path, Session]) -> No
     drawn_aside = ground_of(aside, (0.0, 0.0), session.mission)
     for each, drawn in ((known, last), (aside, drawn_aside)):
         rows, columns = drawn.kind.shape  # drawn by blocks of 2 x 2 cells, by the least sure
-        proven = each.firm.reshape(rows, 2, columns, 2).all((1, 3))
+        proven = each.surveyed.reshape(rows, 2, columns, 2).all((1, 3))
         assert proven.any()
         assert np.array_equal(drawn.kind == PROVEN, proven)
         highest_m = each.upper_m.reshape(rows, 2, columns, 2).max((1, 3))

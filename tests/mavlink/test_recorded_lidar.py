@@ -16,8 +16,8 @@ from companion.mavlink.frames import Receiver, number_of, sender_of
 from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT
 from companion.mavlink.near_sensing import NearSensing, Poses, Sight
 from companion.telemetry.logs import open_log
+from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap, NearSensor, Rules
-from companion.world.rays import Lattice
 
 HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
 LIDAR = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0, blind_m=0.2)

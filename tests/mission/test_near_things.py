@@ -10,8 +10,8 @@ from companion.mission.events import NearSeen, Setpoint, StatusText
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
 from companion.planner.procedure import Reference
+from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap, NearSensor, Rules, Sight
-from companion.world.rays import Lattice
 
 SENSOR = NearSensor(kind="obstacle_distance", component_id=196, range_m=20_000.0)
 MISSION = two_legs_away(mission(near=SENSOR, fallback=Fallback.RETURN))

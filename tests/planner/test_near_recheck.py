@@ -13,13 +13,13 @@ from companion.planner.cost_grid import CostGrid, Extent, bars
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.procedure import Leg
 from companion.planner.recheck import meets_near_things
-from companion.world import rays
 from companion.world.guess import guess_of
 from companion.world.known_map import empty_map
+from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap, Rules
 
 CELL_M = 0.25
-PLACE = rays.Lattice(cell_m=CELL_M, north_min_m=-5.0, east_min_m=-10.0, shape=(120, 80))
+PLACE = Lattice(cell_m=CELL_M, north_min_m=-5.0, east_min_m=-10.0, shape=(120, 80))
 
 
 def a_leg(rng: np.random.Generator) -> Leg:

@@ -548,7 +548,7 @@ def test_the_ground_is_nowhere_higher_than_the_known_map_says(folder: Path) -> N
     known = mission.known
     assert np.isfinite(known.upper_m).all()
     assert not known.seen.any()  # a scan may still find the ground lower
-    assert known.firm.all()
+    assert known.surveyed.all()
     rng = np.random.default_rng(2)
     for _ in range(300):  # the file's own nodes: each lies in its cell
         row, column = int(rng.integers(60, 130)), int(rng.integers(80, 200))
@@ -571,7 +571,7 @@ def test_a_file_for_guidance_is_no_knowledge(folder: Path) -> None:
     proof, guidance = (load(folder, f'{KNOWN}trust = "{t}"\n').known for t in ("proof", "guidance"))
     assert guidance.guess_m is not None
     assert np.isinf(guidance.upper_m).all()
-    assert not guidance.firm.any()
+    assert not guidance.surveyed.any()
     np.testing.assert_array_equal(guidance.guess_m, proof.upper_m)
 
 
@@ -618,7 +618,7 @@ def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(folder: Pa
         row, _ = known.cell_of(0.0, 0.0)
         assert np.isinf(known.upper_m[: row - 3]).all()
         assert np.isfinite(known.upper_m[row + 8 :]).all()
-        np.testing.assert_array_equal(known.firm, np.isfinite(known.upper_m))
+        np.testing.assert_array_equal(known.surveyed, np.isfinite(known.upper_m))
         assert not known.seen.any()
 
 
@@ -656,7 +656,7 @@ def test_ground_that_is_stated_is_known_everywhere_without_a_radar(folder: Path)
     assert mission.scanner_component_id is None
     assert (known.upper_m == 840.0).all()
     assert known.seen.all()
-    assert known.firm.all()
+    assert known.surveyed.all()
     limits = mission.task.limits
     for north, east in itertools.product(limits.north_m, limits.east_m):
         assert known.is_known(np.clip(north, -4e3, 5999.0), np.clip(east, -4e3, 5999.0))
@@ -666,7 +666,7 @@ def test_ground_that_is_stated_is_known_everywhere_without_a_radar(folder: Path)
 def test_a_radar_may_know_better_than_the_statement(folder: Path) -> None:
     known = load(folder, STATED).known
     assert not known.seen.any()
-    assert known.firm.all()
+    assert known.surveyed.all()
 
 
 def test_what_is_stated_is_recorded_as_it_stands(folder: Path) -> None:

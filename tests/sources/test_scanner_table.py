@@ -72,7 +72,7 @@ def test_the_ground_is_a_guess_and_nothing_of_what_stands_on_it_is_known(tmp_pat
     assert known is not None
     assert known.guess_m is not None
     assert (known.guess_m == 400.5).all()
-    assert not known.firm.any()
+    assert not known.surveyed.any()
 
 
 _MISSING: tuple[str, str] = (STATED, "")

@@ -75,8 +75,8 @@ def test_what_can_be_read_is_gone_on_with(folder: Path) -> None:
 
 def test_terrain_known_in_advance_is_still_known_after_a_restart(folder: Path) -> None:
     """Else, without a radar, nothing would be flown over any more."""
-    assert BLANK.firm.all()
-    assert begun(load_resume_data(folder, MISSION)).flight.known.firm.all()
+    assert BLANK.surveyed.all()
+    assert begun(load_resume_data(folder, MISSION)).flight.known.surveyed.all()
 
 
 def write(name: str, data: bytes) -> Callable[[Path], object]:

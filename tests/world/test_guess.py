@@ -144,4 +144,4 @@ def read_by_proofs(known: KnownMap) -> list[FloatArray]:
     around = pack_surroundings(
         known, task.limits, (), (), task.margins, centre_ne_m=HERE, reach_m=R
     )
-    return [safe.vertex_m, around.columns.heights_m, around.columns.blocks_m, known.firm]
+    return [safe.vertex_m, around.columns.heights_m, around.columns.blocks_m, known.surveyed]

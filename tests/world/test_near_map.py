@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap, Rules, Sweep
-from companion.world.rays import Lattice
 
 FloatArray = NDArray[np.float64]
 RULES = Rules()

@@ -146,7 +146,7 @@ def problem_of(request: PlanRequest) -> RouteProblem:
     task, known, clear_m = request.task, request.known, _clear_m(request)
     sides = (task.limits.north_m, task.limits.east_m)
     surface = safe_surface(
-        replace(known, upper_m=np.where(known.firm, known.upper_m, np.inf)),
+        replace(known, upper_m=np.where(known.surveyed, known.upper_m, np.inf)),
         compiled(dilated_m),
         centre_ne_m=(0.5 * sum(sides[0]), 0.5 * sum(sides[1])),
         reach_m=0.5 * max(high - low for low, high in sides),
@@ -219,7 +219,7 @@ def _flown(
     may_be = np.isfinite(problem.rate_at(points))
     may_be &= surface.altitude_m(*problem.place_m(nodes).T) <= ceiling
     cells = np.array([known.cell_of(*point) for point in points.tolist()])
-    may_be &= known.firm[tuple(np.clip(cells, 0, np.array(known.firm.shape) - 1).T)]
+    may_be &= known.surveyed[tuple(np.clip(cells, 0, np.array(known.surveyed.shape) - 1).T)]
     may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
     may_be |= binary_closing(may_be, _GRAZE)
     may_be &= np.hypot(*(points - scan_ne_m).T) < range_m

@@ -1,0 +1,96 @@
+"""Square cells in the local frame: what all maps of the world are made of.
+
+Rows go to the north, columns to the east.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.geodesy import FloatArray
+
+IntArray = NDArray[np.intp]
+Window = tuple[slice, slice]
+"""Rows and columns of a lattice, start and stop on it."""
+
+_ON_EDGE_M = 1e-3
+"""So near below an edge between cells a point is taken to be on it: far above rounding of positions
+(1e-9 m), far below what a map resolves."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lattice:
+    """Where the cells of an array are, in the local frame.  Maps are lattices with values."""
+
+    cell_m: float
+    north_min_m: float
+    east_min_m: float
+    shape: tuple[int, int]
+    """Rows and columns."""
+
+    def bare(self) -> "Lattice":
+        """The lattice without what a map has in its cells."""
+        return Lattice(
+            cell_m=self.cell_m,
+            north_min_m=self.north_min_m,
+            east_min_m=self.east_min_m,
+            shape=self.shape,
+        )
+
+    def wider(self) -> "Lattice":
+        """The bare lattice with one more cell on each side."""
+        return replace(
+            self.bare(),
+            north_min_m=self.north_min_m - self.cell_m,
+            east_min_m=self.east_min_m - self.cell_m,
+            shape=(self.shape[0] + 2, self.shape[1] + 2),
+        )
+
+    def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
+        """Row and column of the cell that holds a point (may lie outside the lattice).
+
+        A mission often begins on an edge between cells: of that, and a millimetre short of it, it
+        is the cell to the north or east, whatever the last digits of the position are.
+        """
+        return (
+            math.floor((north_m - self.north_min_m + _ON_EDGE_M) / self.cell_m),
+            math.floor((east_m - self.east_min_m + _ON_EDGE_M) / self.cell_m),
+        )
+
+    def middles_m(
+        self, row: int, column: int, shape: tuple[int, ...]
+    ) -> tuple[FloatArray, FloatArray]:
+        """North (rows, 1) and east (1, columns) of the middles of a window of cells, metres."""
+        north = self.north_min_m + np.arange(row + 0.5, row + shape[0]) * self.cell_m
+        east = self.east_min_m + np.arange(column + 0.5, column + shape[1]) * self.cell_m
+        return north[:, None], east[None, :]
+
+    def about(self, points_ne_m: FloatArray, reach_m: float) -> Window:
+        """The cells of the lattice within reach of a rectangle around points.  (N, 2)."""
+        corner = np.array([self.north_min_m, self.east_min_m])
+        low, high = points_ne_m.min(axis=0) - reach_m, points_ne_m.max(axis=0) + reach_m
+        first = np.floor((low - corner) / self.cell_m).astype(np.intp)
+        last = np.floor((high - corner) / self.cell_m).astype(np.intp) + 1
+        (row, column), (row_end, column_end) = (
+            np.clip(each, 0, self.shape).tolist() for each in (first, last)
+        )
+        return slice(row, row_end), slice(column, column_end)
+
+    def crossed(
+        self, radar_ne_m: tuple[float, float], azimuth_rad: FloatArray, steps: FloatArray
+    ) -> IntArray:
+        """Cells under points steps x cell_m away from a radar, as indices of the ravelled array.
+
+        (rays,), (steps,) -> (steps, rays).  Beyond the edge it is the nearest cell.
+        """
+        rows, columns = self.shape
+        row = np.multiply.outer(steps, np.cos(azimuth_rad))  # in place from here on
+        row += (radar_ne_m[0] - self.north_min_m) / self.cell_m
+        column = np.multiply.outer(steps, np.sin(azimuth_rad))
+        column += (radar_ne_m[1] - self.east_min_m) / self.cell_m
+        flat = np.clip(row, 0, rows - 1, out=row).astype(np.intp)
+        flat *= columns
+        flat += np.clip(column, 0, columns - 1, out=column).astype(np.intp)
+        return flat

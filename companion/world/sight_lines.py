@@ -1,0 +1,289 @@
+"""Lines of sight that go out from a radar over a lattice of cells.
+
+Below which line ground lies that something hides (`sight_line_m`), and below which one ground lies
+that a radar looked over (`overlooking_line_m`).  `known_map` says when that follows.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+import numpy as np
+import scipy
+
+from companion.geodesy import LEAST_RADIUS_M, FloatArray
+from companion.world.lattice import IntArray, Lattice
+
+RAY_CELLS = 0.3
+"""Between neighbouring rays at the farthest point, in cells."""
+SLACK_CELLS = 1.5
+"""Of a sight line, for the lattice alone (`known_map._hidden_bound_m`, `_line_from_one_m`)."""
+_GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
+"""Radars this close, level and up, count as one: what that costs is proven as slack and as height
+(`sight_line_m`), and saves a march for each position of a moving radar."""
+_WIDER = 1.5
+"""Strips of cells are looked at in widths that grow by this: up to half as wide again as need be,
+which only takes in more cells, for a handful of filters in all."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rays:
+    """Rays towards points: each point has one that passes within RAY_CELLS / 2 of it."""
+
+    azimuth_rad: FloatArray  # (rays,)
+    distance_m: FloatArray  # (points,)
+    ray_of: IntArray  # (points,)
+    farthest_m: float
+
+    @classmethod
+    def towards(
+        cls, points_ne_m: FloatArray, radar_ne_m: tuple[float, float], cell_m: float
+    ) -> "Rays":
+        """The rays from a radar that are needed for these points.  (K, 2)."""
+        away = points_ne_m - np.asarray(radar_ne_m)
+        distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
+        farthest = max(float(distance.max()), cell_m)
+        apart_rad = RAY_CELLS * cell_m / farthest
+        index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
+        first = int(index.min())
+        used = np.bincount(index - first) > 0
+        return cls(
+            azimuth_rad=np.asarray((np.flatnonzero(used) + first) * apart_rad, dtype=np.float64),
+            distance_m=distance,
+            ray_of=(np.cumsum(used) - 1)[index - first],
+            farthest_m=farthest,
+        )
+
+
+class Standpoint(NamedTuple):
+    """Radars that are within a fraction of a cell of each other: they count as one.
+
+    It is in their middle, and as low as the lowest: lines over terrain are steepest from there.
+    """
+
+    lowest_nea_m: tuple[float, float, float]
+    height_m: float
+    """From the lowest of the radars to the highest."""
+    spread_m: float
+    """How far from the middle they are at most."""
+    members: IntArray
+    """Which radars these are."""
+
+
+def standpoints(radars_nea_m: FloatArray, cell_m: float) -> list[Standpoint]:
+    """Where a radar that moves was while it looked.  (K, 3), K > 0."""
+    apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * cell_m
+    bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
+    key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
+    order = np.argsort(key, kind="stable")
+    found = []
+    for members in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+        low, high = radars_nea_m[members].min(axis=0), radars_nea_m[members].max(axis=0)
+        north_m, east_m, _ = (0.5 * (low + high)).tolist()
+        spread_m = 0.5 * math.hypot(high[0] - low[0], high[1] - low[1])
+        lowest_nea_m = (north_m, east_m, float(low[2]))
+        found.append(Standpoint(lowest_nea_m, float(high[2] - low[2]), spread_m, members))
+    return found
+
+
+def sight_line_m(
+    lattice: Lattice,
+    top_m: FloatArray,
+    radars_nea_m: FloatArray,
+    points_ne_m: FloatArray,
+    slack_m: float,
+) -> FloatArray:
+    """Altitude of the highest sight line from radars to points over the terrain between.
+
+    top_m: the highest of each cell.  radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL;
+    +inf over unknown ground, -inf where nothing lies between.  slack_m: 1.5 cells for the lattice,
+    and how wrong the radar and the terrain may be; the march looks at every cell within it of the
+    line.
+
+    Lines are straight over a round earth: seen from the radar, ground at a distance d is d^2 / 2
+    R_e lower than its altitude says, and beyond what hides it the line is higher by as much.
+
+    Radars that are close to each other (`Standpoint`) count as one: how far they are from its
+    middle is added to the slack.
+    """
+    points_of = standpoints(radars_nea_m, lattice.cell_m)
+    slack = slack_m + max((each.spread_m for each in points_of), default=0.0)
+    size = 2 * math.ceil(slack / lattice.cell_m - 0.5) + 1
+    highest_m = scipy.ndimage.maximum_filter(top_m, size=size, mode="nearest")
+    result = np.empty(len(points_ne_m))
+    for each in points_of:
+        points, radar = points_ne_m[each.members], each.lowest_nea_m
+        near = _slope_over_near_cells(lattice, top_m, radar, points, slack)
+        line = _line_from_one_m(lattice, highest_m, near, radar, points, slack)
+        result[each.members] = each.height_m + line
+    return result
+
+
+def _line_from_one_m(
+    lattice: Lattice,
+    highest_m: FloatArray,
+    near_slope: FloatArray,
+    radar_nea_m: tuple[float, float, float],
+    points_ne_m: FloatArray,
+    slack_m: float,
+) -> FloatArray:
+    """`sight_line_m` from one radar over the highest cells within the slack, and over near ones.
+
+    near_slope: of lines to the points over the cells beside the radar.
+
+    One march along rays whose ends are RAY_CELLS apart serves all points: each takes the ray
+    nearest to it, half of that beside it at most.  A line to anywhere in a cell (0.71 cells
+    beside its middle) and between two steps (0.5) is then less than a cell from what the march
+    looks at in north and in east, which is what the slack of 1.5 cells of a scan leaves for it.
+
+    Slopes are rise over distance less distance / 2 R_e.  Of that a cell has the least, its rise
+    the most that the slack allows.  What this leaves out of the sphere is the square of heights
+    over R_e: z / (1 - z / R_e) is not below it.
+    """
+    cell = lattice.cell_m
+    rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
+    distance = rays.distance_m
+    steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
+    flat = lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
+    rise = highest_m.ravel().take(flat)
+    rise -= radar_nea_m[2]
+    nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)  # nearer ones: one by one
+    steepest = rise / (steps * cell + slack_m)[:, None]
+    rise /= nearest[:, None]
+    np.maximum(steepest, rise, out=steepest)
+    steepest -= (np.maximum(steps * cell - slack_m, 0.0) / (2.0 * LEAST_RADIUS_M))[:, None]
+    np.maximum.accumulate(steepest, axis=0, out=steepest)
+    before = np.ceil(distance / cell).astype(np.intp) - 1
+    slope = steepest[np.clip(before, 1, len(steps)) - 1, rays.ray_of]
+    slope = np.where(before > 0, np.maximum(slope, near_slope), -np.inf)
+    finite = np.isfinite(slope)
+    runs = np.maximum(distance - slack_m, 0.0), distance + slack_m
+    ends = [np.where(finite, slope, 0.0) * run + run**2 / (2.0 * LEAST_RADIUS_M) for run in runs]
+    share = np.minimum(np.maximum(*ends) / LEAST_RADIUS_M, 1.0)
+    with np.errstate(divide="ignore"):  # a line that never comes down again is no bound
+        line = radar_nea_m[2] + LEAST_RADIUS_M * share / (1.0 - share)
+    return np.where(finite, line, slope)
+
+
+def _slope_over_near_cells(
+    lattice: Lattice,
+    top_m: FloatArray,
+    radar_nea_m: tuple[float, float, float],
+    points_ne_m: FloatArray,
+    slack_m: float,
+) -> FloatArray:
+    """Slope of the steepest line to each point over the cells beside the radar, one by one.
+
+    A cell that rises above the radar does so where it is nearest: at no distance at all if that
+    may hold the radar, and then nothing is bounded behind it.  A line to anywhere in a point's
+    cell goes over all cells whose circle is in the direction of that cell's.  (K, 2) -> (K,).
+    """
+    cell = lattice.cell_m
+    reach_m = slack_m + cell  # the march takes no cell beyond for nearer than half a cell
+    error_m = max(slack_m - SLACK_CELLS * cell, 0.0)
+    around = math.ceil((reach_m + error_m) / cell) + 1
+    row, column = lattice.cell_of(*radar_nea_m[:2])
+    rows, columns = (np.arange(at - around, at + around + 1) for at in (row, column))
+    limits = lattice.shape
+    tops = top_m[np.ix_(np.clip(rows, 0, limits[0] - 1), np.clip(columns, 0, limits[1] - 1))]
+    north = lattice.north_min_m + (rows + 0.5) * cell - radar_nea_m[0]
+    east = lattice.east_min_m + (columns + 0.5) * cell - radar_nea_m[1]
+    off = np.abs(north)[:, None], np.abs(east)[None, :]
+    nearest = np.maximum(np.hypot(*(np.maximum(x - 0.5 * cell, 0.0) for x in off)) - error_m, 0.0)
+    farthest = np.hypot(*(x + 0.5 * cell for x in off)) + error_m
+    rise = tops - radar_nea_m[2]
+    with np.errstate(divide="ignore"):
+        slope = np.where(rise > 0.0, rise / np.where(rise > 0.0, nearest, 1.0), rise / farthest)
+    near = np.nonzero((nearest <= reach_m) & (rise > -np.inf))
+    to_cells = np.stack([north[near[0]], east[near[1]]], axis=-1)
+    to_points = points_ne_m - np.asarray(radar_nea_m[:2])
+    (azimuth, half, _), (towards, wide, far) = (
+        _circles_seen(away, math.sqrt(0.5) * cell + error_m) for away in (to_cells, to_points)
+    )
+    result = np.full(len(points_ne_m), -np.inf)
+    for each in range(len(azimuth)):
+        turned = np.abs(np.remainder(towards - azimuth[each] + math.pi, math.tau) - math.pi)
+        at = near[0][each], near[1][each]
+        over = (turned <= half[each] + wide) & (nearest[at] <= far)
+        np.maximum(result, slope[at], out=result, where=over)
+    return result
+
+
+def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Azimuths of circles, half the angles that they take up, and their far ends.  (K, 2)."""
+    distance = np.hypot(away_m[:, 0], away_m[:, 1])
+    half = np.arcsin(np.minimum(radius_m / np.maximum(distance, 1e-9), 1.0))
+    half[distance <= radius_m] = math.pi
+    return np.arctan2(away_m[:, 1], away_m[:, 0]), half, distance + radius_m
+
+
+def overlooking_line_m(
+    lattice: Lattice,
+    top_m: FloatArray,
+    radar_nea_m: tuple[float, float, float],
+    points_ne_m: FloatArray,
+    slack_m: float,
+) -> FloatArray:
+    """Altitude of the lowest line of sight that passes over points to seen ground beyond them.
+
+    top_m: the highest of each cell that was seen, +inf for all others.  (K, 2) -> (K,).
+
+    The arc between two rays at one step is seen if the cells that it may touch are; a point is
+    overlooked if at some step at least two slacks behind it all arcs are seen that lines over its
+    cell can reach.  Those lines are steepest to the highest of these cells, a slack nearer.
+    """
+    cell = lattice.cell_m
+    away = points_ne_m - np.asarray(radar_nea_m[:2])
+    distance = np.hypot(away[:, 0], away[:, 1])
+    rows, columns = np.nonzero(np.isfinite(top_m))
+    north = lattice.north_min_m + (rows + 0.5) * cell - radar_nea_m[0]
+    east = lattice.east_min_m + (columns + 0.5) * cell - radar_nea_m[1]
+    farthest = float(np.hypot(north, east).max()) + cell
+    count = math.ceil(math.tau * farthest / (RAY_CELLS * cell))  # rays all round
+    apart_rad = math.tau / count
+    azimuth = np.arange(float(count)) * apart_rad
+    steps = np.arange(1.0, math.ceil(farthest / cell) + 1.0)
+    steepest = _slope_to_arcs(lattice, top_m, radar_nea_m, azimuth, steps, slack_m)
+    half_rad = np.arcsin(np.minimum(slack_m / np.maximum(distance, slack_m), 1.0))
+    half = half_rad / apart_rad  # rays to each side
+    first = np.ceil((distance + 2.0 * slack_m) / cell).astype(np.intp) - 1
+    ray = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp) % len(azimuth)
+    slope = np.full(len(distance), np.inf)
+    able = (first < len(steps)) & (distance > 2.0 * slack_m)
+    classes = np.ceil(np.log(np.maximum(half, 1.0)) / math.log(_WIDER)).astype(np.intp)
+    for each in np.unique(classes[able]):
+        wide = 2 * math.ceil(_WIDER ** int(each)) + 1
+        strip = scipy.ndimage.maximum_filter1d(steepest, wide, axis=1, mode="wrap")
+        np.minimum.accumulate(strip[::-1], axis=0, out=strip[::-1])
+        at = able & (classes == each)
+        slope[at] = strip[first[at], ray[at]]
+    run = np.where(slope > 0.0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
+    return np.asarray(radar_nea_m[2] + slope * np.maximum(run, 1e-9))
+
+
+def _slope_to_arcs(
+    lattice: Lattice,
+    top_m: FloatArray,
+    radar_nea_m: tuple[float, float, float],
+    azimuth_rad: FloatArray,
+    steps: FloatArray,
+    slack_m: float,
+) -> FloatArray:
+    """Slope of the steepest line to the cells of each arc; +inf if one was not seen.
+
+    An arc reaches half way to the rays beside it, so it is shorter than a cell and touches no cells
+    but those that hold its ends and the two others of the same rows and columns.
+    -> (steps, rays).
+    """
+    edge = np.pad(top_m, 1, constant_values=np.inf)
+    half_rad = 0.5 * float(azimuth_rad[1])
+    ends = lattice.wider().crossed(radar_nea_m[:2], azimuth_rad - half_rad, steps)
+    left, right = (np.divmod(flat, edge.shape[1]) for flat in (ends, np.roll(ends, -1, axis=1)))
+    rise = np.maximum(edge[left], edge[right])
+    np.maximum(rise, edge[left[0], right[1]], out=rise)
+    np.maximum(rise, edge[right[0], left[1]], out=rise)
+    rise -= radar_nea_m[2]
+    run = (steps * lattice.cell_m)[:, None]
+    nearest = np.maximum(run - slack_m, 1e-9)
+    return np.where(rise > 0.0, rise / nearest, rise / (run + slack_m))
