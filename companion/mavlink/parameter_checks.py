@@ -375,24 +375,35 @@ def bank(value: float, case: CheckContext) -> ParameterIssue | None:
     )
 
 
-def circles(wider_m: float, bank: str) -> ParameterCheck:
+def circles(wider_m: float, bank: str, beside: float = 0.0) -> ParameterCheck:
     """Whether the autopilot's loiter circles, which are wider by this, stay in the cleared ones.
 
-    bank: the parameter that limits the bank.
+    bank: the parameter that limits the bank.  beside: how far from the place that it waits at its
+    circle's centre may be if the stream ends, in radii of its tightest turn.  For that circles are
+    made smaller, down to what is flown with ease; where this is not enough, a note says so.
     """
 
     def check(value: float, case: CheckContext) -> ParameterIssue | None:
-        limits, flown_m = case.limits, abs(value) + wider_m
-        if limits.hovers or flown_m <= limits.loiter_radius_m + EQUAL_WITHIN:
+        limits = case.limits
+        if limits.hovers:
             return None
+        tightest_m = _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0))
+        room_m, beside_m = limits.loiter_radius_m - wider_m, math.ceil(beside * tightest_m)
+        easy_m, fits = math.ceil(_EASY * tightest_m), abs(value) <= room_m + EQUAL_WITHIN
+        needed_m = abs(value) + wider_m + (beside_m if fits else 0)
         rule = (
-            f"its circles are flown with {flown_m:g} m, and the mission keeps "
+            f"its circles are flown with {needed_m:g} m, and the mission keeps "
             f"vehicle.loiter_radius_m = {limits.loiter_radius_m:g} clear"
         )
-        fits_m = math.floor(limits.loiter_radius_m - wider_m)
-        if fits_m < _EASY * _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0)):
-            return refused(rule, f"Set vehicle.loiter_radius_m to {flown_m:g} or more")
-        return to_set(math.copysign(fits_m, value), rule)
+        if not fits and math.floor(room_m) < _EASY * tightest_m:
+            return refused(rule, f"Set vehicle.loiter_radius_m to {needed_m:g} or more")
+        kept_m = max(room_m - beside_m, min(room_m, easy_m))
+        if abs(value) > kept_m + EQUAL_WITHIN and (case.mission.sets_parameters or not fits):
+            return to_set(math.copysign(math.floor(kept_m), value), rule)
+        if needed_m <= limits.loiter_radius_m + EQUAL_WITHIN:
+            return None
+        where = f"if the stream ends as it waits at a place, {beside_m} m beside it; {rule}"
+        return note(where, f"Better vehicle.loiter_radius_m = {needed_m:g}, or less of a circle")
 
     return check
 
