@@ -378,32 +378,30 @@ def bank(value: float, case: CheckContext) -> ParameterIssue | None:
 def circles(wider_m: float, bank: str, beside: float = 0.0) -> ParameterCheck:
     """Whether the autopilot's loiter circles, which are wider by this, stay in the cleared ones.
 
-    bank: the parameter that limits the bank.  beside: how far from the place that it waits at its
-    circle's centre may be if the stream ends, in radii of its tightest turn.  For that circles are
-    made smaller, down to what is flown with ease; where this is not enough, a note says so.
+    bank: the parameter that limits the bank.  beside: radii of its tightest turn that their centre
+    may be beside where it waits.  For that they are made smaller, down to what it flies with ease;
+    where this is not enough, a note says so.
     """
 
     def check(value: float, case: CheckContext) -> ParameterIssue | None:
-        limits = case.limits
-        if limits.hovers:
+        cleared_m = case.limits.loiter_radius_m
+        tightest_m = _tightest_circle_m(case.limits.speed_m_s, case.value(bank, 45.0))
+        room_m, beside_m = cleared_m - wider_m, math.ceil(beside * tightest_m)
+        too_wide = abs(value) > room_m + EQUAL_WITHIN
+        reach_m = abs(value) + wider_m + (0 if too_wide else beside_m)
+        if case.limits.hovers or reach_m <= cleared_m + EQUAL_WITHIN:
             return None
-        tightest_m = _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0))
-        room_m, beside_m = limits.loiter_radius_m - wider_m, math.ceil(beside * tightest_m)
-        easy_m, fits = math.ceil(_EASY * tightest_m), abs(value) <= room_m + EQUAL_WITHIN
-        needed_m = abs(value) + wider_m + (beside_m if fits else 0)
         rule = (
-            f"its circles are flown with {needed_m:g} m, and the mission keeps "
-            f"vehicle.loiter_radius_m = {limits.loiter_radius_m:g} clear"
+            f"its circles reach {reach_m:g} m from where it waits, and the mission keeps "
+            f"vehicle.loiter_radius_m = {cleared_m:g} clear"
         )
-        if not fits and math.floor(room_m) < _EASY * tightest_m:
-            return refused(rule, f"Set vehicle.loiter_radius_m to {needed_m:g} or more")
-        kept_m = max(room_m - beside_m, min(room_m, easy_m))
-        if abs(value) > kept_m + EQUAL_WITHIN and (case.mission.sets_parameters or not fits):
-            return to_set(math.copysign(math.floor(kept_m), value), rule)
-        if needed_m <= limits.loiter_radius_m + EQUAL_WITHIN:
-            return None
-        where = f"if the stream ends as it waits at a place, {beside_m} m beside it; {rule}"
-        return note(where, f"Better vehicle.loiter_radius_m = {needed_m:g}, or less of a circle")
+        remedy = f"Set vehicle.loiter_radius_m to {reach_m:g} or more"
+        if too_wide and math.floor(room_m) < _EASY * tightest_m:
+            return refused(rule, remedy)
+        fits_m = math.floor(max(room_m - beside_m, min(room_m, math.ceil(_EASY * tightest_m))))
+        if too_wide or (case.mission.sets_parameters and abs(value) > fits_m):
+            return to_set(math.copysign(fits_m, value), rule)
+        return note(rule, remedy)
 
     return check
 

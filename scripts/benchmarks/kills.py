@@ -157,7 +157,8 @@ class KilledFlight(Flight):
 
     def _flies_on(self) -> dict[str, Any]:
         """Without a companion, and how far that leads out of what was proven."""
-        simulation, limits, begin_m_s = self.simulation, self.mission.task.limits, self.speed_m_s
+        simulation, limits = self.simulation, self.mission.task.limits
+        began_s, begin_m_s = self.now_s, self.speed_m_s
         simulation._lidars, simulation._scanner = [], None
         simulation._controller.streams.soonest_us = sys.maxsize  # nobody listens
         track, vehicle = [simulation._place_nea_m()], simulation.vehicle
@@ -177,12 +178,11 @@ class KilledFlight(Flight):
         outside = np.min([told.outside_m(where) for _, told in self._legs], axis=0)
         leg, reference = self._legs[-1][0], self.session.state.flight.reference
         return {
-            "at_s": self.now_s,
+            "at_s": began_s,
             "outside_m": float(outside.max()),
             "speed_m_s": begin_m_s,
             "left_m": leg.subpath.length_m - reference.length_m,
             "leg_m_s": leg.motion(self.mission.task).speed_m_s,
-            "ends": stood_s > _STANDS_FOR_S or turned_rad >= _ROUND_RAD,
         }
 
 
@@ -215,7 +215,6 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
         "MPC_ACC_HOR": limits.acceleration_m_s2,
         "MPC_JERK_AUTO": 4.0 * limits.acceleration_m_s2,
         "COM_OF_LOSS_T": math.floor(10.0 * longest_s) / 10.0,
-        "MPC_TKO_SPEED": limits.climb_rate_m_s,  # 1.5 m/s to the floor of environment-1: 33 min
     }
     task = replace(mission.task, limits=limits, handling=strategy.traits.handling)
     vehicle = replace(world.vehicle, autopilot="px4", parameters=parameters)

@@ -89,9 +89,8 @@ def _guided_options(value: float, case: check.CheckContext) -> check.ParameterIs
 def _by_its_own_lidar(mission: Mission) -> bool:
     """Whether the sensor of near things is one of the autopilot."""
     near = mission.near
-    if near is None or near.component_id != AUTOPILOT_COMPONENT:
-        return False
-    return near.kind == "distance_sensor"
+    told = None if near is None else (near.component_id, near.kind)
+    return told == (AUTOPILOT_COMPONENT, "distance_sensor")
 
 
 _AT_TAKE_OFF: Final = (

@@ -30,12 +30,7 @@ def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Mes
         return []
     return [
         messages.reposition(
-            system_id,
-            place,
-            at_nea_m[2],
-            switch=True,
-            radius_m=0.0,
-            yaw_rad=px4.KEEP_YAW,
+            system_id, place, at_nea_m[2], switch=True, radius_m=0.0, yaw_rad=px4.KEEP_YAW
         )
     ]
 
