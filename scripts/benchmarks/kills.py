@@ -13,7 +13,6 @@ import os
 import pickle
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,7 +35,7 @@ from companion.planner.settings import Task
 from vehicle_sim.world import World, read_world
 
 FloatArray = NDArray[np.float64]
-COPTERS: Final = ("forest", "street", "posts", "valley", "environment-1")
+COPTERS: Final = ("forest", "street", "posts", "valley", "environment-1", "environment-2")
 PLANES: Final = ("plane", "short-plane")
 """Families of drawn worlds (`campaign.families`)."""
 _PX4_PLANE_M_S: Final = 13.5
@@ -53,6 +52,7 @@ _WIND: Final = {
     "street": "at 1 s: wind 3 m/s from 250 deg turbulence 0.5",
     "valley": "at 1 s: wind 4 m/s from 250 deg turbulence 1",
     "environment-1": "at 1 s: wind 8 m/s from 250 deg turbulence 2",
+    "environment-2": "at 1 s: wind 8 m/s from 250 deg turbulence 2",
     "plane": "at 1 s: wind 5 m/s from 250 deg turbulence 1",
     "short-plane": "at 1 s: wind 3 m/s from 250 deg turbulence 1",
 }
@@ -183,6 +183,7 @@ class KilledFlight(Flight):
             "speed_m_s": begin_m_s,
             "left_m": leg.subpath.length_m - reference.length_m,
             "leg_m_s": leg.motion(self.mission.task).speed_m_s,
+            "stands": steps_left > 0.0,
         }
 
 
@@ -250,20 +251,17 @@ def main() -> int:
     )
     scales = (*COPTERS, *PLANES) if options.scale == "all" else (options.scale,)
     autopilots = AUTOPILOTS if options.autopilot == "all" else (options.autopilot,)
-    headings = "kills", "outside", "by at most, m", "margin left: least, m", "1 %, m", "s"
+    headings = "kills", "outside", "margin left: least, m", "1 %, m"
     table, found = running.figures("Killed at every second", "", *headings), list[dict[str, Any]]()
     for scale, autopilot in itertools.product(scales, autopilots):
-        began_s = time.process_time()
         mine = sample(scale, autopilot, options.first, options.kills)
         outside = np.array([kill["outside_m"] for kill in mine])
         table.add_row(
             f"{scale}, {autopilot}",
             f"{len(mine)}",
             f"{(outside > 0.0).sum()}",
-            f"{max(outside.max(), 0.0):.2f}",
             f"{-outside.max():.2f}",
             f"{-np.percentile(outside, 99.0):.2f}",
-            f"{time.process_time() - began_s:.0f}",
         )
         console.print(f"{scale}, {autopilot}: {len(mine)}, worst {outside.max():+.2f} m")
         found += mine
