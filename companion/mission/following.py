@@ -242,8 +242,8 @@ def setpoint(
     beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
     stays = not hovers and next_leg is None and beyond_m >= 0.0
     north_m, east_m, altitude_m = pose.position_nea_m.tolist()
-    if (lag_s2 := state.vehicle.traits.turn_lag_s2) > 0.0:
-        turn_n, turn_e, _ = (lag_s2 * speed**2 * pose.curvature_nea_1_m).tolist()
+    if (leading_s2 := state.vehicle.traits.handling.leading_s2) > 0.0:
+        turn_n, turn_e, _ = (leading_s2 * speed**2 * pose.curvature_nea_1_m).tolist()
         north_m, east_m = north_m + turn_n, east_m + turn_e
     ahead_n, ahead_e, ahead_u = pose.tangent_nea.tolist()
     velocity = speed * ahead_n, speed * ahead_e, speed * ahead_u
