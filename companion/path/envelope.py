@@ -31,7 +31,7 @@ class Handling:
     """The reference point flies what is left of a leg, beyond its braking distance, in no less time
     than this: it brakes softly from and to low speeds, and the vehicle, whose speed follows that of
     the point later, does not fly past the end."""
-    lag_s: float
+    lag_s: float = 0.0
     """How much later than the point the vehicle slows down: it counts as dead-man time, too."""
     steady_m: float
     """How far it is from a straight path at a steady speed, in wind and gusts."""
@@ -49,7 +49,7 @@ COPTER = Handling(
 
 turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it is
 up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
-PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, lag_s=0.0, steady_m=0.0, turning_s2=0.0)
+PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, steady_m=0.0, turning_s2=0.0)
 """Its circle is proven about each point of the path, and its tracking is the mission's."""
 
 

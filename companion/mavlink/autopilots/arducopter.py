@@ -127,13 +127,7 @@ _IGNORES: Final = check.when(
     severity=check.Severity.REFUSE,
 )
 _HANDLING: Final = Handling(
-    name="ArduCopter",
-    eased=0.7,
-    settling_s=0.6,
-    lag_s=0.0,
-    steady_m=0.1,
-    turning_s2=0.3,
-    leading_s2=0.5,
+    name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3, leading_s2=0.5
 )
 """turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by, as of
 its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; the others: `scripts/bench kills`."""
