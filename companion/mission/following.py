@@ -27,6 +27,7 @@ from companion.planner.procedure import (
     may_leave,
     off_disc_m,
     off_path_m,
+    paced_m_s,
     sent_pose,
 )
 
@@ -69,6 +70,11 @@ def advance_reference(state: State, event: Position) -> Flight:
     if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
     if vehicle.traits.hovers:
+        if flight.next_leg is not None:  # for its first bends, too
+            room_m = max(leg.successor_at_m(task) - flight.reference.length_m, 0.0)
+            pace_m_s = paced_m_s(flight.next_leg.subpath, flight.next_leg.motion(state.task), 0.0)
+            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * task.envelope.gaining_m_s2 * room_m)
+            slows_to_m_s = min(slows_to_m_s or math.inf, pace_m_s)
         reference = advance(
             flight.reference,
             leg,
@@ -242,8 +248,8 @@ def setpoint(
     beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
     stays = not hovers and next_leg is None and beyond_m >= 0.0
     north_m, east_m, altitude_m = pose.position_nea_m.tolist()
-    if (lag_s2 := state.vehicle.traits.turn_lag_s2) > 0.0:
-        turn_n, turn_e, _ = (lag_s2 * speed**2 * pose.curvature_nea_1_m).tolist()
+    if (leading_s2 := state.vehicle.traits.handling.leading_s2) > 0.0:
+        turn_n, turn_e, _ = (leading_s2 * speed**2 * pose.curvature_nea_1_m).tolist()
         north_m, east_m = north_m + turn_n, east_m + turn_e
     ahead_n, ahead_e, ahead_u = pose.tangent_nea.tolist()
     velocity = speed * ahead_n, speed * ahead_e, speed * ahead_u

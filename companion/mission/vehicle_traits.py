@@ -34,8 +34,6 @@ class VehicleTraits:
     """How it flies a stream of setpoints."""
     lead_s: float = 0.0
     """How far ahead of the reference point the setpoint lies."""
-    turn_lag_s2: float = 0.0
-    """How far it is flown out of a turn, metres for each m/s2 across: setpoints lead by as much."""
     setpoint_period_s: float = 0.0
     """Least time between two setpoints; 0: one for each position."""
     needs_setpoints_before_offboard: bool = False

@@ -14,9 +14,7 @@ from typing import NamedTuple, final
 
 from companion.path.limits import Limits
 
-_LAG_S = (
-    1.0  # of flight at full speed: behind a point that gains speed a copter is up to 0.6 s late
-)
+_LAG_S = 1.0  # of flight at full speed: behind a point that gains speed it is up to 0.6 s late
 
 
 @final
@@ -33,12 +31,15 @@ class Handling:
     """The reference point flies what is left of a leg, beyond its braking distance, in no less time
     than this: it brakes softly from and to low speeds, and the vehicle, whose speed follows that of
     the point later, does not fly past the end."""
-    lag_s: float
+    lag_s: float = 0.0
     """How much later than the point the vehicle slows down: it counts as dead-man time, too."""
     steady_m: float
     """How far it is from a straight path at a steady speed, in wind and gusts."""
     turning_s2: float
     """How far it is beside a bent path, metres for each m/s2 across."""
+    leading_s2: float = 0.0
+    """How far inside of a bend its setpoints are, metres for each m/s2 across, as it is flown out
+    of turns by as much.  When they end it stops as far inside."""
 
 
 COPTER = Handling(
@@ -48,7 +49,7 @@ COPTER = Handling(
 
 turning_s2: docs/results/tracking.md, 0.43 m at 0.5 m/s2, 1.26 m at 1.3, 1.51 m at 2; lag_s: it is
 up to 1.3 m/s faster than a point that brakes with 1.5 m/s2 (`scripts/bench kills`)."""
-PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, lag_s=0.0, steady_m=0.0, turning_s2=0.0)
+PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, steady_m=0.0, turning_s2=0.0)
 """Its circle is proven about each point of the path, and its tracking is the mission's."""
 
 
@@ -92,7 +93,8 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
     lateral = math.inf
     if handling.turning_s2 > 0.0:
         lateral = max(tube_m - handling.steady_m, 0.5 * tube_m) / handling.turning_s2
-    hovers = limits.loiter_radius_m == 0.0
+    if handling.leading_s2 > 0.0:
+        lateral = min(lateral, tube_m / handling.leading_s2)
     return Envelope(
         speed_m_s=float(limits.speed_m_s),
         braking_m_s2=float(limits.acceleration_m_s2),
@@ -105,16 +107,13 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
         tube_m=float(tube_m),
         lag_m=float(max(_LAG_S * limits.speed_m_s, 2.0 * tube_m)),
         navigation_m=float(limits.navigation_error_m),
-        lead_m=0.0 if hovers else limits.speed_m_s * limits.lead_s,
+        lead_m=0.0 if limits.hovers else limits.speed_m_s * limits.lead_s,
         loiter_m=float(limits.loiter_radius_m),
     )
 
 
 def flown_on_m(it: Envelope, speed: float) -> float:
-    """How far the vehicle comes when the setpoints end: it flies on, then brakes to a stop.
-
-    A plane flies to the last point that it was sent to.
-    """
+    """How far it comes when the setpoints end: it flies on, then brakes; a plane to its point."""
     if it.loiter_m > 0.0:
         return it.lead_m
     return speed * it.dead_man_s + speed * speed / (2.0 * it.braking_m_s2)

@@ -13,7 +13,6 @@ import os
 import pickle
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,7 +35,7 @@ from companion.planner.settings import Task
 from vehicle_sim.world import World, read_world
 
 FloatArray = NDArray[np.float64]
-COPTERS: Final = ("forest", "street", "posts", "valley", "environment-1")
+COPTERS: Final = ("forest", "street", "posts", "valley", "environment-1", "environment-2")
 PLANES: Final = ("plane", "short-plane")
 """Families of drawn worlds (`campaign.families`)."""
 _PX4_PLANE_M_S: Final = 13.5
@@ -53,11 +52,12 @@ _WIND: Final = {
     "street": "at 1 s: wind 3 m/s from 250 deg turbulence 0.5",
     "valley": "at 1 s: wind 4 m/s from 250 deg turbulence 1",
     "environment-1": "at 1 s: wind 8 m/s from 250 deg turbulence 2",
+    "environment-2": "at 1 s: wind 8 m/s from 250 deg turbulence 2",
     "plane": "at 1 s: wind 5 m/s from 250 deg turbulence 1",
     "short-plane": "at 1 s: wind 3 m/s from 250 deg turbulence 1",
 }
 _EVERY_S = 1.03  # so that it is not always at the same time since a position
-_ROUND_S = 70.0  # a plane: into its circle and round it
+_ROUND_S, _ROUND_RAD = 70.0, 10.0  # a plane: into its circle and round it
 _STANDS_M_S, _STANDS_FOR_S = 0.25, 1.5
 _SAMPLES = 400  # of a leg
 _LIMIT_S = 1_500.0
@@ -87,10 +87,11 @@ class Proven:
         starts = np.concatenate([self.points_nea_m[:-1], self.points_nea_m])
         steps = np.concatenate([np.diff(self.points_nea_m, axis=0), self.reaches_nea_m])
         off = track_nea_m[:, None] - starts
-        squared = np.maximum((steps * steps).sum(axis=-1), 1e-12)
-        share = np.clip((off * steps).sum(axis=-1) / squared, 0.0, 1.0)
+        squared = np.maximum(np.einsum("kd,kd->k", steps, steps), 1e-12)
+        share = np.clip(np.einsum("mkd,kd->mk", off, steps) / squared, 0.0, 1.0)
         off -= share[..., None] * steps
-        return np.asarray(np.sqrt((off * off).sum(axis=-1)).min(axis=1) - self.error_m)
+        gaps = np.einsum("mkd,mkd->mk", off, off).min(axis=1)
+        return np.asarray(np.sqrt(gaps) - self.error_m)
 
 
 def proven(leg: Leg, task: Task, *, from_rest: bool) -> Proven:
@@ -120,7 +121,7 @@ class KilledFlight(Flight):
     def __init__(self, mission: Mission, world: World, seed: int, faults: str = "") -> None:
         super().__init__(mission, world, seed, faults)
         self._from_rest: dict[int, bool] = {}
-        self._legs: list[Leg] = []
+        self._legs: list[tuple[Leg, Proven]] = []
 
     def planned(self, request: PlanRequest) -> PlanOutcome:
         """Notes what was planned from rest."""
@@ -131,8 +132,10 @@ class KilledFlight(Flight):
         """Notes the leg, and the one before."""
         super().step()
         leg = self.session.state.flight.leg
-        if leg is not None and (not self._legs or self._legs[-1] is not leg):
-            self._legs = [*self._legs[-1:], leg]
+        if leg is not None and (not self._legs or self._legs[-1][0] is not leg):
+            from_rest = self._from_rest.get(leg.plan_id, False)
+            told = proven(leg, self.mission.task, from_rest=from_rest)
+            self._legs = [*self._legs[-1:], (leg, told)]
 
     @property
     def is_over(self) -> bool:
@@ -154,34 +157,33 @@ class KilledFlight(Flight):
 
     def _flies_on(self) -> dict[str, Any]:
         """Without a companion, and how far that leads out of what was proven."""
-        simulation, task = self.simulation, self.mission.task
-        hovers, began_us = task.limits.hovers, simulation.now_us
+        simulation, limits = self.simulation, self.mission.task.limits
+        began_s, begin_m_s = self.now_s, self.speed_m_s
         simulation._lidars, simulation._scanner = [], None
-        track, stood_s = [simulation._place_nea_m()], 0.0
-        begin_m_s, limits = self.speed_m_s, task.limits
+        simulation._controller.streams.soonest_us = sys.maxsize  # nobody listens
+        track, vehicle = [simulation._place_nea_m()], simulation.vehicle
         longest_s = limits.dead_man_s + 2.0 * limits.speed_m_s / limits.acceleration_m_s2 + 4.0
-        longest_s = longest_s if hovers else _ROUND_S
-        while simulation.now_us - began_us < 1e6 * longest_s:
+        steps_left = 100.0 * (longest_s if limits.hovers else _ROUND_S)
+        stood_s, turned_rad, heading_rad = 0.0, 0.0, vehicle.heading_rad
+        while steps_left > 0.0 and stood_s <= _STANDS_FOR_S and turned_rad < _ROUND_RAD:
             simulation.step()
-            simulation.take_frames()
-            stood_s = stood_s + 0.01 if self.speed_m_s < _STANDS_M_S else 0.0
             track.append(simulation._place_nea_m())
-            if hovers and stood_s > _STANDS_FOR_S:
-                break
-        where = np.array(track[:: max(len(track) // 400, 1)])
-        outside = np.full(len(where), math.inf)
-        for leg in self._legs:
-            from_rest = self._from_rest.get(leg.plan_id, False)
-            told = proven(leg, task, from_rest=from_rest)
-            outside = np.minimum(outside, told.outside_m(where))
-        leg, reference = self._legs[-1], self.session.state.flight.reference
+            steps_left -= 1.0
+            if limits.hovers:
+                stood_s = stood_s + 0.01 if self.speed_m_s < _STANDS_M_S else 0.0
+            else:
+                turned_rad += abs(math.remainder(vehicle.heading_rad - heading_rad, math.tau))
+                heading_rad = vehicle.heading_rad
+        where = np.array([*track[:: max(len(track) // 150, 1)], track[-1]])
+        outside = np.min([told.outside_m(where) for _, told in self._legs], axis=0)
+        leg, reference = self._legs[-1][0], self.session.state.flight.reference
         return {
-            "at_s": self.now_s,
+            "at_s": began_s,
             "outside_m": float(outside.max()),
             "speed_m_s": begin_m_s,
             "left_m": leg.subpath.length_m - reference.length_m,
-            "leg_m_s": leg.motion(task).speed_m_s,
-            "stands": stood_s > _STANDS_FOR_S,
+            "leg_m_s": leg.motion(self.mission.task).speed_m_s,
+            "stands": steps_left > 0.0,
         }
 
 
@@ -249,20 +251,17 @@ def main() -> int:
     )
     scales = (*COPTERS, *PLANES) if options.scale == "all" else (options.scale,)
     autopilots = AUTOPILOTS if options.autopilot == "all" else (options.autopilot,)
-    headings = "kills", "outside", "by at most, m", "margin left: least, m", "1 %, m", "s"
+    headings = "kills", "outside", "margin left: least, m", "1 %, m"
     table, found = running.figures("Killed at every second", "", *headings), list[dict[str, Any]]()
     for scale, autopilot in itertools.product(scales, autopilots):
-        began_s = time.process_time()
         mine = sample(scale, autopilot, options.first, options.kills)
         outside = np.array([kill["outside_m"] for kill in mine])
         table.add_row(
             f"{scale}, {autopilot}",
             f"{len(mine)}",
             f"{(outside > 0.0).sum()}",
-            f"{max(outside.max(), 0.0):.2f}",
             f"{-outside.max():.2f}",
             f"{-np.percentile(outside, 99.0):.2f}",
-            f"{time.process_time() - began_s:.0f}",
         )
         console.print(f"{scale}, {autopilot}: {len(mine)}, worst {outside.max():+.2f} m")
         found += mine

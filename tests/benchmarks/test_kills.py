@@ -33,4 +33,5 @@ def test_a_vehicle_whose_companion_dies_stays_within_what_was_proven(flight: str
     found = kills.sample(*flight.split(), first=2, count=8, every_s=3.07)
     assert len({kill["at_s"] for kill in found}) == 8
     assert max(kill["outside_m"] for kill in found) <= 0.0
+    assert all(kill["stands"] for kill in found)
     assert max(kill["speed_m_s"] for kill in found) > 1.0

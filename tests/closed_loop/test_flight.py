@@ -1,6 +1,5 @@
 """Whole flights, and what ends one."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from flights import (
     flown_here,
     folder_of,
     launch,
-    short_mission,
 )
 from programs import HURRIED
 
@@ -49,26 +47,6 @@ def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -
     last = flight.companion.transcript.splitlines()[-1]
     assert last.startswith("error: the vehicle fell silent.")
     assert flight.outcome == "failed"
-
-
-def test_a_vehicle_whose_companion_dies_stops_by_itself(tmp_path: Path) -> None:
-    mission = short_mission("sitl-arducopter", tmp_path)
-    flight = launch(tmp_path, "sitl-arducopter", mission, clock=("--speedup", "20"))
-    flight.companion.expect("subpath  1")
-    flight.companion.kill()
-    killed_s = flight.truth[-1]["t_s"]
-    truth = (tmp_path / "truth.jsonl").open(encoding="utf-8")  # grows until it is told to end
-    truth.seek(0, 2)
-
-    def much_later() -> Any:
-        rows = [line for line in truth if line.startswith("{") and line.endswith("}\n")]
-        return next((row for row in map(json.loads, rows) if row["t_s"] > killed_s + 20.0), None)
-
-    with truth:
-        stands = flight.simulator.until(much_later)
-    speed = max(abs(stands[f"velocity_{axis}_m_s"]) for axis in ("north", "east", "up"))
-    assert speed < 0.5
-    assert flight.simulator.interrupt() == 0
 
 
 @pytest.mark.nightly  # stopped: `tests/runtime/test_loop.py`; seeds: `tests/test_library.py`

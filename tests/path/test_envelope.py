@@ -82,6 +82,8 @@ def test_a_mission_widens_the_tube_that_was_measured_and_never_narrows_it(handli
     wide, narrow = (envelope_of(limits(tracking_error_m=m), handling) for m in (20.0, 0.01))
     assert wide.tube_m == 20.0
     assert narrow.tube_m == handling.steady_m
-    assert narrow.lateral_m_s2 * handling.turning_s2 <= narrow.tube_m
+    bend_s2 = max(handling.turning_s2, handling.leading_s2)
+    assert narrow.lateral_m_s2 * bend_s2 <= narrow.tube_m
+    assert wide.lateral_m_s2 * bend_s2 <= wide.tube_m * (1.0 + 1e-12)
     plane = envelope_of(limits(loiter_radius_m=50.0, lead_s=2.0, speed_m_s=20.0), handling)
     assert flown_on_m(plane, 20.0) == 40.0

@@ -89,9 +89,8 @@ def _guided_options(value: float, case: check.CheckContext) -> check.ParameterIs
 def _by_its_own_lidar(mission: Mission) -> bool:
     """Whether the sensor of near things is one of the autopilot."""
     near = mission.near
-    if near is None or near.component_id != AUTOPILOT_COMPONENT:
-        return False
-    return near.kind == "distance_sensor"
+    told = None if near is None else (near.component_id, near.kind)
+    return told == (AUTOPILOT_COMPONENT, "distance_sensor")
 
 
 _AT_TAKE_OFF: Final = (
@@ -128,10 +127,10 @@ _IGNORES: Final = check.when(
     severity=check.Severity.REFUSE,
 )
 _HANDLING: Final = Handling(
-    name="ArduCopter", eased=0.7, settling_s=0.6, lag_s=0.0, steady_m=0.1, turning_s2=0.3
+    name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3, leading_s2=0.5
 )
-"""turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by; the
-others: `scripts/bench kills`."""
+"""turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by, as of
+its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; the others: `scripts/bench kills`."""
 _RULES: Final = (
     Rule("GUID_TIMEOUT", "how long it flies on without setpoints", (_guid_timeout,), ESSENTIAL),
     Rule("GUID_OPTIONS", "how GUIDED works", (_guided_options,)),
@@ -211,7 +210,6 @@ ARDUCOPTER = Autopilot(
         kind="copter",
         take_off=TakeoffSequence.GUIDED_THEN_CLIMB,
         handling=_HANDLING,
-        turn_lag_s2=0.5,  # of its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; 0.6 to 0.8 was measured
     ),
     rules=_RULES,
     parameters_for=lambda limits: {

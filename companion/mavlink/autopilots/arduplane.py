@@ -59,15 +59,10 @@ def _setpoint(
     if setpoint.stay:
         narrower_m = max(loiter_radius_m - _WIDER_M, 0.5 * loiter_radius_m)
         radius_m = narrower_m if loiter_radius_m > 0.0 else _CIRCLE_M
-    clockwise = 0.0
+    place, altitude_m, clockwise = aimed[0], setpoint.position_nea_m[2], 0.0
     return [
         messages.reposition(
-            system_id,
-            aimed[0],
-            setpoint.position_nea_m[2],
-            switch=False,
-            radius_m=radius_m,
-            yaw_rad=clockwise,
+            system_id, place, altitude_m, switch=False, radius_m=radius_m, yaw_rad=clockwise
         )
     ]
 

@@ -129,15 +129,9 @@ def echo_at(
     velocity_nea_m_s: Vector | None = None,
 ) -> Echo | None:
     """A position target echo; None if the position is invalid."""
-    latitude, longitude = place_deg
-    if not all(map(math.isfinite, (latitude, longitude, altitude_amsl_m))):
+    place = _local(*place_deg, altitude_amsl_m, frame)
+    if place is None:
         return None
-    if is_nowhere(latitude, longitude):
-        return None
-    north_m, east_m = frame.to_local_m(latitude, longitude)
-    if not (math.isfinite(north_m) and math.isfinite(east_m)):
-        return None
-    place = north_m, east_m, altitude_amsl_m
     return Echo(time_s=now_s, position_nea_m=place, velocity_nea_m_s=velocity_nea_m_s)
 
 
@@ -145,13 +139,17 @@ def place_of(
     latitude_e7: int, longitude_e7: int, altitude_m: float, frame: LocalFrame
 ) -> Vector | None:
     """A position from the wire; None near latitude = longitude = 0, which means "none yet"."""
-    latitude, longitude = latitude_e7 * _E7, longitude_e7 * _E7
-    if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG or abs(longitude) > 180.0:
-        return None  # beyond a pole it is not finite
-    north_m, east_m = frame.to_local_m(latitude, longitude)
-    if not (math.isfinite(north_m) and math.isfinite(east_m)):
+    return _local(latitude_e7 * _E7, longitude_e7 * _E7, altitude_m, frame)
+
+
+def _local(
+    latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
+) -> Vector | None:
+    """A place in the local frame; None if it is not finite, out of range or no position."""
+    if is_nowhere(latitude_deg, longitude_deg) or not abs(longitude_deg) <= 180.0:
         return None
-    return north_m, east_m, altitude_m
+    place = (*frame.to_local_m(latitude_deg, longitude_deg), altitude_m)
+    return place if all(map(math.isfinite, place)) else None  # beyond a pole it is not
 
 
 def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
@@ -187,16 +185,11 @@ def aim(setpoint: Setpoint, frame: LocalFrame) -> tuple[tuple[int, int], Vector,
 def wire_place(position_nea_m: Vector, frame: LocalFrame) -> tuple[int, int] | None:
     """Latitude and longitude, 1e-7 degrees; None for an invalid destination."""
     north_m, east_m, altitude_m = position_nea_m
-    if not all(map(math.isfinite, position_nea_m)):
-        return None
-    if max(abs(north_m), abs(east_m)) > _FURTHEST_M:
-        return None
-    if not _LOWEST_AMSL_M <= altitude_m <= HIGHEST_AMSL_M:
+    in_band = _LOWEST_AMSL_M <= altitude_m <= HIGHEST_AMSL_M  # NaN is not
+    if not in_band or not math.hypot(north_m, east_m) <= _FURTHEST_M:
         return None
     latitude, longitude = frame.to_geodetic_deg(north_m, east_m)
-    if not (math.isfinite(latitude) and math.isfinite(longitude)):
-        return None
-    if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG:
+    if not math.isfinite(latitude + longitude) or is_nowhere(latitude, longitude):
         return None
     return round(latitude * 1e7), round(longitude * 1e7)
 

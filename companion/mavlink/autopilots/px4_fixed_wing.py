@@ -18,6 +18,9 @@ from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 
 _RUNWAY_M = 300.0
 """The take-off target is this far ahead, so that it ends in AUTO.LOITER (px4.md 10)."""
+_BESIDE: Final = 2.5
+"""Tightest turns: how far from a place to stay at it circles tightly, up to 44 m at 13.9 m/s in
+wind of 5 m/s.  If the stream ends then, it circles widely about where it is (px4.md 10)."""
 
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
@@ -27,12 +30,7 @@ def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Mes
         return []
     return [
         messages.reposition(
-            system_id,
-            place,
-            at_nea_m[2],
-            switch=True,
-            radius_m=0.0,
-            yaw_rad=px4.KEEP_YAW,
+            system_id, place, at_nea_m[2], switch=True, radius_m=0.0, yaw_rad=px4.KEEP_YAW
         )
     ]
 
@@ -93,7 +91,7 @@ _RULES: Final = (
     Rule(
         "NAV_LOITER_RAD",  # held within 0.4 m (px4.md 10)
         "the circles that it holds on",
-        (check.circles(5.0, "FW_R_LIM"),),
+        (check.circles(5.0, "FW_R_LIM", _BESIDE),),
         ESSENTIAL,
     ),
     Rule("FW_R_LIM", "how tightly it turns", (check.bank,)),

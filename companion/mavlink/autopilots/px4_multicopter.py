@@ -73,6 +73,7 @@ PX4_MULTICOPTER = Autopilot(
         "MPC_XY_VEL_MAX": 1.3 * limits.speed_m_s,
         "MPC_Z_VEL_MAX_UP": max(3.0, limits.climb_rate_m_s),
         "MPC_Z_VEL_MAX_DN": max(1.5, limits.climb_rate_m_s),
+        "MPC_TKO_SPEED": max(1.5, 0.5 * limits.climb_rate_m_s),  # slower is given up (`ground`)
     },
     modes=px4.MODES,
     streams_hz={**px4.STREAMS_HZ, wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0},
