@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import final
 
@@ -82,12 +82,26 @@ def fly_offline(
     As in flight: the vehicle stops at each target, and a leg without a successor is flown to its
     end, where the vehicle stops, scans and plans again.
     """
-    if most_legs is None:
-        most_legs = usual_most_legs(task, start_nea_m, targets_ne_m)
-    flight = _Flight(task, blank, start_nea_m, targets_ne_m, most_legs, flies)
-    while not flight.is_over:
+    flight = _Flight(
+        request=PlanRequest(
+            plan_id=0,
+            seed=seed,
+            task=task,
+            known=blank,
+            scan_nea_m=start_nea_m,
+            start=hover_pose(start_nea_m),
+            from_rest=True,
+            target_ne_m=targets_ne_m[0],
+        ),
+        left_ne_m=list(targets_ne_m),
+        flies=flies or (lambda _leg, _from_m, until_m, _goes_on: until_m),
+    )
+    most_legs = most_legs or usual_most_legs(task, start_nea_m, targets_ne_m)
+    while flight.left_ne_m and len(flight.legs) < most_legs:
+        if flight.request.attempt == _MAX_ATTEMPTS:
+            break
         flight.scan(truth, scanner)
-        flight.take(planner(flight.request(seed)))
+        flight.take(planner(flight.request))
     return flight.result()
 
 
@@ -104,119 +118,106 @@ def usual_most_legs(
 
 
 @final
+@dataclass(slots=True, kw_only=True)
 class _Flight:
     """An offline flight under way."""
 
-    def __init__(
-        self,
-        task: Task,
-        blank: KnownMap,
-        start_nea_m: tuple[float, float, float],
-        targets_ne_m: tuple[tuple[float, float], ...],
-        most_legs: int,
-        flies: Flies | None,
-    ) -> None:
-        self._most_legs, self._flies, self._at_m = most_legs, flies, 0.0
-        self._task, self._known, self._left = task, blank, list(targets_ne_m)
-        self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
-        self._route: tuple[tuple[float, float], ...] = ()
-        self._progress = NO_PROGRESS
-        self._attempt = self._holds = self._requests = 0
-        self._failure: NotPlanned | None = None
-        self._legs: list[Leg] = []
-        self._flown_m: list[float] = []
-        self._plans: list[Planned] = []
-        self._scans: list[tuple[float, float, float]] = []
-
-    @property
-    def is_over(self) -> bool:
-        spent = len(self._legs) >= self._most_legs or self._attempt == _MAX_ATTEMPTS
-        return not self._left or spent
+    request: PlanRequest
+    """The next one: it says where the vehicle is, what it knows and what it heads for."""
+    left_ne_m: list[tuple[float, float]]
+    """Targets that are not reached yet."""
+    flies: Flies
+    legs: list[Leg] = field(default_factory=list)
+    flown_m: list[float] = field(default_factory=list)
+    at_m: float = 0.0
+    """How far the current leg is flown."""
+    plans: list[Planned] = field(default_factory=list)
+    scans_nea_m: list[tuple[float, float, float]] = field(default_factory=list)
+    failure: NotPlanned | None = None
+    holds: int = 0
 
     def scan(self, truth: KnownMap, scanner: Scanner) -> None:
-        range_m = self._task.settings.scan_range_m
-        self._scans.append(self._scan_nea_m)
-        self._known = self._known.with_scan(scanner(truth, self._scan_nea_m, range_m))
-
-    def request(self, seed: int) -> PlanRequest:
-        self._requests += 1
-        return PlanRequest(
-            plan_id=self._requests,
-            seed=seed,
-            task=self._task,
-            known=self._known,
-            scan_nea_m=self._scan_nea_m,
-            start=self._pose,
-            from_rest=self._from_rest,
-            target_ne_m=self._left[0],
-            route_ne_m=self._route,
-            progress=self._progress,
-            rest=None if self._from_rest else self._legs[-1].rest(self._task),
-            attempt=self._attempt,
+        request = self.request
+        self.scans_nea_m.append(request.scan_nea_m)
+        scan = scanner(truth, request.scan_nea_m, request.task.settings.scan_range_m)
+        self.request = replace(
+            request, plan_id=request.plan_id + 1, known=request.known.with_scan(scan)
         )
 
     def take(self, outcome: PlanOutcome) -> None:
         assert not isinstance(outcome, Backtrack)  # it is never asked for
+        request, task = self.request, self.request.task
         if isinstance(outcome, NotPlanned):
-            self._failure = outcome
-            if self._from_rest:
-                self._attempt += 1
+            self.failure = outcome
+            if request.from_rest:
+                self.request = replace(request, attempt=request.attempt + 1)
             else:
                 self._hold_at_end()
             return
-        self._failure, self._attempt, self._route = None, 0, outcome.route_ne_m
-        self._progress = outcome.progress
-        if self._legs and not self._from_rest:
-            self._flown_m[-1] = self._legs[-1].successor_at_m(self._task)
-            if not self._fly(self._flown_m[-1], goes_on=True):
+        self.failure = None
+        self.request = replace(
+            request, attempt=0, route_ne_m=outcome.route_ne_m, progress=outcome.progress
+        )
+        if not request.from_rest:
+            self.flown_m[-1] = self.legs[-1].successor_at_m(task)
+            if not self._fly(self.flown_m[-1], goes_on=True):
                 return
-        leg = Leg.of(outcome, len(self._legs) + 1)
-        self._plans.append(outcome)
-        self._legs.append(leg)
-        self._flown_m.append(leg.subpath.length_m)
-        self._at_m = 0.0
+        leg = Leg.of(outcome, len(self.legs) + 1)
+        self.plans.append(outcome)
+        self.legs.append(leg)
+        self.flown_m.append(leg.subpath.length_m)
+        self.at_m = 0.0
         if leg.reaches_target:
             if self._fly(leg.subpath.length_m):
-                self._left.pop(0)
-                self._route, self._progress = (), NO_PROGRESS
-                self._stop_at_m(leg.subpath.length_m)
-        elif not leg.wants_successor(leg.subpath.length_m, self._task):
+                self.left_ne_m.pop(0)
+                self._stop()
+                target = self.left_ne_m[0] if self.left_ne_m else request.target_ne_m
+                self.request = replace(
+                    self.request, target_ne_m=target, route_ne_m=(), progress=NO_PROGRESS
+                )
+        elif not leg.wants_successor(leg.subpath.length_m, task):
             self._hold_at_end()
-        elif self._fly(leg.scan_at_m(self._task)):
-            self._scan_nea_m = leg.subpath.pose(leg.scan_at_m(self._task)).point_nea_m
-            self._pose = leg.subpath.pose(leg.successor_at_m(self._task))
-            self._from_rest = False
+        elif self._fly(leg.scan_at_m(task)):
+            self.request = replace(
+                self.request,
+                scan_nea_m=leg.subpath.pose(leg.scan_at_m(task)).point_nea_m,
+                start=leg.subpath.pose(leg.successor_at_m(task)),
+                from_rest=False,
+                rest=leg.rest(task),
+            )
 
     def _fly(self, until_m: float, *, goes_on: bool = False) -> bool:
         """Fly on along the leg.  -> whether it came so far; else it has stopped, and holds."""
-        leg, from_m = self._legs[-1], self._at_m
-        self._at_m = until_m if self._flies is None else self._flies(leg, from_m, until_m, goes_on)
-        if self._at_m >= until_m:
+        self.at_m = self.flies(self.legs[-1], self.at_m, until_m, goes_on)
+        if self.at_m >= until_m:
             return True
-        self._holds += 1
-        self._flown_m[-1] = self._at_m
-        self._stop_at_m(self._at_m)
+        self.holds += 1
+        self.flown_m[-1] = self.at_m
+        self._stop()
         return False
 
     def _hold_at_end(self) -> None:
-        if self._fly(end_m := self._legs[-1].subpath.length_m):
-            self._holds += 1
-            self._stop_at_m(end_m)
+        if self._fly(self.legs[-1].subpath.length_m):
+            self.holds += 1
+            self._stop()
 
-    def _stop_at_m(self, length_m: float) -> None:
-        self._scan_nea_m = self._legs[-1].subpath.pose(length_m).point_nea_m
-        self._pose, self._from_rest = hover_pose(self._scan_nea_m), True
+    def _stop(self) -> None:
+        """It stands where it is."""
+        here = self.legs[-1].subpath.pose(self.at_m).point_nea_m
+        self.request = replace(
+            self.request, scan_nea_m=here, start=hover_pose(here), from_rest=True, rest=None
+        )
 
     def result(self) -> OfflineFlight:
-        failure = self._failure
-        if self._left and failure is None:
-            failure = NotPlanned(plan_id=self._requests, refusal=Refusal.TOO_MANY_LEGS)
+        failure = self.failure
+        if self.left_ne_m and failure is None:
+            failure = NotPlanned(plan_id=self.request.plan_id, refusal=Refusal.TOO_MANY_LEGS)
         return OfflineFlight(
-            legs=tuple(self._legs),
-            flown_m=tuple(self._flown_m),
-            plans=tuple(self._plans),
-            scans_nea_m=tuple(self._scans),
-            known=self._known,
+            legs=tuple(self.legs),
+            flown_m=tuple(self.flown_m),
+            plans=tuple(self.plans),
+            scans_nea_m=tuple(self.scans_nea_m),
+            known=self.request.known,
             failure=failure,
-            holds=self._holds,
+            holds=self.holds,
         )
