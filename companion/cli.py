@@ -322,7 +322,7 @@ def plan_command(
         planner=plan,
     )
     took_s = time.perf_counter() - began_s
-    console.print(plans_table(flight.plans))
+    console.print(plans_table(tuple(flight.plans)))
     with writing("--figure", picture):
         length_m = draw_offline(flight, chosen, truth, picture)
     said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"

@@ -97,7 +97,7 @@ def test_a_scanner_is_asked_once_for_each_scan_and_nothing_else_is_seen(
         return library.simulated_scan(there, at, range_m)
 
     flown = fly(page["heights"], page["task"], scanner=noted, **WHERE)
-    assert tuple(at for at, _ in asked) == flown.details.scans_nea_m
+    assert [at for at, _ in asked] == flown.details.scans_nea_m
     assert {range_m for _, range_m in asked} == {2_500.0}
     blind = fly(page["heights"], page["task"], scanner=nothing, **WHERE)
     assert not blind.arrived

@@ -1,21 +1,17 @@
 """Searches a place where a plane can loiter that has to leave its path for a new zone."""
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from itertools import islice
-from typing import NamedTuple, final
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.settings import Task
 from companion.world.clearance import sees_anything
 from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
 from companion.world.known_map import KnownMap
-from companion.world.zones import ZoneTable, gaps_m, near, nearest, packed
+from companion.world.zones import gaps_m, nearest, packed
 
 Vector = tuple[float, float, float]
 Ways = tuple[FloatArray, FloatArray, BoolArray]
@@ -27,15 +23,10 @@ _FARTHEST = 0.4
 """Of R: what lies farther out is often beyond what the last scan, up to half of R behind, saw."""
 _SAMPLES, _ROUGHLY = 64, 24
 """Points of a way that is proven, 1 % of R apart on the longest; and of one that is ranked."""
-_LOOKED_AT, _MIN_LOOKED_AT = 40, 3
-"""Ways that are looked at closely, the best first; each takes 1 ms for a zone or two where they
-begin, and longer the more there are: the watchdog allows the whole search 0.2 s."""
-_AT_ONCE = 16
-"""Circles held against the terrain together: more are mostly not asked for."""
+_LOOKED_AT = 40
+"""Ways that are looked at closely, the best first; each takes 1 ms: the watchdog allows 0.2 s."""
 _SLACK_M = 1.0
 """How much nearer than the vehicle is a way may come: its own position is no better known."""
-_NODES = 48
-"""Of `_Field` across: its error is 1.5 % of its side, a third of a plane's usual errors."""
 _TURNS = (0.5, 1.0)
 """Of the turn radius of paths: autopilots turn more tightly to a point."""
 _EITHER_SIDE_RAD = math.radians(135.0)
@@ -66,151 +57,66 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
       flown at the lower of its ends, as a climb takes longer than the way;
     - it clears zones by the errors, or comes no nearer than the vehicle is.
 
-    Unknown ground is never clear.  None: there is no such place, or none among the best by
-    approximate distances (`_Field`): only those are checked exactly.
+    Unknown ground is never clear.  None: there is no such place among the best.
     """
+    here, required_m = np.asarray(motion.here_nea_m), task.required_clearance_m
     reach_m = _FARTHEST * task.settings.scan_range_m
-    here, spot = np.asarray(motion.here_nea_m), motion.here_nea_m[:2]
-    if not sees_anything(known, spot, reach_m):
+    if not sees_anything(known, motion.here_nea_m[:2], reach_m):
         return None
-    places, loiter_m = _places_ne_m(here, reach_m, preferred), task.limits.loiter_radius_m
-    allowed_m = min(task.error_m, nearest(task.zones, *spot)[1] - _SLACK_M)
-    field, place_m = _field(task, places, here[:2])
-    clear_at = place_m >= task.error_m + loiter_m
-    if not clear_at.any():
-        return None
-    rank, nearest_m = np.full((2, len(places)), -np.inf)
-    rank[clear_at], nearest_m[clear_at] = _judged(task, motion, field, places[clear_at])
-    open_ = np.flatnonzero(clear_at & (nearest_m + field.error_m >= allowed_m))
-    prefers = _keeps_off_zones(task, motion, field, places[0], task.required_clearance_m)
-    heights = _heights_m(task, motion)
-    here_too = len(near(task.zones, spot, spot, task.error_m))
-    looks = max(_LOOKED_AT // max(here_too, 1), _MIN_LOOKED_AT)
-    for clearance_m in (task.required_clearance_m, task.error_m):
-        keeps = place_m[open_] >= clearance_m + loiter_m
-        points = (
-            (float(places[k, 0]), float(places[k, 1]), height_m)
-            for k in _in_order(open_[keeps], rank, first=0 if prefers else None)
-            for height_m in (heights if k else (preferred[2],))
-        )
-        for point in _clear_of_terrain(known, task, motion, points, clearance_m):
-            if _is_open(known, task, motion, field, point, allowed_m):
-                return point
-            looks -= 1
-            if looks == 0:
-                return None
+    points = _points_nea_m(task, here, reach_m, preferred)
+    zones_m = gaps_m(packed(task.zones), points[:, 0], points[:, 1], task.zone_clearance_m)
+    circle_m = zones_m - task.limits.loiter_radius_m
+    points, circle_m = points[circle_m >= task.error_m], circle_m[circle_m >= task.error_m]
+    badness_m, gap_m = _judged(task, motion, points, _ROUGHLY)
+    badness_m[(points == preferred).all(axis=1) & (gap_m >= required_m)] = -1.0
+    allowed_m = min(task.error_m, nearest(task.zones, *motion.here_nea_m[:2])[1] - _SLACK_M)
+    open_ = gap_m >= allowed_m
+    points, circle_m, badness_m = points[open_], circle_m[open_], badness_m[open_]
+
+    low = np.column_stack([points[:, :2], np.minimum(points[:, 2], here[2])])
+    grown = known.grown(task.limits.loiter_radius_m)
+    circle_m = np.minimum(circle_m, distances_to_terrain_m(grown, low, required_m))
+    order = np.lexsort([np.round(badness_m, 3), circle_m < required_m])
+    for k in order[circle_m[order] >= task.error_m][:_LOOKED_AT]:
+        off_zones = _judged(task, motion, points[k : k + 1], _SAMPLES)[1] >= allowed_m
+        if off_zones and _keeps_off_terrain(known, task, motion, low[k]):
+            return (float(points[k, 0]), float(points[k, 1]), float(points[k, 2]))
     return None
 
 
-def _is_open(
-    known: KnownMap, task: Task, motion: Motion, field: "_Field", point: Vector, gap_m: float
-) -> bool:
-    """Whether all possible ways to a point clear zones and terrain."""
-    place = np.array(point[:2])
-    off_zones = _keeps_off_zones(task, motion, field, place, gap_m)
-    return off_zones and _keeps_off_terrain(known, task, motion, point)
-
-
-def _places_ne_m(here: FloatArray, reach_m: float, preferred: Vector) -> FloatArray:
-    """The preferred one, here, and rings about here, the nearest first.  -> (N, 2)."""
+def _points_nea_m(task: Task, here: FloatArray, reach_m: float, preferred: Vector) -> FloatArray:
+    """The preferred one; here, and on rings about here, at two heights each.  -> (N, 3)."""
+    low, high = task.band_amsl_m
+    level = min(max(float(here[2]), low), high)
     turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
     radii = np.linspace(0.0, reach_m, _LENGTHS + 1)[1:, None, None]
     rings = here[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    return np.concatenate([[preferred[:2], here[:2]], rings.reshape(-1, 2)])
-
-
-def _heights_m(task: Task, motion: Motion) -> tuple[float, float]:
-    low, high = task.band_amsl_m
-    level = min(max(motion.here_nea_m[2], low), high)
-    return level, 0.5 * (level + high)
-
-
-def _in_order(index: NDArray[np.intp], rank: FloatArray, first: int | None) -> Iterator[int]:
-    """The first one, if it is among them; then all others, the best first."""
-    order = index[np.argsort(np.round(rank[index], 3), kind="stable")].tolist()
-    yield from sorted(order, key=lambda k: k != first)
-
-
-# --- ways, and zones
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Field:
-    """Distances to zones at the nodes of a lattice, exact up to that which paths keep."""
-
-    zones: ZoneTable
-    corner_ne_m: FloatArray  # (2,): its south-western node
-    node_m: float
-    gap_m: FloatArray  # (nodes, nodes)
-
-    @property
-    def error_m(self) -> float:
-        """How far `gaps_m` may be wrong: distances differ by no more than their places do."""
-        return math.sqrt(0.5) * self.node_m
-
-    def gaps_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """About the distance to the nearest zone, bilinear between nodes.  (...) x2 -> (...)."""
-        at = np.stack([north_m - self.corner_ne_m[0], east_m - self.corner_ne_m[1]]) / self.node_m
-        return np.asarray(map_coordinates(self.gap_m, at, order=1, mode="nearest"))
-
-    def keeps(self, points_ne_m: FloatArray, gap_m: float) -> bool:
-        """Whether all points are no nearer to zones, exactly; the worst is asked about first."""
-        about_m = self.gaps_m(*points_ne_m.T)
-        order = np.argsort(about_m)[: np.count_nonzero(about_m - self.error_m < gap_m)]
-        for some in (points_ne_m[order[:1]], points_ne_m[order[1:]]):
-            told_m = gaps_m(self.zones, some[:, 0], some[:, 1], max(gap_m, 0.0) + _SLACK_M)
-            if (told_m < gap_m).any():
-                return False
-        return True
-
-
-def _field(task: Task, places: FloatArray, here: FloatArray) -> tuple[_Field, FloatArray]:
-    """Distances to zones about the ways: none leads farther than its place, or its turn.
-
-    And those of the places: many points at once are the cheaper.  (N, 2), (2,) -> (N,)
-    """
-    farthest_m = float(np.hypot(*(places - here).T).max())
-    reach_m = max(farthest_m, 2.0 * task.limits.turn_radius_m)
-    zones, node_m = packed(task.zones), 2.0 * reach_m / (_NODES - 1)
-    nodes = here - reach_m + node_m * np.indices((_NODES, _NODES)).reshape(2, -1).T
-    within_m = np.full(len(nodes) + len(places), task.zone_clearance_m)
-    within_m[: len(nodes)] = task.required_clearance_m + node_m  # no way is asked to keep more
-    north, east = np.concatenate([nodes, places]).T
-    told_m = gaps_m(zones, north, east, within_m)
-    gap_m = told_m[: len(nodes)].reshape(_NODES, _NODES)
-    field = _Field(zones=zones, corner_ne_m=here - reach_m, node_m=node_m, gap_m=gap_m)
-    return field, told_m[len(nodes) :]
+    places = np.repeat(np.concatenate([here[None, :2], rings.reshape(-1, 2)]), 2, axis=0)
+    heights = np.resize([level, 0.5 * (level + high)], len(places))
+    return np.concatenate([[preferred], np.column_stack([places, heights])])
 
 
 def _judged(
-    task: Task, motion: Motion, field: "_Field", places: FloatArray
+    task: Task, motion: Motion, points: FloatArray, samples: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Of the ways to each place: how bad they are, about, and their least distance to zones, about.
+    """Of the ways to each point: how bad they are, and their least distance to zones, metres.
 
     Bad is the length, and again what of it is too near to zones: metres, each by the share of the
     required clearance that is missing there (counted once, or up to 20 times: among 300 drawn
     fences it led out of them equally soon).  The worst of what the vehicle may fly counts:
     wide or tight turns, and to places behind it turns to either side.  -> (N,) x 2
     """
+    zones, required_m = packed(task.zones), task.required_clearance_m
+    places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
     length_m, intruding_m = np.zeros(len(places)), np.zeros(len(places))
     nearest_m = np.full(len(places), np.inf)
-    for ways, lengths_m, flown in _ways_ne_m(task, motion, places, _ROUGHLY):
-        gaps_m = field.gaps_m(ways[..., 0], ways[..., 1])
-        missing = np.maximum(1.0 - gaps_m / task.required_clearance_m, 0.0)
-        into_m = missing.mean(axis=-1) * lengths_m
+    for ways, lengths_m, flown in _ways_ne_m(task, motion, places, samples):
+        off_m = gaps_m(zones, ways[..., 0], ways[..., 1], required_m)
+        into_m = np.maximum(1.0 - off_m / required_m, 0.0).mean(axis=-1) * lengths_m
         length_m[flown] = np.maximum(length_m[flown], lengths_m)
         intruding_m[flown] = np.maximum(intruding_m[flown], into_m)
-        nearest_m[flown] = np.minimum(nearest_m[flown], gaps_m.min(axis=-1))
-    return length_m + intruding_m, nearest_m
-
-
-def _keeps_off_zones(
-    task: Task, motion: Motion, field: "_Field", place: FloatArray, gap_m: float
-) -> bool:
-    """Whether all that may be flown to a place keeps this distance from zones."""
-    ways = [each for each, _, _ in _ways_ne_m(task, motion, place[None], _SAMPLES)]
-    return field.keeps(np.concatenate(ways).reshape(-1, 2), gap_m)
+        nearest_m[flown] = np.minimum(nearest_m[flown], off_m.min(axis=-1))
+    return (length_m + intruding_m)[which], nearest_m[which]
 
 
 def _ways_ne_m(task: Task, motion: Motion, places: FloatArray, samples: int) -> Iterator[Ways]:
@@ -258,29 +164,15 @@ def _turns_ne_m(
     return np.stack([north, east], axis=-1), lengths_m
 
 
-# --- terrain
+def _keeps_off_terrain(known: KnownMap, task: Task, motion: Motion, end: FloatArray) -> bool:
+    """Whether the way to a point keeps off terrain by the errors, or as far as the vehicle does.
 
-
-def _clear_of_terrain(
-    known: KnownMap, task: Task, motion: Motion, points: Iterable[Vector], clearance_m: float
-) -> Iterator[Vector]:
-    """Those of the points whose circle keeps this distance, at the lower end of the way too."""
-    circle, points = known.grown(task.limits.loiter_radius_m), iter(points)
-    while some := list(islice(points, _AT_ONCE)):
-        there = np.array(some)
-        there[:, 2] = np.minimum(there[:, 2], motion.here_nea_m[2])
-        gaps_m = distances_to_terrain_m(circle, there, clearance_m)
-        yield from (some[k] for k in np.flatnonzero(gaps_m >= clearance_m))
-
-
-def _keeps_off_terrain(known: KnownMap, task: Task, motion: Motion, point: Vector) -> bool:
-    """Whether the way to a point keeps off terrain by the errors, or as far as the vehicle does."""
-    lowest_m = min(point[2], motion.here_nea_m[2])
+    end: the point, or the one below it at the height of the vehicle.
+    """
     error_m, here = task.error_m, np.asarray(motion.here_nea_m)
     least_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
-    for ways, _, _ in _ways_ne_m(task, motion, np.array([point[:2]]), _SAMPLES):
-        flown = ways.reshape(-1, 2)
-        way = np.concatenate([flown, np.full((len(flown), 1), lowest_m)], axis=1)
-        if (distances_to_terrain_m(known, way, error_m) < least_m).any():
+    for ways, _, _ in _ways_ne_m(task, motion, end[None, :2], _SAMPLES):
+        flown = np.insert(ways.reshape(-1, 2), 2, end[2], axis=1)
+        if (distances_to_terrain_m(known, flown, error_m) < least_m).any():
             return False
     return True

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import final
 
@@ -36,20 +36,28 @@ Flies = Callable[[Leg, float, float, bool], float]
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True, eq=False)
 class OfflineFlight:
-    """All legs, the points where they were planned from, and what was known in the end."""
+    """A flight, or as much of it as was flown."""
 
-    legs: tuple[Leg, ...]
-    flown_m: tuple[float, ...]
+    next: PlanRequest
+    """The next request: where the vehicle is, what it knows by now, what it heads for."""
+    left_ne_m: list[tuple[float, float]]
+    """Targets that it has not reached."""
+    legs: list[Leg] = field(default_factory=list)
+    flown_m: list[float] = field(default_factory=list)
     """How far each leg was flown before the next took over."""
-    plans: tuple[Planned, ...]
-    scans_nea_m: tuple[tuple[float, float, float], ...]
-    known: KnownMap
-    failure: NotPlanned | None
+    plans: list[Planned] = field(default_factory=list)
+    scans_nea_m: list[tuple[float, float, float]] = field(default_factory=list)
+    """Where it scanned: the start is the first."""
+    failure: NotPlanned | None = None
     """Why it ended before the target; None: it did not."""
-    holds: int
+    holds: int = 0
     """How often it had to stop at the end of a leg, for want of a successor."""
+    flies: Flies = lambda _leg, _from_m, until_m, _goes_on: until_m
+    """What looks about on the way."""
+    _at_m: float = 0.0
+    """How far the current leg is flown."""
 
     def route_nea_m(self, spacing_m: float) -> FloatArray:
         """What was flown, points so far apart or less.  -> (S, 3)."""
@@ -58,6 +66,85 @@ class OfflineFlight:
             count = max(math.ceil(flown_m / spacing_m), 1)
             pieces.append(leg.subpath.points_nea_m(np.linspace(0.0, flown_m, count + 1)[1:]))
         return np.concatenate(pieces)
+
+    @property
+    def known(self) -> KnownMap:
+        """What its scans have shown."""
+        return self.next.known
+
+    def scan(self, truth: KnownMap, scanner: Scanner) -> None:
+        """Scan from where the next request says."""
+        request = self.next
+        self.scans_nea_m.append(request.scan_nea_m)
+        scan = scanner(truth, request.scan_nea_m, request.task.settings.scan_range_m)
+        self.next = replace(
+            request, plan_id=request.plan_id + 1, known=request.known.with_scan(scan)
+        )
+
+    def take(self, outcome: PlanOutcome) -> None:
+        """Fly on with an answer, to where the next scan is made."""
+        assert not isinstance(outcome, Backtrack)  # it is never asked for
+        request, task = self.next, self.next.task
+        if isinstance(outcome, NotPlanned):
+            self.failure = outcome
+            if request.from_rest:
+                self.next = replace(request, attempt=request.attempt + 1)
+            else:
+                self._hold_at_end()
+            return
+        self.failure = None
+        self.next = replace(
+            request, attempt=0, route_ne_m=outcome.route_ne_m, progress=outcome.progress
+        )
+        if not request.from_rest:
+            self.flown_m[-1] = self.legs[-1].successor_at_m(task)
+            if not self._fly(self.flown_m[-1], goes_on=True):
+                return
+        leg = Leg.of(outcome, len(self.legs) + 1)
+        self.plans.append(outcome)
+        self.legs.append(leg)
+        self.flown_m.append(leg.subpath.length_m)
+        self._at_m = 0.0
+        if leg.reaches_target:
+            if self._fly(leg.subpath.length_m):
+                self.left_ne_m.pop(0)
+                self._stop()
+                target = self.left_ne_m[0] if self.left_ne_m else request.target_ne_m
+                self.next = replace(
+                    self.next, target_ne_m=target, route_ne_m=(), progress=NO_PROGRESS
+                )
+        elif not leg.wants_successor(leg.subpath.length_m, task):
+            self._hold_at_end()
+        elif self._fly(leg.scan_at_m(task)):
+            self.next = replace(
+                self.next,
+                scan_nea_m=leg.subpath.pose(leg.scan_at_m(task)).point_nea_m,
+                start=leg.subpath.pose(leg.successor_at_m(task)),
+                from_rest=False,
+                rest=leg.rest(task),
+            )
+
+    def _fly(self, until_m: float, *, goes_on: bool = False) -> bool:
+        """Fly on along the leg.  -> whether it came so far; else it has stopped, and holds."""
+        self._at_m = self.flies(self.legs[-1], self._at_m, until_m, goes_on)
+        if self._at_m >= until_m:
+            return True
+        self.holds += 1
+        self.flown_m[-1] = self._at_m
+        self._stop()
+        return False
+
+    def _hold_at_end(self) -> None:
+        if self._fly(self.legs[-1].subpath.length_m):
+            self.holds += 1
+            self._stop()
+
+    def _stop(self) -> None:
+        """It stands where it is."""
+        here = self.legs[-1].subpath.pose(self._at_m).point_nea_m
+        self.next = replace(
+            self.next, scan_nea_m=here, start=hover_pose(here), from_rest=True, rest=None
+        )
 
 
 def fly_offline(
@@ -82,13 +169,28 @@ def fly_offline(
     As in flight: the vehicle stops at each target, and a leg without a successor is flown to its
     end, where the vehicle stops, scans and plans again.
     """
-    if most_legs is None:
-        most_legs = usual_most_legs(task, start_nea_m, targets_ne_m)
-    flight = _Flight(task, blank, start_nea_m, targets_ne_m, most_legs, flies)
-    while not flight.is_over:
+    request = PlanRequest(
+        plan_id=0,
+        seed=seed,
+        task=task,
+        known=blank,
+        scan_nea_m=start_nea_m,
+        start=hover_pose(start_nea_m),
+        from_rest=True,
+        target_ne_m=targets_ne_m[0],
+    )
+    flight = OfflineFlight(next=request, left_ne_m=list(targets_ne_m))
+    flight.flies = flies or flight.flies
+    most_legs = most_legs or usual_most_legs(task, start_nea_m, targets_ne_m)
+    while flight.left_ne_m and flight.next.attempt < _MAX_ATTEMPTS:
+        if len(flight.legs) >= most_legs:
+            flight.failure = flight.failure or NotPlanned(
+                plan_id=flight.next.plan_id, refusal=Refusal.TOO_MANY_LEGS
+            )
+            break
         flight.scan(truth, scanner)
-        flight.take(planner(flight.request(seed)))
-    return flight.result()
+        flight.take(planner(flight.next))
+    return flight
 
 
 def usual_most_legs(
@@ -101,122 +203,3 @@ def usual_most_legs(
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
     legs = sum(math.ceil(math.dist(a, b) / leg_m) for a, b in pairwise(places))
     return max(_MIN_MOST_LEGS, _TIMES_AS_MANY * legs)
-
-
-@final
-class _Flight:
-    """An offline flight under way."""
-
-    def __init__(
-        self,
-        task: Task,
-        blank: KnownMap,
-        start_nea_m: tuple[float, float, float],
-        targets_ne_m: tuple[tuple[float, float], ...],
-        most_legs: int,
-        flies: Flies | None,
-    ) -> None:
-        self._most_legs, self._flies, self._at_m = most_legs, flies, 0.0
-        self._task, self._known, self._left = task, blank, list(targets_ne_m)
-        self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
-        self._route: tuple[tuple[float, float], ...] = ()
-        self._progress = NO_PROGRESS
-        self._attempt = self._holds = self._requests = 0
-        self._failure: NotPlanned | None = None
-        self._legs: list[Leg] = []
-        self._flown_m: list[float] = []
-        self._plans: list[Planned] = []
-        self._scans: list[tuple[float, float, float]] = []
-
-    @property
-    def is_over(self) -> bool:
-        spent = len(self._legs) >= self._most_legs or self._attempt == _MAX_ATTEMPTS
-        return not self._left or spent
-
-    def scan(self, truth: KnownMap, scanner: Scanner) -> None:
-        range_m = self._task.settings.scan_range_m
-        self._scans.append(self._scan_nea_m)
-        self._known = self._known.with_scan(scanner(truth, self._scan_nea_m, range_m))
-
-    def request(self, seed: int) -> PlanRequest:
-        self._requests += 1
-        return PlanRequest(
-            plan_id=self._requests,
-            seed=seed,
-            task=self._task,
-            known=self._known,
-            scan_nea_m=self._scan_nea_m,
-            start=self._pose,
-            from_rest=self._from_rest,
-            target_ne_m=self._left[0],
-            route_ne_m=self._route,
-            progress=self._progress,
-            rest=None if self._from_rest else self._legs[-1].rest(self._task),
-            attempt=self._attempt,
-        )
-
-    def take(self, outcome: PlanOutcome) -> None:
-        assert not isinstance(outcome, Backtrack)  # it is never asked for
-        if isinstance(outcome, NotPlanned):
-            self._failure = outcome
-            if self._from_rest:
-                self._attempt += 1
-            else:
-                self._hold_at_end()
-            return
-        self._failure, self._attempt, self._route = None, 0, outcome.route_ne_m
-        self._progress = outcome.progress
-        if self._legs and not self._from_rest:
-            self._flown_m[-1] = self._legs[-1].successor_at_m(self._task)
-            if not self._fly(self._flown_m[-1], goes_on=True):
-                return
-        leg = Leg.of(outcome, len(self._legs) + 1)
-        self._plans.append(outcome)
-        self._legs.append(leg)
-        self._flown_m.append(leg.subpath.length_m)
-        self._at_m = 0.0
-        if leg.reaches_target:
-            if self._fly(leg.subpath.length_m):
-                self._left.pop(0)
-                self._route, self._progress = (), NO_PROGRESS
-                self._stop_at_m(leg.subpath.length_m)
-        elif not leg.wants_successor(leg.subpath.length_m, self._task):
-            self._hold_at_end()
-        elif self._fly(leg.scan_at_m(self._task)):
-            self._scan_nea_m = leg.subpath.pose(leg.scan_at_m(self._task)).point_nea_m
-            self._pose = leg.subpath.pose(leg.successor_at_m(self._task))
-            self._from_rest = False
-
-    def _fly(self, until_m: float, *, goes_on: bool = False) -> bool:
-        """Fly on along the leg.  -> whether it came so far; else it has stopped, and holds."""
-        leg, from_m = self._legs[-1], self._at_m
-        self._at_m = until_m if self._flies is None else self._flies(leg, from_m, until_m, goes_on)
-        if self._at_m >= until_m:
-            return True
-        self._holds += 1
-        self._flown_m[-1] = self._at_m
-        self._stop_at_m(self._at_m)
-        return False
-
-    def _hold_at_end(self) -> None:
-        if self._fly(end_m := self._legs[-1].subpath.length_m):
-            self._holds += 1
-            self._stop_at_m(end_m)
-
-    def _stop_at_m(self, length_m: float) -> None:
-        self._scan_nea_m = self._legs[-1].subpath.pose(length_m).point_nea_m
-        self._pose, self._from_rest = hover_pose(self._scan_nea_m), True
-
-    def result(self) -> OfflineFlight:
-        failure = self._failure
-        if self._left and failure is None:
-            failure = NotPlanned(plan_id=self._requests, refusal=Refusal.TOO_MANY_LEGS)
-        return OfflineFlight(
-            legs=tuple(self._legs),
-            flown_m=tuple(self._flown_m),
-            plans=tuple(self._plans),
-            scans_nea_m=tuple(self._scans),
-            known=self._known,
-            failure=failure,
-            holds=self._holds,
-        )

@@ -18,10 +18,10 @@ _SPACING_M = 100.0
 
 def draw_offline(flight: OfflineFlight, mission: Mission, truth: KnownMap, path: Path) -> float:
     """Draw a flight without a vehicle over the true terrain; its length in metres."""
-    lines = _flown_lines(flight.legs, mission)
+    lines = _flown_lines(tuple(flight.legs), mission)
     length_m = sum(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines)
     caption = f"planned without a vehicle: {len(lines)} subpaths, {length_m / 1000:.1f} km"
-    _draw(path, mission, truth, lines, flight.scans_nea_m, flight.scans_nea_m[0], caption)
+    _draw(path, mission, truth, lines, tuple(flight.scans_nea_m), flight.scans_nea_m[0], caption)
     return length_m
 
 

@@ -168,8 +168,8 @@ def test_a_flight_that_finds_no_way_gives_up_after_four_attempts_each_wider(
     planner = Refusing(*range(1, 100))
     flight = fly(task, blank, truth, planner)
     assert flight.failure is planner.outcomes[-1]
-    assert flight.legs == flight.plans == flight.flown_m == ()
-    assert flight.scans_nea_m == (START,) * 4
+    assert flight.legs == flight.plans == flight.flown_m == []
+    assert flight.scans_nea_m == [START] * 4
     assert [request.attempt for request in planner.requests] == [0, 1, 2, 3]
     assert len({request.plan_id for request in planner.requests}) == 4
 

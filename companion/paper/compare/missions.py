@@ -223,7 +223,7 @@ def fly(case: Case) -> Run:
         j=sum(route_terms(route, case.task).values()),
         took_s=took_s,
         route_nea_m=route,
-        scans_nea_m=flight.scans_nea_m,
+        scans_nea_m=tuple(flight.scans_nea_m),
         violations=violations(pieces, case.task, case.terrain),
     )
 
