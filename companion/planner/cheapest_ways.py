@@ -25,7 +25,7 @@ _FARTHEST = 4  # lattice points north or east that an edge leads at most
 _SHORT = 2  # the most that one of the 16 leads that serve on steep ground
 _ROUNDED = 1.0 - 1e-9  # a mean of costs may be lower than the least of them by so much
 _ROUNDED_UP = 1.0 + 1e-9  # and a line along a way may cost more than its parts by so much
-_LOOKS = 500  # between two looks whether what is wanted is right: each takes as long as some ten
+_LOOKS = 32  # between two looks how far it has come: each takes as long as one of them
 _PARTS = 8  # of an edge, at whose ends its ground is looked at: one for each sample of the longest
 
 
@@ -90,13 +90,15 @@ class Grid(NamedTuple):
     """The altitude that the terrain asks for, within the limits, AMSL."""
     beside: IndexArray
     """From a lattice point to the samples beside its edges, (24, 9, 2)."""
+    jump: IndexArray
+    """From a lattice point to its 48 neighbours."""
     least: float = 1.0
     """No cost is below: edges that cannot be cheaper than what is known are not looked at."""
 
     @staticmethod
     def empty(rows: int, columns: int, step_m: float) -> "Grid":
         """Of so many samples, whose costs are not known yet."""
-        cost, barring, height, ramp_m, lowest_m = np.zeros((5, rows * columns))
+        cost, barring, height, ramp_m = np.zeros((4, rows * columns))
         beside = _SAMPLES[:, :, 0::2] * columns + _SAMPLES[:, :, 1::2]
         return Grid(
             rows=(rows + 1) // 2,
@@ -106,8 +108,9 @@ class Grid(NamedTuple):
             barring=barring,
             height=height,
             ramp_m=ramp_m,
-            lowest_m=lowest_m,
+            lowest_m=np.full(rows * columns, -np.inf),
             beside=np.ascontiguousarray(beside),
+            jump=DIRECTIONS[:, 0] * ((columns + 1) // 2) + DIRECTIONS[:, 1],
         )
 
 
@@ -171,22 +174,25 @@ def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
     return float(total * piece_m)
 
 
-def repair(grid: Grid, costs: Costs, dirty: IndexArray, wanted: IndexArray) -> int:
-    """Make costs right again.  How often a point was looked at.
+def repair(grid: Grid, costs: Costs, dirty: BoolArray, here: IndexArray, beyond_m: float) -> int:
+    """Make costs right again as far as they matter.  How often a point was looked at.
 
-    dirty: the points whose seed, or the cost of one of whose edges, has changed; to begin with,
-    when all costs are infinite, those that have a seed.
-    wanted: where nothing has become dearer, the points that matter: then it ends when they are
-    right, and the others' costs are too high; none: all matter.
+    dirty: (rows, columns), the points one of whose edges has changed; to begin with, when all costs
+    are infinite, those that have a seed.
+    here, beyond_m: costs matter up to so much more than the least of these points.  Others are
+    left as they are until they do; what is stored of them is more than that.
     """
     rows, columns = grid.rows, grid.columns
     cost, ahead, via = costs.cost, costs.ahead, costs.via
     least_m = _ROUNDED * grid.least * 2.0 * grid.step_m * _LENGTHS
     heap, looked = [(math.inf, -1)], 0
-    for u in dirty:
-        _again(u, grid, costs, least_m, heap)
+    for u in range(rows * columns):
+        if dirty[u // columns, u % columns]:
+            _again(u, grid, costs, least_m, heap)
+        elif cost[u] != ahead[u]:  # left before
+            heapq.heappush(heap, (min(cost[u], ahead[u]), u))
     while heap[0][1] >= 0:
-        if len(wanted) and looked % _LOOKS == 0 and heap[0][0] > ahead[wanted].max():
+        if looked % _LOOKS == 0 and heap[0][0] > ahead[here].min() + beyond_m:
             break
         key, u = heapq.heappop(heap)
         if cost[u] == ahead[u] or key != min(cost[u], ahead[u]):
@@ -199,7 +205,7 @@ def repair(grid: Grid, costs: Costs, dirty: IndexArray, wanted: IndexArray) -> i
             for k in range(len(DIRECTIONS)):
                 if not (is_within or _leads_on(row, column, rows, columns, k)):
                     continue
-                v = u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]
+                v = u + grid.jump[k]
                 if ahead[v] < cost[u] + least_m[k]:
                     continue
                 by_u, back = cost[u] + edge_m(grid, row, column, k), (k + _HALF) % len(DIRECTIONS)
@@ -214,9 +220,13 @@ def repair(grid: Grid, costs: Costs, dirty: IndexArray, wanted: IndexArray) -> i
             _again(u, grid, costs, least_m, heap)
             for k in range(len(DIRECTIONS)):
                 if is_within or _leads_on(row, column, rows, columns, k):
-                    v = u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]
+                    v = u + grid.jump[k]
                     if via[v] == (k + _HALF) % len(DIRECTIONS):
-                        _again(v, grid, costs, least_m, heap)
+                        if cost[v] == ahead[v]:  # it is looked at when its turn comes
+                            ahead[v] = math.inf
+                            heapq.heappush(heap, (cost[v], v))
+                        else:
+                            _again(v, grid, costs, least_m, heap)
     return looked
 
 
@@ -239,15 +249,17 @@ def _again(
     row, column = u // columns, u % columns
     is_within = _is_within(row, rows) and _is_within(column, columns)
     best, via, before = costs.seed[u], -1, costs.via[u]
-    for n in range(-1, len(DIRECTIONS)):
-        k = before if n < 0 else n  # the one of before first: then most others need no look
-        if k < 0 or n == before or not (is_within or _leads_on(row, column, rows, columns, k)):
-            continue
-        there = costs.cost[u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]]
-        if there < math.inf and there + least_m[k] <= best:
-            by_it = there + edge_m(grid, row, column, k)
-            if by_it < best or (by_it == best and k < via):
-                best, via = by_it, k
+    if before >= 0:  # the one of before first: then most others need no look
+        best, via = costs.cost[u + grid.jump[before]] + edge_m(grid, row, column, before), before
+        if best >= costs.seed[u]:
+            best, via = costs.seed[u], -1
+    for k in range(len(DIRECTIONS)):
+        if is_within or _leads_on(row, column, rows, columns, k):
+            there = costs.cost[u + grid.jump[k]]
+            if there + least_m[k] <= best and k != before and there < math.inf:
+                by_it = there + edge_m(grid, row, column, k)
+                if by_it < best or (by_it == best and k < via):
+                    best, via = by_it, k
     costs.ahead[u], costs.via[u] = best, via
     if best != costs.cost[u]:
         heapq.heappush(heap, (min(best, costs.cost[u]), u))
@@ -262,19 +274,10 @@ def touch(row: int, column: int, touched: BoolArray) -> None:
             touched[i, j] = True
 
 
-def touch_all(changed: BoolArray, touched: BoolArray) -> None:
-    """The same of all changed samples, (2 rows - 1, 2 columns - 1)."""
-    for i in range(changed.shape[0]):
-        for j in range(changed.shape[1]):
-            if changed[i, j]:
-                touch(i, j, touched)
-
-
 def next_of(grid: Grid, costs: Costs, u: int) -> int:
     """The next point on the cheapest way from a point; -1 behind a seed."""
     k = costs.via[u]
-    columns = grid.columns
-    return int(u + DIRECTIONS[k, 0] * columns + DIRECTIONS[k, 1]) if k >= 0 else -1
+    return int(u + grid.jump[k]) if k >= 0 else -1
 
 
 def way_from(grid: Grid, costs: Costs, u: int) -> IndexArray:
@@ -292,38 +295,42 @@ def needed_m(
     grid: Grid,
     costs: Costs,
     window: tuple[int, int, int, int],
+    most_m: float,
     steepness: float,
-    floor_m: float,
     target: tuple[float, float, float],
 ) -> FloatArray:
     """The lowest altitude from which the cheapest way on can be climbed, of the points of a window.
 
     What the way asks for later, less what can be climbed until then.
     window: first and last row, first and last column, without the last.
+    most_m: of points that cost more, what is asked for there.
     target: row and column among the samples and the altitude that the terrain asks for there.
     """
-    columns = grid.columns
+    columns, across = grid.columns, 2 * grid.columns - 1
     needed = np.full(len(costs.cost), -math.inf)
     stack = np.empty(len(costs.cost), dtype=np.int64)
+    result = np.empty((window[1] - window[0], window[3] - window[2]))
     for row in range(window[0], window[1]):
         for column in range(window[2], window[3]):
-            u, depth = row * columns + column, 0
+            start = row * columns + column
+            u, depth = start, 0
             while u >= 0 and needed[u] == -math.inf:
                 stack[depth] = u
                 depth += 1
+                if costs.cost[u] > most_m:
+                    break
                 u = next_of(grid, costs, u)
             while depth:
                 depth -= 1
                 v = stack[depth]
                 i, j = 2 * (v // columns), 2 * (v % columns)
-                needed[v] = floor_m
+                needed[v] = grid.lowest_m[i * across + j]
                 if u < 0:
                     away_m = grid.step_m * math.sqrt((i - target[0]) ** 2 + (j - target[1]) ** 2)
-                    needed[v] = max(target[2] - steepness * away_m, floor_m)
-                else:
+                    needed[v] = max(needed[v], target[2] - steepness * away_m)
+                elif u != v:
                     north, east = 2 * (u // columns) - i, 2 * (u % columns) - j
                     climb_m = grid.step_m * steepness * math.sqrt(north * north + east * east)
-                    across = 2 * columns - 1
                     for part in range(1, _PARTS + 1):
                         at_i = i + (part * north + _PARTS // 2) // _PARTS
                         at_j = j + (part * east + _PARTS // 2) // _PARTS
@@ -331,10 +338,7 @@ def needed_m(
                         needed[v] = max(needed[v], asked_m)
                     needed[v] = max(needed[v], needed[u] - climb_m)
                 u = v
-    result = np.empty((window[1] - window[0], window[3] - window[2]))
-    for row in range(window[0], window[1]):
-        begin = row * columns
-        result[row - window[0]] = needed[begin + window[2] : begin + window[3]]
+            result[row - window[0], column - window[2]] = needed[start]
     return result
 
 
@@ -404,25 +408,56 @@ def _between(samples: FloatArray, at: int, columns: int, u: float, v: float) -> 
 
 
 def aside_m(route: FloatArray, other: FloatArray) -> float:
-    """How far a broken line is from another at most, by 33 points a piece.  (K, 2), (J, 2)."""
+    """How far points are from a broken line at most.  (K, 2), (J, 2)."""
     farthest = 0.0
-    for k in range(len(route) - 1):
-        for p in range(_ON_A_PIECE + 1):
-            share, nearest = p / _ON_A_PIECE, math.inf
-            n = route[k, 0] + share * (route[k + 1, 0] - route[k, 0])
-            e = route[k, 1] + share * (route[k + 1, 1] - route[k, 1])
-            for j in range(len(other) - 1):
-                dn, de = other[j + 1, 0] - other[j, 0], other[j + 1, 1] - other[j, 1]
-                off_n, off_e = n - other[j, 0], e - other[j, 1]
-                along = (off_n * dn + off_e * de) / max(dn * dn + de * de, 1e-12)
-                along = min(max(along, 0.0), 1.0)
-                off_n, off_e = off_n - along * dn, off_e - along * de
-                nearest = min(nearest, off_n * off_n + off_e * off_e)
-            farthest = max(farthest, nearest)
+    for k in range(len(route)):
+        nearest = math.inf
+        for j in range(len(other) - 1):
+            nearest = min(nearest, _off2(route[k, 0], route[k, 1], other[j], other[j + 1]))
+        farthest = max(farthest, nearest)
     return math.sqrt(farthest)
 
 
-_ON_A_PIECE = 32  # of a route, 2 R long at most: a point every R / 16, a third of the corridor
+def _off2(north: float, east: float, a: FloatArray, b: FloatArray) -> float:
+    """The square of the distance of a point from the line between two."""
+    n, e, to_n, to_e = north - a[0], east - a[1], b[0] - a[0], b[1] - a[1]
+    share = (n * to_n + e * to_e) / max(to_n * to_n + to_e * to_e, 1e-12)
+    share = min(max(share, 0.0), 1.0)
+    return float((n - share * to_n) ** 2 + (e - share * to_e) ** 2)
+
+
+def discount(
+    grid: Grid,
+    cheaper: Grid,
+    line: FloatArray,
+    width: float,
+    share: float,
+    within: tuple[int, int, int, int],
+    touched: BoolArray,
+) -> None:
+    """Make costs in the corridor of a broken line cheaper by a share; mark whose edges change.
+
+    line: rows and columns among the samples, (K, 2); width: of the corridor to either side, in
+    samples; within: the rows and columns from and to where it counts.
+    """
+    across = 2 * grid.columns - 1
+    for k in range(len(line) - 1):
+        a, b = line[k], line[k + 1]
+        south, west = (
+            max(min(a[0], b[0]) - width, within[0]),
+            max(min(a[1], b[1]) - width, within[2]),
+        )
+        north, east = (
+            min(max(a[0], b[0]) + width, within[1]),
+            min(max(a[1], b[1]) + width, within[3]),
+        )
+        for i in range(math.ceil(south), math.ceil(north)):
+            for j in range(math.ceil(west), math.ceil(east)):
+                at = i * across + j
+                if cheaper.cost[at] == grid.cost[at] and _off2(i, j, a, b) < width * width:
+                    touch(i, j, touched)
+                    cheaper.cost[at] -= share * grid.cost[at]
+                    cheaper.barring[at] -= share * grid.cost[at]
 
 
 def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
@@ -447,5 +482,5 @@ def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
                     value[r, c] = min(value[r, c], beside)
 
 
-ENTRIES = (repair, touch_all, way_from, needed_m, lines_m, straightened, aside_m, smooth_edges)
+ENTRIES = (repair, way_from, needed_m, lines_m, straightened, aside_m, discount, smooth_edges)
 """What is called from elsewhere."""

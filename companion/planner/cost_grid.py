@@ -18,8 +18,6 @@ ways over it are flown high and in short legs, and a way round is rarely dearer.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -27,299 +25,247 @@ import numpy as np
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner import kernels
 from companion.planner.cheapest_ways import Grid, IndexArray
-from companion.planner.cost_samples import BLOCKED, Scale
+from companion.planner.cost_samples import BLOCKED, Box, Ground, Scale
 from companion.planner.settings import Task
-from companion.world.guess import Guess
+from companion.world.guess import Blocks, believed_m, continued
 from companion.world.known_map import KnownMap
+from companion.world.lattice import Lattice
 from companion.world.zones import too_near
 
 Place = tuple[float, float]
 
+_STEPS_PER_RANGE = 40
+"""Steps between samples in R: two to a cell of the lattice.  A certified leg spans ten or more
+cells; with 48 directions the error is that of directions, not of cells, and a gap of one and a half
+cells stays open (both by test)."""
+_MOST_CELLS = 640
+"""Lattice cells across a map, 32 R; those of a larger map are wider: the first solution takes a second."""
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _TERMS = 2.4  # f1 is 100 for a way of 2.4 R, f2 for one of R at the ceiling (eq. 6, 7)
 _RADAR = 3.0  # f5 is 300 for a way of R at a radar (`scene.RADAR_SCALE` for each of ten samples)
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Extent:
-    """Which samples a grid has: vertices of the map's cells."""
-
-    cells: int
-    """Every so many of them."""
-    first: tuple[int, int]
-    """Row and column of the first."""
-    count: tuple[int, int]
-    """(2 rows - 1, 2 columns - 1)."""
-    is_whole: bool
-    """Whether these are all of the map."""
-
-    @staticmethod
-    def whole(known: KnownMap, cells: int) -> "Extent":
-        """All of a map."""
-        rows, columns = (2 * max(size // (2 * cells), 1) + 1 for size in known.upper_m.shape)
-        return Extent(cells=cells, first=(0, 0), count=(rows, columns), is_whole=True)
-
-
-_Box = tuple[slice, slice]
-"""Rows and columns of some samples, or cells."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CostGrid:
-    """Costs at the points of a lattice and halfway between them.
+    """Costs at the points of a lattice and halfway between them, kept up to date."""
 
-    Changed in place by the grid that comes `after` it.
-    """
+    def __init__(self, known: KnownMap, task: Task) -> None:
+        """Of a map of which nothing is known: `update` says what is."""
+        most = max(known.upper_m.shape)
+        every = max(
+            round(task.settings.scan_range_m / (_STEPS_PER_RANGE * known.cell_m)),
+            math.ceil(most / (2 * _MOST_CELLS)),
+            1,
+        )
+        rows, columns = (2 * max(size // (2 * every), 1) + 1 for size in known.upper_m.shape)
+        self.task = task
+        self.corner_ne_m = known.north_min_m, known.east_min_m
+        """Of the first sample."""
+        self.samples = Grid.empty(rows, columns, every * known.cell_m)
+        self._lattice = _lattice_of(known)
+        self._scale = _scale(task, known, every)
+        # what the costs are of, to be compared with: copies that nobody else changes
+        self._upper_m = np.full(known.upper_m.shape, np.inf)
+        self._surveyed = np.zeros(known.upper_m.shape, dtype=bool)
+        self._told_m: FloatArray | None = None
+        self._open = np.ones((rows, columns), dtype=bool)
+        """The samples beside which nothing has been told: there it may be guessed."""
+        self._everywhere = True
+        """Whether all samples are to be looked at next time: at first, and after a guess."""
+        self._blocks = Blocks(known.upper_m.shape, 2 * every)
+        self._ground = Ground(
+            seen_m=np.full((rows, columns), -np.inf),
+            guess_m=np.full((rows, columns), self._scale.floor_m),
+            shut=_shut(task, known, self.step_m, (rows, columns)),
+            costly=np.zeros((rows, columns), dtype=bool),
+        )
 
-    extent: Extent
-    north_min_m: float
-    east_min_m: float
-    samples: Grid
-    shut: BoolArray
-    """(2 rows - 1, 2 columns - 1), where zones or the edge of the map forbid to be."""
-    costly: BoolArray
-    """Blocked, or seen by a radar."""
-    known: KnownMap
-    guess: Guess
-    task: Task
-    remembered: KnownMap
-    """The map that the costs are of, for comparison: a copy that nobody else changes."""
+    # --- what is known
+
+    def fits(self, known: KnownMap, task: Task) -> bool:
+        """Whether it can be brought up to date with a map; else a new one is to be made."""
+        return self.task == task and self._lattice == _lattice_of(known)
+
+    def update(self, known: KnownMap, here_ne_m: Place, *, guesses: bool) -> BoolArray:
+        """Costs as they are now.  -> the lattice points with an edge whose cost has changed.
+
+        here_ne_m: what was seen is continued about it where it was not; not without guesses.
+        """
+        ground, floor_m = self._ground, self._scale.floor_m
+        box = self._look_at(known)
+        guess_m = self._continued_m(known, here_ne_m) if guesses and self._open.any() else None
+        if guess_m is not None or self._everywhere:
+            ground.guess_m[:] = floor_m if guess_m is None else guess_m
+            box = 0, self.shape[0], 0, self.shape[1]
+        self._everywhere = guess_m is not None
+        touched = np.zeros(self.lattice_shape, dtype=bool)
+        kernels.compiled().guidance.fill(
+            self.samples,
+            ground,
+            box,
+            self.corner_ne_m,
+            self._upper_m,
+            self._surveyed,
+            self._scale,
+            touched,
+        )
+        return touched
+
+    def _look_at(self, known: KnownMap) -> Box:
+        """Take over what is known.  -> the samples that may ask for another altitude."""
+        guidance, scale, size = kernels.compiled().guidance, self._scale, known.upper_m.shape
+        cells = guidance.changed(self._upper_m, self._surveyed, known.upper_m, known.surveyed)
+        if known.guess_m is not None and not _same(known.guess_m, self._told_m):
+            cells, self._told_m = (0, size[0], 0, size[1]), known.guess_m
+            row, column = (
+                np.minimum(scale.every * np.arange(count), cut - 1)
+                for count, cut in zip(self.shape, size, strict=True)
+            )
+            self._open = np.isnan(known.guess_m[np.ix_(row, column)])
+        if cells[0] >= cells[1]:
+            return 0, 0, 0, 0
+        rows, columns = slice(*cells[:2]), slice(*cells[2:])
+        self._upper_m[rows, columns] = known.upper_m[rows, columns]
+        self._surveyed[rows, columns] = known.surveyed[rows, columns]
+        if self._open.any():
+            self._blocks.update(known, (rows, columns))
+        reach, box, about = len(scale.rises_m), [], []
+        for part, count, cut in zip((rows, columns), self.shape, size, strict=True):
+            low = max(-((reach - 1 - part.start) // scale.every), 0)
+            high = max(min((part.stop - 1 + reach) // scale.every + 1, count), low)
+            box += [low, high]
+            about.append(
+                slice(max(low * scale.every - reach, 0), min(high * scale.every + reach, cut))
+            )
+        tops_m = believed_m(known, *about)
+        guidance.raise_to(
+            self._ground.seen_m, tuple(box), tops_m, (about[0].start, about[1].start), scale
+        )
+        return box[0], box[1], box[2], box[3]
+
+    def _continued_m(self, known: KnownMap, here_ne_m: Place) -> FloatArray | None:
+        """`Ground.guess_m`: linear between the points of the lattice.  None: nothing is guessed."""
+        goes_on, scale = continued(known, self._blocks, here_ne_m), self._scale
+        if goes_on is None:
+            return None
+        rows, columns = (4 * scale.every * np.arange(count) for count in self.lattice_shape)
+        ground_m = goes_on.at_m(rows, columns) + scale.rises_m[0, 0]
+        result = np.empty(self.shape)
+        result[::2, ::2] = ground_m
+        result[1::2, ::2] = 0.5 * (ground_m[:-1] + ground_m[1:])
+        result[:, 1::2] = 0.5 * (result[:, :-1:2] + result[:, 2::2])
+        return np.where(self._open, np.maximum(result, scale.floor_m), scale.floor_m)
+
+    # --- places
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Rows and columns of samples."""
+        return 2 * self.samples.rows - 1, 2 * self.samples.columns - 1
+
+    @property
+    def lattice_shape(self) -> tuple[int, int]:
         """Rows and columns of lattice points."""
-        rows, columns = self.extent.count
-        return (rows + 1) // 2, (columns + 1) // 2
+        return self.samples.rows, self.samples.columns
 
     @property
     def step_m(self) -> float:
         """Distance between samples: half a cell of the lattice."""
         return self.samples.step_m
 
-    def sheet(self, values: FloatArray) -> FloatArray:
-        """Values of the samples, or a view of them, by rows and columns."""
-        return values.reshape(self.extent.count)
-
     @property
-    def samples_m(self) -> tuple[FloatArray, FloatArray]:
-        """North (2 rows - 1, 1) and east (1, 2 columns - 1) of the samples."""
-        rows, columns = self.extent.count
-        north = self.north_min_m + self.step_m * np.arange(float(rows))
-        east = self.east_min_m + self.step_m * np.arange(float(columns))
-        return north[:, None], east[None, :]
-
-    def holds(self, place: Place) -> bool:
-        """Whether a place lies within the grid."""
-        u, v = self.sample_of(np.array(place))
-        rows, columns = self.extent.count
-        return bool(0 <= u <= rows - 1 and 0 <= v <= columns - 1)
+    def costly(self) -> BoolArray:
+        """The samples that are blocked, or seen by a radar."""
+        return self._ground.costly
 
     def sample_of(self, points_ne_m: FloatArray) -> FloatArray:
         """Row and column among the samples, not rounded.  (..., 2) -> (..., 2)."""
-        return (points_ne_m - (self.north_min_m, self.east_min_m)) / self.step_m
+        return (points_ne_m - self.corner_ne_m) / self.step_m
 
     def points_m(self, index: IndexArray) -> FloatArray:
         """North, east of lattice points.  (K,) -> (K, 2)."""
-        rows, columns = np.divmod(index, self.shape[1])
-        corner = np.array([self.north_min_m, self.east_min_m])
-        return corner + 2.0 * self.step_m * np.stack([rows, columns], axis=-1)
-
-    def around(self, place: Place, reach: int = _REACH_CELLS) -> IndexArray:
-        """The lattice points about a place, or about the one nearest to it.  -> (K,)."""
-        rows, columns = self.box_about(place, reach)
-        across = self.shape[1]
-        row, column = np.arange(rows.start, rows.stop), np.arange(columns.start, columns.stop)
-        return np.add.outer(row * across, column).ravel()
-
-    def box_about(self, place: Place, reach: int) -> _Box:
-        """Rows and columns of the lattice points up to so many from the one nearest to a place."""
-        middle = np.clip(
-            np.rint(self.sample_of(np.array(place)) / 2.0), 0, np.array(self.shape) - 1
+        return self.corner_ne_m + 2.0 * self.step_m * np.stack(
+            np.divmod(index, self.samples.columns), axis=-1
         )
+
+    def box_about(self, place: Place, reach: int) -> tuple[slice, slice]:
+        """Rows and columns of the lattice points up to so many from the one nearest to a place."""
+        last = np.array(self.lattice_shape) - 1
+        row, column = np.clip(np.rint(self.sample_of(np.array(place)) / 2.0), 0, last).tolist()
         rows, columns = (
-            slice(max(int(m) - reach, 0), min(int(m) + reach + 1, n))
-            for m, n in zip(middle, self.shape, strict=True)
+            slice(max(int(m) - reach, 0), min(int(m) + reach, n) + 1)
+            for m, n in zip((row, column), last.tolist(), strict=True)
         )
         return rows, columns
 
-    def lines_m(self, from_ne_m: FloatArray, to_ne_m: FloatArray) -> FloatArray:
-        """Costs of straight lines.  (K, 2) or (1, 2), (K, 2) -> (K,)."""
-        begin, end = self.sample_of(from_ne_m), self.sample_of(to_ne_m)
-        begin = np.array(np.broadcast_to(begin, end.shape))  # not of another kind: compiled once
+    def around(self, place: Place) -> IndexArray:
+        """The lattice points that are joined to a place directly.  -> (K,)."""
+        rows, columns = self.box_about(place, _REACH_CELLS)
+        first = self.samples.columns * np.arange(rows.start, rows.stop)
+        return np.add.outer(first, np.arange(columns.start, columns.stop)).ravel()
+
+    def lines_m(self, place: Place, to_ne_m: FloatArray) -> FloatArray:
+        """Costs of straight lines from a place.  (K, 2) -> (K,)."""
+        end = self.sample_of(to_ne_m)
+        begin = np.tile(self.sample_of(np.array(place)), (len(end), 1))
         costs: FloatArray = kernels.compiled().guidance.lines_m(self.samples, begin, end)
         return costs
 
-    @staticmethod
-    def of(known: KnownMap, guess: Guess, task: Task, extent: Extent) -> "CostGrid":
-        """Costs over a map."""
-        (rows, columns), step_m = extent.count, extent.cells * known.cell_m
-        grid = CostGrid(
-            extent=extent,
-            north_min_m=known.north_min_m + extent.first[0] * known.cell_m,
-            east_min_m=known.east_min_m + extent.first[1] * known.cell_m,
-            samples=Grid.empty(rows, columns, step_m),
-            shut=np.zeros((rows, columns), dtype=bool),
-            costly=np.zeros((rows, columns), dtype=bool),
-            known=known,
-            guess=guess,
-            task=task,
-            remembered=replace(known, upper_m=known.upper_m.copy(), seen=known.seen.copy()),
-        )
-        north, east = grid.samples_m
-        if task.zones:
-            places, gaps = (
-                (tuple(north[:, 0].tolist()), tuple(east[0].tolist())),
-                kernels.compiled().zone_gaps,
-            )
-            grid.shut[:] |= too_near(task.zones, *places, task.zone_search_clearance_m, gaps)
-        for at, low, size in zip(
-            (north, east),
-            (known.north_min_m, known.east_min_m),
-            known.upper_m.shape,
-            strict=True,
-        ):  # what is beyond the map may be terrain
-            edge_m = np.minimum(at - low, low + size * known.cell_m - at)
-            grid.shut[:] |= edge_m < task.search_clearance_m
-        grid._fill((slice(0, rows), slice(0, columns)), np.zeros(grid.shape, dtype=bool))
-        return grid
-
-    def after(
-        self, known: KnownMap, guess: Guess, task: Task, extent: Extent
-    ) -> tuple["CostGrid", BoolArray] | None:
-        """Costs as they are now, and the lattice points with an edge whose cost has changed.
-
-        None: they are to be computed anew.
-        """
-        geometry, before = (
-            (m.cell_m, m.north_min_m, m.east_min_m, m.registration_m, m.upper_m.shape)
-            for m in (known, self.remembered)
-        )
-        if extent != self.extent or geometry != before or task != self.task:
-            return None
-        old = self.remembered
-        cells = _changed(old, known)
-        if cells is not None:
-            old.upper_m[cells], old.seen[cells] = known.upper_m[cells], known.seen[cells]
-            old = replace(old, given=known.given, guess_m=known.guess_m)
-        box = self._to_fill(cells, guess)
-        grid = replace(self, known=known, guess=guess, remembered=old)
-        touched = np.zeros(self.shape, dtype=bool)
-        if box is not None:
-            grid._fill(box, touched)
-        return grid, touched
-
-    def _to_fill(self, cells: _Box | None, guess: Guess) -> _Box | None:
-        """The samples whose costs changed cells, or another guess, may change.  None: none.
-
-        What is continued from what was seen may change anywhere.
-        """
-        rows, columns = self.extent.count
-        if not (guess.near is None and self.guess.near is None):
-            return slice(0, rows), slice(0, columns)
-        if cells is None:
-            return None
-        reach, parts = self._reach, []
-        for part, first, count in zip(cells, self.extent.first, self.extent.count, strict=True):
-            every = self.extent.cells
-            low = max(-((first + reach - 1 - part.start) // every), 0)
-            high = min((part.stop - 1 + reach - first) // every + 1, count)
-            if low >= high:
-                return None
-            parts.append(slice(low, high))
-        return parts[0], parts[1]
-
-    @property
-    def _reach(self) -> int:
-        """Cells on each side of a sample that may come nearer than the clearance.
-
-        On a wide grid, whose samples are far apart, only the four cells at a sample count.
-        """
-        known = self.known
-        wide_m = self.task.search_clearance_m + known.registration_m
-        reach = math.ceil(wide_m / known.cell_m) + 1
-        return 1 if self.extent.cells > 2 * reach else reach
-
-    def _scale(self) -> Scale:
-        task, known = self.task, self.known
-        limits, weights = task.limits, task.settings.weights
-        per_length = max(weights.length, 1e-3) / _TERMS
-        per_height = weights.height / per_length
-        band_m = limits.ceiling_amsl_m - limits.floor_amsl_m
-        inset_m = task.search_clearance_m - task.settings.safety_distance_m  # as from the terrain
-        apart_m = np.arange(self._reach) * known.cell_m
-        away_m = np.hypot(apart_m[:, None], apart_m[None, :]) - known.registration_m
-        squared = task.search_clearance_m**2 - np.maximum(away_m, 0.0) ** 2
-        return Scale(
-            floor_m=limits.floor_amsl_m,
-            ceiling_m=limits.ceiling_amsl_m,
-            highest_m=limits.ceiling_amsl_m - inset_m,
-            per_height=per_height,
-            per_radar=_RADAR * weights.radar / per_length,
-            per_ramp_m=0.5 * per_height * band_m / math.tan(limits.climb_angle_rad),
-            radars=np.array(
-                [(*radar.centre_nea_m, radar.range_m) for radar in task.radars], dtype=np.float64
-            ).reshape(-1, 4),
-            rises_m=np.where(squared > 0.0, np.sqrt(np.maximum(squared, 0.0)), -np.inf),
-        )
-
-    def _fill(self, box: _Box, touched: BoolArray) -> None:
-        """Compute the costs of some samples."""
-        known, scale, every = self.known, self._scale(), self.extent.cells
-        guidance, reach = kernels.compiled().guidance, self._reach
-        vertices = [
-            first + every * np.arange(count)
-            for first, count in zip(self.extent.first, self.extent.count, strict=True)
-        ]
-        first = int(vertices[0][box[0].start]), int(vertices[1][box[1].start])
-        cells = []
-        for at, part, size in zip(vertices, box, known.upper_m.shape, strict=True):
-            low, high = at[part][0] - reach, at[part][-1] + reach
-            index = np.arange(low, high)
-            if every > 2 * reach:  # neighbours share no cells
-                index = np.add.outer(at[part], np.arange(-reach, reach)).ravel()
-            cells.append(index[(index >= 0) & (index < size)])
-        lowest_m = np.full([part.stop - part.start for part in box], -np.inf)
-        guidance.raise_to(
-            lowest_m,
-            self.guess.at(*cells),
-            tuple(cells),
-            first,
-            every,
-            scale.rises_m,
-            scale.floor_m - self.task.search_clearance_m,
-        )
-        north, east = self.samples_m
-        guidance.fill(
-            self.samples,
-            (box[0].start, box[0].stop, box[1].start, box[1].stop),
-            lowest_m,
-            tuple(vertices),
-            known.upper_m,
-            known.surveyed,
-            (north[:, 0], east[0]),
-            self.shut,
-            self.costly,
-            scale,
-            touched,
-        )
+    def bars(self, route_ne_m: FloatArray) -> bool:
+        """Whether a route comes to a sample where nothing may fly.  (K, 2), north and east."""
+        at = np.rint(self.sample_of(sampled(route_ne_m, 0.5 * self.step_m))).astype(np.intp)
+        at = at[((at >= 0) & (at < self.shape)).all(axis=1)]
+        return bool((self.samples.cost.reshape(self.shape)[*at.T] >= BLOCKED).any())
 
 
-def _changed(old: KnownMap, new: KnownMap) -> _Box | None:
-    """The rows and columns of the cells in which two maps differ; None: there are none."""
-    changed = (old.upper_m != new.upper_m) | (old.seen != new.seen)
-    for one, other in ((old.given, new.given), (old.guess_m, new.guess_m)):
-        if one is other:
-            continue
-        if one is None or other is None:
-            changed[:] = True
-        else:
-            changed |= (one != other) & ~((one != one) & (other != other))  # NaN is as NaN
-    rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
-    if not len(rows):
-        return None
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+def _scale(task: Task, known: KnownMap, every: int) -> Scale:
+    limits, weights, clearance_m = task.limits, task.settings.weights, task.search_clearance_m
+    per_length = max(weights.length, 1e-3) / _TERMS
+    per_height = weights.height / per_length
+    band_m = limits.ceiling_amsl_m - limits.floor_amsl_m
+    reach = math.ceil((clearance_m + known.registration_m) / known.cell_m) + 1
+    apart_m = np.arange(reach) * known.cell_m
+    away_m = np.hypot(apart_m[:, None], apart_m[None, :]) - known.registration_m
+    squared = clearance_m**2 - np.maximum(away_m, 0.0) ** 2
+    return Scale(
+        every=every,
+        floor_m=limits.floor_amsl_m,
+        ceiling_m=limits.ceiling_amsl_m,
+        highest_m=limits.ceiling_amsl_m - (clearance_m - task.settings.safety_distance_m),
+        per_height=per_height,
+        per_radar=_RADAR * weights.radar / per_length,
+        per_ramp_m=0.5 * per_height * band_m / math.tan(limits.climb_angle_rad),
+        radars=np.array(
+            [(*radar.centre_nea_m, radar.range_m) for radar in task.radars], dtype=np.float64
+        ).reshape(-1, 4),
+        rises_m=np.where(squared > 0.0, np.sqrt(np.maximum(squared, 0.0)), -np.inf),
+    )
+
+
+def _shut(task: Task, known: KnownMap, step_m: float, shape: tuple[int, int]) -> BoolArray:
+    """Where zones forbid to be, or what is beyond the map, which may be terrain."""
+    corner_m = known.north_min_m, known.east_min_m
+    north, east = (low + step_m * np.arange(n) for low, n in zip(corner_m, shape, strict=True))
+    shut = np.zeros(shape, dtype=bool)
+    if task.zones:
+        places, gaps = (tuple(north.tolist()), tuple(east.tolist())), kernels.compiled().zone_gaps
+        shut |= too_near(task.zones, *places, task.zone_search_clearance_m, gaps)
+    for axis, at in enumerate((north, east)):
+        low, size_m = corner_m[axis], known.upper_m.shape[axis] * known.cell_m
+        is_near = np.minimum(at - low, low + size_m - at) < task.search_clearance_m
+        shut |= is_near[:, None] if axis == 0 else is_near
+    return shut
+
+
+def _lattice_of(known: KnownMap) -> tuple[Lattice, float, bool]:
+    return known.bare(), known.registration_m, known.guess_m is None
+
+
+def _same(a: FloatArray | None, b: FloatArray | None) -> bool:
+    """To the last bit."""
+    if a is None or b is None or a is b:
+        return a is b
+    return np.array_equal(a.view(np.int64), b.view(np.int64))
 
 
 def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> FloatArray:
@@ -327,21 +273,6 @@ def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> 
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route_ne_m, axis=0).T)))
     at = np.arange(0.0, min(along[-1], most_m), step_m)
     return np.stack([np.interp(at, along, route_ne_m[:, axis]) for axis in (0, 1)], axis=-1)
-
-
-def bars(grids: Sequence[CostGrid], route_ne_m: FloatArray) -> bool:
-    """Whether a route comes to a sample where nothing may fly.  (K, 2), north and east.
-
-    grids: the first that holds a point counts there.  It is looked at twice a sample.
-    """
-    left = sampled(route_ne_m, 0.5 * grids[0].step_m)
-    for grid in grids:
-        samples = np.rint(grid.sample_of(left)).astype(np.intp)
-        inside = ((samples >= 0) & (samples < grid.extent.count)).all(axis=1)
-        if (grid.sheet(grid.samples.cost)[tuple(samples[inside].T)] >= BLOCKED).any():
-            return True
-        left = left[~inside]
-    return False
 
 
 def descent_m(altitude_m: float, task: Task) -> float:

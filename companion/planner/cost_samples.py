@@ -9,17 +9,22 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.planner.cheapest_ways import Grid, IndexArray, touch
+from companion.planner.cheapest_ways import Grid, touch
 
 BLOCKED = 300.0
 """Cost per metre where nothing may fly: a detour of 300 times as much is shorter on any map."""
 _GUESSED_BLOCKED = 30.0  # where that is only guessed: if all is blocked, it is looked at first
 _BARRING = 1e4  # cost per metre where an edge is not to be used: far above BLOCKED
 
+Box = tuple[int, int, int, int]
+"""First row, the row behind the last; first column, the column behind the last."""
+
 
 class Scale(NamedTuple):
     """What costs depend on beside the map."""
 
+    every: int
+    """Cells between samples."""
     floor_m: float
     ceiling_m: float
     """Of the band, AMSL."""
@@ -39,35 +44,62 @@ class Scale(NamedTuple):
     -inf beyond the clearance."""
 
 
-def raise_to(
-    lowest_m: FloatArray,
-    tops_m: FloatArray,
-    cells: tuple[IndexArray, IndexArray],
-    first: tuple[int, int],
-    every: int,
-    rises_m: FloatArray,
-    least_m: float,
-) -> None:
-    """Raise the altitudes of samples to what keeps the clearance from cells.
+class Ground(NamedTuple):
+    """What samples know of the map, (2 rows - 1, 2 columns - 1)."""
 
-    Samples are at vertices of the cells, `every` of them from row and column `first`.
-    tops_m: (N, M), of the cells of these rows and columns; none above least_m asks for more.
+    seen_m: FloatArray
+    """The lowest altitude that keeps the clearance from what was seen or told, AMSL, or -inf."""
+    guess_m: FloatArray
+    """The same from what is guessed beside it, not below the floor."""
+    shut: BoolArray
+    """Zones or the edge of the map forbid to be here."""
+    costly: BoolArray
+    """Blocked, or seen by a radar."""
+
+
+def changed(
+    old_upper_m: FloatArray, old_surveyed: BoolArray, upper_m: FloatArray, surveyed: BoolArray
+) -> Box:
+    """The cells in which two maps differ lie in this box; an empty one: in none."""
+    north, south, east, west = 0, upper_m.shape[0], 0, upper_m.shape[1]
+    for r in range(upper_m.shape[0]):
+        differs = False
+        for c in range(upper_m.shape[1]):
+            differs |= upper_m[r, c] != old_upper_m[r, c]
+        for c in range(upper_m.shape[1]):  # apart: eight times as fast
+            differs |= surveyed[r, c] != old_surveyed[r, c]
+        if differs:
+            south, north = min(south, r), r + 1
+            for c in range(upper_m.shape[1]):
+                if upper_m[r, c] != old_upper_m[r, c] or surveyed[r, c] != old_surveyed[r, c]:
+                    west, east = min(west, c), max(east, c + 1)
+    return south, north, west, east
+
+
+def raise_to(
+    seen_m: FloatArray, box: Box, tops_m: FloatArray, first: tuple[int, int], scale: Scale
+) -> None:
+    """Compute what the samples of a box ask for, by the cells about them.
+
+    tops_m: (N, M), of these cells from row and column `first` on: all within the clearance.
     """
-    reach, (rows, columns) = len(rises_m), cells
-    for r in range(len(rows)):
-        row = rows[r] - first[0]
-        south = max(-((reach - 1 - row) // every), 0)
-        north = min((row + reach) // every, lowest_m.shape[0] - 1)
-        for c in range(len(columns)):
-            if tops_m[r, c] > least_m:
-                column = columns[c] - first[1]
-                west = max(-((reach - 1 - column) // every), 0)
-                east = min((column + reach) // every, lowest_m.shape[1] - 1)
-                for i in range(south, north + 1):
+    reach, every, least_m = len(scale.rises_m), scale.every, scale.floor_m - scale.rises_m[0, 0]
+    seen_m[box[0] : box[1], box[2] : box[3]] = -math.inf
+    for r in range(tops_m.shape[0]):
+        row = first[0] + r
+        south = max(-((reach - 1 - row) // every), box[0])
+        north = min((row + reach) // every + 1, box[1])
+        for c in range(tops_m.shape[1]):
+            if tops_m[r, c] > least_m:  # else it asks for no more than the floor
+                column = first[1] + c
+                west = max(-((reach - 1 - column) // every), box[2])
+                east = min((column + reach) // every + 1, box[3])
+                for i in range(south, north):
                     gap = max(i * every - row - 1, row - i * every)
-                    for j in range(west, east + 1):
+                    for j in range(west, east):
                         aside = max(j * every - column - 1, column - j * every)
-                        lowest_m[i, j] = max(lowest_m[i, j], tops_m[r, c] + rises_m[gap, aside])
+                        asked_m = tops_m[r, c] + scale.rises_m[gap, aside]
+                        seen_m[i, j] = max(seen_m[i, j], asked_m)
 
 
 def _bound_m(upper_m: FloatArray, row: int, column: int, scale: Scale) -> float:
@@ -83,56 +115,59 @@ def _bound_m(upper_m: FloatArray, row: int, column: int, scale: Scale) -> float:
     return result
 
 
-def _is_firm(firm: BoolArray, row: int, column: int) -> bool:
+def _is_surveyed(surveyed: BoolArray, row: int, column: int) -> bool:
     """Whether the terrain of the four cells at a vertex is known."""
-    rows, columns = firm.shape
+    rows, columns = surveyed.shape
     for i in (max(row - 1, 0), min(row, rows - 1)):
         for j in (max(column - 1, 0), min(column, columns - 1)):
-            if not firm[i, j]:
+            if not surveyed[i, j]:
                 return False
     return True
 
 
 def fill(
     grid: Grid,
-    box: tuple[int, int, int, int],
-    lowest_m: FloatArray,
-    vertices: tuple[IndexArray, IndexArray],
+    ground: Ground,
+    box: Box,
+    corner_ne_m: tuple[float, float],
     upper_m: FloatArray,
-    firm: BoolArray,
-    places_m: tuple[FloatArray, FloatArray],
-    shut: BoolArray,
-    costly: BoolArray,
+    surveyed: BoolArray,
     scale: Scale,
     touched: BoolArray,
 ) -> None:
-    """Compute the costs of samples, and mark the lattice points with an edge over a changed one.
+    """Compute the costs of the samples in a box, and mark the lattice points whose edges change.
 
-    box: rows and columns from and to; lowest_m: in it.  vertices, places_m: of all samples, in the
-    map and north and east.  Eq. 3 has half a step of margin: straight lines between samples outside
-    of a radar's range stay out.
+    corner_ne_m: of the first sample.  Where it is flown at the floor, as before, nothing changes.
+    Eq. 3 has half a step of margin: straight lines between samples outside of a radar's range stay
+    out.
     """
     across, radars = 2 * grid.columns - 1, scale.radars
     band_m, margin_m = scale.ceiling_m - scale.floor_m, 0.5 * grid.step_m
     near = np.empty(len(radars), dtype=np.int64)
     for i in range(box[0], box[1]):
-        count = 0
+        count, north_m = 0, corner_ne_m[0] + i * grid.step_m
         for k in range(len(radars)):
-            if abs(places_m[0][i] - radars[k, 0]) <= radars[k, 3] + margin_m:
+            if abs(north_m - radars[k, 0]) <= radars[k, 3] + margin_m:
                 near[count] = k
                 count += 1
         for j in range(box[2], box[3]):
-            low_m = lowest_m[i - box[0], j - box[2]]
-            row, column = vertices[0][i], vertices[1][j]
-            altitude_m = min(max(low_m, scale.floor_m), scale.ceiling_m)
-            flown_m, is_sure = altitude_m, True
-            if low_m > scale.floor_m:
-                is_sure = _is_firm(firm, row, column)
+            at, asked_m = i * across + j, max(ground.seen_m[i, j], ground.guess_m[i, j])
+            if asked_m <= scale.floor_m == grid.lowest_m[at]:
+                continue
+            low_m, bound_m, is_sure = ground.seen_m[i, j], scale.ceiling_m, True
+            if asked_m > scale.floor_m:
+                row, column = i * scale.every, j * scale.every
+                is_sure = _is_surveyed(surveyed, row, column)
                 if not is_sure:
-                    flown_m = max(altitude_m, _bound_m(upper_m, row, column, scale))
-            seen = 0.0
+                    guess_m, bound_m = ground.guess_m[i, j], _bound_m(upper_m, row, column, scale)
+                    low_m = max(
+                        low_m, guess_m if bound_m == scale.ceiling_m else min(guess_m, bound_m)
+                    )
+            altitude_m = min(max(low_m, scale.floor_m), scale.ceiling_m)
+            flown_m = altitude_m if is_sure or low_m <= scale.floor_m else max(altitude_m, bound_m)
+            seen, east_m = 0.0, corner_ne_m[1] + j * grid.step_m
             for k in near[:count]:
-                north, east = places_m[0][i] - radars[k, 0], places_m[1][j] - radars[k, 1]
+                north, east = north_m - radars[k, 0], east_m - radars[k, 1]
                 up, reach_m = altitude_m - radars[k, 2], radars[k, 3] + margin_m
                 squared = north * north + east * east + up * up
                 if squared <= reach_m * reach_m:
@@ -142,41 +177,47 @@ def fill(
             cost = 1.0 + scale.per_height * (flown_m - scale.floor_m) / band_m
             cost += scale.per_radar * seen
             above = max(low_m - scale.highest_m, 0.0) / band_m
-            is_blocked = above > 0.0 or shut[i, j]
+            is_blocked = above > 0.0 or ground.shut[i, j]
             if is_blocked:
-                blocked = BLOCKED if is_sure or shut[i, j] else _GUESSED_BLOCKED
+                blocked = BLOCKED if is_sure or ground.shut[i, j] else _GUESSED_BLOCKED
                 cost += blocked * (1.0 + above)
-            at, height, ramp_m = i * across + j, scale.per_height * fraction, fraction * fraction
-            ramp_m *= scale.per_ramp_m
+            height, ramp_m = scale.per_height * fraction, scale.per_ramp_m * fraction * fraction
+            grid.lowest_m[at], ground.costly[i, j] = altitude_m, is_blocked or seen > 0.0
             if cost != grid.cost[at] or height != grid.height[at] or ramp_m != grid.ramp_m[at]:
+                grid.cost[at], grid.height[at], grid.ramp_m[at] = cost, height, ramp_m
                 touch(i, j, touched)
-            grid.cost[at], grid.height[at], grid.ramp_m[at] = cost, height, ramp_m
-            grid.lowest_m[at], costly[i, j] = altitude_m, is_blocked or seen > 0.0
-    for i in range(max(box[0] - 1, 0), min(box[1] + 1, 2 * grid.rows - 1)):
-        for j in range(max(box[2] - 1, 0), min(box[3] + 1, across)):
-            at = i * across + j
-            barring = grid.cost[at] + (_BARRING if _is_steep(grid, i, j) else 0.0)
-            if barring != grid.barring[at]:
-                touch(i, j, touched)
+                for beside in range(-1, 2):
+                    _bar(grid, i + beside, j, touched)
+                    _bar(grid, i, j + beside, touched)
+
+
+def _bar(grid: Grid, i: int, j: int, touched: BoolArray) -> None:
+    """Keep long edges off a sample where the ground is steep."""
+    across = 2 * grid.columns - 1
+    if 0 <= i < 2 * grid.rows - 1 and 0 <= j < across:
+        at = i * across + j
+        barring = grid.cost[at] + (_BARRING if _is_steep(grid, i, j) else 0.0)
+        if barring != grid.barring[at]:
             grid.barring[at] = barring
+            touch(i, j, touched)
 
 
 def _is_steep(grid: Grid, i: int, j: int) -> bool:
     """Whether beside a sample the height for a ramp costs more than the height of the ground."""
     across = 2 * grid.columns - 1
     at = i * across + j
-    for by, is_there in (
-        (-across, i > 0),
-        (across, i < 2 * grid.rows - 2),
-        (-1, j > 0),
-        (1, j < across - 1),
-    ):
-        if is_there:
-            level_m = 0.5 * grid.step_m * (grid.height[at] + grid.height[at + by])
-            if abs(grid.ramp_m[at] - grid.ramp_m[at + by]) > level_m:
-                return True
-    return False
+    return (
+        (i > 0 and _rises(grid, at, at - across))
+        or (i < 2 * grid.rows - 2 and _rises(grid, at, at + across))
+        or (j > 0 and _rises(grid, at, at - 1))
+        or (j < across - 1 and _rises(grid, at, at + 1))
+    )
 
 
-ENTRIES = (raise_to, fill)
+def _rises(grid: Grid, one: int, other: int) -> bool:
+    level_m = 0.5 * grid.step_m * (grid.height[one] + grid.height[other])
+    return bool(abs(grid.ramp_m[one] - grid.ramp_m[other]) > level_m)
+
+
+ENTRIES = (changed, raise_to, fill)
 """What is called from elsewhere."""

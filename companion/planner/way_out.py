@@ -142,8 +142,8 @@ def _ways(
         return [], np.empty((0, 2))
     away, before = _flood(free, begin)
     reached = np.isfinite(away).reshape(free.shape)
-    lattice = np.meshgrid(north, east, indexing="ij")
-    left_m = field.at_m(*lattice) + _climb_m(request, field, *lattice, np.array(altitude_m))
+    wide = np.meshgrid(north, east, indexing="ij")
+    left_m = field.at_m(*wide) + _climb_m(request, field, *wide, np.array(altitude_m))
     left_m = np.where(reached, left_m, math.inf)
     here_m = float(field.at_m(here[0], here[1]) + _climb_m(request, field, *here))
     goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]

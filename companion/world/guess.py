@@ -8,7 +8,7 @@ A sight line that bounds hidden ground bounds the guess too.  Decision 0021.
 """
 
 from dataclasses import dataclass
-from typing import TypeVar, final
+from typing import final
 
 import numpy as np
 import scipy
@@ -17,182 +17,148 @@ from numpy.typing import NDArray
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
 
-_Any = TypeVar("_Any", bound=np.generic)
-_REACH = 6.0  # of R about here: what lies farther away is as it was seen, or plain
-_FINE = 1.6  # of R about here: farther away the guess is as coarse as its blocks
-_BLOCK = 0.05  # of R: what was seen is averaged over such squares
-_RIM = 0.2  # of R: what was seen farther inside says nothing of what was not
+_REACH = 6.0
+"""Of R about here, in which seen terrain is continued.  A mountain that was forgotten from afar
+would be an open way, until one comes near."""
+_BLOCKS_PER_RANGE = 20  # what was seen is averaged over squares so wide
+_RIM = 4  # blocks: what was seen farther inside says nothing of what was not
 _MAX_BLOCKS = 300  # the nearest of them, and as many farther away
 _HIGH = 0.2  # of the highest that was seen: only higher ones count far away
-_SCALES = (0.15, 0.2, 0.27)  # of R: lengths of the covariance, the likeliest is taken
+_SCALES = (3.0, 4.0, 5.4)  # blocks: lengths of the covariance, the likeliest is taken
 _NOISE = 0.02  # of the amplitude: cells are as high as the highest in them, not as their middle
 _PLAIN = 0.02  # quantile of what was seen: the plain that mountains stand on
+
+IntArray = NDArray[np.intp]
+_Box = tuple[slice, slice]
+
+
+def believed_m(known: KnownMap, rows: slice, columns: slice) -> FloatArray:
+    """The terrain of some cells as it was seen, or else told; -inf elsewhere, metres AMSL."""
+    part = known.part(rows, columns)
+    if part.guess_m is None:
+        return np.where(part.surveyed, part.upper_m, -np.inf)
+    told = np.where(np.isnan(part.guess_m), -np.inf, np.minimum(part.guess_m, part.upper_m))
+    return np.where(part.surveyed, part.upper_m, told)
+
+
+@final
+class Blocks:
+    """Means of what was seen over squares of cells, kept up to date."""
+
+    def __init__(self, shape: tuple[int, int], size: int) -> None:
+        """size: cells to a side; the last ones may be cut off."""
+        self.size = size
+        self.mean_m = np.zeros([-(-count // size) for count in shape])
+        self.seen = np.zeros(self.mean_m.shape, dtype=bool)
+        """Whether half of the block was."""
+
+    @staticmethod
+    def of(known: KnownMap, range_m: float) -> "Blocks":
+        """Of a whole map; range_m is R."""
+        size = max(round(range_m / (_BLOCKS_PER_RANGE * known.cell_m)), 1)
+        rows, columns = known.upper_m.shape
+        blocks = Blocks((rows, columns), size)
+        blocks.update(known, (slice(0, rows), slice(0, columns)))
+        return blocks
+
+    def update(self, known: KnownMap, cells: _Box) -> None:
+        """Cells, these at most, have changed."""
+        size = self.size
+        rows, columns = (slice(part.start // size, -(-part.stop // size)) for part in cells)
+        part = known.part(*(slice(each.start * size, each.stop * size) for each in (rows, columns)))
+        firm = part.surveyed
+        padding = [(0, -count % size) for count in firm.shape]
+
+        def sums(values: FloatArray) -> FloatArray:
+            values = np.pad(values, padding)
+            strips = values.reshape(-1, size, values.shape[1]).sum(axis=1)
+            return np.asarray(sum(strips[:, k::size] for k in range(size)))
+
+        count, total = sums(firm.astype(np.float64)), sums(np.where(firm, part.upper_m, 0.0))
+        self.mean_m[rows, columns] = total / np.maximum(count, 1.0)
+        self.seen[rows, columns] = count >= 0.5 * size * size
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Guess:
-    """The highest terrain of every cell, as seen, or as guessed; made only where it is read."""
+class Continued:
+    """What was seen, continued, within 6 R of here.  Places are counted in half cells of the map.
 
-    known: KnownMap
-    near: tuple[slice, slice] | None
-    """The rows and columns in which what was seen is continued; None: nowhere."""
-    continued_m: FloatArray
-    """(rows, columns) of these."""
-
-    @staticmethod
-    def nothing(known: KnownMap) -> "Guess":
-        """What was seen or told, and nothing beyond."""
-        return Guess(known=known, near=None, continued_m=np.empty((0, 0)))
-
-    def at(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> FloatArray:
-        """Metres AMSL, -inf where nothing is guessed.  (N,), (M,), each rising -> (N, M)."""
-        known = self.known
-        upper, firm = taken(known.upper_m, rows, columns), taken(known.seen, rows, columns)
-        if known.given is not None:
-            firm = firm | taken(known.given, rows, columns)
-        believed = np.where(firm, upper, -np.inf)
-        if self.near is not None:
-            (south, north), (west, east) = (
-                np.searchsorted(index, (part.start, part.stop))
-                for index, part in zip((rows, columns), self.near, strict=True)
-            )
-            here = slice(south, north), slice(west, east)
-            first = self.near[0].start, self.near[1].start
-            guess = taken(self.continued_m, rows[here[0]] - first[0], columns[here[1]] - first[1])
-            np.copyto(believed[here], np.minimum(guess, upper[here]), where=~firm[here])
-        if known.guess_m is not None:
-            told = taken(known.guess_m, rows, columns)
-            np.copyto(believed, np.minimum(told, upper), where=~(firm | np.isnan(told)))
-        return believed
-
-
-def taken(
-    cells: NDArray[_Any], rows: NDArray[np.integer], columns: NDArray[np.integer]
-) -> NDArray[_Any]:
-    """The cells of these rows and columns; no copy of those that lie side by side.  -> (N, M)."""
-    for axis, index in enumerate((rows, columns)):
-        if len(index) and (np.diff(index) == 1).all():
-            side_by_side = slice(index[0], index[-1] + 1)
-            cells = cells[side_by_side] if axis == 0 else cells[:, side_by_side]
-        else:
-            cells = cells.take(index, axis=axis)
-    return cells
-
-
-def guess_of(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> Guess:
-    """What is guessed, seen from here.
-
-    range_m is R: seen terrain is continued within 6 R of here.  A mountain that was forgotten from
-    afar would be an open way, until one comes near.
+    So a vertex between cells has even ones, and the middle of a cell odd ones.
     """
-    near = _within(_REACH * range_m, known, here_ne_m)
-    part = known.part(*near)
-    told, unseen = part.guess_m, ~part.surveyed
-    is_told = told is not None and not (np.isnan(told.min()) and np.isnan(told[unseen]).any())
-    if is_told or not unseen.any() or unseen.all():
-        return Guess.nothing(known)
-    return Guess(known=known, near=near, continued_m=continued_m(part, range_m, here_ne_m))
+
+    plain_m: float
+    seen: IntArray
+    """(K, 2), rows and columns of the middles of what it is continued from."""
+    weights: FloatArray
+    scale: float
+    within: tuple[tuple[int, int], tuple[int, int]]
+    """The first and last row, and column."""
+
+    def at_m(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Metres AMSL; -inf beyond 6 R.  (N,), (M,), each rising -> (N, M)."""
+        result = np.full((len(rows), len(columns)), -np.inf)
+        parts = [
+            slice(np.searchsorted(at, first), np.searchsorted(at, last, side="right"))
+            for at, (first, last) in zip((rows, columns), self.within, strict=True)
+        ]
+        north, east = (
+            _correlation(at[part], of, self.scale)
+            for at, part, of in zip((rows, columns), parts, self.seen.T, strict=True)
+        )
+        result[parts[0], parts[1]] = self.plain_m + (north * self.weights) @ east.T
+        return result
+
+
+def continued(known: KnownMap, blocks: Blocks, here_ne_m: tuple[float, float]) -> Continued | None:
+    """How the terrain goes on, seen from here; None: nothing was seen, or all."""
+    size = blocks.size
+    reach = round(_REACH * _BLOCKS_PER_RANGE)
+    here = [at // size for at in known.cell_of(*here_ne_m)]
+    rows, columns = box = tuple(slice(max(at - reach, 0), max(at + reach, 0)) for at in here)
+    mean_m, seen = blocks.mean_m[box], blocks.seen[box]
+    if not seen.any() or seen.all():
+        return None
+    plain_m = float(np.quantile(mean_m[seen], _PLAIN))
+    high = mean_m - plain_m > _HIGH * float(mean_m[seen].max() - plain_m)
+    chosen = _rim(seen, high, (here[0] - rows.start, here[1] - columns.start))
+    scale, weights = _likeliest(chosen, mean_m[*chosen.T] - plain_m)
+    return Continued(
+        plain_m=plain_m,
+        seen=size * (2 * (chosen + np.array((rows.start, columns.start))) + 1),
+        weights=weights,
+        scale=2.0 * size * scale,
+        within=(
+            (2 * size * rows.start, 2 * size * rows.stop),
+            (2 * size * columns.start, 2 * size * columns.stop),
+        ),
+    )
 
 
 def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
-    """The highest terrain of all cells, as `Guess.at`."""
-    rows, columns = (np.arange(count) for count in known.upper_m.shape)
-    return guess_of(known, here_ne_m, range_m).at(rows, columns)
-
-
-def _within(reach_m: float, known: KnownMap, here_ne_m: tuple[float, float]) -> tuple[slice, slice]:
-    """The rows and columns within reach of here."""
-    reach = round(reach_m / known.cell_m)
-    row, column = known.cell_of(*here_ne_m)
-    rows, columns = (slice(max(at - reach, 0), max(at + reach, 0)) for at in (row, column))
-    return rows, columns
-
-
-def continued_m(known: KnownMap, range_m: float, here_ne_m: tuple[float, float]) -> FloatArray:
-    """What was seen of the terrain, continued where it was not; the plain far from it.
-
-    -> (rows, columns), metres AMSL, at the middles of the cells: between those of the blocks by
-    cubic interpolation; far from here, of the blocks.
-    """
-    size = max(round(_BLOCK * range_m / known.cell_m), 1)
-    height, seen = _blocks(known, size)
+    """The terrain of all cells as it was seen, told or guessed, metres AMSL; -inf: not at all."""
     rows, columns = known.upper_m.shape
-    if not seen.any():
-        return np.full((rows, columns), -np.inf)
-    plain = float(np.quantile(height[seen], _PLAIN))
-    across = size * known.cell_m
-    high = seen & (height - plain > _HIGH * float(height[seen].max() - plain))
-    chosen = _rim(seen, high, _RIM * range_m / across, known, across, here_ne_m)
-    if len(chosen) == 0:
-        return np.full((rows, columns), plain)
-    rise = height[chosen[:, 0], chosen[:, 1]] - plain
-    scale, weights = _likeliest(chosen, rise, range_m / across)
-    north = _correlation(np.arange(seen.shape[0]), chosen[:, 0], scale)
-    east = _correlation(np.arange(seen.shape[1]), chosen[:, 1], scale)
-    blocks = (north * weights) @ east.T
-    result = plain + blocks.repeat(size, axis=0).repeat(size, axis=1)[:rows, :columns]
-    near = _within(_FINE * range_m, known, here_ne_m)
-    row, column = (np.arange(n)[part] for n, part in zip((rows, columns), near, strict=True))
-    result[near] = plain + _between(_between(blocks, row, size).T, column, size).T
-    return result
+    believed = believed_m(known, slice(0, rows), slice(0, columns))
+    goes_on = continued(known, Blocks.of(known, range_m), here_ne_m)
+    if goes_on is not None:
+        guess = goes_on.at_m(2 * np.arange(rows) + 1, 2 * np.arange(columns) + 1)
+        unseen = (
+            ~known.surveyed if known.guess_m is None else ~known.surveyed & np.isnan(known.guess_m)
+        )
+        np.copyto(believed, np.minimum(guess, known.upper_m), where=unseen)
+    return believed
 
 
-def _between(blocks: FloatArray, cells: NDArray[np.intp], size: int) -> FloatArray:
-    """Values of blocks at rows of cells, `size` to a block, by cubic convolution.
-
-    Keys 1981; at a third of the least length of the covariance, 1 % of its amplitude at most.
-    (N, M), (K,) -> (K, M).
-    """
-    at = (cells + 0.5) / size - 0.5
-    first = np.floor(at).astype(np.intp)
-    t = at - first
-    shares = (
-        0.5 * t * ((2.0 - t) * t - 1.0),
-        0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
-        0.5 * t * ((4.0 - 3.0 * t) * t + 1.0),
-        0.5 * t * t * (t - 1.0),
-    )
-    result = np.zeros((len(cells), blocks.shape[1]))
-    for k, share in enumerate(shares):
-        result += share[:, None] * blocks[np.clip(first + k - 1, 0, len(blocks) - 1)]
-    return result
-
-
-def _blocks(known: KnownMap, size: int) -> tuple[FloatArray, BoolArray]:
-    """Means over squares of size x size cells, and whether half of a square was seen."""
-    firm = known.surveyed
-    terrain = np.where(firm, known.upper_m, 0.0)
-    padding = [(0, -count % size) for count in firm.shape]
-
-    def sums(cells: FloatArray) -> FloatArray:
-        cells = np.pad(cells, padding)
-        strips = cells.reshape(-1, size, cells.shape[1]).sum(axis=1)
-        return np.asarray(sum(strips[:, k::size] for k in range(size)))
-
-    count, total = sums(firm.astype(np.float64)), sums(terrain)
-    return total / np.maximum(count, 1.0), count >= 0.5 * size * size
-
-
-def _rim(
-    seen: BoolArray,
-    high: BoolArray,
-    most: float,
-    known: KnownMap,
-    across_m: float,
-    here_ne_m: tuple[float, float],
-) -> NDArray[np.intp]:
+def _rim(seen: BoolArray, high: BoolArray, here: tuple[int, int]) -> IntArray:
     """The seen blocks next to what was not seen: all at the rim, every other behind.  (K, 2).
 
     Nearest first.  Of those that are too many, a fourth of the high ones, where mountains go on.
     """
-    inside = scipy.ndimage.distance_transform_edt(seen)
-    if seen.all():
-        return np.empty((0, 2), dtype=np.intp)
+    rim, behind = (
+        seen & ~scipy.ndimage.minimum_filter(seen, 2 * by + 1, mode="nearest") for by in (1, _RIM)
+    )
     row, column = np.indices(seen.shape)
-    use = seen & (inside <= most) & ((inside <= 1.5) | ((row + column) % 2 == 0))
-    chosen = np.argwhere(use)
-    here = (np.array(here_ne_m) - (known.north_min_m, known.east_min_m)) / across_m - 0.5
+    chosen = np.argwhere(rim | (behind & ((row + column) % 2 == 0)))
     away = ((chosen - here) ** 2).sum(axis=1)
     chosen = chosen[np.argsort(away, kind="stable")]
     far = chosen[_MAX_BLOCKS:]
@@ -200,39 +166,36 @@ def _rim(
     return np.concatenate([chosen[:_MAX_BLOCKS], far])
 
 
-def _likeliest(
-    blocks: NDArray[np.intp], rise_m: FloatArray, range_blocks: float
-) -> tuple[float, FloatArray]:
+def _likeliest(blocks: IntArray, rise_m: FloatArray) -> tuple[float, FloatArray]:
     """The length scale under which what was seen is likeliest, in blocks, and the weights.  (K,).
 
-    blocks: rows and columns, (K, 2).
     Judged by every other of many blocks: the work grows with the third power.
     """
     every = 1 if len(rise_m) < _MAX_BLOCKS // 2 else 2
     some, rise = blocks[:_MAX_BLOCKS:every], rise_m[:_MAX_BLOCKS:every]
-    best, likeliest = -np.inf, _SCALES[0] * range_blocks
+    best, likeliest = -np.inf, _SCALES[0]
     for scale in _SCALES:
-        factor, weights = _solved(some, rise, scale * range_blocks)
+        factor, weights = _solved(some, rise, scale)
         amplitude2 = max(float(rise @ weights) / len(rise), 1e-12)
         likelihood = -0.5 * len(rise) * np.log(amplitude2) - np.log(np.diag(factor)).sum()
         if likelihood > best:
-            best, likeliest = likelihood, scale * range_blocks
+            best, likeliest = likelihood, scale
     return likeliest, _solved(blocks, rise_m, likeliest)[1]
 
 
-def _solved(
-    blocks: NDArray[np.intp], rise_m: FloatArray, scale: float
-) -> tuple[FloatArray, FloatArray]:
+def _solved(blocks: IntArray, rise_m: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
     """Cholesky's factor of the covariance of blocks, (K, K), and the weights, (K,)."""
-    covariance = _correlation(blocks[:, 0], blocks[:, 0], scale)
-    covariance *= _correlation(blocks[:, 1], blocks[:, 1], scale)
+    rows, columns = np.ptp(blocks, axis=0) + 1
+    north, east = (np.exp(-0.5 * (np.arange(1 - n, n) / scale) ** 2) for n in (rows, columns))
+    table, key = np.outer(north, east), blocks @ (2 * columns - 1, 1)  # by how far they are apart
+    covariance = table.take(key[:, None] - key[None, :] + table.size // 2)
     covariance[np.diag_indices(len(rise_m))] += _NOISE**2
     factor = scipy.linalg.cho_factor(covariance, lower=True, check_finite=False)
     return factor[0], scipy.linalg.cho_solve(factor, rise_m, check_finite=False)
 
 
-def _correlation(at: NDArray[np.integer], of: NDArray[np.integer], scale: float) -> FloatArray:
-    """Of rows or columns of blocks, by how many are between.  (K,), (J,) -> (K, J)."""
+def _correlation(at: IntArray, of: IntArray, scale: float) -> FloatArray:
+    """Of rows or columns, by how far they are apart.  (K,), (J,) -> (K, J)."""
     apart = np.abs(at[:, None] - of[None, :])
     by_distance = np.exp(-0.5 * (np.arange(apart.max(initial=0) + 1) / scale) ** 2)
     return np.asarray(by_distance.take(apart))

@@ -14,7 +14,7 @@ from companion.planner import kernels
 from companion.planner.cheapest_ways import DIRECTIONS, Costs, Grid
 
 FloatArray = NDArray[np.float64]
-ALL = np.empty(0, dtype=np.int64)
+HERE = np.array([0])
 STEP_M = 10.0
 
 found = kernels.compiled().guidance
@@ -81,8 +81,22 @@ def solved(grid: Grid, seeds: dict[int, float]) -> Costs:
     seed = np.full(grid.rows * grid.columns, np.inf)
     seed[list(seeds)] = list(seeds.values())
     costs = Costs.unknown(seed)
-    found.repair(grid, costs, np.flatnonzero(np.isfinite(seed)), ALL)
+    repair(grid, costs, np.isfinite(seed))
     return costs
+
+
+def repair(grid: Grid, costs: Costs, dirty: NDArray[np.bool_], beyond_m: float = math.inf) -> int:
+    """All costs, or those up to so much above that of HERE.  How often a point was looked at."""
+    shape = grid.rows, grid.columns
+    looked: int = found.repair(grid, costs, dirty.reshape(shape), HERE, beyond_m)
+    return looked
+
+
+def touched_by(grid: Grid, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The lattice points whose edges come by a changed sample: up to four points away each way."""
+    size = 2 * 2 * 4 + 1
+    near = scipy.ndimage.maximum_filter(changed.reshape(2 * grid.rows - 1, -1), size)
+    return np.asarray(near[::2, ::2])
 
 
 def test_the_directions_are_those_up_to_four_points_away_each_once() -> None:
@@ -115,7 +129,6 @@ def test_what_is_repaired_is_what_is_found_anew_to_the_last_digit(
     grid = a_grid(rng, rows, columns)
     seeds = {int(u): float(rng.uniform(0.0, 50.0)) for u in rng.integers(0, rows * columns, 4)}
     costs = solved(grid, seeds)
-    shape = 2 * rows - 1, 2 * columns - 1
     for _ in range(6):
         before = [each.copy() for each in grid[3:7]]
         change(grid, rng, int(rng.integers(0, 9)))
@@ -124,38 +137,55 @@ def test_what_is_repaired_is_what_is_found_anew_to_the_last_digit(
             seeds[int(rng.integers(rows * columns))] = float(rng.uniform(0.0, 200.0))
             seeds.pop(int(rng.choice(list(seeds))))
         anew = solved(grid, seeds or {0: 1.0})
-        touched = np.zeros((rows, columns), dtype=bool)
-        found.touch_all(changed.reshape(shape), touched)
-        dirty = touched.ravel() | (anew.seed != costs.seed)
+        dirty = touched_by(grid, changed).ravel() | (anew.seed != costs.seed)
         costs.seed[:] = anew.seed
-        found.repair(grid, costs, np.flatnonzero(dirty), ALL)
+        beyond_m = float(rng.choice([0.0, 30.0, math.inf]))
+        repair(grid, costs, dirty, beyond_m)
+        if beyond_m < math.inf:  # as far as they matter; and all, when they do
+            right = anew.cost <= anew.cost[HERE].min() + beyond_m
+            assert costs.cost[right].tobytes() == anew.cost[right].tobytes()
+            assert costs.via[right].tobytes() == anew.via[right].tobytes()
+            assert (costs.cost[~right] > anew.cost[HERE].min() + beyond_m).all()
+            if rng.random() < 0.5:
+                continue
+            repair(grid, costs, np.zeros(rows * columns, dtype=bool))
         for mine, other in zip(costs[:4], anew[:4], strict=True):
             assert mine.tobytes() == other.tobytes()
 
 
 def test_where_nothing_has_changed_nothing_is_looked_at_and_far_changes_are_not_led_on() -> None:
     grid = a_grid(np.random.default_rng(2), 60, 60)
-    costs = solved(grid, {0: 0.0})
-    assert found.repair(grid, costs, ALL, ALL) == 0
+    costs, changed = solved(grid, {0: 0.0}), np.zeros(119 * 119, dtype=bool)
+    assert repair(grid, costs, touched_by(grid, changed)) == 0
     grid.cost[-1] = grid.barring[-1] = 250.0  # in the far corner
-    touched = np.zeros((60, 60), dtype=bool)
-    changed = np.zeros((119, 119), dtype=bool)
-    changed[-1, -1] = True
-    found.touch_all(changed, touched)
-    assert 0 < found.repair(grid, costs, np.flatnonzero(touched), ALL) < 60
+    changed[-1] = True
+    assert 0 < repair(grid, costs, touched_by(grid, changed)) < 60
 
 
 @given(seed=st.integers(0, 10**6))
-def test_cheaper_costs_are_right_where_they_are_wanted(seed: int) -> None:
+def test_the_corridor_of_a_line_is_cheaper_and_nothing_else(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    grid = a_grid(rng, 40, 40)
-    costs = solved(grid, {0: 0.0})
-    less = grid.cost * np.where(rng.random(len(grid.cost)) < 0.1, 0.03, 0.0)
-    cheaper = grid._replace(cost=grid.cost - less, barring=grid.barring - less, least=0.97)
-    anew, wanted = solved(cheaper, {0: 0.0}), np.unique(rng.integers(0, 1600, 40))
-    looked = found.repair(cheaper, costs, np.arange(1600), wanted)
-    assert costs.cost[wanted].tobytes() == anew.cost[wanted].tobytes()
-    assert looked <= 1600
+    grid = a_grid(rng, 20, 25)
+    cheaper = grid._replace(cost=grid.cost.copy(), barring=grid.barring.copy())
+    line, width = rng.uniform(-5.0, 50.0, (int(rng.integers(2, 5)), 2)), float(rng.uniform(0, 6))
+    within, touched = (0.0, 39.0, 4.0, 30.0), np.zeros((20, 25), dtype=bool)
+    found.discount(grid, cheaper, line, width, 0.03, within, touched)
+    i, j = np.indices((39, 49))
+    away = np.full((39, 49), np.inf)
+    for a, b in itertools.pairwise(line):
+        for n, e in np.linspace(a, b, 401):
+            away = np.minimum(away, np.hypot(i - n, j - e))
+    counts = (j >= 4) & (j < 30)
+    less = (grid.cost - cheaper.cost).reshape(39, 49)
+    assert (less > 0.0)[counts & (away < width)].all()
+    assert (less == 0.0)[~counts | (away > width + 0.1)].all()  # 401 points lie that close
+    some = less > 0.0
+    np.testing.assert_allclose(less[some], 0.03 * grid.cost.reshape(39, 49)[some])
+    np.testing.assert_allclose(grid.barring - cheaper.barring, less.ravel(), atol=1e-9)
+    assert (touched >= touched_by(grid, some)).all()
+    anew, costs = solved(cheaper._replace(least=0.97), {0: 0.0}), solved(grid, {0: 0.0})
+    repair(cheaper._replace(least=0.97), costs, touched)
+    assert costs.cost.tobytes() == anew.cost.tobytes()
 
 
 @given(seed=st.integers(0, 10**6))
@@ -165,16 +195,20 @@ def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climb
     rng = np.random.default_rng(seed)
     grid = a_grid(rng, 12, 10)
     grid.lowest_m[:] = rng.uniform(100.0, 200.0, len(grid.lowest_m))
-    costs, steepness, floor_m = solved(grid, {35: 0.0, 77: 12.0}), 0.3, 120.0
+    costs, steepness = solved(grid, {35: 0.0, 77: 12.0}), 0.3
     target = 7.0, 11.0, 180.0
     window = 2, 11, 0, 9
-    needed_m = found.needed_m(grid, costs, window, steepness, floor_m, target)
+    most_m = float(np.quantile(costs.cost, 0.8))
+    needed_m = found.needed_m(grid, costs, window, most_m, steepness, target)
     lowest_m = grid.lowest_m.reshape(23, 19)
     for row in range(window[0], window[1]):
         for column in range(window[2], window[3]):
             way = found.way_from(grid, costs, row * 10 + column).tolist()
             places = [(2 * (u // 10), 2 * (u % 10)) for u in way]
-            most, flown_m = floor_m, 0.0
+            most, flown_m = float(lowest_m[places[0]]), 0.0
+            if costs.cost[row * 10 + column] > most_m:
+                assert needed_m[row - 2, column] == most
+                continue
             for a, b in itertools.pairwise(places):
                 far_m = STEP_M * math.dist(a, b)
                 for p in range(1, 9):
@@ -194,7 +228,7 @@ def test_compiled_and_as_plain_python_it_is_the_same() -> None:
     grid = a_grid(rng, 12, 15)
     fast = solved(grid, {17: 3.0})
     slow = Costs.unknown(fast.seed.copy())
-    plain.repair(grid, slow, np.array([17]), ALL)
+    plain.repair(grid, slow, np.isfinite(fast.seed).reshape(12, 15), HERE, math.inf)
     for mine, other in zip(fast[:4], slow[:4], strict=True):
         assert mine.tobytes() == other.tobytes()
     ends = rng.uniform(-5.0, 40.0, (2, 20, 2))

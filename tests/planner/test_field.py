@@ -1,4 +1,3 @@
-import itertools
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -9,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planning import LARGE
 
-from companion.planner import field as planner_field
+from companion.planner import cost_grid
 from companion.planner.field import CostToGo, Memory, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.clearance import Surface
@@ -67,19 +66,6 @@ def radar(north: float, east: float, range_m: float) -> Radar:
 
 def value(field: CostToGo, place: Place) -> float:
     return float(field.at_m(np.array(place[0]), np.array(place[1])))
-
-
-def values_m(
-    known: KnownMap, task: Task, target: Place, north_m: np.ndarray, east_m: np.ndarray
-) -> np.ndarray:
-    """Costs all over a map of 60 km: each quarter as it is given about its middle."""
-    result = np.full(np.broadcast_shapes(north_m.shape, east_m.shape), np.nan)
-    north_m, east_m = np.broadcast_arrays(north_m, east_m)
-    for here in itertools.product((15e3, 45e3), repeat=2):
-        field = cost_to_go(known, task, here, target)
-        quarter = (np.abs(north_m - here[0]) <= 15e3) & (np.abs(east_m - here[1]) <= 15e3)
-        result[quarter] = field.at_m(north_m[quarter], east_m[quarter])
-    return result
 
 
 def length(route: tuple[Place, ...]) -> float:
@@ -255,8 +241,8 @@ def a_scene(seed: int) -> tuple[Task, KnownMap]:
 def test_along_the_route_the_cost_falls_all_the_way(seed: int) -> None:
     task, known = a_scene(seed)
     target = 58e3, 57e3
-    points = along(cost_to_go(known, task, (2e3, 2e3), target).route_ne_m, 250.0)
-    values = values_m(known, task, target, points[:, 0], points[:, 1])
+    points = along(cost_to_go(known, task, (2e3, 2e3), target).route_ne_m, 1_000.0)
+    values = np.array([value(cost_to_go(known, task, (n, e), target), (n, e)) for n, e in points])
     assert values[0] > 70e3
     assert np.diff(values).max() <= 0.4 * CELL  # interpolation beside threats is not exact
     later = np.minimum.accumulate(values)
@@ -265,11 +251,10 @@ def test_along_the_route_the_cost_falls_all_the_way(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scans, other targets, zones and places, with the ground told or guessed; a moved window."""
+    """Scans, other targets, zones and places, with the ground told or guessed; a coarse lattice."""
     rng = np.random.default_rng(seed)
-    if seed % 2:  # the map is larger than what is looked at whole
-        for name, value in (("_WHOLE_CELLS", 20), ("_WINDOW_CELLS", 32), ("_SNAP_CELLS", 8)):
-            monkeypatch.setattr(planner_field, name, value)
+    if seed % 2:  # the map is too large for cells of R / 20
+        monkeypatch.setattr(cost_grid, "_MOST_CELLS", 20)
     task, known = a_scene(seed)
     n, e = middles(task)
     if seed % 4 < 2:
@@ -470,21 +455,10 @@ def test_on_a_large_map_the_route_goes_round_what_is_beyond_the_window() -> None
     assert abs(guide) == pytest.approx(tangent, abs=0.06)
 
 
-def test_on_a_large_map_terrain_near_here_counts_in_full() -> None:
-    task = a_task(size_m=400e3)
-    north, east = middles(task)
-    wall = np.where((np.abs(north - 210e3) < 1e3) & (np.abs(east - 200e3) < 20e3), 9e3, 0.0)
-    here, target = (190e3, 201e3), (390e3, 201e3)
-    field = cost_to_go(seen(task, wall), task, here, target)
-    edge = (210e3, 220e3 + task.search_clearance_m)
-    expected = math.dist(here, edge) + math.dist(edge, target)
-    assert value(field, here) == pytest.approx(expected, rel=0.015)
-
-
 def test_the_route_leaves_a_circle_where_it_crosses_it_outwards_first() -> None:
     route = ((0.0, 0.0), (0.0, 8.0), (8.0, 8.0), (8.0, 30.0))
     flat = Surface(north_min_m=0.0, east_min_m=0.0, cell_m=1.0, vertex_m=np.zeros((2, 2)))
-    field = CostToGo(value=flat, needed=flat, route_ne_m=route, is_barred=False)
+    field = CostToGo(value=flat, needed=flat, undisputed=flat, route_ne_m=route, is_barred=False)
     assert field.leaving_rad((0.0, 0.0), 5.0) == pytest.approx(math.pi / 2)
     assert field.leaving_rad((0.0, 0.0), 10.0) == pytest.approx(math.atan2(8.0, 6.0))
     assert field.leaving_rad((0.0, 0.0), 17.0) == pytest.approx(math.atan2(15.0, 8.0))
