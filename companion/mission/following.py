@@ -66,21 +66,24 @@ def advance_reference(state: State, event: Position) -> Flight:
     assert leg is not None
     here = np.asarray(event.position_nea_m)
     task = task if leg.speed_m_s is None else task.at_speed(leg.speed_m_s)
-    slows_to_m_s = None
+    slows_to_m_s, leaves_at_m = None, math.inf
+    if flight.next_leg is not None:
+        leaves_at_m = leg.successor_at_m(task)
     if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
         slows_to_m_s = leg.slows_to_m_s(task)
     if vehicle.traits.hovers:
+        motion = task.envelope
         if flight.next_leg is not None:  # for its first bends, too
-            room_m = max(leg.successor_at_m(task) - flight.reference.length_m, 0.0)
-            pace_m_s = paced_m_s(flight.next_leg.subpath, flight.next_leg.motion(state.task), 0.0)
-            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * task.envelope.gaining_m_s2 * room_m)
+            pace_m_s = paced_m_s(flight.next_leg.subpath, motion, 0.0)
+            room_m = max(leaves_at_m - flight.reference.length_m, 0.0)
+            pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
             slows_to_m_s = min(slows_to_m_s or math.inf, pace_m_s)
         reference = advance(
             flight.reference,
             leg,
             vehicle.position_step_s,
             here,
-            task.envelope,
+            motion,
             goes_on=flight.next_leg is not None,
             until_m=None if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
@@ -98,7 +101,7 @@ def advance_reference(state: State, event: Position) -> Flight:
         progress_at_s=state.now_s if sets_out else flight.progress_at_s,
         offset=offset,
     )
-    if flight.next_leg is None or reference.length_m < leg.successor_at_m(task) - _ROUNDING_M:
+    if flight.next_leg is None or reference.length_m < leaves_at_m - _ROUNDING_M:
         return flight
     return joining.switched_to_next_leg(flight, leg, task)
 

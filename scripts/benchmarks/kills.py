@@ -162,7 +162,7 @@ class KilledFlight(Flight):
         simulation._lidars, simulation._scanner = [], None
         simulation._controller.streams.soonest_us = sys.maxsize  # nobody listens
         track, vehicle = [simulation._place_nea_m()], simulation.vehicle
-        longest_s = limits.dead_man_s + 2.0 * limits.speed_m_s / limits.acceleration_m_s2 + 4.0
+        longest_s = limits.dead_man_s + 2.0 * limits.speed_m_s / limits.acceleration_m_s2 + 8.0
         steps_left = 100.0 * (longest_s if limits.hovers else _ROUND_S)
         stood_s, turned_rad, heading_rad = 0.0, 0.0, vehicle.heading_rad
         while steps_left > 0.0 and stood_s <= _STANDS_FOR_S and turned_rad < _ROUND_RAD:

@@ -61,7 +61,7 @@ Decoder = Callable[[Message, float, LocalFrame, Vector | None], Event | None]
 
 def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> Position | None:
     """GLOBAL_POSITION_INT: the vehicle's position, if it has one."""
-    place = place_of(message.lat, message.lon, message.alt * 1e-3, frame)
+    place = place_of(message.lat * _E7, message.lon * _E7, message.alt * 1e-3, frame)
     if place is None:
         return None
     turn, heading = -frame.grid_north_rad(place[0], place[1]), message.hdg
@@ -89,12 +89,14 @@ def _gps(message: Message, now_s: float, *_: object) -> GpsFix:
 
 
 def _home(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Home | None:
-    place = place_of(message.latitude, message.longitude, message.altitude * 1e-3, frame)
+    latitude, longitude = message.latitude * _E7, message.longitude * _E7
+    place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
     return None if place is None else Home(time_s=now_s, position_nea_m=place)
 
 
 def _origin(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Origin | None:
-    place = place_of(message.latitude, message.longitude, message.altitude * 1e-3, frame)
+    latitude, longitude = message.latitude * _E7, message.longitude * _E7
+    place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
     return None if place is None else Origin(time_s=now_s, position_nea_m=place)
 
 
@@ -129,24 +131,17 @@ def echo_at(
     velocity_nea_m_s: Vector | None = None,
 ) -> Echo | None:
     """A position target echo; None if the position is invalid."""
-    place = _local(*place_deg, altitude_amsl_m, frame)
+    place = place_of(*place_deg, altitude_amsl_m, frame)
     if place is None:
         return None
     return Echo(time_s=now_s, position_nea_m=place, velocity_nea_m_s=velocity_nea_m_s)
 
 
 def place_of(
-    latitude_e7: int, longitude_e7: int, altitude_m: float, frame: LocalFrame
-) -> Vector | None:
-    """A position from the wire; None near latitude = longitude = 0, which means "none yet"."""
-    return _local(latitude_e7 * _E7, longitude_e7 * _E7, altitude_m, frame)
-
-
-def _local(
     latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
 ) -> Vector | None:
-    """A place in the local frame; None if it is not finite, out of range or no position."""
-    if is_nowhere(latitude_deg, longitude_deg) or not abs(longitude_deg) <= 180.0:
+    """A position from the wire; None near latitude = longitude = 0, which means "none yet"."""
+    if max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG or not abs(longitude_deg) <= 180.0:
         return None
     place = (*frame.to_local_m(latitude_deg, longitude_deg), altitude_m)
     return place if all(map(math.isfinite, place)) else None  # beyond a pole it is not
@@ -189,7 +184,8 @@ def wire_place(position_nea_m: Vector, frame: LocalFrame) -> tuple[int, int] | N
     if not in_band or not math.hypot(north_m, east_m) <= _FURTHEST_M:
         return None
     latitude, longitude = frame.to_geodetic_deg(north_m, east_m)
-    if not math.isfinite(latitude + longitude) or is_nowhere(latitude, longitude):
+    far_deg = max(abs(latitude), abs(longitude))
+    if not math.isfinite(latitude + longitude) or far_deg < _NOWHERE_DEG:
         return None
     return round(latitude * 1e7), round(longitude * 1e7)
 
