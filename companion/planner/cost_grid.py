@@ -39,7 +39,7 @@ _STEPS_PER_RANGE = 40
 cells; with 48 directions the error is that of directions, not of cells, and a gap of one and a half
 cells stays open (both by test)."""
 _MOST_CELLS = 640
-"""Lattice cells across a map, 32 R; those of a larger map are wider: the first solution takes a second."""
+"""Lattice cells across a map, 32 R; those of a larger map are wider: to solve it takes a second."""
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _TERMS = 2.4  # f1 is 100 for a way of 2.4 R, f2 for one of R at the ceiling (eq. 6, 7)
 _RADAR = 3.0  # f5 is 300 for a way of R at a radar (`scene.RADAR_SCALE` for each of ten samples)

@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.kernel import PER_LENGTH, control_points
+from companion.objective.kernel import PER_LENGTH, PER_SAMPLE, RADAR_SCALE, control_points
 from companion.objective.scene import (
     TERMS,
     Bounds,
@@ -43,6 +43,7 @@ from companion.planner.settings import Task
 from companion.planner.way_out import way_out
 from companion.world.clearance import Surface, safe_surface, sees_anything
 from companion.world.columns import distance_to_terrain_m
+from companion.world.radars import detection_probability
 from companion.world.zones import NO_CELLS, NearCells, PolygonZone, near_cells, packed
 
 _POINTS = (5, 6)  # control points: six where five find nothing good
@@ -55,6 +56,7 @@ _SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a s
 _OWED = 0.25  # of R: what excess may add up to where a stop costs less (`planner.progress`)
 _FEW = 0.005  # of the cells in sight: when a scan shows no more than that, nothing new was seen
 _AT_TARGET_M = 1e-6
+_LOOKS = 50  # along a straight piece, for radars
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
@@ -437,8 +439,16 @@ class _Plan:
         begin, end = planned.subpath.control_nea_m[0], planned.subpath.control_nea_m[-1]
         fraction = (0.5 * float(begin[2] + end[2]) - low) / (high - low)
         per_height = weights.height / max(weights.length, 1e-3) * 100.0 / PER_LENGTH
+        places = begin + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end - begin)
+        seen = np.zeros(_LOOKS)
+        for radar in self._request.task.radars:
+            seen += detection_probability(radar.distance_m(places), radar.range_m)
+        per_radar = (
+            weights.radar / max(weights.length, 1e-3) * PER_SAMPLE * RADAR_SCALE / PER_LENGTH
+        )
+        rate = 1.0 + per_height * fraction + per_radar * float(seen.mean())
         left_m = self._promised_m((float(end[0]), float(end[1]), float(end[2])))
-        return planned.subpath.length_m * (1.0 + per_height * fraction) + left_m
+        return planned.subpath.length_m * rate + left_m
 
     def _excess(self, planned: Planned) -> float:
         """Excess cost of a subpath and what follows over the prediction, in costs of R."""

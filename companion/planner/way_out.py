@@ -23,12 +23,15 @@ from companion.planner.kernels import compiled
 from companion.planner.request import PlanRequest
 from companion.world.clearance import safe_surface
 from companion.world.known_map import KnownMap
+from companion.world.radars import Radar
 from companion.world.zones import too_near
 
 _ENDS = 24  # of a straight piece that are tried, the farthest first
 _NEARER = 0.8  # each is so far away, of the one before
 _GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly is no better
 _SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
+_SEEN = 7.0  # steps: what one more costs that a radar sees from near (eq. 10, as guidance has it)
+_LOOKS = 50  # along a straight piece, for radars
 _AFTER = 3  # places that are flown towards, one after the other, if nothing is proven to the first
 _CLIMBS = (0.0, 0.95)  # of the climb angle
 _AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share of the height left
@@ -45,6 +48,7 @@ def way_out(
     looks: where no less is left to fly anywhere, it goes to where more is seen.
     """
     start, task = request.start.position_nea_m, request.task
+    radars = task.radars_near(request.scan_nea_m[:2], 2.0 * task.settings.scan_range_m)
     for climb in _CLIMBS:
         steepness = math.tan(climb * task.limits.climb_angle_rad)
         top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
@@ -54,11 +58,18 @@ def way_out(
         if climb and ways:  # it leads up where nothing does straight on: it climbs first
             ends += _higher(start, reached_ne_m, steepness, top_m, request.known.cell_m)
             ends = _cheapest_first(ends, request, field)
-        for end in ends:
+        unseen = [end for end in ends if not _is_seen(start, end, radars)]
+        for end in unseen + (ends if radars else []):
             subpath = straight(start, end)
             if prove(subpath) is not None:
                 return subpath
     return None
+
+
+def _is_seen(start: FloatArray, end: FloatArray, radars: tuple[Radar, ...]) -> bool:
+    """Whether a straight piece comes into the range of a radar."""
+    points = start + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end - start)
+    return any(bool((radar.distance_m(points) < radar.range_m).any()) for radar in radars)
 
 
 def _cheapest_first(
@@ -140,9 +151,12 @@ def _ways(
     begin = int(np.argmin(np.where(free, offset_m, math.inf)))
     if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * known.cell_m:
         return [], np.empty((0, 2))
-    away, before = _flood(free, begin)
-    reached = np.isfinite(away).reshape(free.shape)
     wide = np.meshgrid(north, east, indexing="ij")
+    places, seen = np.stack([*wide, np.full(free.shape, altitude_m)], axis=-1), np.zeros(free.shape)
+    for radar in task.radars_near(request.scan_nea_m[:2], 2.0 * reach_m):
+        seen += radar.distance_m(places) < radar.range_m
+    away, before = _flood(free, 1.0 + _SEEN * seen, begin)
+    reached = np.isfinite(away).reshape(free.shape)
     left_m = field.at_m(*wide) + _climb_m(request, field, *wide, np.array(altitude_m))
     left_m = np.where(reached, left_m, math.inf)
     here_m = float(field.at_m(here[0], here[1]) + _climb_m(request, field, *here))
@@ -186,8 +200,10 @@ def _sees_more(
     return np.asarray((near & seam.any())[row[:, None], column])
 
 
-def _flood(free: BoolArray, begin: int) -> tuple[FloatArray, IndexArray]:
+def _flood(free: BoolArray, price: FloatArray, begin: int) -> tuple[FloatArray, IndexArray]:
     """Steps to each place from where it begins, infinite where none lead, and the one before.
+
+    price: (rows, columns), of a step there.
 
     Between its points the surface is bilinear, so nothing is higher between two of them.
     """
@@ -195,8 +211,9 @@ def _flood(free: BoolArray, begin: int) -> tuple[FloatArray, IndexArray]:
     both_n, both_e = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
     a = np.concatenate([number[:-1][both_n], number[:, :-1][both_e]])
     b = np.concatenate([number[1:][both_n], number[:, 1:][both_e]])
-    graph = scipy.sparse.csr_array((np.ones(len(a)), (a, b)), shape=(free.size, free.size))
+    steps = 0.5 * (price.ravel()[a] + price.ravel()[b])
+    graph = scipy.sparse.csr_array((steps, (a, b)), shape=(free.size, free.size))
     away, before = scipy.sparse.csgraph.dijkstra(
-        graph, directed=False, indices=[begin], return_predecessors=True, unweighted=True
+        graph, directed=False, indices=[begin], return_predecessors=True
     )
     return away[0], before[0]
