@@ -375,33 +375,24 @@ def bank(value: float, case: CheckContext) -> ParameterIssue | None:
     )
 
 
-def circles(wider_m: float, bank: str, beside: float = 0.0) -> ParameterCheck:
+def circles(wider_m: float, bank: str) -> ParameterCheck:
     """Whether the autopilot's loiter circles, which are wider by this, stay in the cleared ones.
 
-    bank: the parameter that limits the bank.  beside: radii of its tightest turn that their centre
-    may be beside where it waits.  For that they are made smaller, down to what it flies with ease;
-    where this is not enough, a note says so.
+    bank: the parameter that limits the bank.
     """
 
     def check(value: float, case: CheckContext) -> ParameterIssue | None:
-        cleared_m = case.limits.loiter_radius_m
-        tightest_m = _tightest_circle_m(case.limits.speed_m_s, case.value(bank, 45.0))
-        room_m, beside_m = cleared_m - wider_m, math.ceil(beside * tightest_m)
-        too_wide = abs(value) > room_m + EQUAL_WITHIN
-        reach_m = abs(value) + wider_m + (0 if too_wide else beside_m)
-        if case.limits.hovers or reach_m <= cleared_m + EQUAL_WITHIN:
+        limits, flown_m = case.limits, abs(value) + wider_m
+        if limits.hovers or flown_m <= limits.loiter_radius_m + EQUAL_WITHIN:
             return None
         rule = (
-            f"its circles reach {reach_m:g} m from where it waits, and the mission keeps "
-            f"vehicle.loiter_radius_m = {cleared_m:g} clear"
+            f"its circles are flown with {flown_m:g} m, and the mission keeps "
+            f"vehicle.loiter_radius_m = {limits.loiter_radius_m:g} clear"
         )
-        remedy = f"Set vehicle.loiter_radius_m to {reach_m:g} or more"
-        if too_wide and math.floor(room_m) < _EASY * tightest_m:
-            return refused(rule, remedy)
-        fits_m = math.floor(max(room_m - beside_m, min(room_m, math.ceil(_EASY * tightest_m))))
-        if too_wide or (case.mission.sets_parameters and abs(value) > fits_m):
-            return to_set(math.copysign(fits_m, value), rule)
-        return note(rule, remedy)
+        fits_m = math.floor(limits.loiter_radius_m - wider_m)
+        if fits_m < _EASY * _tightest_circle_m(limits.speed_m_s, case.value(bank, 45.0)):
+            return refused(rule, f"Set vehicle.loiter_radius_m to {flown_m:g} or more")
+        return to_set(math.copysign(fits_m, value), rule)
 
     return check
 

@@ -40,6 +40,9 @@ class Handling:
     leading_s2: float = 0.0
     """How far inside of a bend its setpoints are, metres for each m/s2 across, as it is flown out
     of turns by as much.  When they end it stops as far inside."""
+    beside_m: float = 0.0
+    """Of a plane: how much farther than the mission states its circle may reach from its last point
+    when the setpoints end."""
 
 
 COPTER = Handling(
@@ -79,7 +82,7 @@ class Envelope(NamedTuple):
     lead_m: float
     """Of a plane: how far ahead along the path the point lies that it is sent to."""
     loiter_m: float
-    """Of a plane: radius of the circle that it holds on; 0: it hovers."""
+    """Of a plane: how far from its last point it may circle; 0: it hovers."""
 
     @property
     def error_m(self) -> float:
@@ -108,7 +111,7 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
         lag_m=float(max(_LAG_S * limits.speed_m_s, 2.0 * tube_m)),
         navigation_m=float(limits.navigation_error_m),
         lead_m=0.0 if limits.hovers else limits.speed_m_s * limits.lead_s,
-        loiter_m=float(limits.loiter_radius_m),
+        loiter_m=0.0 if limits.hovers else limits.loiter_radius_m + handling.beside_m,
     )
 
 

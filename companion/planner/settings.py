@@ -71,7 +71,7 @@ class Task:
 
     limits: Limits
     settings: PlannerSettings
-    handling: Handling = COPTER
+    handling: Handling | None = None
     """How its autopilot flies setpoints."""
     radars: tuple[Radar, ...] = ()
     zones: tuple[Zone, ...] = ()
@@ -108,7 +108,7 @@ class Task:
     @cached_property
     def envelope(self) -> Envelope:
         """How the vehicle moves on legs that are planned by this task."""
-        return envelope_of(self.limits, self.handling if self.limits.hovers else PLANE)
+        return envelope_of(self.limits, self.handling or (COPTER if self.limits.hovers else PLANE))
 
     @cached_property
     def tail_m(self) -> float:
@@ -172,12 +172,12 @@ class Task:
     @property
     def zone_clearance_m(self) -> float:
         """The distance of the curve from zones; of a plane that of its circle about each point."""
-        return self.required_clearance_m + self.limits.loiter_radius_m
+        return self.required_clearance_m + self.envelope.loiter_m
 
     @property
     def zone_search_clearance_m(self) -> float:
         """What the search keeps from zones."""
-        return self.search_clearance_m + self.limits.loiter_radius_m
+        return self.search_clearance_m + self.envelope.loiter_m
 
     @property
     def search_clearance_m(self) -> float:

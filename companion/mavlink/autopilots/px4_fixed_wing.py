@@ -5,6 +5,7 @@ echo in OFFBOARD.  It starts rolling as soon as it is armed.
 """
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from companion.geodesy import LocalFrame
@@ -15,12 +16,16 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_checks import ESSENTIAL, Rule
 from companion.mission.events import Setpoint, TakeOff, Vector
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.path.envelope import PLANE
 
 _RUNWAY_M = 300.0
 """The take-off target is this far ahead, so that it ends in AUTO.LOITER (px4.md 10)."""
-_BESIDE: Final = 2.5
-"""Tightest turns: how far from a place to stay at it circles tightly, up to 44 m at 13.9 m/s in
-wind of 5 m/s.  If the stream ends then, it circles widely about where it is (px4.md 10)."""
+
+
+_BESIDE_M = 30.0
+"""It circles its last point tightly, and when the setpoints end it goes over to a circle about
+where it is: up to 44 m off in wind of 5 m/s (px4.md 10, `scripts/bench kills`).  5 m of that are
+what NAV_LOITER_RAD is less than the mission's circle, the least tube is 10 m."""
 
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
@@ -30,7 +35,12 @@ def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Mes
         return []
     return [
         messages.reposition(
-            system_id, place, at_nea_m[2], switch=True, radius_m=0.0, yaw_rad=px4.KEEP_YAW
+            system_id,
+            place,
+            at_nea_m[2],
+            switch=True,
+            radius_m=0.0,
+            yaw_rad=px4.KEEP_YAW,
         )
     ]
 
@@ -91,7 +101,7 @@ _RULES: Final = (
     Rule(
         "NAV_LOITER_RAD",  # held within 0.4 m (px4.md 10)
         "the circles that it holds on",
-        (check.circles(5.0, "FW_R_LIM", _BESIDE),),
+        (check.circles(5.0, "FW_R_LIM"),),
         ESSENTIAL,
     ),
     Rule("FW_R_LIM", "how tightly it turns", (check.bank,)),
@@ -108,6 +118,7 @@ PX4_FIXED_WING = Autopilot(
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
         lead_s=1.5,
         needs_setpoints_before_offboard=True,
+        handling=replace(PLANE, name="PX4 fixed wing", beside_m=_BESIDE_M),
     ),
     rules=_RULES,
     parameters_for=lambda limits: {
