@@ -15,12 +15,11 @@ import numpy as np
 import scipy
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.field import CostToGo
 from companion.planner.kernels import compiled
-from companion.planner.request import PlanRequest
+from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import Surface, safe_surface
 from companion.world.known_map import KnownMap
 from companion.world.zones import too_near
@@ -33,14 +32,14 @@ _AFTER = 3  # places that are flown towards, one after the other, if nothing is 
 _CLIMBS = (0.0, 0.95)  # of the climb angle
 _BEARINGS, _SHARES = 24, (0.125, 0.25, 0.5, 1.0)  # of climbs, and of the height up to the ceiling
 
-Prove = Callable[[Subpath], Certificate | None]
-"""Proves a straight subpath at the highest speed at which that can be done."""
+Prove = Callable[[Subpath], Planned | None]
+"""The plan of a straight subpath, at the highest speed for which it is proven."""
 
 
 def way_out(
     request: PlanRequest, field: CostToGo, prove: Prove, *, looks: bool = True
-) -> Subpath | None:
-    """The straight subpath to begin with; None if there is no place to go to.
+) -> Planned | None:
+    """The straight piece to begin with; None if there is no place to go to.
 
     looks: where no less is left to fly anywhere, it goes to where more is seen.
     """
@@ -53,9 +52,8 @@ def way_out(
         if climb and ways:  # it leads up where nothing does straight on: it climbs first
             ends.append(_all_round(start, steepness, top_m, request))
         for end in itertools.chain(*ends):
-            subpath = straight(start, end)
-            if prove(subpath) is not None:
-                return subpath
+            if (planned := prove(straight(start, end))) is not None:
+                return planned
     return None
 
 
@@ -169,20 +167,19 @@ def _sees_more(
 def _free(
     surface: Surface, cell_m: float, altitude_m: float
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Where the surface may be flown over at an altitude, and from where to the next one.
+    """Where the surface may be flown over at an altitude, and where between two such places.
 
     -> (rows, columns), (rows - 1, columns), (rows, columns - 1).  Between the points of its lattice
     it is bilinear, so nothing is higher between two of them.
     """
     step = round(cell_m / surface.cell_m)
     low = surface.vertex_m <= altitude_m
-    free = low[step - 1 :: step, step - 1 :: step]
+    first, between = step - 1, step - 1 + step // 2  # the lattice is as fine as the map, or twice
+    free = low[first::step, first::step].copy()
     rows, columns = free.shape
-    between_n, between_e = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
-    if step > 1:
-        between_n &= low[step::step, step - 1 :: step][: rows - 1, :columns]
-        between_e &= low[step - 1 :: step, step::step][:rows, : columns - 1]
-    return free.copy(), between_n, between_e
+    between_n = low[between::step, first::step][: rows - 1, :columns]
+    between_e = low[first::step, between::step][:rows, : columns - 1]
+    return free, between_n, between_e
 
 
 def _flood(
