@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.kernel import PER_LENGTH, PER_SAMPLE, RADAR_SCALE, control_points
+from companion.objective.kernel import control_points
 from companion.objective.scene import (
     TERMS,
     Bounds,
@@ -34,7 +34,8 @@ from companion.planner.backtrack import backtrack
 from companion.planner.cost_grid import Place, descent_m
 from companion.planner.escape import StartViolation, escape_path, start_violation
 from companion.planner.field import CostToGo, cost_to_go
-from companion.planner.procedure import Leg, hover_pose
+from companion.planner.price import Prices
+from companion.planner.procedure import hover_pose
 from companion.planner.progress import Progress
 from companion.planner.reachability import blocked_at
 from companion.planner.request import REACH, NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
@@ -43,7 +44,6 @@ from companion.planner.settings import Task
 from companion.planner.way_out import way_out
 from companion.world.clearance import Surface, safe_surface, sees_anything
 from companion.world.columns import distance_to_terrain_m
-from companion.world.radars import detection_probability
 from companion.world.zones import NO_CELLS, NearCells, PolygonZone, near_cells, packed
 
 _POINTS = (5, 6)  # control points: six where five find nothing good
@@ -56,7 +56,6 @@ _SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a s
 _OWED = 0.25  # of R: what excess may add up to where a stop costs less (`planner.progress`)
 _FEW = 0.005  # of the cells in sight: when a scan shows no more than that, nothing new was seen
 _AT_TARGET_M = 1e-6
-_LOOKS = 50  # along a straight piece, for radars
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
@@ -216,12 +215,11 @@ def _speeds_m_s(request: PlanRequest) -> tuple[float, ...]:
     than it comes.
     """
     limits, rest = request.task.limits, request.rest
-    fastest = limits.speed_m_s
-    least = 0.0 if request.from_rest else fastest
-    if not request.from_rest and rest is not None and rest.speed_m_s is not None:
-        least = min(rest.speed_m_s, fastest)
-    shares = _SLOWER if limits.hovers else (1.0,)
-    return tuple(share * fastest for share in shares if share * fastest >= least)
+    comes_m_s = None if rest is None else rest.speed_m_s
+    least = limits.speed_m_s if comes_m_s is None else min(comes_m_s, limits.speed_m_s)
+    least = 0.0 if request.from_rest else least
+    speeds = (share * limits.speed_m_s for share in (_SLOWER if limits.hovers else (1.0,)))
+    return tuple(speed for speed in speeds if speed >= least)
 
 
 @final
@@ -230,18 +228,13 @@ class _Plan:
 
     def __init__(self, request: PlanRequest, stop: Callable[[], bool]) -> None:
         self._request, self._stop, self._kernel = request, stop, kernels.compiled()
-        self._field = self._promises(request.progress)
-        settings = request.task.settings
-        self._per_metre = settings.weights.length * PER_LENGTH / settings.scan_range_m
-        start_nea_m, range_m = request.start.point_nea_m, settings.scan_range_m
-        seen, few = int(np.count_nonzero(request.known.seen)), self._few_cells
-        left_m, cell_m = self._left_m(start_nea_m), request.known.cell_m
-        self._progress = request.progress.at(left_m, cell_m, seen=seen, few=few)
-        if request.progress.believes(range_m) and not self._progress.believes(range_m):
-            self._progress = self._progress.without_guesses()
-            self._field = self._promises(self._progress)
-            left_m = self._left_m(start_nea_m)
-            self._progress = self._progress.at(left_m, cell_m, seen=seen, few=few)
+        task, before = request.task, request.progress
+        self._range_m = task.settings.scan_range_m
+        self._allowed_m = max(task.stop_m, _OWED * self._range_m)
+        """What may be owed: what a stop costs, or a little more where that is next to nothing."""
+        self._progress = self._guided(before)
+        if before.believes(self._range_m) and not self._progress.believes(self._range_m):
+            self._progress = self._guided(self._progress.without_guesses())
         self._scene = _scene(request, self._field)
         self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
@@ -249,37 +242,37 @@ class _Plan:
         """Whether time was up before all was searched."""
         self._broken: tuple[str, ...] = ()
 
-    @property
-    def _few_cells(self) -> float:
-        """So many cells of the map are few beside what a scan shows."""
-        across = self._request.task.settings.scan_range_m / self._request.known.cell_m
-        return _FEW * math.pi * across**2
-
-    def _promises(self, progress: Progress) -> CostToGo:
-        """What guidance promises; without guesses when they were wrong too often."""
-        request = self._request
-        return cost_to_go(
+    def _guided(self, before: Progress) -> Progress:
+        """Ask guidance what is left to fly, without guesses when they were wrong too often."""
+        request, known = self._request, self._request.known
+        self._field = cost_to_go(
             request.around,
             request.task,
             request.scan_nea_m[:2],
             request.target_ne_m,
             request.route_ne_m,
-            guesses=progress.believes(request.task.settings.scan_range_m),
+            guesses=before.believes(self._range_m),
         )
+        self._prices = Prices(request.task, self._field)
+        left_m = self._prices.left_m(request.start.point_nea_m)
+        few_cells = _FEW * math.pi * (self._range_m / known.cell_m) ** 2
+        seen = int(np.count_nonzero(known.seen))
+        return before.at(left_m, known.cell_m, seen=seen, few=few_cells)
 
     def outcome(self) -> Planned | NotPlanned:
         """The best subpath that is proven, or why there is none."""
         request, is_near = self._request, self._request.task.settings.is_near
-        closed = None
         if not is_near:  # where a near thing stands is told too widely
-            here_ne_m, target_ne_m = request.start.point_nea_m[:2], request.target_ne_m
-            closed = blocked_at(request.known, request.task, self._field, (here_ne_m, target_ne_m))
-        if closed is not None:
-            return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
+            ends_ne_m = request.start.point_nea_m[:2], request.target_ne_m
+            closed = blocked_at(request.known, request.task, self._field, ends_ne_m)
+            if closed is not None:
+                return self._refused(Refusal.NO_WAY, closed)
         best: Planned | None = None
-        is_slow_better = is_near and request.from_rest  # than a long way round
+        enough_m = math.inf  # to look no further; from rest a slow leg may beat a long way round
+        if is_near and request.from_rest:
+            enough_m = _MUCH_DEARER * self._range_m
         for speed_m_s in _speeds_m_s(request):
-            if best is None or (is_slow_better and self._excess(best) > _MUCH_DEARER):
+            if best is None or self._prices.excess_m(best) > enough_m:
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
         if request.from_rest and (best is None or self._goes_round(best)):
             owes = self._progress.owed_m > self._allowed_m
@@ -291,40 +284,22 @@ class _Plan:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
         if request.rest is not None and (self._goes_round(best) or self._is_better_to_stop(best)):
             return self._refused(Refusal.BETTER_TO_STOP)
-        progress = self._progress.after(self._owed_m(best), self._expected_m(best))
+        progress = self._progress.after(self._owed_m(best), self._prices.after_m(best))
         return replace(best, evaluations=self._evaluations, tries=self._tries, progress=progress)
 
     def _owed_m(self, planned: Planned) -> float:
         """What the mission owes with this subpath; a straight piece of the route owes nothing."""
         if planned.is_escape:
             return self._progress.owed_m
-        range_m = self._request.task.settings.scan_range_m
-        return self._progress.owing(self._excess(planned) * range_m, range_m)
+        return self._progress.owing(self._prices.excess_m(planned), self._range_m)
 
     def _goes_round(self, planned: Planned) -> bool:
         """Whether the mission would owe more than a stop costs."""
         return not planned.reaches_target and self._owed_m(planned) > self._allowed_m
 
-    @property
-    def _allowed_m(self) -> float:
-        """What may be owed: what a stop costs, or a little more where that is next to nothing."""
-        return max(self._request.task.stop_m, _OWED * self._request.task.settings.scan_range_m)
-
-    def _expected_m(self, planned: Planned) -> float:
-        """What is left to fly from where the next subpath starts."""
-        leg, task = Leg.of(planned, number=1), self._request.task
-        at_m = leg.successor_at_m(task) if leg.can_be_left(task) else leg.subpath.length_m
-        return self._left_m(leg.subpath.pose(at_m).point_nea_m)
-
-    def _left_m(self, place_nea_m: tuple[float, float, float]) -> float:
-        """What is left to fly from a place, whichever way was preferred before."""
-        return self._promised_m(place_nea_m, self._field.undisputed)
-
     def _at_speed(self, speed_m_s: float) -> Scene:
         """The scene of a subpath that is flown no faster than this."""
         scene, task = self._scene, self._request.task.at_speed(speed_m_s)
-        if task is self._request.task:
-            return scene
         return scene._replace(
             limits=Bounds.of(task.limits),
             motion=task.envelope,
@@ -334,25 +309,19 @@ class _Plan:
 
     def _way_out(self, *, looks: bool) -> Planned | None:
         """A straight piece to where less is left to fly, or (looks) more is seen."""
-        found: list[tuple[Certificate, float]] = []
 
-        def prove(subpath: Subpath) -> Certificate | None:
+        def prove(subpath: Subpath) -> Planned | None:
             for speed_m_s in _speeds_m_s(self._request):
                 certificate = self._certified(subpath, speed_m_s, from_rest=True)
                 if certificate.proven:
-                    found.append((certificate, speed_m_s))
-                    return certificate
+                    return replace(
+                        _straight_plan(self._request, subpath, certificate),
+                        route_ne_m=self._field.route_ne_m,
+                        speed_m_s=self._told_m_s(speed_m_s),
+                    )
             return None
 
-        subpath = way_out(self._request, self._field, prove, looks=looks)
-        if subpath is None:
-            return None
-        certificate, speed_m_s = found[-1]
-        return replace(
-            _straight_plan(self._request, subpath, certificate),
-            route_ne_m=self._field.route_ne_m,
-            speed_m_s=self._told_m_s(speed_m_s),
-        )
+        return way_out(self._request, self._field, prove, looks=looks)
 
     def _told_m_s(self, speed_m_s: float) -> float | None:
         """The speed of a plan; None if it is V."""
@@ -390,7 +359,7 @@ class _Plan:
         best: Planned | None = None
         for each, enough in scenes:
             for points in _POINTS:
-                if best is not None and self._excess(best) <= enough:
+                if best is not None and self._prices.excess_m(best) <= enough * self._range_m:
                     return best
                 if self._tries and self._stop():
                     self._is_cut = True
@@ -400,82 +369,24 @@ class _Plan:
 
     def _cheaper(self, one: Planned | None, other: Planned | None) -> Planned | None:
         """Of two subpaths, the first one if they cost the same."""
-        if one is None or other is None:
-            return one or other
-        return other if self._price(other) < self._price(one) else one
+        found = [each for each in (one, other) if each is not None]
+        return min(found, key=self._prices.price_m, default=None)
 
     def _is_better_to_stop(self, best: Planned) -> bool:
         """Whether it costs less to stop at the end of the current leg and continue from there.
 
         That plan uses the same map and end circle, and may leave in any direction.
         """
-        rest, task = self._request.rest, self._request.task
-        if rest is None:
+        if (rest := self._request.rest) is None:
             return False
-        stop = (rest.length_m + task.stop_m) * self._per_metre
-        if self._price(best) <= stop + self._promised_m(rest.end_nea_m) * self._per_metre:
+        stop_m, price_m = rest.length_m + self._request.task.stop_m, self._prices.price_m(best)
+        if price_m <= stop_m + self._prices.promised_m(rest.end_nea_m):
             return False
         scene = self._scene._replace(
             start=rows_of(hover_pose(rest.end_nea_m)), from_rest=True, shortest_m=0.0
         )
         leaving = None if self._stop() else self._attempt(scene)
-        return leaving is not None and self._price(leaving) + stop < self._price(best)
-
-    def _price(self, planned: Planned) -> float:
-        """The cost by which candidates of different searches are compared."""
-        task, extra_m = self._request.task, 0.0
-        if planned.is_escape:
-            extra_m = self._straight_m(planned)
-        if planned.speed_m_s is not None:  # the time that it takes longer, as distance at V
-            slower = task.limits.speed_m_s / planned.speed_m_s - 1.0
-            extra_m += slower * planned.subpath.length_m
-        if not planned.reaches_target and not Leg.of(planned, number=1).can_be_left(task):
-            extra_m += task.stop_m
-        return self._cost(planned) + extra_m * self._per_metre
-
-    def _straight_m(self, planned: Planned) -> float:
-        """What a straight piece and what follows costs, in metres of level flight at the floor."""
-        weights, (low, high) = self._request.task.settings.weights, self._request.task.band_amsl_m
-        begin, end = planned.subpath.control_nea_m[0], planned.subpath.control_nea_m[-1]
-        fraction = (0.5 * float(begin[2] + end[2]) - low) / (high - low)
-        per_height = weights.height / max(weights.length, 1e-3) * 100.0 / PER_LENGTH
-        places = begin + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end - begin)
-        seen = np.zeros(_LOOKS)
-        for radar in self._request.task.radars:
-            seen += detection_probability(radar.distance_m(places), radar.range_m)
-        per_radar = (
-            weights.radar / max(weights.length, 1e-3) * PER_SAMPLE * RADAR_SCALE / PER_LENGTH
-        )
-        rate = 1.0 + per_height * fraction + per_radar * float(seen.mean())
-        left_m = self._promised_m((float(end[0]), float(end[1]), float(end[2])))
-        return planned.subpath.length_m * rate + left_m
-
-    def _excess(self, planned: Planned) -> float:
-        """Excess cost of a subpath and what follows over the prediction, in costs of R."""
-        range_m = self._request.task.settings.scan_range_m
-        cost_of_r = self._per_metre * range_m
-        promised_m = self._promised_m(self._request.start.point_nea_m)
-        return self._cost(planned) / max(cost_of_r, 1e-9) - promised_m / range_m
-
-    def _cost(self, planned: Planned) -> float:
-        """Cost of a subpath and of what follows; the mean of the radar term stands for R."""
-        total, settings = planned.cost + planned.to_go, self._request.task.settings
-        if planned.reaches_target:
-            share = planned.subpath.length_m / settings.scan_range_m
-            total -= (1.0 - min(share, 1.0)) * settings.weights.radar * planned.terms["radar"]
-        return total
-
-    def _promised_m(
-        self, place_nea_m: tuple[float, float, float], field: Surface | None = None
-    ) -> float:
-        """The predicted minimum cost from a place to the target, in metres of level flight."""
-        north, east, altitude = place_nea_m
-        here, task = (np.array(north), np.array(east)), self._request.task
-        level_m = float((field or self._field.value).altitude_m(*here))
-        needed_m = float(self._field.needed.altitude_m(*here))
-        down_m = max(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
-        climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)
-        return level_m + down_m + climb_m
+        return leaving is not None and self._prices.price_m(leaving) + stop_m < price_m
 
     def _attempt(self, scene: Scene) -> Planned | None:
         """One search, and the best of its candidates that has a certificate."""
@@ -596,9 +507,8 @@ def _near_polygons(task: Task) -> NearCells:
     polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
     if not polygons:
         return NO_CELLS
-    limits = task.limits
-    clearance_m, gaps = task.zone_search_clearance_m, kernels.compiled().zone_gaps
-    return near_cells(polygons, limits.north_m, limits.east_m, clearance_m, gaps)
+    area, clearance_m = (task.limits.north_m, task.limits.east_m), task.zone_search_clearance_m
+    return near_cells(polygons, *area, clearance_m, kernels.compiled().zone_gaps)
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:
@@ -607,15 +517,11 @@ def _end(request: PlanRequest) -> tuple[bool, float]:
     When the target is just beyond sight, the end stays so far from it that the last subpath has
     room to turn.
     """
-    reach, left = request.task.end_radius_m, _left_m(request)
+    reach = request.task.end_radius_m
+    left = math.dist(request.scan_nea_m[:2], request.target_ne_m)
     if left <= reach and request.known.is_known(*request.target_ne_m):
         return True, reach
     return False, min(reach, max(left - _ROOM * reach, 0.5 * reach))
-
-
-def _left_m(request: PlanRequest) -> float:
-    """From p_scan to the target."""
-    return math.dist(request.scan_nea_m[:2], request.target_ne_m)
 
 
 def _past_target(scene: Scene) -> Scene:
@@ -642,13 +548,13 @@ def _surface(request: PlanRequest, clearance_m: float) -> Surface:
 
 
 def _surroundings(request: PlanRequest, speed_m_s: float) -> Surroundings:
-    task = request.task.at_speed(speed_m_s)
+    task, scan_ne_m = request.task.at_speed(speed_m_s), request.scan_nea_m[:2]
     return pack_surroundings(
         request.known,
         task.limits,
-        task.radars_near(request.scan_nea_m[:2], _IN_REACH * task.settings.scan_range_m),
+        task.radars_near(scan_ne_m, _IN_REACH * task.settings.scan_range_m),
         task.zones,
         task.margins,
-        centre_ne_m=request.scan_nea_m[:2],
+        centre_ne_m=scan_ne_m,
         reach_m=REACH * task.settings.scan_range_m,
     )

@@ -15,12 +15,11 @@ import numpy as np
 import scipy
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.field import CostToGo
 from companion.planner.kernels import compiled
-from companion.planner.request import PlanRequest
+from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import safe_surface
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
@@ -36,14 +35,14 @@ _AFTER = 3  # places that are flown towards, one after the other, if nothing is 
 _CLIMBS = (0.0, 0.95)  # of the climb angle
 _AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share of the height left
 
-Prove = Callable[[Subpath], Certificate | None]
-"""Proves a straight subpath at the highest speed at which that can be done."""
+Prove = Callable[[Subpath], Planned | None]
+"""The plan of a straight subpath, at the highest speed for which it is proven."""
 
 
 def way_out(
     request: PlanRequest, field: CostToGo, prove: Prove, *, looks: bool = True
-) -> Subpath | None:
-    """The straight subpath to begin with; None if there is no place to go to.
+) -> Planned | None:
+    """The straight piece to begin with; None if there is no place to go to.
 
     looks: where no less is left to fly anywhere, it goes to where more is seen.
     """
@@ -60,9 +59,8 @@ def way_out(
             ends = _cheapest_first(ends, request, field)
         unseen = [end for end in ends if not _is_seen(start, end, radars)]
         for end in unseen + (ends if radars else []):
-            subpath = straight(start, end)
-            if prove(subpath) is not None:
-                return subpath
+            if (planned := prove(straight(start, end))) is not None:
+                return planned
     return None
 
 
