@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +19,60 @@ from companion.world.known_map import (
 from companion.world.sight_lines import sight_line_m
 
 FloatArray = NDArray[np.float64]
+Heights = Callable[[FloatArray, FloatArray], FloatArray]
 
 CELL_M = 100.0
 CELLS = 28
 RANGE_M = 1_150.0
+SUB = 6  # points a side at which a cell of the true terrain is looked at
+
+
+def random_hills(rng: np.random.Generator) -> Heights:
+    """A true terrain, written apart from the product's: ground 50 m and a few Gaussian hills."""
+    count = int(rng.integers(1, 7))
+    north, east = rng.uniform(0.0, CELLS * CELL_M, (2, count))
+    height = rng.uniform(50.0, 900.0, count)
+    width_n, width_e = rng.uniform(120.0, 600.0, (2, count))
+
+    def terrain(n: FloatArray, e: FloatArray) -> FloatArray:
+        result = np.full(np.broadcast(n, e).shape, 50.0)
+        for k in range(count):
+            x, y = (n - north[k]) / width_n[k], (e - east[k]) / width_e[k]
+            result = np.maximum(result, height[k] * np.exp(-x * x - y * y))
+        return result
+
+    return terrain
+
+
+def looked_at(shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> tuple[FloatArray, FloatArray]:
+    """North and east of SUB x SUB points of all cells, edges included.  (CELLS, CELLS, SUB^2)."""
+    inside = np.linspace(0.0, CELL_M, SUB)
+    corner = np.arange(CELLS) * CELL_M
+    north = corner[:, None, None, None] + inside[:, None] + 0.0 * inside + shift_ne_m[0]
+    east = corner[None, :, None, None] + inside + 0.0 * inside[:, None] + shift_ne_m[1]
+    shape = (CELLS, CELLS, SUB, SUB)
+    flat = (CELLS, CELLS, SUB * SUB)
+    return np.broadcast_to(north, shape).reshape(flat), np.broadcast_to(east, shape).reshape(flat)
+
+
+def brute_force_scan(
+    terrain: Heights, radar: FloatArray, shift_ne_m: tuple[float, float] = (0.0, 0.0)
+) -> tuple[FloatArray, FloatArray]:
+    """What a radar truly sees, by marching rays over the true terrain.
+
+    -> the answers (CELLS, CELLS): highest terrain of a cell, rounded up, where any of its points
+    is in sight and its middle in range; and the true highest terrain of every cell.
+    """
+    north, east = looked_at(shift_ne_m)
+    height = terrain(north, east)  # (CELLS, CELLS, SUB^2)
+    middle_m = np.hypot(north - radar[0], east - radar[1]).mean(axis=-1, keepdims=True)
+    in_sight = np.broadcast_to(middle_m <= RANGE_M, height.shape).copy()
+    for fraction in (np.arange(60) + 0.5) / 60.0:
+        n, e, top = (each[in_sight] for each in (north, east, height))
+        n, e = radar[0] + fraction * (n - radar[0]), radar[1] + fraction * (e - radar[1])
+        in_sight[in_sight] = terrain(n, e) <= radar[2] + fraction * (top - radar[2]) + 1e-6
+    tops = height.max(axis=-1)
+    return np.where(in_sight.any(axis=-1), np.ceil(tops + 1.0), NOT_SEEN), tops
 
 
 def as_scan(answers: FloatArray, radar: FloatArray, **changes: float) -> Scan:
@@ -40,6 +91,12 @@ def as_scan(answers: FloatArray, radar: FloatArray, **changes: float) -> Scan:
 def blank() -> KnownMap:
     size = CELLS * CELL_M
     return empty_map(CELL_M, (0.0, size), (0.0, size))
+
+
+def random_radar(rng: np.random.Generator, terrain: Heights) -> FloatArray:
+    """In the middle half of the map and 20 to 700 m over the terrain."""
+    n, e = rng.uniform(0.25, 0.75, 2) * CELLS * CELL_M
+    return np.array([n, e, float(terrain(np.array(n), np.array(e))) + rng.uniform(20.0, 700.0)])
 
 
 # --- the lattice
@@ -74,6 +131,56 @@ def test_nothing_is_known_off_the_map() -> None:
 # --- scans
 
 
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6))
+def test_a_hidden_cells_bound_allows_for_the_registration_and_the_radars_drift(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    radar = random_radar(rng, terrain)
+    shift = complex(*rng.normal(size=2))
+    shift *= 80.0 / abs(shift)
+    drift = np.append(rng.normal(size=2), 0.0)
+    drift *= 120.0 / np.linalg.norm(drift)
+    answers, truth = brute_force_scan(terrain, radar, (shift.real, shift.imag))
+    scan = as_scan(answers, radar + drift, registration_m=80.0, drift_m=120.0)
+    known = blank().with_scan(scan)
+    assert known.registration_m == 80.0
+    assert (known.upper_m >= truth).all()
+
+
+@settings(max_examples=15)
+@example(seed=1697)
+@given(seed=st.integers(0, 10**6))
+def test_a_hidden_cells_bound_is_sound_when_part_of_the_scan_was_not_answered(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    radar = random_radar(rng, terrain)
+    answers, truth = brute_force_scan(terrain, radar)
+    lost = np.kron(rng.random((CELLS // 4, CELLS // 4)) < 0.2, np.ones((4, 4))) > 0.0
+    answers[lost] = NO_ANSWER
+    known = blank().with_scan(as_scan(answers, radar))
+    assert (known.upper_m >= truth).all()
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6))
+def test_a_hidden_cells_bound_is_sound_for_a_radar_that_moves_during_the_scan(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    here = random_radar(rng, terrain)
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    there = here + 300.0 * np.array([math.cos(angle), math.sin(angle), 0.0])
+    there[2] = max(there[2], float(terrain(there[:1], there[1:2])[0]) + 20.0)
+    early, truth = brute_force_scan(terrain, here)
+    late, _ = brute_force_scan(terrain, there)
+    moved = np.kron(rng.random((CELLS // 4, CELLS // 4)) < 0.5, np.ones((4, 4))) > 0.0
+    scan = replace(
+        as_scan(np.where(moved, late, early), here),
+        radar_nea_m=np.where(moved[..., None], there, here),
+    )
+    assert (blank().with_scan(scan).upper_m >= truth).all()
+
+
 def test_ground_behind_a_ridge_that_was_not_answered_is_not_believed_to_be_low() -> None:
     radar = np.array([7.5 * CELL_M, 13.5 * CELL_M, 300.0])
     answers = np.full((CELLS, CELLS), 50.0)
@@ -81,6 +188,25 @@ def test_ground_behind_a_ridge_that_was_not_answered_is_not_believed_to_be_low()
     answers[13:] = NOT_SEEN  # and shelters a hill of 250 m behind it
     known = blank().with_scan(as_scan(answers, radar))
     assert known.upper_m[15, 13] >= 250.0
+
+
+@settings(max_examples=5)
+@given(seed=st.integers(0, 10**6))
+def test_nothing_known_is_lost_by_a_scan_and_the_map_before_stays_as_it_was(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    before = blank()
+    for _ in range(3):
+        radar = random_radar(rng, terrain)
+        answers, _ = brute_force_scan(terrain, radar)
+        upper, seen = before.upper_m.copy(), before.seen.copy()
+        after = before.with_scan(as_scan(answers, radar))
+        assert (before.upper_m == upper).all()
+        assert (before.seen == seen).all()
+        assert (after.upper_m <= before.upper_m).all()
+        assert (after.seen >= before.seen).all()
+        assert (after.seen >= np.isfinite(answers)).all()
+        before = after
 
 
 @settings(max_examples=25)
@@ -93,10 +219,7 @@ def test_cells_without_an_answer_or_outside_the_window_stay_as_they_were(
     before.upper_m[rng.random(before.upper_m.shape) < 0.5] = 123.0
     answers = rng.choice([NO_ANSWER, NOT_SEEN, 77.0], size=(12, 15))
     radar = np.array([900.0, 900.0, 600.0])
-    upper_m = before.upper_m.copy()
     after = before.with_scan(as_scan(answers, radar, row=row, column=column))
-    assert (before.upper_m == upper_m).all()
-    assert not before.seen.any()
     touched = np.zeros((CELLS, CELLS), dtype=bool)
     touched[row : row + 12, column : column + 15] = ~np.isnan(answers)
     assert (after.upper_m[~touched] == before.upper_m[~touched]).all()
@@ -108,8 +231,8 @@ def test_cells_without_an_answer_or_outside_the_window_stay_as_they_were(
 
 def test_a_cell_out_of_range_stays_unknown_although_the_radar_answered() -> None:
     radar = np.array([13.5 * CELL_M, 13.5 * CELL_M, 600.0])
-    north, east = blank().middles_m(0, 0, (CELLS, CELLS))
-    far = np.hypot(north - radar[0], east - radar[1]) > RANGE_M
+    north, east = looked_at()
+    far = np.hypot(north.mean(axis=-1) - radar[0], east.mean(axis=-1) - radar[1]) > RANGE_M
     known = blank().with_scan(as_scan(np.where(far, NOT_SEEN, 50.0), radar))
     assert np.isposinf(known.upper_m[far]).all()
     assert (known.upper_m[~far] == 50.0).all()
@@ -225,9 +348,9 @@ def test_the_sight_lines_of_radars_near_each_other_are_above_those_of_brute_forc
 @given(seed=st.integers(0, 10**6), row=st.integers(0, 40), column=st.integers(0, 40))
 def test_a_scan_means_the_same_on_a_bigger_map(seed: int, row: int, column: int) -> None:
     rng = np.random.default_rng(seed)
-    radar = np.append(rng.uniform(0.25, 0.75, 2) * CELLS * CELL_M, rng.uniform(200.0, 900.0))
-    heights = rng.choice([NOT_SEEN, 50.0, 300.0, 800.0], size=(CELLS, CELLS))
-    answers = np.where(rng.random(heights.shape) < 0.01, NO_ANSWER, heights)
+    terrain = random_hills(rng)
+    radar = random_radar(rng, terrain)
+    answers, _ = brute_force_scan(terrain, radar)
     alone = blank().with_scan(as_scan(answers, radar))
     low_n, low_e = -row * CELL_M, -column * CELL_M
     size = (CELLS + 45) * CELL_M
