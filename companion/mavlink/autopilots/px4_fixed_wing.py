@@ -20,12 +20,10 @@ from companion.path.envelope import PLANE
 
 _RUNWAY_M = 300.0
 """The take-off target is this far ahead, so that it ends in AUTO.LOITER (px4.md 10)."""
-
-
 _BESIDE_M = 30.0
 """It circles its last point tightly, and when the setpoints end it goes over to a circle about
-where it is: up to 44 m off in wind of 5 m/s (px4.md 10, `scripts/bench kills`).  5 m of that are
-what NAV_LOITER_RAD is less than the mission's circle, the least tube is 10 m."""
+where it is, up to 44 m beside it in wind of 5 m/s (px4.md 10, `scripts/bench kills`).  The rest is
+within the tube, and what preflight asks NAV_LOITER_RAD to be less than the mission's circle."""
 
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
