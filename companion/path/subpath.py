@@ -80,19 +80,15 @@ class Subpath:
         u, spans = self.parameter_at(length_m), len(self._axes)
         span = min(int(u * spans), spans - 1)
         t, axes = u * spans - span, self._axes[span]
-        values = [
-            (
-                a + t * (b + t * (c + t * d)),
-                (b + t * (2.0 * c + t * 3.0 * d)) * spans,
-                (2.0 * c + t * 6.0 * d) * spans**2,
-            )
-            for a, b, c, d in axes
-        ]
-        position, first, second = zip(*values, strict=True)
+        position, first, second = [], [], []
+        for a, b, c, d in axes:
+            position.append(a + t * (b + t * (c + t * d)))
+            first.append((b + t * (2.0 * c + t * 3.0 * d)) * spans)
+            second.append((2.0 * c + t * 6.0 * d) * spans**2)
         speed, bend = math.hypot(*first), np.array(second)
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
             inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
-            first, bend = tuple(inward * each for each in second), np.zeros(3)
+            first, bend = [inward * each for each in second], np.zeros(3)
             speed = math.hypot(*first)
         speed = max(speed, 1e-12)
         tangent = np.array(first) / speed

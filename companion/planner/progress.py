@@ -4,8 +4,8 @@ Guidance promises what is left to fly from a place; a leg that takes a turn, or 
 proven, costs more.  Such excess is owed.  A place from which less is left than from any before is a
 record: there nothing is owed any more.  What is left is told without the discount that the way
 of the last plan has (`CostToGo.undisputed`), else a way that is disputed and then is not would
-make records of one place, again and again.  When more is owed than one stop costs, the vehicle stops;
-standing it goes on by straight pieces along the route, each of which leaves less to fly
+make records of one place, again and again.  When more is owed than one stop costs, the vehicle
+stops; standing it goes on by straight pieces along the route, each of which leaves less to fly
 (`planner.way_out`).
 
 So a mission ends.  While the map stays as it is, guidance without guesses promises the same from
