@@ -23,7 +23,8 @@ _RUNWAY_M = 300.0
 _BESIDE_M = 30.0
 """It circles its last point tightly, and when the setpoints end it goes over to a circle about
 where it is, up to 44 m beside it in wind of 5 m/s (px4.md 10, `scripts/bench kills`).  The rest is
-within the tube, and what preflight asks NAV_LOITER_RAD to be less than the mission's circle."""
+within the tube, and what preflight asks NAV_LOITER_RAD to be less than the mission's circle.
+steady_m is of its altitude: in gusts it is up to 9 m high, and in Hold rises as much again."""
 
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
@@ -116,7 +117,7 @@ PX4_FIXED_WING = Autopilot(
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
         lead_s=1.5,
         needs_setpoints_before_offboard=True,
-        handling=replace(PLANE, name="PX4 fixed wing", beside_m=_BESIDE_M),
+        handling=replace(PLANE, name="PX4 fixed wing", steady_m=15.0, beside_m=_BESIDE_M),
     ),
     rules=_RULES,
     parameters_for=lambda limits: {

@@ -4,6 +4,7 @@ It flies at the velocity of its setpoints.  10 s on the ground disarm it again.
 """
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from companion.geodesy import LocalFrame
@@ -14,6 +15,7 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_checks import ESSENTIAL, WANTED, Rule
 from companion.mission.events import TakeOff
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
+from companion.path.envelope import COPTER
 
 
 def _take_off(
@@ -67,6 +69,7 @@ PX4_MULTICOPTER = Autopilot(
         kind="copter",
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
         needs_setpoints_before_offboard=True,
+        handling=replace(COPTER, name="PX4 multicopter", steady_m=0.5),  # it wanders in gusts
     ),
     rules=_RULES,
     parameters_for=lambda limits: {
