@@ -276,7 +276,7 @@ class _Plan:
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
         if request.from_rest and (best is None or self._goes_round(best)):
             owes = self._progress.owed_m > self._allowed_m
-            out = self._way_out(looks=best is None or owes)
+            out = self._way_out(looks=best is None)
             if out is None and owes and self._field.is_barred and not is_near:
                 return self._refused(Refusal.NO_WAY, self._field.route_ne_m[0])
             best = out if out is not None and owes else self._cheaper(out, best)
