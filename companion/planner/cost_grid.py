@@ -49,8 +49,12 @@ _RADAR = 3.0  # f5 is 300 for a way of R at a radar (`scene.RADAR_SCALE` for eac
 class CostGrid:
     """Costs at the points of a lattice and halfway between them, kept up to date."""
 
-    def __init__(self, known: KnownMap, task: Task) -> None:
-        """Of a map of which nothing is known: `update` says what is."""
+    def __init__(self, known: KnownMap, task: Task, *, guesses: bool = True) -> None:
+        """Of a map of which nothing is known: `update` says what is.
+
+        guesses: what was seen is continued where it was not; else what a sight line bounds counts
+        as high as it may be, and the rest is free.
+        """
         most = max(known.upper_m.shape)
         every = max(
             round(task.settings.scan_range_m / (_STEPS_PER_RANGE * known.cell_m)),
@@ -58,7 +62,7 @@ class CostGrid:
             1,
         )
         rows, columns = (2 * max(size // (2 * every), 1) + 1 for size in known.upper_m.shape)
-        self.task = task
+        self.task, self.guesses = task, guesses
         self.corner_ne_m = known.north_min_m, known.east_min_m
         """Of the first sample."""
         self.samples = Grid.empty(rows, columns, every * known.cell_m)
@@ -82,18 +86,21 @@ class CostGrid:
 
     # --- what is known
 
-    def fits(self, known: KnownMap, task: Task) -> bool:
+    def fits(self, known: KnownMap, task: Task, *, guesses: bool) -> bool:
         """Whether it can be brought up to date with a map; else a new one is to be made."""
-        return self.task == task and self._lattice == _lattice_of(known)
+        same = self.task == task and self.guesses == guesses
+        return same and self._lattice == _lattice_of(known)
 
-    def update(self, known: KnownMap, here_ne_m: Place, *, guesses: bool) -> BoolArray:
+    def update(self, known: KnownMap, here_ne_m: Place) -> BoolArray:
         """Costs as they are now.  -> the lattice points with an edge whose cost has changed.
 
         here_ne_m: what was seen is continued about it where it was not; not without guesses.
         """
         ground, floor_m = self._ground, self._scale.floor_m
         box = self._look_at(known)
-        guess_m = self._continued_m(known, here_ne_m) if guesses and self._open.any() else None
+        guess_m = None
+        if self.guesses and self._open.any():
+            guess_m = self._continued_m(known, here_ne_m)
         if guess_m is not None or self._everywhere:
             ground.guess_m[:] = floor_m if guess_m is None else guess_m
             box = 0, self.shape[0], 0, self.shape[1]
@@ -138,6 +145,9 @@ class CostGrid:
                 slice(max(low * scale.every - reach, 0), min(high * scale.every + reach, cut))
             )
         tops_m = believed_m(known, *about)
+        if not self.guesses:  # what is hidden is as high as it may be
+            part = known.part(*about)
+            tops_m = np.where(np.isfinite(part.upper_m), part.upper_m, tops_m)
         guidance.raise_to(
             self._ground.seen_m, tuple(box), tops_m, (about[0].start, about[1].start), scale
         )

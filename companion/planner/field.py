@@ -142,10 +142,10 @@ class Memory:
         self, known: KnownMap, task: Task, here_ne_m: Place, target_ne_m: Place, *, guesses: bool
     ) -> "_Field":
         """The costs of lattice points, as they are now."""
-        if self._grid is None or not self._grid.fits(known, task):
-            self._grid, self._costs = CostGrid(known, task), None
+        if self._grid is None or not self._grid.fits(known, task, guesses=guesses):
+            self._grid, self._costs = CostGrid(known, task, guesses=guesses), None
         grid, costs = self._grid, self._costs
-        dirty = grid.update(known, here_ne_m, guesses=guesses)
+        dirty = grid.update(known, here_ne_m)
         seed, about = np.full(dirty.size, np.inf), grid.around(target_ne_m)
         seed[about] = grid.lines_m(target_ne_m, grid.points_m(about))
         if (

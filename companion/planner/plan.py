@@ -280,12 +280,22 @@ class _Plan:
             if out is None and owes and self._field.is_barred and not is_near:
                 return self._refused(Refusal.NO_WAY, self._field.route_ne_m[0])
             best = out if out is not None and owes else self._cheaper(out, best)
+            dear = best is None or self._prices.excess_m(best) > self._allowed_m
+            if dear and not is_near and self._progress.believes(self._range_m):
+                return self._without_guesses()
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
         if request.rest is not None and (self._goes_round(best) or self._is_better_to_stop(best)):
             return self._refused(Refusal.BETTER_TO_STOP)
         progress = self._progress.after(self._owed_m(best), self._prices.after_m(best))
         return replace(best, evaluations=self._evaluations, tries=self._tries, progress=progress)
+
+    def _without_guesses(self) -> PlanOutcome:
+        """The plan anew, where what guidance has promised from here cannot be flown."""
+        progress = self._request.progress.disbelieving(self._range_m)
+        anew = _Plan(replace(self._request, progress=progress), self._stop)
+        anew._evaluations, anew._tries = self._evaluations, self._tries
+        return anew.outcome()
 
     def _owed_m(self, planned: Planned) -> float:
         """What the mission owes with this subpath; a straight piece of the route owes nothing."""

@@ -72,6 +72,10 @@ class Progress:
             return replace(after, record_m=left_m, owed_m=0.0)
         return replace(after, record_m=record_m)
 
+    def disbelieving(self, range_m: float) -> "Progress":
+        """Anew, when a vehicle stands where guidance has a way and nothing can be proven."""
+        return Progress(doubt_m=2.0 * BELIEVED * range_m, seen=self.seen)
+
     def without_guesses(self) -> "Progress":
         """Anew, as other things are promised without them."""
         return Progress(doubt_m=self.doubt_m, seen=self.seen)
