@@ -86,10 +86,9 @@ class CostGrid:
 
     # --- what is known
 
-    def fits(self, known: KnownMap, task: Task, *, guesses: bool) -> bool:
+    def fits(self, known: KnownMap, task: Task) -> bool:
         """Whether it can be brought up to date with a map; else a new one is to be made."""
-        same = self.task == task and self.guesses == guesses
-        return same and self._lattice == _lattice_of(known)
+        return self.task == task and self._lattice == _lattice_of(known)
 
     def update(self, known: KnownMap, here_ne_m: Place) -> BoolArray:
         """Costs as they are now.  -> the lattice points with an edge whose cost has changed.

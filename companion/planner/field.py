@@ -135,16 +135,16 @@ class Memory:
     """
 
     def __init__(self) -> None:
-        self._grid: CostGrid | None = None
-        self._costs: Costs | None = None
+        self._kept: dict[bool, tuple[CostGrid, Costs | None]] = {}
+        """With and without guesses."""
 
     def solve(
         self, known: KnownMap, task: Task, here_ne_m: Place, target_ne_m: Place, *, guesses: bool
     ) -> "_Field":
         """The costs of lattice points, as they are now."""
-        if self._grid is None or not self._grid.fits(known, task, guesses=guesses):
-            self._grid, self._costs = CostGrid(known, task, guesses=guesses), None
-        grid, costs = self._grid, self._costs
+        grid, costs = self._kept.get(guesses, (None, None))
+        if grid is None or not grid.fits(known, task):
+            grid, costs = CostGrid(known, task, guesses=guesses), None
         dirty = grid.update(known, here_ne_m)
         seed, about = np.full(dirty.size, np.inf), grid.around(target_ne_m)
         seed[about] = grid.lines_m(target_ne_m, grid.points_m(about))
@@ -154,7 +154,7 @@ class Memory:
             or not np.array_equal(seed, costs.seed)
         ):
             costs, dirty = Costs.unknown(seed), np.isfinite(seed).reshape(dirty.shape)
-        self._costs = costs
+        self._kept[guesses] = grid, costs
         field = _Field(
             grid=grid,
             samples=grid.samples,

@@ -36,7 +36,7 @@ from companion.planner.escape import StartViolation, escape_path, start_violatio
 from companion.planner.field import CostToGo, cost_to_go
 from companion.planner.price import Prices
 from companion.planner.procedure import hover_pose
-from companion.planner.progress import Progress
+from companion.planner.progress import BELIEVED, Progress
 from companion.planner.reachability import blocked_at
 from companion.planner.request import REACH, NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.seeds import seeds_of, ways_of
@@ -233,8 +233,6 @@ class _Plan:
         self._allowed_m = max(task.stop_m, _OWED * self._range_m)
         """What may be owed: what a stop costs, or a little more where that is next to nothing."""
         self._progress = self._guided(before)
-        if before.believes(self._range_m) and not self._progress.believes(self._range_m):
-            self._progress = self._guided(self._progress.without_guesses())
         self._scene = _scene(request, self._field)
         self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
@@ -243,18 +241,33 @@ class _Plan:
         self._broken: tuple[str, ...] = ()
 
     def _guided(self, before: Progress) -> Progress:
-        """Ask guidance what is left to fly, without guesses when they were wrong too often."""
-        request, known = self._request, self._request.known
+        """Ask guidance what is left to fly, without guesses where they were found wrong."""
+        left_m = self._left_m(guesses=True)
+        if left_m < before.believed_below_m:
+            if before.believed_below_m < math.inf:
+                before = Progress(seen=before.seen)
+            progress = self._at(before, left_m)
+            if progress.doubt_m <= BELIEVED * self._range_m:
+                return progress
+            before = progress.disbelieving(left_m, self._allowed_m)
+        return self._at(before, self._left_m(guesses=False))
+
+    def _left_m(self, *, guesses: bool) -> float:
+        """Of the way to the target, by guidance with or without guesses."""
+        request = self._request
         self._field = cost_to_go(
             request.around,
             request.task,
             request.scan_nea_m[:2],
             request.target_ne_m,
             request.route_ne_m,
-            guesses=before.believes(self._range_m),
+            guesses=guesses,
         )
         self._prices = Prices(request.task, self._field)
-        left_m = self._prices.left_m(request.start.point_nea_m)
+        return self._prices.left_m(request.start.point_nea_m)
+
+    def _at(self, before: Progress, left_m: float) -> Progress:
+        known = self._request.known
         few_cells = _FEW * math.pi * (self._range_m / known.cell_m) ** 2
         seen = int(np.count_nonzero(known.seen))
         return before.at(left_m, known.cell_m, seen=seen, few=few_cells)
@@ -279,9 +292,12 @@ class _Plan:
             out = self._way_out(looks=best is None)
             if out is None and owes and self._field.is_barred and not is_near:
                 return self._refused(Refusal.NO_WAY, self._field.route_ne_m[0])
-            best = out if out is not None and owes else self._cheaper(out, best)
+            if out is not None:
+                owed_m = self._progress.owed_m if owes else 0.0
+                if best is None or out[1] <= self._prices.price_m(best) + owed_m:
+                    best = out[0]
             dear = best is None or self._prices.excess_m(best) > self._allowed_m
-            if dear and not is_near and self._progress.believes(self._range_m):
+            if dear and not is_near and self._progress.believed_below_m == math.inf:
                 return self._without_guesses()
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
@@ -292,7 +308,8 @@ class _Plan:
 
     def _without_guesses(self) -> PlanOutcome:
         """The plan anew, where what guidance has promised from here cannot be flown."""
-        progress = self._request.progress.disbelieving(self._range_m)
+        left_m = self._prices.left_m(self._request.start.point_nea_m)
+        progress = self._progress.disbelieving(left_m, self._allowed_m)
         anew = _Plan(replace(self._request, progress=progress), self._stop)
         anew._evaluations, anew._tries = self._evaluations, self._tries
         return anew.outcome()
@@ -317,8 +334,8 @@ class _Plan:
             look_ahead_m=float(task.limits.turn_radius_m),
         )
 
-    def _way_out(self, *, looks: bool) -> Planned | None:
-        """A straight piece to where less is left to fly, or (looks) more is seen."""
+    def _way_out(self, *, looks: bool) -> tuple[Planned, float] | None:
+        """A straight piece to where less is left to fly, or (looks) more is seen; its price."""
 
         def prove(subpath: Subpath) -> Planned | None:
             for speed_m_s in _speeds_m_s(self._request):
@@ -331,7 +348,7 @@ class _Plan:
                     )
             return None
 
-        return way_out(self._request, self._field, prove, looks=looks)
+        return way_out(self._request, self._field, prove, self._prices.price_m, looks=looks)
 
     def _told_m_s(self, speed_m_s: float) -> float | None:
         """The speed of a plan; None if it is V."""

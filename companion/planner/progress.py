@@ -53,9 +53,8 @@ class Progress:
     seen: int = 0
     """Cells of the map that the plan before knew."""
 
-    def believes(self, range_m: float) -> bool:
-        """Whether what nobody has seen is still guessed: not where they lead back and forth."""
-        return self.doubt_m <= BELIEVED * range_m
+    believed_below_m: float = math.inf
+    """Guesses are believed again where less than this is left by them."""
 
     def at(self, left_m: float, least_m: float, *, seen: int, few: float) -> "Progress":
         """At the start of a plan, from where so much is left by the map as it is now.
@@ -72,13 +71,12 @@ class Progress:
             return replace(after, record_m=left_m, owed_m=0.0)
         return replace(after, record_m=record_m)
 
-    def disbelieving(self, range_m: float) -> "Progress":
-        """Anew, when a vehicle stands where guidance has a way and nothing can be proven."""
-        return Progress(doubt_m=2.0 * BELIEVED * range_m, seen=self.seen)
-
-    def without_guesses(self) -> "Progress":
-        """Anew, as other things are promised without them."""
-        return Progress(doubt_m=self.doubt_m, seen=self.seen)
+    def disbelieving(self, left_m: float, least_m: float) -> "Progress":
+        """Anew, without guesses, as what they promise cannot be flown: what is hidden is then as
+        high as it may be.  Until so much less is left as least_m says, by them, than now.
+        """
+        left_m = min(left_m, self.record_m)
+        return Progress(seen=self.seen, believed_below_m=left_m - least_m)
 
     def owing(self, excess_m: float, range_m: float) -> float:
         """What is owed with one more leg that costs so much more than was promised."""

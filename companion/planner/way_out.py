@@ -17,6 +17,7 @@ import scipy
 from companion.geodesy import BoolArray, FloatArray
 from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
+from companion.planner.cost_grid import descent_m
 from companion.planner.field import CostToGo
 from companion.planner.kernels import compiled
 from companion.planner.request import Planned, PlanRequest
@@ -37,30 +38,57 @@ _AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share
 
 Prove = Callable[[Subpath], Planned | None]
 """The plan of a straight subpath, at the highest speed for which it is proven."""
+Price = Callable[[Planned], float]
+End = tuple[FloatArray, float, float]
+"""Of a straight piece, what stops cost behind it, and the way that it is the first piece of."""
+Way = tuple[FloatArray, float]
+"""Places of it, (N, 2), and what it costs with all that follows."""
 
 
 def way_out(
-    request: PlanRequest, field: CostToGo, prove: Prove, *, looks: bool = True
-) -> Planned | None:
-    """The straight piece to begin with; None if there is no place to go to.
+    request: PlanRequest, field: CostToGo, prove: Prove, price: Price, *, looks: bool = True
+) -> tuple[Planned, float] | None:
+    """The straight piece to begin with, level or climbing, and what it costs with all that follows.
 
-    looks: where no less is left to fly anywhere, it goes to where more is seen.
+    looks: where no less is left to fly anywhere, it goes to where more is seen.  None if there is
+    no place to go to.
+    """
+    found = [_straight(request, field, prove, price, climb, looks=looks) for climb in _CLIMBS]
+    return min((each for each in found if each is not None), key=lambda each: each[1], default=None)
+
+
+def _straight(
+    request: PlanRequest,
+    field: CostToGo,
+    prove: Prove,
+    price: Price,
+    climb: float,
+    *,
+    looks: bool,
+) -> tuple[Planned, float] | None:
+    """The first straight piece that is proven, with a share of the climb angle.
+
+    It costs no less than the way to where it leads at last, which it is the first piece of.
     """
     start, task = request.start.position_nea_m, request.task
     radars = task.radars_near(request.scan_nea_m[:2], 2.0 * task.settings.scan_range_m)
-    for climb in _CLIMBS:
-        steepness = math.tan(climb * task.limits.climb_angle_rad)
-        top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
-        ways, reached_ne_m = _ways(request, field, top_m, looks=looks)
-        listed = (_ends(start, way, steepness, top_m, request.known.cell_m) for way in ways)
-        ends = list(itertools.chain(*listed))
-        if climb and ways:  # it leads up where nothing does straight on: it climbs first
-            ends += _higher(start, reached_ne_m, steepness, top_m, request.known.cell_m)
-            ends = _cheapest_first(ends, request, field)
-        unseen = [end for end in ends if not _is_seen(start, end, radars)]
-        for end in unseen + (ends if radars else []):
-            if (planned := prove(straight(start, end))) is not None:
-                return planned
+    steepness = math.tan(climb * task.limits.climb_angle_rad)
+    top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
+    ways, reached_ne_m = _ways(request, field, top_m, steepness, looks=looks)
+    cell_m = request.known.cell_m
+    ends = [
+        (end, more * task.stop_m, total_m)
+        for way, total_m in ways
+        for end, more in _ends(start, way, steepness, top_m, cell_m)
+    ]
+    if climb and ways:  # it leads up where nothing does straight on: it climbs first
+        ends += [(end, 0.0, 0.0) for end in _higher(start, reached_ne_m, steepness, top_m, cell_m)]
+    if climb and ends:
+        ends = _cheapest_first(ends, request, field)
+    unseen = [each for each in ends if not _is_seen(start, each[0], radars)]
+    for end, stops_m, total_m in unseen + (ends if radars else []):
+        if (planned := prove(straight(start, end))) is not None:
+            return planned, max(price(planned) + stops_m, total_m)
     return None
 
 
@@ -70,14 +98,31 @@ def _is_seen(start: FloatArray, end: FloatArray, radars: tuple[Radar, ...]) -> b
     return any(bool((radar.distance_m(points) < radar.range_m).any()) for radar in radars)
 
 
-def _cheapest_first(
-    ends: list[FloatArray], request: PlanRequest, field: CostToGo
-) -> list[FloatArray]:
-    """Ends of climbs: before all others those from where it need not climb before it goes on."""
-    place, start = np.array(ends), request.start.position_nea_m
-    climb_m = _climb_m(request, field, *place.T)
-    left_m = field.at_m(*place[:, :2].T) + climb_m + np.linalg.norm(place - start, axis=-1)
-    return [ends[i] for i in np.lexsort((left_m, climb_m > 0.0))]
+def _cheapest_first(ends: list[End], request: PlanRequest, field: CostToGo) -> list[End]:
+    """Ends of climbs: the rest of the climb takes as many more stops as it has such pieces.
+
+    Where not less is left than here, there is one more.
+    """
+    place, start = np.array([end for end, _, _ in ends]), request.start.position_nea_m
+    climb_m, away_m = _climb_m(request, field, *place.T), np.linalg.norm(place - start, axis=-1)
+    left_m = _left_m(request, field, *place.T)
+    more = climb_m / away_m + (left_m >= float(_left_m(request, field, *start)))
+    stops_m = np.maximum(request.task.stop_m * more, [each for _, each, _ in ends])
+    order = np.argsort(left_m + away_m + stops_m, kind="stable").tolist()
+    return [(ends[i][0], float(stops_m[i]), ends[i][2]) for i in order]
+
+
+def _left_m(
+    request: PlanRequest, field: CostToGo, north: FloatArray, east: FloatArray, altitude: FloatArray
+) -> FloatArray:
+    """What is left to fly from places: to come down is to be paid, too."""
+    task = request.task
+    (low, high), whole_m = task.band_amsl_m, descent_m(task.limits.ceiling_amsl_m, task)
+    needed_m = field.needed.altitude_m(north, east)
+    share, least = (np.clip((at - low) / (high - low), 0.0, 1.0) for at in (altitude, needed_m))
+    down_m = whole_m * np.maximum(share**2 - least**2, 0.0)
+    climb_m = _climb_m(request, field, north, east, altitude)
+    return field.at_m(north, east) + down_m + climb_m
 
 
 def _climb_m(
@@ -106,25 +151,29 @@ def _higher(
 
 def _ends(
     start: FloatArray, way_ne_m: FloatArray, steepness: float, top_m: float, cell_m: float
-) -> list[FloatArray]:
-    """Places of a way to fly to in a straight line, the farthest along it first."""
+) -> list[tuple[FloatArray, float]]:
+    """Places of a way to fly to in a straight line, the farthest along it first.
+
+    And how many more such pieces the way has.
+    """
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way_ne_m, axis=0).T)))
-    result: list[FloatArray] = []
+    result: list[tuple[FloatArray, float]] = []
     left = float(along[-1])
     while left > 0.0 and len(result) < _ENDS:
         place = way_ne_m[int(np.searchsorted(along, left - 1e-9))]
         away = math.dist(place, start[:2])
         if away >= cell_m:
             altitude = min(float(start[2]) + steepness * away, top_m)
-            result.append(np.array([place[0], place[1], altitude]))
+            more = float(along[-1]) / left - 1.0
+            result.append((np.array([place[0], place[1], altitude]), more))
         left = min(_NEARER * left, left - cell_m)
     return result
 
 
 def _ways(
-    request: PlanRequest, field: CostToGo, altitude_m: float, *, looks: bool
-) -> tuple[list[FloatArray], FloatArray]:
-    """Ways over free places to where less is left to fly, or more is seen, each (N, 2).
+    request: PlanRequest, field: CostToGo, altitude_m: float, steepness: float, *, looks: bool
+) -> tuple[list[Way], FloatArray]:
+    """Ways over free places to where less is left to fly, or more is seen.
 
     And all places that are reached, (M, 2).
     """
@@ -155,16 +204,17 @@ def _ways(
         seen += radar.distance_m(places) < radar.range_m
     away, before = _flood(free, 1.0 + _SEEN * seen, begin)
     reached = np.isfinite(away).reshape(free.shape)
-    left_m = field.at_m(*wide) + _climb_m(request, field, *wide, np.array(altitude_m))
-    left_m = np.where(reached, left_m, math.inf)
-    here_m = float(field.at_m(here[0], here[1]) + _climb_m(request, field, *here))
+    away_m = away.reshape(free.shape) * known.cell_m
+    there_m = np.minimum(here[2] + steepness * away_m, altitude_m)
+    left_m = np.where(reached, _left_m(request, field, *wide, there_m), math.inf)
+    here_m = float(_left_m(request, field, *here))
     goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
     if left_m.ravel()[goals[0]] > here_m - _GAIN_CELLS * known.cell_m:
         goals = np.array([], dtype=np.intp)
     if looks:
         edge = reached & _sees_more(known, north, east, altitude_m, task.required_clearance_m)
         edge &= offset_m >= known.cell_m
-        total = np.where(edge, left_m + away.reshape(free.shape), math.inf)
+        total = np.where(edge, left_m + away_m, math.inf)
         more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
         goals = np.concatenate([goals, more[np.isfinite(total.ravel()[more])]])
     ways = []
@@ -173,7 +223,9 @@ def _ways(
         while before[index[-1]] >= 0:
             index.append(int(before[index[-1]]))
         rows, columns = np.divmod(np.array(index[::-1]), free.shape[1])
-        ways.append(np.stack([north[rows], east[columns]], axis=-1))
+        way = np.stack([north[rows], east[columns]], axis=-1)
+        along_m = float(np.hypot(*np.diff(way, axis=0).T).sum())
+        ways.append((way, along_m + float(left_m.ravel()[goal]) + task.stop_m))
     rows, columns = np.nonzero(reached)
     return ways, np.stack([north[rows], east[columns]], axis=-1)
 
