@@ -292,12 +292,12 @@ class _Plan:
             out = self._way_out(looks=best is None)
             if out is None and owes and self._field.is_barred and not is_near:
                 return self._refused(Refusal.NO_WAY, self._field.route_ne_m[0])
-            if out is not None:
-                owed_m = self._progress.owed_m if owes else 0.0
-                if best is None or out[1] <= self._prices.price_m(best) + owed_m:
-                    best = out[0]
-            dear = best is None or self._prices.excess_m(best) > self._allowed_m
-            if dear and not is_near and self._progress.believed_below_m == math.inf:
+            price_m = math.inf if best is None else self._prices.price_m(best)
+            if out is not None and out[1] <= price_m + (self._progress.owed_m if owes else 0.0):
+                best, price_m = out[0], out[1] - self._request.task.stop_m
+            dearer_m = price_m - self._prices.promised_m(request.start.point_nea_m)
+            believes = self._progress.believed_below_m == math.inf
+            if dearer_m > self._allowed_m and believes and not is_near:
                 return self._without_guesses()
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)

@@ -31,6 +31,7 @@ _NEARER = 0.8  # each is so far away, of the one before
 _GAIN_CELLS = 1.0  # of way: a place from which not so much less is left to fly is no better
 _SEAM_CELLS = 3.0  # beyond the clearance, of places next to what is unknown
 _SEEN = 7.0  # steps: what one more costs that a radar sees from near (eq. 10, as guidance has it)
+_STOP = 0.25  # of R: what a stop costs at least, as another plan may turn back
 _LOOKS = 50  # along a straight piece, for radars
 _AFTER = 3  # places that are flown towards, one after the other, if nothing is proven to the first
 _CLIMBS = (0.0, 0.95)  # of the climb angle
@@ -71,20 +72,21 @@ def _straight(
     It costs no less than the way to where it leads at last, which it is the first piece of.
     """
     start, task = request.start.position_nea_m, request.task
+    stop_m = max(task.stop_m, _STOP * task.settings.scan_range_m)
     radars = task.radars_near(request.scan_nea_m[:2], 2.0 * task.settings.scan_range_m)
     steepness = math.tan(climb * task.limits.climb_angle_rad)
     top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
     ways, reached_ne_m = _ways(request, field, top_m, steepness, looks=looks)
     cell_m = request.known.cell_m
     ends = [
-        (end, more * task.stop_m, total_m)
+        (end, more * stop_m, total_m)
         for way, total_m in ways
         for end, more in _ends(start, way, steepness, top_m, cell_m)
     ]
     if climb and ways:  # it leads up where nothing does straight on: it climbs first
         ends += [(end, 0.0, 0.0) for end in _higher(start, reached_ne_m, steepness, top_m, cell_m)]
     if climb and ends:
-        ends = _cheapest_first(ends, request, field)
+        ends = _cheapest_first(ends, request, field, stop_m)
     unseen = [each for each in ends if not _is_seen(start, each[0], radars)]
     for end, stops_m, total_m in unseen + (ends if radars else []):
         if (planned := prove(straight(start, end))) is not None:
@@ -98,7 +100,9 @@ def _is_seen(start: FloatArray, end: FloatArray, radars: tuple[Radar, ...]) -> b
     return any(bool((radar.distance_m(points) < radar.range_m).any()) for radar in radars)
 
 
-def _cheapest_first(ends: list[End], request: PlanRequest, field: CostToGo) -> list[End]:
+def _cheapest_first(
+    ends: list[End], request: PlanRequest, field: CostToGo, stop_m: float
+) -> list[End]:
     """Ends of climbs: the rest of the climb takes as many more stops as it has such pieces.
 
     Where not less is left than here, there is one more.
@@ -107,7 +111,7 @@ def _cheapest_first(ends: list[End], request: PlanRequest, field: CostToGo) -> l
     climb_m, away_m = _climb_m(request, field, *place.T), np.linalg.norm(place - start, axis=-1)
     left_m = _left_m(request, field, *place.T)
     more = climb_m / away_m + (left_m >= float(_left_m(request, field, *start)))
-    stops_m = np.maximum(request.task.stop_m * more, [each for _, each, _ in ends])
+    stops_m = np.maximum(stop_m * more, [each for _, each, _ in ends])
     order = np.argsort(left_m + away_m + stops_m, kind="stable").tolist()
     return [(ends[i][0], float(stops_m[i]), ends[i][2]) for i in order]
 
@@ -205,7 +209,7 @@ def _ways(
     away, before = _flood(free, 1.0 + _SEEN * seen, begin)
     reached = np.isfinite(away).reshape(free.shape)
     away_m = away.reshape(free.shape) * known.cell_m
-    there_m = np.minimum(here[2] + steepness * away_m, altitude_m)
+    there_m = np.minimum(here[2] + steepness * np.where(reached, away_m, 0.0), altitude_m)
     left_m = np.where(reached, _left_m(request, field, *wide, there_m), math.inf)
     here_m = float(_left_m(request, field, *here))
     goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
