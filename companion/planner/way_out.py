@@ -54,8 +54,13 @@ def way_out(
     looks: where no less is left to fly anywhere, it goes to where more is seen.  None if there is
     no place to go to.
     """
-    found = [_straight(request, field, prove, price, climb, looks=looks) for climb in _CLIMBS]
-    return min((each for each in found if each is not None), key=lambda each: each[1], default=None)
+    found = []
+    for climb in _CLIMBS:
+        out = _straight(request, field, prove, price, climb, looks=looks)
+        found += [out] if out is not None else []
+        if found and request.task.settings.is_near:  # near things are not flown over
+            break
+    return min(found, key=lambda each: each[1], default=None)
 
 
 def _straight(
@@ -105,15 +110,16 @@ def _cheapest_first(
 ) -> list[End]:
     """Ends of climbs: the rest of the climb takes as many more stops as it has such pieces.
 
-    Where not less is left than here, there is one more.
+    Without those from where neither less is left than from here nor less is to be climbed.
     """
     place, start = np.array([end for end, _, _ in ends]), request.start.position_nea_m
     climb_m, away_m = _climb_m(request, field, *place.T), np.linalg.norm(place - start, axis=-1)
     left_m = _left_m(request, field, *place.T)
-    more = climb_m / away_m + (left_m >= float(_left_m(request, field, *start)))
-    stops_m = np.maximum(stop_m * more, [each for _, each, _ in ends])
+    gained_m = float(_climb_m(request, field, *start)) - climb_m
+    gets_on = (left_m < float(_left_m(request, field, *start))) | (gained_m > 0.5 * away_m)
+    stops_m = np.maximum(stop_m * climb_m / away_m, [each for _, each, _ in ends])
     order = np.argsort(left_m + away_m + stops_m, kind="stable").tolist()
-    return [(ends[i][0], float(stops_m[i]), ends[i][2]) for i in order]
+    return [(ends[i][0], float(stops_m[i]), ends[i][2]) for i in order if gets_on[i] or ends[i][2]]
 
 
 def _left_m(
