@@ -145,8 +145,8 @@ class CostGrid:
             )
         tops_m = believed_m(known, *about)
         if not self.guesses:  # what is hidden is as high as it may be
-            part = known.part(*about)
-            tops_m = np.where(np.isfinite(part.upper_m), part.upper_m, tops_m)
+            bound_m = known.part(*about).upper_m
+            tops_m = np.where(np.isfinite(bound_m), bound_m, tops_m)
         guidance.raise_to(
             self._ground.seen_m, tuple(box), tops_m, (about[0].start, about[1].start), scale
         )

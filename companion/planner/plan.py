@@ -54,10 +54,10 @@ _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was p
 _MUCH_DEARER = 0.5  # of the cost of R: then it is planned more slowly, too
 _SLOWER = (1.0, 0.5, 0.25)  # of V: turns of a quarter of the radius, and of a sixteenth
 _OWED, _OWED_NEAR = 1.0, 0.25
-"""Of R: what excess may add up to (`planner.progress`); among near things, where a stop costs little.
+"""Of R: what may be owed (`planner.progress`), if a stop costs no more; the second near things.
 
-Chosen on 13 `walls`, `gathered` and `copter` worlds of 20261128 (mean J 56.7, 51.1 and 52.1 with
-0.25, 1 and 2) and on forests."""
+Chosen on 13 worlds of 20261128 (`walls`, `gathered`, `copter`: mean J 56.7, 51.1 and 52.1 with
+0.25, 1 and 2), and on forests (218 and 240 s with 0.25 and 1 for seed 3001)."""
 _FEW = 0.005  # of the cells in sight: when a scan shows no more than that, nothing new was seen
 _AT_TARGET_M = 1e-6
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
@@ -236,7 +236,7 @@ class _Plan:
         self._range_m = task.settings.scan_range_m
         owed = _OWED_NEAR if task.settings.is_near else _OWED
         self._allowed_m = max(task.stop_m, owed * self._range_m)
-        """What may be owed: what a stop costs, or a little more where that is next to nothing."""
+        """What may be owed."""
         self._progress = self._guided(before)
         self._scene = _scene(request, self._field)
         self._surroundings: dict[float, Surroundings] = {}
@@ -311,7 +311,7 @@ class _Plan:
         progress = self._progress.after(self._owed_m(best), self._prices.after_m(best))
         return replace(best, evaluations=self._evaluations, tries=self._tries, progress=progress)
 
-    def _without_guesses(self) -> PlanOutcome:
+    def _without_guesses(self) -> Planned | NotPlanned:
         """The plan anew, where what guidance has promised from here cannot be flown."""
         left_m = self._prices.left_m(self._request.start.point_nea_m)
         progress = self._progress.disbelieving(left_m, self._allowed_m)

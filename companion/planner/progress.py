@@ -4,17 +4,25 @@ Guidance promises what is left to fly from a place; a leg that takes a turn, or 
 proven, costs more.  Such excess is owed.  A place from which less is left than from any before is a
 record: there nothing is owed any more.  What is left is told without the discount that the way
 of the last plan has (`CostToGo.undisputed`), else a way that is disputed and then is not would
-make records of one place, again and again.  When more is owed than one stop costs, the vehicle
-stops; standing it goes on by straight pieces along the route, each of which leaves less to fly
-(`planner.way_out`).
+make records of one place, again and again.  When more is owed than may be (`planner.plan`), the
+vehicle stops; standing it goes on by a straight piece along the way (`planner.way_out`), unless a
+leg costs less than that by more than what is owed already.
 
 So a mission ends.  While the map stays as it is, guidance without guesses promises the same from
 the same place each time.  A leg that is hardly dearer than promised then leaves less to fly by
-what it costs, but for `SLACK`, which is less than a leg costs; dearer ones owe, and more than a
-stop's cost is never owed in flight.  So every flight between stops comes to a record, and so does
-every row of stops, and records are apart by no less than a leg, or a cell, leaves off.  With
-guesses what is promised depends on where the vehicle is, too, so they are given up where they
-lead back and forth: where in all much more is left than was thought, though nothing new was seen.
+what it costs, but for `SLACK`, which is less than a leg costs; dearer ones owe, and more than may
+be is never owed in flight.  So every flight between stops comes to a record.  Standing, what is
+owed grows until a straight piece is cheaper, and those leave less to fly, or climb to where the way
+on begins.  Records are apart by no less than a leg, or a cell, leaves off.
+
+Guesses promise what cannot be flown where ground is hidden that is not as low as they say.  They
+are given up where the best that a standing vehicle can do costs more than was promised by more than
+may be owed, and where in all much more is left than was thought, though nothing new was seen.  What
+a sight line bounds is then taken to be as high as that, so that what is promised can be proven; and
+guesses are believed again where less is left by them than there, by what may be owed.  That can
+happen as often only as that much goes into the way (Lumelsky and Stepanov 1987, Bug2: leave an
+obstacle where the target is nearer than where it was met).
+
 And scans show something new only as often as there are cells to see.  (Where near cells are
 forgotten this does not hold; there stops are counted, as everywhere.)
 """
@@ -54,7 +62,7 @@ class Progress:
     """Cells of the map that the plan before knew."""
 
     believed_below_m: float = math.inf
-    """Guesses are believed again where less than this is left by them."""
+    """Guesses are believed where less than this is left by them; infinite: everywhere."""
 
     def at(self, left_m: float, least_m: float, *, seen: int, few: float) -> "Progress":
         """At the start of a plan, from where so much is left by the map as it is now.
@@ -72,9 +80,7 @@ class Progress:
         return replace(after, record_m=record_m)
 
     def disbelieving(self, left_m: float, least_m: float) -> "Progress":
-        """Anew, without guesses, as what they promise cannot be flown: what is hidden is then as
-        high as it may be.  Until so much less is left as least_m says, by them, than now.
-        """
+        """Anew, without guesses, until so much less is left by them than was ever, or is now."""
         left_m = min(left_m, self.record_m)
         return Progress(seen=self.seen, believed_below_m=left_m - least_m)
 

@@ -7,9 +7,10 @@ has been seen.  The leg goes straight along the way there as far as that is prov
 length allows.  It ends at rest, where the next plan sees more.
 """
 
-import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 import scipy
@@ -23,7 +24,6 @@ from companion.planner.kernels import compiled
 from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import safe_surface
 from companion.world.known_map import KnownMap
-from companion.world.radars import Radar
 from companion.world.zones import too_near
 
 _ENDS = 24  # of a straight piece that are tried, the farthest first
@@ -40,14 +40,24 @@ _AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share
 Prove = Callable[[Subpath], Planned | None]
 """The plan of a straight subpath, at the highest speed for which it is proven."""
 Price = Callable[[Planned], float]
-End = tuple[FloatArray, float, float]
-"""Of a straight piece, what stops cost behind it, and the way that it is the first piece of."""
 Way = tuple[FloatArray, float]
-"""Places of it, (N, 2), and what it costs with all that follows."""
+"""Places (N, 2) from where the vehicle is, and what it costs to fly there and on."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _End:
+    """Of a straight piece."""
+
+    place_nea_m: FloatArray
+    stops_m: float
+    """What the stops cost that are to be expected behind it."""
+    least_m: float = 0.0
+    """What the way costs that it is the first piece of; 0: it is a climb for itself."""
 
 
 def way_out(
-    request: PlanRequest, field: CostToGo, prove: Prove, price: Price, *, looks: bool = True
+    request: PlanRequest, field: CostToGo, prove: Prove, price: Price, *, looks: bool
 ) -> tuple[Planned, float] | None:
     """The straight piece to begin with, level or climbing, and what it costs with all that follows.
 
@@ -56,188 +66,166 @@ def way_out(
     """
     found = []
     for climb in _CLIMBS:
-        out = _straight(request, field, prove, price, climb, looks=looks)
-        found += [out] if out is not None else []
+        for end in _Search(request, field, climb).ends(looks=looks):
+            planned = prove(straight(request.start.position_nea_m, end.place_nea_m))
+            if planned is not None:
+                found.append((planned, max(price(planned) + end.stops_m, end.least_m)))
+                break
         if found and request.task.settings.is_near:  # near things are not flown over
             break
     return min(found, key=lambda each: each[1], default=None)
 
 
-def _straight(
-    request: PlanRequest,
-    field: CostToGo,
-    prove: Prove,
-    price: Price,
-    climb: float,
-    *,
-    looks: bool,
-) -> tuple[Planned, float] | None:
-    """The first straight piece that is proven, with a share of the climb angle.
+@final
+class _Search:
+    """For places to fly to in a straight line, level or with a share of the climb angle."""
 
-    It costs no less than the way to where it leads at last, which it is the first piece of.
-    """
-    start, task = request.start.position_nea_m, request.task
-    stop_m = max(task.stop_m, _STOP * task.settings.scan_range_m)
-    radars = task.radars_near(request.scan_nea_m[:2], 2.0 * task.settings.scan_range_m)
-    steepness = math.tan(climb * task.limits.climb_angle_rad)
-    top_m = float(start[2]) if climb == 0.0 else task.band_amsl_m[1]
-    ways, reached_ne_m = _ways(request, field, top_m, steepness, looks=looks)
-    cell_m = request.known.cell_m
-    ends = [
-        (end, more * stop_m, total_m)
-        for way, total_m in ways
-        for end, more in _ends(start, way, steepness, top_m, cell_m)
-    ]
-    if climb and ways:  # it leads up where nothing does straight on: it climbs first
-        ends += [(end, 0.0, 0.0) for end in _higher(start, reached_ne_m, steepness, top_m, cell_m)]
-    if climb and ends:
-        ends = _cheapest_first(ends, request, field, stop_m)
-    unseen = [each for each in ends if not _is_seen(start, each[0], radars)]
-    for end, stops_m, total_m in unseen + (ends if radars else []):
-        if (planned := prove(straight(start, end))) is not None:
-            return planned, max(price(planned) + stops_m, total_m)
-    return None
+    def __init__(self, request: PlanRequest, field: CostToGo, climb: float) -> None:
+        task = request.task
+        self._request, self._field, self._climbs = request, field, climb > 0.0
+        self._start, self._cell_m = request.start.position_nea_m, request.known.cell_m
+        self._steepness = math.tan(climb * task.limits.climb_angle_rad)
+        self._top_m = task.band_amsl_m[1] if self._climbs else float(self._start[2])
+        range_m = task.settings.scan_range_m
+        self._stop_m = max(task.stop_m, _STOP * range_m)
+        self._radars = task.radars_near(request.scan_nea_m[:2], 2.0 * range_m)
+        self._left_here_m = float(self._left_m(*self._start))
 
+    def ends(self, *, looks: bool) -> list[_End]:
+        """The best one first; those that no radar sees before the others."""
+        ways, reached_ne_m = self._ways(looks=looks)
+        ends = [end for way in ways for end in self._along(way)]
+        if self._climbs and ways:
+            ends = self._cheapest_first(ends + self._higher(reached_ne_m))
+        return sorted(ends, key=lambda end: self._is_seen(end.place_nea_m))
 
-def _is_seen(start: FloatArray, end: FloatArray, radars: tuple[Radar, ...]) -> bool:
-    """Whether a straight piece comes into the range of a radar."""
-    points = start + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end - start)
-    return any(bool((radar.distance_m(points) < radar.range_m).any()) for radar in radars)
+    def _is_seen(self, end_nea_m: FloatArray) -> bool:
+        """Whether a straight piece comes into the range of a radar."""
+        start = self._start
+        points = start + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end_nea_m - start)
+        return any(bool((each.distance_m(points) < each.range_m).any()) for each in self._radars)
 
+    def _left_m(self, north: FloatArray, east: FloatArray, altitude: FloatArray) -> FloatArray:
+        """What is left to fly from places, climbing and coming down included."""
+        task, needed_m = self._request.task, self._field.needed.altitude_m(north, east)
+        (low, high), whole_m = task.band_amsl_m, descent_m(task.limits.ceiling_amsl_m, task)
+        share, least = (np.clip((at - low) / (high - low), 0.0, 1.0) for at in (altitude, needed_m))
+        down_m = whole_m * np.maximum(share**2 - least**2, 0.0)
+        return self._field.at_m(north, east) + down_m + self._climb_m(north, east, altitude)
 
-def _cheapest_first(
-    ends: list[End], request: PlanRequest, field: CostToGo, stop_m: float
-) -> list[End]:
-    """Ends of climbs: the rest of the climb takes as many more stops as it has such pieces.
+    def _climb_m(self, north: FloatArray, east: FloatArray, altitude: FloatArray) -> FloatArray:
+        """The way that it takes to come up to where the way on can be climbed."""
+        short_m = self._field.needed.altitude_m(north, east) - altitude
+        return np.maximum(short_m, 0.0) / math.tan(self._request.task.limits.climb_angle_rad)
 
-    Without those from where neither less is left than from here nor less is to be climbed.
-    """
-    place, start = np.array([end for end, _, _ in ends]), request.start.position_nea_m
-    climb_m, away_m = _climb_m(request, field, *place.T), np.linalg.norm(place - start, axis=-1)
-    left_m = _left_m(request, field, *place.T)
-    gained_m = float(_climb_m(request, field, *start)) - climb_m
-    gets_on = (left_m < float(_left_m(request, field, *start))) | (gained_m > 0.5 * away_m)
-    stops_m = np.maximum(stop_m * climb_m / away_m, [each for _, each, _ in ends])
-    order = np.argsort(left_m + away_m + stops_m, kind="stable").tolist()
-    return [(ends[i][0], float(stops_m[i]), ends[i][2]) for i in order if gets_on[i] or ends[i][2]]
+    def _at(self, place_ne_m: FloatArray, away_m: float) -> FloatArray:
+        """A place with the altitude that is reached there."""
+        altitude_m = min(float(self._start[2]) + self._steepness * away_m, self._top_m)
+        return np.append(place_ne_m, altitude_m)
 
+    def _along(self, way: Way) -> list[_End]:
+        """Places of a way, the farthest along it first."""
+        way_ne_m, costs_m = way
+        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way_ne_m, axis=0).T)))
+        result, left = list[_End](), float(along[-1])
+        while left > 0.0 and len(result) < _ENDS:
+            place = way_ne_m[int(np.searchsorted(along, left - 1e-9))]
+            if (away_m := math.dist(place, self._start[:2])) >= self._cell_m:
+                more = float(along[-1]) / left - 1.0  # such pieces
+                result.append(_End(self._at(place, away_m), more * self._stop_m, costs_m))
+            left = min(_NEARER * left, left - self._cell_m)
+        return result
 
-def _left_m(
-    request: PlanRequest, field: CostToGo, north: FloatArray, east: FloatArray, altitude: FloatArray
-) -> FloatArray:
-    """What is left to fly from places: to come down is to be paid, too."""
-    task = request.task
-    (low, high), whole_m = task.band_amsl_m, descent_m(task.limits.ceiling_amsl_m, task)
-    needed_m = field.needed.altitude_m(north, east)
-    share, least = (np.clip((at - low) / (high - low), 0.0, 1.0) for at in (altitude, needed_m))
-    down_m = whole_m * np.maximum(share**2 - least**2, 0.0)
-    climb_m = _climb_m(request, field, north, east, altitude)
-    return field.at_m(north, east) + down_m + climb_m
+    def _higher(self, reached_ne_m: FloatArray) -> list[_End]:
+        """Places to climb to before it goes on: of those that are reached, rings about here."""
+        away_m = np.hypot(*(reached_ne_m - self._start[:2]).T)
+        most_m = (self._top_m - float(self._start[2])) / self._steepness
+        rings = [
+            np.flatnonzero(np.abs(away_m - share * most_m) < 0.5 * self._cell_m)
+            for share in _SHARES
+        ]
+        return [
+            _End(self._at(reached_ne_m[i], float(away_m[i])), 0.0)
+            for ring in rings
+            for i in ring[:: max(len(ring) // _AROUND, 1)]
+            if away_m[i] >= self._cell_m
+        ]
 
+    def _cheapest_first(self, ends: list[_End]) -> list[_End]:
+        """The rest of a climb takes as many more stops as it has such pieces.
 
-def _climb_m(
-    request: PlanRequest, field: CostToGo, north: FloatArray, east: FloatArray, altitude: FloatArray
-) -> FloatArray:
-    """The way that it takes to come up to where the way on can be climbed."""
-    short_m = field.needed.altitude_m(north, east) - altitude
-    return np.maximum(short_m, 0.0) / math.tan(request.task.limits.climb_angle_rad)
+        Without climbs after which neither less is left than here nor, by half of them, to climb.
+        """
+        place = np.array([end.place_nea_m for end in ends])
+        away_m = np.linalg.norm(place - self._start, axis=-1)
+        left_m, climb_m = self._left_m(*place.T), self._climb_m(*place.T)
+        gained_m = float(self._climb_m(*self._start)) - climb_m
+        gets_on = (left_m < self._left_here_m) | (gained_m > 0.5 * away_m)
+        stops_m = np.maximum(self._stop_m * climb_m / away_m, [end.stops_m for end in ends])
+        order = np.argsort(left_m + away_m + stops_m, kind="stable").tolist()
+        return [
+            replace(ends[i], stops_m=float(stops_m[i]))
+            for i in order
+            if gets_on[i] or ends[i].least_m
+        ]
 
+    def _ways(self, *, looks: bool) -> tuple[list[Way], FloatArray]:
+        """Ways over free places to where less is left to fly, or more is seen.
 
-def _higher(
-    start: FloatArray, reached_ne_m: FloatArray, steepness: float, top_m: float, cell_m: float
-) -> list[FloatArray]:
-    """Places to climb to in a straight line: of those that are reached, rings about here."""
-    away_m = np.hypot(*(reached_ne_m - start[:2]).T)
-    most_m = (top_m - float(start[2])) / steepness
-    result = []
-    for share in _SHARES:
-        ring = np.flatnonzero(np.abs(away_m - share * most_m) < 0.5 * cell_m)
-        for i in ring[:: max(len(ring) // _AROUND, 1)]:
-            if away_m[i] >= cell_m:
-                altitude_m = min(float(start[2]) + steepness * away_m[i], top_m)
-                result.append(np.append(reached_ne_m[i], altitude_m))
-    return result
-
-
-def _ends(
-    start: FloatArray, way_ne_m: FloatArray, steepness: float, top_m: float, cell_m: float
-) -> list[tuple[FloatArray, float]]:
-    """Places of a way to fly to in a straight line, the farthest along it first.
-
-    And how many more such pieces the way has.
-    """
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way_ne_m, axis=0).T)))
-    result: list[tuple[FloatArray, float]] = []
-    left = float(along[-1])
-    while left > 0.0 and len(result) < _ENDS:
-        place = way_ne_m[int(np.searchsorted(along, left - 1e-9))]
-        away = math.dist(place, start[:2])
-        if away >= cell_m:
-            altitude = min(float(start[2]) + steepness * away, top_m)
-            more = float(along[-1]) / left - 1.0
-            result.append((np.array([place[0], place[1], altitude]), more))
-        left = min(_NEARER * left, left - cell_m)
-    return result
-
-
-def _ways(
-    request: PlanRequest, field: CostToGo, altitude_m: float, steepness: float, *, looks: bool
-) -> tuple[list[Way], FloatArray]:
-    """Ways over free places to where less is left to fly, or more is seen.
-
-    And all places that are reached, (M, 2).
-    """
-    known, task = request.around, request.task
-    reach_m = task.settings.scan_range_m
-    surface = safe_surface(
-        known,
-        compiled().dilated_m,
-        centre_ne_m=request.scan_nea_m[:2],
-        reach_m=reach_m,
-        clearance_m=task.required_clearance_m,
-        unknown_m=math.inf,
-    )
-    free = surface.vertex_m <= altitude_m
-    north = surface.north_min_m + surface.cell_m * np.arange(float(free.shape[0]))
-    east = surface.east_min_m + surface.cell_m * np.arange(float(free.shape[1]))
-    if task.zones:
-        lattice, kept_m = (tuple(north), tuple(east)), task.zone_clearance_m + 0.5 * surface.cell_m
-        free &= ~too_near(task.zones, *lattice, kept_m, compiled().zone_gaps)
-    here = request.start.position_nea_m
-    offset_m = np.hypot((north - here[0])[:, None], (east - here[1])[None, :])
-    begin = int(np.argmin(np.where(free, offset_m, math.inf)))
-    if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * known.cell_m:
-        return [], np.empty((0, 2))
-    wide = np.meshgrid(north, east, indexing="ij")
-    places, seen = np.stack([*wide, np.full(free.shape, altitude_m)], axis=-1), np.zeros(free.shape)
-    for radar in task.radars_near(request.scan_nea_m[:2], 2.0 * reach_m):
-        seen += radar.distance_m(places) < radar.range_m
-    away, before = _flood(free, 1.0 + _SEEN * seen, begin)
-    reached = np.isfinite(away).reshape(free.shape)
-    away_m = away.reshape(free.shape) * known.cell_m
-    there_m = np.minimum(here[2] + steepness * np.where(reached, away_m, 0.0), altitude_m)
-    left_m = np.where(reached, _left_m(request, field, *wide, there_m), math.inf)
-    here_m = float(_left_m(request, field, *here))
-    goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
-    if left_m.ravel()[goals[0]] > here_m - _GAIN_CELLS * known.cell_m:
-        goals = np.array([], dtype=np.intp)
-    if looks:
-        edge = reached & _sees_more(known, north, east, altitude_m, task.required_clearance_m)
-        edge &= offset_m >= known.cell_m
-        total = np.where(edge, left_m + away_m, math.inf)
-        more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
-        goals = np.concatenate([goals, more[np.isfinite(total.ravel()[more])]])
-    ways = []
-    for goal in goals.tolist():
-        index = [goal]
-        while before[index[-1]] >= 0:
-            index.append(int(before[index[-1]]))
-        rows, columns = np.divmod(np.array(index[::-1]), free.shape[1])
-        way = np.stack([north[rows], east[columns]], axis=-1)
-        along_m = float(np.hypot(*np.diff(way, axis=0).T).sum())
-        ways.append((way, along_m + float(left_m.ravel()[goal]) + task.stop_m))
-    rows, columns = np.nonzero(reached)
-    return ways, np.stack([north[rows], east[columns]], axis=-1)
+        And all places that are reached, (M, 2).
+        """
+        request, task, here = self._request, self._request.task, self._start
+        known, cell_m = request.around, self._cell_m
+        surface = safe_surface(
+            known,
+            compiled().dilated_m,
+            centre_ne_m=request.scan_nea_m[:2],
+            reach_m=task.settings.scan_range_m,
+            clearance_m=task.required_clearance_m,
+            unknown_m=math.inf,
+        )
+        free = surface.vertex_m <= self._top_m
+        north = surface.north_min_m + surface.cell_m * np.arange(float(free.shape[0]))
+        east = surface.east_min_m + surface.cell_m * np.arange(float(free.shape[1]))
+        if task.zones:
+            lattice = tuple(north), tuple(east)
+            kept_m = task.zone_clearance_m + 0.5 * surface.cell_m
+            free &= ~too_near(task.zones, *lattice, kept_m, compiled().zone_gaps)
+        offset_m = np.hypot((north - here[0])[:, None], (east - here[1])[None, :])
+        begin = int(np.argmin(np.where(free, offset_m, math.inf)))
+        if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * cell_m:
+            return [], np.empty((0, 2))
+        wide = np.meshgrid(north, east, indexing="ij")
+        places = np.stack([*wide, np.full(free.shape, self._top_m)], axis=-1)
+        seen = np.zeros(free.shape)
+        for radar in self._radars:
+            seen += radar.distance_m(places) < radar.range_m
+        away, before = _flood(free, 1.0 + _SEEN * seen, begin)
+        away_m = away.reshape(free.shape) * surface.cell_m
+        reached = np.isfinite(away_m)
+        there_m = here[2] + self._steepness * np.where(reached, away_m, 0.0)
+        left_m = self._left_m(*wide, np.minimum(there_m, self._top_m))
+        left_m = np.where(reached, left_m, math.inf)
+        goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
+        if left_m.ravel()[goals[0]] > self._left_here_m - _GAIN_CELLS * cell_m:
+            goals = np.array([], dtype=np.intp)
+        if looks:
+            edge = _sees_more(known, north, east, self._top_m, task.required_clearance_m)
+            edge &= reached & (offset_m >= cell_m)
+            total = np.where(edge, left_m + away_m, math.inf)
+            more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
+            goals = np.concatenate([goals, more[np.isfinite(total.ravel()[more])]])
+        ways = list[Way]()
+        for goal in goals.tolist():
+            index = [goal]
+            while before[index[-1]] >= 0:
+                index.append(int(before[index[-1]]))
+            rows, columns = np.divmod(np.array(index[::-1]), free.shape[1])
+            way = np.stack([north[rows], east[columns]], axis=-1)
+            along_m = float(np.hypot(*np.diff(way, axis=0).T).sum())
+            ways.append((way, along_m + float(left_m.ravel()[goal]) + task.stop_m))
+        rows, columns = np.nonzero(reached)
+        return ways, np.stack([north[rows], east[columns]], axis=-1)
 
 
 def _sees_more(
