@@ -18,12 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.lattice import Lattice, Window
-from companion.world.sight_lines import (
-    SLACK_CELLS,
-    overlooking_line_m,
-    sight_line_m,
-    standpoints,
-)
+from companion.world.sight_lines import SLACK_CELLS, sight_line_m
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
@@ -54,8 +49,6 @@ class Scan:
 
     Then what it does not show is hidden; else nothing follows from that alone.
     """
-    whole_width: bool = False
-    """Whether each cell that it shows was seen in every direction in which the cell lies."""
     supersedes: bool = False
     """Whether it is all that is known of its window: cells without an answer are unknown again."""
 
@@ -106,8 +99,6 @@ class KnownMap(Lattice):
         seen |= now_seen
         if scan.complete:
             np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
-        elif scan.whole_width:
-            np.copyto(upper, np.minimum(upper, _overlooked_bound_m(after, scan)), where=~seen)
         return after
 
     def with_what_was_given(self, blank: "KnownMap") -> "KnownMap":
@@ -231,39 +222,6 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
         top[south : south + height, west : west + width][not_seen] = -np.inf  # it hides nothing
         bound = sight_line_m(around, top, radars, middles[hidden], slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
-    return result
-
-
-def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
-    """Upper bound of what a radar passed over that is not complete but shows whole cells only.
-
-    Proof.  Let p be any point of the ground in a cell that was not shown.  If all cells that lines
-    over the cell can reach at some distance behind it were shown, the line over p leads to one of
-    them, and to a point q of it that was seen.  Nothing stands in the way from the radar to q, so p
-    is below that line, and q is no higher than its cell.  Between its ends the line is no higher
-    than if altitudes were over a plane: straight over a round earth it sags below that, and
-    refraction takes away a part of the sag, so nothing is taken off for it.  -> (rows, columns) of
-    the scan's window; +inf where nothing behind the cell was seen all across.
-    """
-    result = np.full(scan.heights_m.shape, np.inf)
-    answered = np.nonzero(~np.isnan(scan.heights_m))
-    if not len(answered[0]):
-        return result
-    north, east = after.middles_m(scan.row, scan.column, scan.heights_m.shape)
-    middles = np.stack([north[answered[0], 0], east[0, answered[1]]], axis=-1)
-    slack = SLACK_CELLS * after.cell_m + scan.drift_m + scan.registration_m
-    window = after.part(*_window(scan))
-    for each in standpoints(scan.radar_nea_m[answered], after.cell_m):
-        rows, columns = answered[0][each.members], answered[1][each.members]
-        top = np.full(result.shape, np.inf)  # beyond what was not seen from here nothing is proven
-        top[rows, columns] = scan.heights_m[rows, columns]
-        top[np.isneginf(top)] = np.inf
-        unseen = np.isinf(top[rows, columns])
-        if unseen.any() and not unseen.all():
-            radar = (*each.lowest_nea_m[:2], each.lowest_nea_m[2] + each.height_m)
-            points, spread_m = middles[each.members][unseen], each.spread_m
-            line = overlooking_line_m(window, top, radar, points, slack + spread_m)
-            result[rows[unseen], columns[unseen]] = np.ceil(line)
     return result
 
 

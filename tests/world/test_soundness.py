@@ -53,7 +53,7 @@ def check(scan: Scan, truth_m: FloatArray, what: str, before: KnownMap | None = 
     known = (before or blank()).with_scan(scan)
     deep_m = truth_m - known.upper_m
     assert deep_m.max() <= _ROUNDING_M, f"{what}: {deep_m.max():.1f} m, {(deep_m > 0).sum()} cells"
-    if not scan.complete and not scan.whole_width:
+    if not scan.complete:
         assert (np.isfinite(known.upper_m) == known.seen).all()
     return known
 
@@ -85,15 +85,12 @@ def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
         sight = sight_of(place, radar)
         share = float(rng.choice([0.02, 0.1, 0.3]))
         complete = scan_of(tops, sight.somewhere, radar)
-        across = scan_of(tops, sight.across, radar)
         sampled = scan_of(tops, sight.middle, radar)
         scanners = {
             "complete": complete,
             "complete, and does not say so": replace(complete, complete=False),
             "with losses": with_losses(complete, rng, share),
             "one sample a cell, with losses": with_losses(sampled, rng, share),
-            "whole cells": replace(across, complete=False, whole_width=True),
-            "whole cells, with losses": replace(with_losses(across, rng, share), whole_width=True),
         }
         for name, scan in scanners.items():
             check(scan, sight.met_m, f"terrain {number}, {name}")
