@@ -135,20 +135,13 @@ class KnownMap(Lattice):
         """
         row, column = self.cell_of(*centre_ne_m)
         half = math.ceil(reach_m / self.cell_m) + 1
-        first, size = (row - half, column - half), 2 * half + 1
-        square = np.full((size, size), np.inf)
-        (south, north), (west, east) = (
-            (max(at, 0), min(at + size, cells)) for at, cells in zip(first, self.shape, strict=True)
-        )
-        if south < north and west < east:
-            here = (
-                slice(south - first[0], north - first[0]),
-                slice(west - first[1], east - first[1]),
-            )
-            square[here] = self.upper_m[south:north, west:east]
-        square[np.isnan(square)] = np.inf
-        south_m = self.north_min_m + first[0] * self.cell_m
-        return float(south_m), float(self.east_min_m + first[1] * self.cell_m), square
+        around, (height, width) = np.arange(-half, half + 1), self.shape
+        rows, columns = (row + around)[:, None], (column + around)[None, :]
+        on_map = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        upper = self.upper_m[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+        square = np.where(on_map & ~np.isnan(upper), upper, np.inf)
+        south_m = self.north_min_m + (row - half) * self.cell_m
+        return float(south_m), float(self.east_min_m + (column - half) * self.cell_m), square
 
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
@@ -166,11 +159,7 @@ def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, 
 
 def proven_range_m(known: KnownMap, scan: Scan) -> float:
     """How far the radar did see: what it did not see beyond that may be out of its range."""
-    return _farthest_seen_m(scan, _distances_m(known, scan))
-
-
-def _farthest_seen_m(scan: Scan, distance_m: FloatArray) -> float:
-    return float(distance_m[np.isfinite(scan.heights_m)].max(initial=0.0))
+    return float(_distances_m(known, scan)[np.isfinite(scan.heights_m)].max(initial=0.0))
 
 
 def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
@@ -207,9 +196,8 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     north, east = seen.middles_m(scan.row, scan.column, scan.heights_m.shape)
     slack = SLACK_CELLS * seen.cell_m + scan.drift_m + scan.registration_m
     not_seen = np.isneginf(scan.heights_m)
-    distance = _distances_m(seen, scan)
-    reach = min(scan.range_m - slack, _farthest_seen_m(scan, distance))
-    hidden = not_seen & (distance < reach)
+    reach = min(scan.range_m - slack, proven_range_m(seen, scan))
+    hidden = not_seen & (_distances_m(seen, scan) < reach)
     result = np.full(hidden.shape, np.inf)
     if hidden.any():
         middles, radars = np.dstack(np.broadcast_arrays(north, east)), scan.radar_nea_m[hidden]
@@ -272,8 +260,5 @@ def digest_of(known: KnownMap) -> str:
 
 def _millimetres(lengths_m: ArrayLike) -> NDArray[np.int64]:
     """Whole ones; of what is infinite, none that a length could have."""
-    lengths = np.asarray(lengths_m, dtype=np.float64)
-    known = np.isfinite(lengths)
-    return np.where(known, np.rint(np.where(known, lengths, 0.0) * 1e3), _NO_LENGTH).astype(
-        np.int64
-    )
+    lengths = np.rint(np.asarray(lengths_m, dtype=np.float64) * 1e3)
+    return np.where(np.isfinite(lengths), lengths, _NO_LENGTH).astype(np.int64)

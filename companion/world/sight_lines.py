@@ -4,8 +4,7 @@ Ground that something hides lies below `sight_line_m`; `known_map` says when tha
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -18,13 +17,11 @@ RAY_CELLS = 0.3
 SLACK_CELLS = 1.5
 """Of a sight line, for the lattice alone (`known_map._hidden_bound_m`, `_line_from_one_m`)."""
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
-"""Radars this close, level and up, count as one: what that costs is proven as slack and as height
-(`sight_line_m`), and saves a march for each position of a moving radar."""
+"""Radars this close, level and up, count as one: that saves a march for each position of a moving
+radar, and costs slack and height (`sight_line_m`)."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rays:
+class Rays(NamedTuple):
     """Rays towards points: each point has one that passes within RAY_CELLS / 2 of it."""
 
     azimuth_rad: FloatArray  # (rays,)
@@ -32,55 +29,18 @@ class Rays:
     ray_of: IntArray  # (points,)
     farthest_m: float
 
-    @classmethod
-    def towards(
-        cls, points_ne_m: FloatArray, radar_ne_m: tuple[float, float], cell_m: float
-    ) -> "Rays":
-        """The rays from a radar that are needed for these points.  (K, 2)."""
-        away = points_ne_m - np.asarray(radar_ne_m)
-        distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
-        farthest = max(float(distance.max()), cell_m)
-        apart_rad = RAY_CELLS * cell_m / farthest
-        index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
-        first = int(index.min())
-        used = np.bincount(index - first) > 0
-        return cls(
-            azimuth_rad=np.asarray((np.flatnonzero(used) + first) * apart_rad, dtype=np.float64),
-            distance_m=distance,
-            ray_of=(np.cumsum(used) - 1)[index - first],
-            farthest_m=farthest,
-        )
 
-
-class Standpoint(NamedTuple):
-    """Radars that are within a fraction of a cell of each other: they count as one.
-
-    It is in their middle, and as low as the lowest: lines over terrain are steepest from there.
-    """
-
-    lowest_nea_m: tuple[float, float, float]
-    height_m: float
-    """From the lowest of the radars to the highest."""
-    spread_m: float
-    """How far from the middle they are at most."""
-    members: IntArray
-    """Which radars these are."""
-
-
-def standpoints(radars_nea_m: FloatArray, cell_m: float) -> list[Standpoint]:
-    """Where a radar that moves was while it looked.  (K, 3), K > 0."""
-    apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * cell_m
-    bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
-    key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
-    order = np.argsort(key, kind="stable")
-    found = []
-    for members in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        low, high = radars_nea_m[members].min(axis=0), radars_nea_m[members].max(axis=0)
-        north_m, east_m, _ = (0.5 * (low + high)).tolist()
-        spread_m = 0.5 * math.hypot(high[0] - low[0], high[1] - low[1])
-        lowest_nea_m = (north_m, east_m, float(low[2]))
-        found.append(Standpoint(lowest_nea_m, float(high[2] - low[2]), spread_m, members))
-    return found
+def rays_towards(points_ne_m: FloatArray, radar_ne_m: tuple[float, float], cell_m: float) -> Rays:
+    """The rays from a radar that are needed for these points.  (K, 2)."""
+    away = points_ne_m - np.asarray(radar_ne_m)
+    distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
+    farthest = max(float(distance.max()), cell_m)
+    apart_rad = RAY_CELLS * cell_m / farthest
+    index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
+    first = int(index.min())
+    used = np.bincount(index - first) > 0
+    azimuth = np.asarray((np.flatnonzero(used) + first) * apart_rad, dtype=np.float64)
+    return Rays(azimuth, distance, (np.cumsum(used) - 1)[index - first], farthest)
 
 
 def sight_line_m(
@@ -92,27 +52,35 @@ def sight_line_m(
 ) -> FloatArray:
     """Altitude of the highest sight line from radars to points over the terrain between.
 
-    top_m: the highest of each cell.  radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL;
-    +inf over unknown ground, -inf where nothing lies between.  slack_m: 1.5 cells for the lattice,
-    and how wrong the radar and the terrain may be; the march looks at every cell within it of the
-    line.
+    top_m: the highest of each cell.  radars_nea_m (K, 3), points_ne_m (K, 2), K > 0 -> (K,), metres
+    AMSL; +inf over unknown ground, -inf where nothing lies between.  slack_m: 1.5 cells for the
+    lattice, and how wrong the radar and the terrain may be; the march looks at every cell within it
+    of the line.
 
     Lines are straight over a round earth: seen from the radar, ground at a distance d is d^2 / 2
     R_e lower than its altitude says, and beyond what hides it the line is higher by as much.
 
-    Radars that are close to each other (`Standpoint`) count as one: how far they are from its
-    middle is added to the slack.
+    Radars in one box of _GROUP_CELLS count as the middle of theirs, at the lowest: how far they are
+    from it is added to the slack, and the lines are as much higher as the highest of them.
     """
-    points_of = standpoints(radars_nea_m, lattice.cell_m)
-    slack = slack_m + max((each.spread_m for each in points_of), default=0.0)
+    apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * lattice.cell_m
+    bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
+    key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
+    order = np.argsort(key, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    boxes = [(radars_nea_m[k].min(axis=0), radars_nea_m[k].max(axis=0)) for k in groups]
+    slack = slack_m + max(
+        0.5 * math.hypot(high[0] - low[0], high[1] - low[1]) for low, high in boxes
+    )
     size = 2 * math.ceil(slack / lattice.cell_m - 0.5) + 1
     highest_m = scipy.ndimage.maximum_filter(top_m, size=size, mode="nearest")
     result = np.empty(len(points_ne_m))
-    for each in points_of:
-        points, radar = points_ne_m[each.members], each.lowest_nea_m
+    for members, (low, high) in zip(groups, boxes, strict=True):
+        north_m, east_m, _ = (0.5 * (low + high)).tolist()
+        points, radar = points_ne_m[members], (north_m, east_m, float(low[2]))
         near = _slope_over_near_cells(lattice, top_m, radar, points, slack)
         line = _line_from_one_m(lattice, highest_m, near, radar, points, slack)
-        result[each.members] = each.height_m + line
+        result[members] = float(high[2] - low[2]) + line
     return result
 
 
@@ -138,7 +106,7 @@ def _line_from_one_m(
     over R_e: z / (1 - z / R_e) is not below it.
     """
     cell = lattice.cell_m
-    rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
+    rays = rays_towards(points_ne_m, radar_nea_m[:2], cell)
     distance = rays.distance_m
     steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
     flat = lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)

@@ -9,7 +9,7 @@ import numpy as np
 from companion.geodesy import LEAST_RADIUS_M, BoolArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
 from companion.world.lattice import Lattice
-from companion.world.sight_lines import Rays
+from companion.world.sight_lines import rays_towards
 from companion.world.terrain import Terrain
 
 _NEAR_CELLS = 2.0
@@ -104,7 +104,7 @@ def _in_sight(
     rows, columns = np.nonzero(wanted)
     north, east = here.middles_m(0, 0, wanted.shape)
     middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-    rays = Rays.towards(middles, radar_nea_m[:2], here.cell_m)
+    rays = rays_towards(middles, radar_nea_m[:2], here.cell_m)
     steps = np.arange(1.0, math.ceil(rays.farthest_m / here.cell_m) + 2)
     top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
     crossed = here.wider().crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
