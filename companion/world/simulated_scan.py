@@ -102,7 +102,13 @@ def _in_sight(
     rays = rays_towards(middles, radar_nea_m[:2], here.cell_m)
     steps = np.arange(1.0, math.ceil(rays.farthest_m / here.cell_m) + 2)
     top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
-    crossed = here.wider().crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
+    wider = Lattice(
+        cell_m=here.cell_m,
+        north_min_m=here.north_min_m - here.cell_m,
+        east_min_m=here.east_min_m - here.cell_m,
+        shape=top.shape,
+    )
+    crossed = wider.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     slope = top.ravel().take(crossed)
     slope -= radar_nea_m[2]
     slope /= (steps * here.cell_m)[:, None]

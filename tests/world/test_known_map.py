@@ -145,34 +145,6 @@ def test_a_hidden_cells_bound_is_sound_for_a_radar_that_moves_during_the_scan(se
     assert (blank().with_scan(scan).upper_m >= truth).all()
 
 
-def test_ground_behind_a_ridge_that_was_not_answered_is_not_believed_to_be_low() -> None:
-    radar = np.array([7.5 * CELL_M, 13.5 * CELL_M, 300.0])
-    answers = np.full((CELLS, CELLS), 50.0)
-    answers[10:13] = NO_ANSWER  # a ridge of 800 m stands here
-    answers[13:] = NOT_SEEN  # and shelters a hill of 250 m behind it
-    known = blank().with_scan(as_scan(answers, radar))
-    assert known.upper_m[15, 13] >= 250.0
-
-
-@settings(max_examples=5)
-@given(seed=st.integers(0, 10**6))
-def test_nothing_known_is_lost_by_a_scan_and_the_map_before_stays_as_it_was(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    terrain = random_hills(rng)
-    before = blank()
-    for _ in range(3):
-        radar = random_radar(rng, terrain)
-        answers, _ = brute_force_scan(terrain, radar)
-        upper, seen = before.upper_m.copy(), before.seen.copy()
-        after = before.with_scan(as_scan(answers, radar))
-        assert (before.upper_m == upper).all()
-        assert (before.seen == seen).all()
-        assert (after.upper_m <= before.upper_m).all()
-        assert (after.seen >= before.seen).all()
-        assert (after.seen >= np.isfinite(answers)).all()
-        before = after
-
-
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), row=st.integers(0, 9), column=st.integers(0, 9))
 def test_cells_without_an_answer_or_outside_the_window_stay_as_they_were(
