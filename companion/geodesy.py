@@ -90,60 +90,40 @@ _BEYOND_DEG = 0.1  # more than that bulge, up to the latitude from which a windo
 _POLAR_DEG = 84.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Window:
-    """A part of the Earth between two latitudes and two longitudes, degrees."""
+def parts_within(
+    corners_deg: list[tuple[float, float]],
+    frame: LocalFrame,
+    north_m: tuple[float, float],
+    east_m: tuple[float, float],
+) -> list[list[tuple[float, float]]]:
+    """The corners of what a polygon has about a rectangle of the local frame; [] if nothing.
 
-    south_deg: float
-    north_deg: float
-    west_deg: float
-    east_deg: float
-
-    @classmethod
-    def about(
-        cls, frame: LocalFrame, north_m: tuple[float, float], east_m: tuple[float, float]
-    ) -> "Window":
-        """All of a rectangle of the local frame: lowest and highest north, west and east."""
-        steps = np.linspace(0.0, 1.0, _SIDE + 1)
-        north = north_m[0] + (north_m[1] - north_m[0]) * steps
-        east = east_m[0] + (east_m[1] - east_m[0]) * steps
-        sides = [(north, east[[k]]) for k in (0, -1)] + [(north[[k]], east) for k in (0, -1)]
-        rim = [np.broadcast_arrays(*side) for side in sides]
-        latitude, longitude = frame.to_geodetic_deg(*map(np.concatenate, zip(*rim, strict=True)))
-        south, north_deg = latitude.min() - _BEYOND_DEG, latitude.max() + _BEYOND_DEG
-        off = wrap_deg(longitude - frame.longitude_deg)
-        half = float(np.abs(off).max()) + _BEYOND_DEG / math.cos(math.radians(_POLAR_DEG))
-        if max(-south, north_deg) > _POLAR_DEG:
-            half = 180.0
-            south, north_deg = (-90.0, north_deg) if south < -_POLAR_DEG else (south, 90.0)
-        return cls(
-            south_deg=float(south),
-            north_deg=float(north_deg),
-            west_deg=frame.longitude_deg - half,
-            east_deg=frame.longitude_deg + half,
-        )
-
-    def parts_of(self, corners_deg: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
-        """The corners of what lies in the window of a polygon; [] if nothing does.
-
-        (latitude, longitude), edges straight in degrees, as the polygon's; its longitudes may go on
-        beyond 180 degrees.  One that goes nearly all around the Earth may have two parts.
-        Sutherland and Hodgman, side by side: what only hangs together outside of the window is
-        joined along its rim.
-        """
-        longitudes = [corner[1] for corner in corners_deg]
-        away_deg = 0.5 * (self.west_deg + self.east_deg - min(longitudes) - max(longitudes))
-        found = []
-        for turns in (-1, 0, 1):
-            east_deg = 360.0 * (round(away_deg / 360.0) + turns)
-            part = [(latitude, longitude + east_deg) for latitude, longitude in corners_deg]
-            part = _cut(part, 0, self.south_deg, 1.0)
-            part = _cut(part, 0, self.north_deg, -1.0)
-            part = _cut(part, 1, self.west_deg, 1.0)
-            part = _cut(part, 1, self.east_deg, -1.0)
-            found += [part] if len(part) > 2 else []
-        return found
+    (latitude, longitude), edges straight in degrees, as the polygon's; its longitudes may go on
+    beyond 180 degrees.  One that goes nearly all around the Earth may have two parts.
+    Sutherland and Hodgman, side by side, at the latitudes and longitudes about the rectangle: what
+    only hangs together outside of these is joined along their rim.
+    """
+    north, east = (np.linspace(*span, _SIDE + 1) for span in (north_m, east_m))
+    sides = [(north, east[[k]]) for k in (0, -1)] + [(north[[k]], east) for k in (0, -1)]
+    rim = [np.broadcast_arrays(*side) for side in sides]
+    latitude, longitude = frame.to_geodetic_deg(*map(np.concatenate, zip(*rim, strict=True)))
+    south_deg, north_deg = latitude.min() - _BEYOND_DEG, latitude.max() + _BEYOND_DEG
+    off = wrap_deg(longitude - frame.longitude_deg)
+    half_deg = float(np.abs(off).max()) + _BEYOND_DEG / math.cos(math.radians(_POLAR_DEG))
+    if max(-south_deg, north_deg) > _POLAR_DEG:
+        half_deg = 180.0
+        south_deg, north_deg = (-90.0, north_deg) if south_deg < -_POLAR_DEG else (south_deg, 90.0)
+    longitudes = [corner[1] for corner in corners_deg]
+    turned = round((frame.longitude_deg - 0.5 * (min(longitudes) + max(longitudes))) / 360.0)
+    found = []
+    for turns in (turned - 1, turned, turned + 1):
+        part = [(latitude, longitude + 360.0 * turns) for latitude, longitude in corners_deg]
+        part = _cut(part, 0, float(south_deg), 1.0)
+        part = _cut(part, 0, float(north_deg), -1.0)
+        part = _cut(part, 1, frame.longitude_deg - half_deg, 1.0)
+        part = _cut(part, 1, frame.longitude_deg + half_deg, -1.0)
+        found += [part] if len(part) > 2 else []
+    return found
 
 
 def _cut(

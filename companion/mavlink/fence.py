@@ -12,7 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
-from companion.geodesy import BoolArray, FloatArray, LocalFrame, Window, deg, short_way
+from companion.geodesy import BoolArray, FloatArray, LocalFrame, deg, parts_within, short_way
 from companion.mavlink.dialect import wire
 from companion.mavlink.mission_items import not_done
 from companion.mavlink.plan_client import PlanItem
@@ -309,7 +309,7 @@ def _part_near(corners_deg: list[Point], frame: LocalFrame) -> list[Point]:
     latitude, longitude = np.array(corners_deg).T
     if np.hypot(*frame.to_local_m(latitude, longitude)).max() <= _NEAR_M:
         return corners_deg
-    parts = Window.about(frame, _AROUND_M, _AROUND_M).parts_of(corners_deg)
+    parts = parts_within(corners_deg, frame, _AROUND_M, _AROUND_M)
     return parts[0] if len(parts) == 1 else corners_deg
 
 

@@ -16,7 +16,7 @@ from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.known_map import KnownMap
 from companion.world.lattice import Window
-from companion.world.near_map import NearMap, Rules, Sight, both, top_amsl_m
+from companion.world.near_map import NearMap, Sight, both, top_amsl_m
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
@@ -60,8 +60,8 @@ class NearScanner:
         self._poses = Poses()
         self._component = sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
-        rules = Rules.of(sensor, mission.task.limits.navigation_error_m)
-        self._near = NearMap.empty(blank.bare(), rules)
+        free_for_s = sensor.free_for_s(mission.task.limits.navigation_error_m)
+        self._near = NearMap(blank.bare(), free_for_s)
         self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings
         self._top_m = top_amsl_m(limits.ceiling_amsl_m, settings.scan_range_m)

@@ -141,18 +141,17 @@ class TerrainDownload:
         drift_m: float,
         frame: LocalFrame,
         complete: bool = True,
-        whole_width: bool = False,
     ) -> None:
         """towards_ne_m: where the vehicle is going: that direction is requested first.
 
-        complete, whole_width: what the radar promises, as in `Scan`.
+        complete: what the radar promises, as in `Scan`.
         """
         self._known = known
         ahead_ne_m = _ahead_ne_m(centre_ne_m, towards_ne_m, 0.5 * range_m)
         self._range_m = range_m
         self._deadline_s = deadline_s
         self._drift_m = drift_m
-        self._complete, self._whole_width = complete, whole_width
+        self._complete = complete
         self._waiting = sorted(
             areas(known, centre_ne_m, range_m, frame),
             key=lambda area: _order(known, area, ahead_ne_m),
@@ -252,7 +251,6 @@ class TerrainDownload:
             drift_m=self._drift_m,
             registration_m=self._registration_m,
             complete=self._complete,
-            whole_width=self._whole_width,
         )
 
 
@@ -283,7 +281,6 @@ class ScanClient:
             drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
             frame=mission.frame,
             complete=mission.scanner_complete,
-            whole_width=mission.scanner_whole_width,
         )
         return self._download.asked
 

@@ -57,8 +57,6 @@ class Mission:
     """MAVLink component id of its terrain radar; None: it has none."""
     scanner_complete: bool = True
     """Whether what the radar does not show is hidden (`Scan.complete`)."""
-    scanner_whole_width: bool = False
-    """If it is not complete: whether lines of sight bound what they pass (`Scan.whole_width`)."""
     near: NearSensor | None = None
     """What looks about horizontally, where that is the scanner, in place of a terrain radar."""
     rangefinder_error_m: Positive | None = None

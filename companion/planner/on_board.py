@@ -16,7 +16,7 @@ from companion.planner.recheck import meets_near_things
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, Scan
 from companion.world.lattice import Window
-from companion.world.near_map import NearMap, NearSensor, Rules, both, top_amsl_m
+from companion.world.near_map import NearMap, NearSensor, both, top_amsl_m
 from companion.world.simulated_sweep import NearScene
 
 _ROUNDING = 1e-6  # of a sweep
@@ -31,7 +31,7 @@ class OnBoard:
     def __init__(self, sensor: NearSensor, scene: NearScene, task: Task, blank: KnownMap) -> None:
         """blank: `guess_m` tells how high the ground is, which the sensor does not see."""
         assert blank.guess_m is not None
-        self.near = NearMap.empty(blank.bare(), Rules.of(sensor, task.limits.navigation_error_m))
+        self.near = NearMap(blank.bare(), sensor.free_for_s(task.limits.navigation_error_m))
         self._sensor, self._scene, self._task, self._ground_m = sensor, scene, task, blank.guess_m
         self._top_m = top_amsl_m(task.limits.ceiling_amsl_m, sensor.range_m)
         self._now_s = 0.0

@@ -47,7 +47,7 @@ from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor, cell_for_m
 
 _LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
-_OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
+_OF_RADARS = {"kind", "scanner_complete"}
 _DATUM_ERROR_M = 5.0
 """Of an elevation file that says nothing of it."""
 
@@ -294,11 +294,9 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
             remedy = f"Remove it, or write one of these kinds: {', '.join(get_args(Kind))}."
             raise InputError(f"{field}.{key}", getattr(table, key), rule, remedy)
         return None
-    for key in ("scanner_complete", "scanner_whole_width"):
-        if key in table.model_fields_set:
-            remedy = 'Remove it, or write kind = "terrain_radar".'
-            name = key.removeprefix("scanner_")
-            raise InputError(f"{field}.{name}", getattr(table, key), "it is a radar's", remedy)
+    if "scanner_complete" in table.model_fields_set:
+        remedy = 'Remove it, or write kind = "terrain_radar".'
+        raise InputError(f"{field}.complete", table.scanner_complete, "it is a radar's", remedy)
     if model.vehicle.scanner_component_id is not None:
         rule, value = "it is the terrain radar's", model.vehicle.scanner_component_id
         name = f"{where}: vehicle.scanner_component_id"

@@ -98,12 +98,12 @@ _PROMISES = ("range_error_m", "position_error_m", "drift_m_s", "speaks_for_m")
 
 
 class ScannerTable(
-    keys_of(Mission, scanner_complete="complete", scanner_whole_width="whole_width"),  # type: ignore[misc]
+    keys_of(Mission, scanner_complete="complete"),  # type: ignore[misc]
     keys_of(NearSensor, *_MOUNTING, *_PROMISES),  # type: ignore[misc]
 ):
     """What the scanner is, how it is mounted and what it promises.
 
-    The first two are of the terrain radar, all others of lidars and the like.
+    The first is of the terrain radar, all others of lidars and the like.
     """
 
     kind: Literal["terrain_radar", Kind] = "terrain_radar"

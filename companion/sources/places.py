@@ -6,7 +6,7 @@ They are given in metres from the origin, or in degrees.
 import math
 
 from companion.errors import InputError
-from companion.geodesy import LocalFrame, Window, short_way, wrap_deg
+from companion.geodesy import LocalFrame, parts_within, short_way, wrap_deg
 from companion.planner.rules import check_polygon
 from companion.planner.settings import Task
 from companion.sources.mission_schema import MissionRadarTable, MissionTable, PlaceTable, ZoneTable
@@ -183,7 +183,7 @@ def _part_near(
 
     def within(wider_m: float, drawn: list[Place]) -> list[list[Place]]:
         spans = [(low - wider_m, high + wider_m) for low, high in (north_m, east_m)]
-        return Window.about(frame, spans[0], spans[1]).parts_of(drawn)
+        return parts_within(drawn, frame, spans[0], spans[1])
 
     drawn = short_way(degrees)
     if drawn is not None and within(0.0, drawn):

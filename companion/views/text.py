@@ -99,10 +99,7 @@ def _sight(mission: Mission) -> str:
         return f"There is no terrain radar: only known terrain is flown over.{known}"
     gaps = ""
     if not mission.scanner_complete:
-        bounds = "nothing bounds"
-        if mission.scanner_whole_width:
-            bounds = "only lines of sight to ground beyond bound"
-        gaps = f" It may miss ground in its sight: {bounds} what it does not show."
+        gaps = " It may miss ground in its sight: nothing bounds what it does not show."
     return (
         f"The radar sees {_m(settings.scan_range_m)} (R).{gaps} "
         f"{_handover(task, f'scans for up to {settings.scan_time_s:g} s, ')}{known}"

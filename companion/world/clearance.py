@@ -76,17 +76,19 @@ def safe_surface(
     upper_m[~np.isfinite(upper_m)] = unknown_m
     refine = 2 if radius < _COARSE_FROM * known.cell_m else 1
     half = math.ceil(radius / known.cell_m)
-    gaps = np.stack([_gaps(half, part / refine, 1.0 / refine)[::-1] for part in range(refine)])
-    gap = gaps.T.ravel()  # of the parts of cells from the southernmost on
+    offset, start = np.arange(half, -half - 1, -1)[:, None], np.arange(refine) / refine
+    gap = np.maximum(offset - start - 1.0 / refine, start - offset - 1.0)  # of parts from cells
+    gap = np.maximum(gap, 0.0).ravel()  # from the southernmost part on
     away_m = np.hypot(gap[:, None], gap[None, :]) * known.cell_m - known.registration_m
     rises_m = np.sqrt(np.maximum(clearance_m**2 - np.maximum(away_m, 0.0) ** 2, 0.0))
     rises_m[away_m >= clearance_m] = -np.inf
-    squares = dilated(upper_m, rises_m, refine, floor_m - clearance_m)
+    padded = np.pad(dilated(upper_m, rises_m, refine, floor_m - clearance_m), 1, mode="edge")
+    by_rows = np.maximum(padded[1:, :], padded[:-1, :])
     return Surface(
         north_min_m=south,
         east_min_m=west,
         cell_m=float(known.cell_m / refine),
-        vertex_m=_at_vertices(squares),
+        vertex_m=np.maximum(by_rows[:, 1:], by_rows[:, :-1]),  # bilinear, it is below no square
     )
 
 
@@ -118,25 +120,6 @@ def dilated_m(upper_m: FloatArray, rises_m: FloatArray, refine: int, least_m: fl
                     if asked_m > wide[r * refine + y, c * refine + x]:
                         wide[r * refine + y, c * refine + x] = asked_m
     return wide[margin : margin + rows * refine, margin : margin + columns * refine].copy()
-
-
-def _gaps(half: int, start: float, width: float) -> FloatArray:
-    """Gaps between a part of a cell (from start, so wide) and the cells about it, in cells.
-
-    -> (2 half + 1,): to the cells from half before to half after.
-    """
-    offset = np.arange(-half, half + 1)
-    return np.maximum(np.maximum(offset - start - width, start - offset - 1.0), 0.0)
-
-
-def _at_vertices(cells: FloatArray) -> FloatArray:
-    """Highest of the (up to) four cells at each vertex.  (rows, columns) -> (rows+1, columns+1).
-
-    Bilinear interpolation of these is nowhere below the cell that it crosses.
-    """
-    padded = np.pad(cells, 1, mode="edge")
-    by_rows = np.maximum(padded[1:, :], padded[:-1, :])
-    return np.maximum(by_rows[:, 1:], by_rows[:, :-1])
 
 
 def terrain_surface(

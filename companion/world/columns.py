@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
-from companion.world.lattice import Lattice, Window
+from companion.world.lattice import IntArray, Lattice, Window
 
 _FAR_M = 1e12
 """Farther than anything on earth, and small enough to calculate with."""
@@ -50,24 +50,19 @@ def pack_columns(
 ) -> Columns:
     """The columns within reach of a point; without a top beyond."""
     south_m, west_m, heights_m = known.square_m(centre_ne_m, reach_m)
+    blocks = -(-len(heights_m) // block)
+    padded = np.full((blocks * block, blocks * block), -np.inf)
+    padded[: len(heights_m), : len(heights_m)] = heights_m
+    highest_m = padded.reshape(blocks, block, blocks, block).max(axis=(1, 3))
     return Columns(
         heights_m=heights_m,
-        blocks_m=_block_maxima(heights_m, block),
+        blocks_m=np.ascontiguousarray(highest_m),
         block=block,
         south_m=south_m,
         west_m=west_m,
         cell_m=known.cell_m,
         registration_m=float(registration_m),
     )
-
-
-def _block_maxima(heights_m: FloatArray, block: int) -> FloatArray:
-    """Highest of each block x block cells.  (rows, columns) -> (rows / block, columns / block)."""
-    rows, columns = heights_m.shape
-    tall, wide = -(-rows // block), -(-columns // block)
-    padded = np.full((tall * block, wide * block), -np.inf)
-    padded[:rows, :columns] = heights_m
-    return np.ascontiguousarray(padded.reshape(tall, block, wide, block).max(axis=(1, 3)))
 
 
 # --- many points at once
@@ -90,28 +85,25 @@ def distances_to_terrain_m(
     registration error; unknown ones, and those off the map, as if they had no top.  seen_only: only
     what a scan has seen, or is known in advance, counts, not what may be there.
     """
-    north, east, up = points_nea_m.T
     half = math.ceil((most_m + known.registration_m) / known.cell_m) + 1
     around = np.arange(-half, half + 1)
-    rows, columns = (
-        np.floor((at - low) / known.cell_m).astype(np.intp)[:, None] + around
-        for at, low in ((north, known.north_min_m), (east, known.east_min_m))
-    )
-    gap_n, gap_e = (
-        np.maximum(np.maximum(first - at[:, None], at[:, None] - first - known.cell_m), 0.0)
-        for first, at in (
-            (known.north_min_m + rows * known.cell_m, north),
-            (known.east_min_m + columns * known.cell_m, east),
-        )
-    )
-    height, width = known.upper_m.shape
-    on_map = ((rows >= 0) & (rows < height))[:, :, None]
-    on_map = on_map & ((columns >= 0) & (columns < width))[:, None, :]
-    cells = np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :]
-    upper, counts = known.upper_m[cells], on_map
+
+    def along(at: FloatArray, least: float, count: int) -> tuple[IntArray, BoolArray, FloatArray]:
+        """Rows or columns about the points, whether they are on the map, and the gaps.  (N, K)."""
+        index = np.floor((at - least) / known.cell_m).astype(np.intp)[:, None] + around
+        first, here = least + index * known.cell_m, at[:, None]
+        gap = np.maximum(np.maximum(first - here, here - first - known.cell_m), 0.0)
+        return np.clip(index, 0, count - 1), (index >= 0) & (index < count), gap
+
+    north, east, up = points_nea_m.T
+    rows, in_rows, gap_n = along(north, known.north_min_m, known.shape[0])
+    columns, in_columns, gap_e = along(east, known.east_min_m, known.shape[1])
+    cells = rows[:, :, None], columns[:, None, :]
+    upper = known.upper_m[cells]
+    counts = in_rows[:, :, None] & in_columns[:, None, :] & np.isfinite(upper)
     if seen_only:
-        counts = on_map & known.surveyed[cells]
-    upper = np.where(counts & np.isfinite(upper), upper, -np.inf if seen_only else np.inf)
+        counts &= known.surveyed[cells]
+    upper = np.where(counts, upper, -np.inf if seen_only else np.inf)
     apart = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
     above = np.maximum(up[:, None, None] - upper, 0.0)
     return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)

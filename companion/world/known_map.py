@@ -18,12 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.lattice import Lattice, Window
-from companion.world.sight_lines import (
-    SLACK_CELLS,
-    overlooking_line_m,
-    sight_line_m,
-    standpoints,
-)
+from companion.world.sight_lines import SLACK_CELLS, sight_line_m
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
@@ -54,8 +49,6 @@ class Scan:
 
     Then what it does not show is hidden; else nothing follows from that alone.
     """
-    whole_width: bool = False
-    """Whether each cell that it shows was seen in every direction in which the cell lies."""
     supersedes: bool = False
     """Whether it is all that is known of its window: cells without an answer are unknown again."""
 
@@ -106,8 +99,6 @@ class KnownMap(Lattice):
         seen |= now_seen
         if scan.complete:
             np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
-        elif scan.whole_width:
-            np.copyto(upper, np.minimum(upper, _overlooked_bound_m(after, scan)), where=~seen)
         return after
 
     def with_what_was_given(self, blank: "KnownMap") -> "KnownMap":
@@ -144,20 +135,13 @@ class KnownMap(Lattice):
         """
         row, column = self.cell_of(*centre_ne_m)
         half = math.ceil(reach_m / self.cell_m) + 1
-        first, size = (row - half, column - half), 2 * half + 1
-        square = np.full((size, size), np.inf)
-        (south, north), (west, east) = (
-            (max(at, 0), min(at + size, cells)) for at, cells in zip(first, self.shape, strict=True)
-        )
-        if south < north and west < east:
-            here = (
-                slice(south - first[0], north - first[0]),
-                slice(west - first[1], east - first[1]),
-            )
-            square[here] = self.upper_m[south:north, west:east]
-        square[np.isnan(square)] = np.inf
-        south_m = self.north_min_m + first[0] * self.cell_m
-        return float(south_m), float(self.east_min_m + first[1] * self.cell_m), square
+        around, (height, width) = np.arange(-half, half + 1), self.shape
+        rows, columns = (row + around)[:, None], (column + around)[None, :]
+        on_map = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        upper = self.upper_m[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+        square = np.where(on_map & ~np.isnan(upper), upper, np.inf)
+        south_m = self.north_min_m + (row - half) * self.cell_m
+        return float(south_m), float(self.east_min_m + (column - half) * self.cell_m), square
 
 
 def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
@@ -175,11 +159,7 @@ def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, 
 
 def proven_range_m(known: KnownMap, scan: Scan) -> float:
     """How far the radar did see: what it did not see beyond that may be out of its range."""
-    return _farthest_seen_m(scan, _distances_m(known, scan))
-
-
-def _farthest_seen_m(scan: Scan, distance_m: FloatArray) -> float:
-    return float(distance_m[np.isfinite(scan.heights_m)].max(initial=0.0))
+    return float(_distances_m(known, scan)[np.isfinite(scan.heights_m)].max(initial=0.0))
 
 
 def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
@@ -216,9 +196,8 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     north, east = seen.middles_m(scan.row, scan.column, scan.heights_m.shape)
     slack = SLACK_CELLS * seen.cell_m + scan.drift_m + scan.registration_m
     not_seen = np.isneginf(scan.heights_m)
-    distance = _distances_m(seen, scan)
-    reach = min(scan.range_m - slack, _farthest_seen_m(scan, distance))
-    hidden = not_seen & (distance < reach)
+    reach = min(scan.range_m - slack, proven_range_m(seen, scan))
+    hidden = not_seen & (_distances_m(seen, scan) < reach)
     result = np.full(hidden.shape, np.inf)
     if hidden.any():
         middles, radars = np.dstack(np.broadcast_arrays(north, east)), scan.radar_nea_m[hidden]
@@ -231,39 +210,6 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
         top[south : south + height, west : west + width][not_seen] = -np.inf  # it hides nothing
         bound = sight_line_m(around, top, radars, middles[hidden], slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
-    return result
-
-
-def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
-    """Upper bound of what a radar passed over that is not complete but shows whole cells only.
-
-    Proof.  Let p be any point of the ground in a cell that was not shown.  If all cells that lines
-    over the cell can reach at some distance behind it were shown, the line over p leads to one of
-    them, and to a point q of it that was seen.  Nothing stands in the way from the radar to q, so p
-    is below that line, and q is no higher than its cell.  Between its ends the line is no higher
-    than if altitudes were over a plane: straight over a round earth it sags below that, and
-    refraction takes away a part of the sag, so nothing is taken off for it.  -> (rows, columns) of
-    the scan's window; +inf where nothing behind the cell was seen all across.
-    """
-    result = np.full(scan.heights_m.shape, np.inf)
-    answered = np.nonzero(~np.isnan(scan.heights_m))
-    if not len(answered[0]):
-        return result
-    north, east = after.middles_m(scan.row, scan.column, scan.heights_m.shape)
-    middles = np.stack([north[answered[0], 0], east[0, answered[1]]], axis=-1)
-    slack = SLACK_CELLS * after.cell_m + scan.drift_m + scan.registration_m
-    window = after.part(*_window(scan))
-    for each in standpoints(scan.radar_nea_m[answered], after.cell_m):
-        rows, columns = answered[0][each.members], answered[1][each.members]
-        top = np.full(result.shape, np.inf)  # beyond what was not seen from here nothing is proven
-        top[rows, columns] = scan.heights_m[rows, columns]
-        top[np.isneginf(top)] = np.inf
-        unseen = np.isinf(top[rows, columns])
-        if unseen.any() and not unseen.all():
-            radar = (*each.lowest_nea_m[:2], each.lowest_nea_m[2] + each.height_m)
-            points, spread_m = middles[each.members][unseen], each.spread_m
-            line = overlooking_line_m(window, top, radar, points, slack + spread_m)
-            result[rows[unseen], columns[unseen]] = np.ceil(line)
     return result
 
 
@@ -314,8 +260,5 @@ def digest_of(known: KnownMap) -> str:
 
 def _millimetres(lengths_m: ArrayLike) -> NDArray[np.int64]:
     """Whole ones; of what is infinite, none that a length could have."""
-    lengths = np.asarray(lengths_m, dtype=np.float64)
-    known = np.isfinite(lengths)
-    return np.where(known, np.rint(np.where(known, lengths, 0.0) * 1e3), _NO_LENGTH).astype(
-        np.int64
-    )
+    lengths = np.rint(np.asarray(lengths_m, dtype=np.float64) * 1e3)
+    return np.where(np.isfinite(lengths), lengths, _NO_LENGTH).astype(np.int64)

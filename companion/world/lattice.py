@@ -4,7 +4,7 @@ Rows go to the north, columns to the east.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,15 +37,6 @@ class Lattice:
             north_min_m=self.north_min_m,
             east_min_m=self.east_min_m,
             shape=self.shape,
-        )
-
-    def wider(self) -> "Lattice":
-        """The bare lattice with one more cell on each side."""
-        return replace(
-            self.bare(),
-            north_min_m=self.north_min_m - self.cell_m,
-            east_min_m=self.east_min_m - self.cell_m,
-            shape=(self.shape[0] + 2, self.shape[1] + 2),
         )
 
     def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:

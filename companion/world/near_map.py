@@ -6,7 +6,7 @@ slab, and unknown else.  What follows from a sweep is what a sensor promises (de
 
 - a sector that tells of an echo has nothing nearer than that in it, all across its width, and one
   that is clear has nothing nearer than it says;
-- of the sweeps in a row that could have met a thing, fewer than `Rules.sightings` miss it;
+- of the sweeps in a row that could have met a thing, fewer than SIGHTINGS miss it;
 - the end of a beam is no farther from where it is said to be than `Sweep.error_m`.
 
 Sensors and autopilots send wrong empty sweeps for up to 0.9 s: they do not wipe a thing out.  What
@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.ranges import NotNegative, Positive
@@ -37,6 +36,23 @@ _MOST = 255
 """Counts of sweeps go no farther: they are bytes."""
 _NO_DRIFT_S = 1.0
 """From one second to the next `position_error_m` says how wrong the position is."""
+SIGHTINGS = 3
+"""A cell is free that so many sweeps in a row have passed."""
+_WIPED_AFTER_S = 1.0
+"""An occupied cell is free again only if all sweeps over so long have passed it."""
+LOOKS = 10
+"""A cell that so many sweeps from near by have not shown to be free will not be."""
+_NEAR_BY = 0.4
+"""From within this share of the sensor's range."""
+_SHARP_M = 1.5
+"""The place of a thing is known that was met by a sector no wider than this there."""
+_STANDING_AFTER_S = 3.0
+"""What was met again and again over so long stands there: it is not forgotten."""
+FORGOTTEN_AFTER_S = 60.0
+"""Anything else that was not met for so long may have gone: the cell is unknown again.
+
+Long enough to fly out of a dead end: what is unknown is an open way.
+"""
 CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6
 Kind = Literal["obstacle_distance", "distance_sensor"]
 """What the messages of a sensor are called."""
@@ -147,83 +163,40 @@ class NearSensor:
         """How far the end of a beam may be from where it is said to be."""
         return self.range_error_m + self.position_error_m + self.latency_error_s * speed_m_s
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rules:
-    """How often something must be seen, and for how long it is remembered."""
-
-    sightings: int = 3
-    """A cell is free that so many sweeps in a row have passed."""
-    free_for_s: float = 7.5
-    """What no sweep has passed for so long may hold something now: the cell is unknown again.
-
-    By then a position that drifts by 0.02 m/s is 0.15 m off, which a path among near things keeps.
-    """
-    wiped_after_s: float = 1.0
-    """An occupied cell is free again only if all sweeps over so long have passed it."""
-    looks: int = 10
-    """A cell that so many sweeps from near by have not shown to be free will not be."""
-    sharp_m: float = 1.5
-    """The place of a thing is known that was met by a sector no wider than this there."""
-    near_by: float = 0.4
-    """From within this share of the sensor's range."""
-    standing_after_s: float = 3.0
-    """What was met again and again over so long stands there: it is not forgotten."""
-    forgotten_after_s: float = 60.0
-    """Anything else that was not met for so long may have gone: the cell is unknown again.
-
-    Long enough to fly out of a dead end: what is unknown is an open way.
-    """
-
-    @staticmethod
-    def of(sensor: NearSensor, navigation_error_m: float) -> "Rules":
-        """A cell is free until drift has used up what paths keep for the error of the position."""
-        return Rules(free_for_s=max(navigation_error_m / sensor.drift_m_s, _NO_DRIFT_S))
+    def free_for_s(self, navigation_error_m: float) -> float:
+        """How long a cell is free: until drift has used up what paths keep for that error."""
+        return max(navigation_error_m / self.drift_m_s, _NO_DRIFT_S)
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class NearMap:
     """The cells about a flight.  Sweeps are added in place, in the order of their times."""
 
-    lattice: Lattice
-    rules: Rules
-    passes: NDArray[np.uint8]
-    """(rows, columns), how many sweeps in a row have passed the cell, until it is free."""
-    passed_since_s: FloatArray
-    """When the first of them was."""
-    passed_s: FloatArray
-    """When a sweep has passed it last."""
-    met_since_s: FloatArray
-    """When something was first met in the cell; inf: nothing was, or it has gone."""
-    met_s: FloatArray
-    """When it was met last."""
-    sharp: BoolArray
-    """Whether by a sector that tells where it is."""
-    looks: NDArray[np.uint8]
-    """How many sweeps from near by had the cell, or what is before it, in sight."""
-    inside: NDArray[np.uint8]
-    """How many sweeps in a row had an echo from here, and here no cell that is not free."""
-    swept: collections.deque[tuple[float, Window]]
-    """When and where sweeps were that may have passed a cell last.  Changed in place, too."""
+    def __init__(self, lattice: Lattice, free_for_s: float = 7.5) -> None:
+        """A map of which nothing is known.
 
-    @staticmethod
-    def empty(lattice: Lattice, rules: Rules) -> "NearMap":
-        """A map of which nothing is known."""
-        return NearMap(
-            lattice=lattice,
-            rules=rules,
-            passes=np.zeros(lattice.shape, dtype=np.uint8),
-            passed_since_s=np.full(lattice.shape, np.inf),
-            passed_s=np.full(lattice.shape, -np.inf),
-            met_since_s=np.full(lattice.shape, np.inf),
-            met_s=np.full(lattice.shape, -np.inf),
-            sharp=np.zeros(lattice.shape, dtype=bool),
-            looks=np.zeros(lattice.shape, dtype=np.uint8),
-            inside=np.zeros(lattice.shape, dtype=np.uint8),
-            swept=collections.deque(),
-        )
+        free_for_s: what no sweep has passed for so long may hold something: it is unknown again.
+        """
+        self.lattice, self.free_for_s = lattice, free_for_s
+        shape = lattice.shape
+        self.passes = np.zeros(shape, dtype=np.uint8)
+        """How many sweeps in a row have passed the cell, until it is free."""
+        self.passed_since_s = np.full(shape, np.inf)
+        """When the first of them was,"""
+        self.passed_s = np.full(shape, -np.inf)
+        """and when a sweep has passed it last."""
+        self.met_since_s = np.full(shape, np.inf)
+        """When something was first met in the cell; inf: nothing was, or it has gone."""
+        self.met_s = np.full(shape, -np.inf)
+        """When it was met last."""
+        self.sharp = np.zeros(shape, dtype=bool)
+        """Whether by a sector that tells where it is."""
+        self.looks = np.zeros(shape, dtype=np.uint8)
+        """How many sweeps from near by had the cell, or what is before it, in sight."""
+        self.inside = np.zeros(shape, dtype=np.uint8)
+        """How many sweeps in a row had an echo from here, and here no cell that is not free."""
+        self._swept: collections.deque[tuple[float, Window]] = collections.deque()
+        """When and where sweeps were that may have passed a cell last."""
 
     def occupied(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or stood just now."""
@@ -231,7 +204,7 @@ class NearMap:
 
     def free(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where nothing stands."""
-        return (self.passes[window] >= self.rules.sightings) & ~self.occupied(window)
+        return (self.passes[window] >= SIGHTINGS) & ~self.occupied(window)
 
     def closed(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or so near to it that no beam clears the cell.
@@ -239,7 +212,7 @@ class NearMap:
         No way leads there: unknown cells elsewhere may turn out to be free, and so may those of a
         wide sector in which something stands somewhere.
         """
-        looked = self.looks[window] >= self.rules.looks
+        looked = self.looks[window] >= LOOKS
         stands = self.occupied(window) & self.sharp[window]
         return stands | (looked & ~self.free(window))
 
@@ -268,11 +241,11 @@ class NearMap:
 
         So are those that one has passed so much later than now: the clock has begun anew.
         """
-        free_for_s, changed = self.rules.free_for_s, None
-        while self.swept and abs(now_s - self.swept[0][0]) > free_for_s:
-            _, window = self.swept.popleft()
+        changed = None
+        while self._swept and abs(now_s - self._swept[0][0]) > self.free_for_s:
+            _, window = self._swept.popleft()
             passes, looks = self.passes[window], self.looks[window]  # views
-            old = (passes > 0) & (np.abs(now_s - self.passed_s[window]) > free_for_s)
+            old = (passes > 0) & (np.abs(now_s - self.passed_s[window]) > self.free_for_s)
             looks[old & ~self.occupied(window)] = 0  # nor is it closed for that
             passes[old] = 0
             changed = both(changed, window)
@@ -282,18 +255,18 @@ class NearMap:
         """One more sweep.  -> the rows and columns that it may have changed.
 
         What it says of a cell        what becomes of the cell
-        passed over                   a pass more; after `sightings` of them in a row it is free
+        passed over                   a pass more; after SIGHTINGS of them in a row it is free
         met (passed over or not)      occupied, and no pass is left
         neither                       its passes are forgotten, unless it is free: it stays so
         And then, what is occupied:
-        passed for `wiped_after_s`    free
-        long not met, and never for `standing_after_s` together: unknown
+        passed for _WIPED_AFTER_S     free
+        not met for FORGOTTEN_AFTER_S, and never for _STANDING_AFTER_S together: unknown
         """
-        rules, now_s = self.rules, sweep.time_s
+        now_s = sweep.time_s
         expired = self.expire(now_s)
         place = np.array([sweep.sensor_ne_m])
         window = self.lattice.about(place, sweep.range_m + sweep.error_m)
-        self.swept.append((now_s, window))
+        self._swept.append((now_s, window))
         (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
         looks, passes = self.looks[window], self.passes[window]  # views, as all of these
         passed_since_s, passed_s = self.passed_since_s[window], self.passed_s[window]
@@ -307,9 +280,9 @@ class NearMap:
         met_since_s[met & (met_since_s > now_s)] = now_s
         met_s[met] = now_s
 
-        wiped = (passes >= rules.sightings) & (now_s - passed_since_s >= rules.wiped_after_s)
-        moved = met_s - met_since_s < rules.standing_after_s
-        gone = moved & (now_s - met_s >= rules.forgotten_after_s)
+        wiped = (passes >= SIGHTINGS) & (now_s - passed_since_s >= _WIPED_AFTER_S)
+        moved = met_s - met_since_s < _STANDING_AFTER_S
+        gone = moved & (now_s - met_s >= FORGOTTEN_AFTER_S)
         passes[gone & ~wiped & self.occupied(window)] = 0
         met_since_s[wiped | gone] = np.inf
         self.sharp[window] = (self.sharp[window] | sharp) & ~(wiped | gone)
@@ -331,7 +304,7 @@ class NearMap:
         aside_rad[away_m <= around_m] = math.pi
         clear_m = sweep.clear_between_m(np.arctan2(east, north), aside_rad)
         passed: BoolArray = away_m + around_m <= clear_m
-        looked: BoolArray = away_m <= self.rules.near_by * sweep.range_m
+        looked: BoolArray = away_m <= _NEAR_BY * sweep.range_m
         looked &= away_m - around_m <= clear_m
         return passed | (away_m + half_m <= sweep.blind_m), looked
 
@@ -357,9 +330,9 @@ class NearMap:
         count = self.inside[window]
         count += count < _MOST
         count[~middles] = 0
-        met |= count >= self.rules.sightings
+        met |= count >= SIGHTINGS
         echo_m = sweep.echo_m[np.isfinite(sweep.echo_m)]
-        says &= (echo_m * sweep.width_rad <= self.rules.sharp_m)[:, None]
+        says &= (echo_m * sweep.width_rad <= _SHARP_M)[:, None]
         sharp[row[says], column[says]] = True
         return met, sharp
 

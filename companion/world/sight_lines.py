@@ -1,12 +1,10 @@
 """Lines of sight that go out from a radar over a lattice of cells.
 
-Below which line ground lies that something hides (`sight_line_m`), and below which one ground lies
-that a radar looked over (`overlooking_line_m`).  `known_map` says when that follows.
+Ground that something hides lies below `sight_line_m`; `known_map` says when that follows.
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -19,16 +17,11 @@ RAY_CELLS = 0.3
 SLACK_CELLS = 1.5
 """Of a sight line, for the lattice alone (`known_map._hidden_bound_m`, `_line_from_one_m`)."""
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
-"""Radars this close, level and up, count as one: what that costs is proven as slack and as height
-(`sight_line_m`), and saves a march for each position of a moving radar."""
-_WIDER = 1.5
-"""Strips of cells are looked at in widths that grow by this: up to half as wide again as need be,
-which only takes in more cells, for a handful of filters in all."""
+"""Radars this close, level and up, count as one: that saves a march for each position of a moving
+radar, and costs slack and height (`sight_line_m`)."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rays:
+class Rays(NamedTuple):
     """Rays towards points: each point has one that passes within RAY_CELLS / 2 of it."""
 
     azimuth_rad: FloatArray  # (rays,)
@@ -36,55 +29,18 @@ class Rays:
     ray_of: IntArray  # (points,)
     farthest_m: float
 
-    @classmethod
-    def towards(
-        cls, points_ne_m: FloatArray, radar_ne_m: tuple[float, float], cell_m: float
-    ) -> "Rays":
-        """The rays from a radar that are needed for these points.  (K, 2)."""
-        away = points_ne_m - np.asarray(radar_ne_m)
-        distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
-        farthest = max(float(distance.max()), cell_m)
-        apart_rad = RAY_CELLS * cell_m / farthest
-        index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
-        first = int(index.min())
-        used = np.bincount(index - first) > 0
-        return cls(
-            azimuth_rad=np.asarray((np.flatnonzero(used) + first) * apart_rad, dtype=np.float64),
-            distance_m=distance,
-            ray_of=(np.cumsum(used) - 1)[index - first],
-            farthest_m=farthest,
-        )
 
-
-class Standpoint(NamedTuple):
-    """Radars that are within a fraction of a cell of each other: they count as one.
-
-    It is in their middle, and as low as the lowest: lines over terrain are steepest from there.
-    """
-
-    lowest_nea_m: tuple[float, float, float]
-    height_m: float
-    """From the lowest of the radars to the highest."""
-    spread_m: float
-    """How far from the middle they are at most."""
-    members: IntArray
-    """Which radars these are."""
-
-
-def standpoints(radars_nea_m: FloatArray, cell_m: float) -> list[Standpoint]:
-    """Where a radar that moves was while it looked.  (K, 3), K > 0."""
-    apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * cell_m
-    bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
-    key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
-    order = np.argsort(key, kind="stable")
-    found = []
-    for members in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        low, high = radars_nea_m[members].min(axis=0), radars_nea_m[members].max(axis=0)
-        north_m, east_m, _ = (0.5 * (low + high)).tolist()
-        spread_m = 0.5 * math.hypot(high[0] - low[0], high[1] - low[1])
-        lowest_nea_m = (north_m, east_m, float(low[2]))
-        found.append(Standpoint(lowest_nea_m, float(high[2] - low[2]), spread_m, members))
-    return found
+def rays_towards(points_ne_m: FloatArray, radar_ne_m: tuple[float, float], cell_m: float) -> Rays:
+    """The rays from a radar that are needed for these points.  (K, 2)."""
+    away = points_ne_m - np.asarray(radar_ne_m)
+    distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
+    farthest = max(float(distance.max()), cell_m)
+    apart_rad = RAY_CELLS * cell_m / farthest
+    index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
+    first = int(index.min())
+    used = np.bincount(index - first) > 0
+    azimuth = np.asarray((np.flatnonzero(used) + first) * apart_rad, dtype=np.float64)
+    return Rays(azimuth, distance, (np.cumsum(used) - 1)[index - first], farthest)
 
 
 def sight_line_m(
@@ -96,27 +52,35 @@ def sight_line_m(
 ) -> FloatArray:
     """Altitude of the highest sight line from radars to points over the terrain between.
 
-    top_m: the highest of each cell.  radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL;
-    +inf over unknown ground, -inf where nothing lies between.  slack_m: 1.5 cells for the lattice,
-    and how wrong the radar and the terrain may be; the march looks at every cell within it of the
-    line.
+    top_m: the highest of each cell.  radars_nea_m (K, 3), points_ne_m (K, 2), K > 0 -> (K,), metres
+    AMSL; +inf over unknown ground, -inf where nothing lies between.  slack_m: 1.5 cells for the
+    lattice, and how wrong the radar and the terrain may be; the march looks at every cell within it
+    of the line.
 
     Lines are straight over a round earth: seen from the radar, ground at a distance d is d^2 / 2
     R_e lower than its altitude says, and beyond what hides it the line is higher by as much.
 
-    Radars that are close to each other (`Standpoint`) count as one: how far they are from its
-    middle is added to the slack.
+    Radars in one box of _GROUP_CELLS count as the middle of theirs, at the lowest: how far they are
+    from it is added to the slack, and the lines are as much higher as the highest of them.
     """
-    points_of = standpoints(radars_nea_m, lattice.cell_m)
-    slack = slack_m + max((each.spread_m for each in points_of), default=0.0)
+    apart_m = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * lattice.cell_m
+    bins = ((radars_nea_m - radars_nea_m.min(axis=0)) / apart_m).astype(np.intp)
+    key = np.ravel_multi_index(tuple(bins.T), tuple(bins.max(axis=0) + 1))
+    order = np.argsort(key, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    boxes = [(radars_nea_m[k].min(axis=0), radars_nea_m[k].max(axis=0)) for k in groups]
+    slack = slack_m + max(
+        0.5 * math.hypot(high[0] - low[0], high[1] - low[1]) for low, high in boxes
+    )
     size = 2 * math.ceil(slack / lattice.cell_m - 0.5) + 1
     highest_m = scipy.ndimage.maximum_filter(top_m, size=size, mode="nearest")
     result = np.empty(len(points_ne_m))
-    for each in points_of:
-        points, radar = points_ne_m[each.members], each.lowest_nea_m
+    for members, (low, high) in zip(groups, boxes, strict=True):
+        north_m, east_m, _ = (0.5 * (low + high)).tolist()
+        points, radar = points_ne_m[members], (north_m, east_m, float(low[2]))
         near = _slope_over_near_cells(lattice, top_m, radar, points, slack)
         line = _line_from_one_m(lattice, highest_m, near, radar, points, slack)
-        result[each.members] = each.height_m + line
+        result[members] = float(high[2] - low[2]) + line
     return result
 
 
@@ -142,7 +106,7 @@ def _line_from_one_m(
     over R_e: z / (1 - z / R_e) is not below it.
     """
     cell = lattice.cell_m
-    rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
+    rays = rays_towards(points_ne_m, radar_nea_m[:2], cell)
     distance = rays.distance_m
     steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
     flat = lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
@@ -216,74 +180,3 @@ def _circles_seen(away_m: FloatArray, radius_m: float) -> tuple[FloatArray, Floa
     half = np.arcsin(np.minimum(radius_m / np.maximum(distance, 1e-9), 1.0))
     half[distance <= radius_m] = math.pi
     return np.arctan2(away_m[:, 1], away_m[:, 0]), half, distance + radius_m
-
-
-def overlooking_line_m(
-    lattice: Lattice,
-    top_m: FloatArray,
-    radar_nea_m: tuple[float, float, float],
-    points_ne_m: FloatArray,
-    slack_m: float,
-) -> FloatArray:
-    """Altitude of the lowest line of sight that passes over points to seen ground beyond them.
-
-    top_m: the highest of each cell that was seen, +inf for all others.  (K, 2) -> (K,).
-
-    The arc between two rays at one step is seen if the cells that it may touch are; a point is
-    overlooked if at some step at least two slacks behind it all arcs are seen that lines over its
-    cell can reach.  Those lines are steepest to the highest of these cells, a slack nearer.
-    """
-    cell = lattice.cell_m
-    away = points_ne_m - np.asarray(radar_nea_m[:2])
-    distance = np.hypot(away[:, 0], away[:, 1])
-    rows, columns = np.nonzero(np.isfinite(top_m))
-    north = lattice.north_min_m + (rows + 0.5) * cell - radar_nea_m[0]
-    east = lattice.east_min_m + (columns + 0.5) * cell - radar_nea_m[1]
-    farthest = float(np.hypot(north, east).max()) + cell
-    count = math.ceil(math.tau * farthest / (RAY_CELLS * cell))  # rays all round
-    apart_rad = math.tau / count
-    azimuth = np.arange(float(count)) * apart_rad
-    steps = np.arange(1.0, math.ceil(farthest / cell) + 1.0)
-    steepest = _slope_to_arcs(lattice, top_m, radar_nea_m, azimuth, steps, slack_m)
-    half_rad = np.arcsin(np.minimum(slack_m / np.maximum(distance, slack_m), 1.0))
-    half = half_rad / apart_rad  # rays to each side
-    first = np.ceil((distance + 2.0 * slack_m) / cell).astype(np.intp) - 1
-    ray = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp) % len(azimuth)
-    slope = np.full(len(distance), np.inf)
-    able = (first < len(steps)) & (distance > 2.0 * slack_m)
-    classes = np.ceil(np.log(np.maximum(half, 1.0)) / math.log(_WIDER)).astype(np.intp)
-    for each in np.unique(classes[able]):
-        wide = 2 * math.ceil(_WIDER ** int(each)) + 1
-        strip = scipy.ndimage.maximum_filter1d(steepest, wide, axis=1, mode="wrap")
-        np.minimum.accumulate(strip[::-1], axis=0, out=strip[::-1])
-        at = able & (classes == each)
-        slope[at] = strip[first[at], ray[at]]
-    run = np.where(slope > 0.0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
-    return np.asarray(radar_nea_m[2] + slope * np.maximum(run, 1e-9))
-
-
-def _slope_to_arcs(
-    lattice: Lattice,
-    top_m: FloatArray,
-    radar_nea_m: tuple[float, float, float],
-    azimuth_rad: FloatArray,
-    steps: FloatArray,
-    slack_m: float,
-) -> FloatArray:
-    """Slope of the steepest line to the cells of each arc; +inf if one was not seen.
-
-    An arc reaches half way to the rays beside it, so it is shorter than a cell and touches no cells
-    but those that hold its ends and the two others of the same rows and columns.
-    -> (steps, rays).
-    """
-    edge = np.pad(top_m, 1, constant_values=np.inf)
-    half_rad = 0.5 * float(azimuth_rad[1])
-    ends = lattice.wider().crossed(radar_nea_m[:2], azimuth_rad - half_rad, steps)
-    left, right = (np.divmod(flat, edge.shape[1]) for flat in (ends, np.roll(ends, -1, axis=1)))
-    rise = np.maximum(edge[left], edge[right])
-    np.maximum(rise, edge[left[0], right[1]], out=rise)
-    np.maximum(rise, edge[right[0], left[1]], out=rise)
-    rise -= radar_nea_m[2]
-    run = (steps * lattice.cell_m)[:, None]
-    nearest = np.maximum(run - slack_m, 1e-9)
-    return np.where(rise > 0.0, rise / nearest, rise / (run + slack_m))

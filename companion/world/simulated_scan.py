@@ -9,7 +9,7 @@ import numpy as np
 from companion.geodesy import LEAST_RADIUS_M, BoolArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
 from companion.world.lattice import Lattice
-from companion.world.sight_lines import Rays
+from companion.world.sight_lines import rays_towards
 from companion.world.terrain import Terrain
 
 _NEAR_CELLS = 2.0
@@ -64,22 +64,17 @@ def simulated_scan(
     truth: KnownMap | Truth, radar_nea_m: tuple[float, float, float], range_m: float
 ) -> Scan:
     """What a complete radar at a point sees of the truth (design section 4)."""
-    rows, columns = truth.shape
-    row = math.floor((radar_nea_m[0] - truth.north_min_m) / truth.cell_m)
-    column = math.floor((radar_nea_m[1] - truth.east_min_m) / truth.cell_m)
-    half = math.ceil(range_m / truth.cell_m)
-    south, north = np.clip([row - half, row + half + 1], 0, rows).tolist()
-    west, east = np.clip([column - half, column + half + 1], 0, columns).tolist()
-    here = truth.part(slice(south, north), slice(west, east))
-    north_m, east_m = here.middles_m(0, 0, (north - south, east - west))
+    rows, columns = truth.about(np.array([radar_nea_m[:2]]), range_m)
+    here = truth.part(rows, columns)
+    north_m, east_m = here.middles_m(0, 0, here.shape)
     away_m = np.hypot(north_m - radar_nea_m[0], east_m - radar_nea_m[1])
     in_range = away_m <= range_m
     seen = in_range & (away_m <= _NEAR_CELLS * here.cell_m)
     if in_range.any():
         seen |= in_range & _in_sight(here, radar_nea_m, in_range)
     return Scan(
-        row=south,
-        column=west,
+        row=rows.start,
+        column=columns.start,
         heights_m=np.where(seen, here.upper_m, NOT_SEEN),
         radar_nea_m=np.broadcast_to(np.asarray(radar_nea_m), (*seen.shape, 3)),
         range_m=range_m,
@@ -104,10 +99,16 @@ def _in_sight(
     rows, columns = np.nonzero(wanted)
     north, east = here.middles_m(0, 0, wanted.shape)
     middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-    rays = Rays.towards(middles, radar_nea_m[:2], here.cell_m)
+    rays = rays_towards(middles, radar_nea_m[:2], here.cell_m)
     steps = np.arange(1.0, math.ceil(rays.farthest_m / here.cell_m) + 2)
     top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
-    crossed = here.wider().crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
+    wider = Lattice(
+        cell_m=here.cell_m,
+        north_min_m=here.north_min_m - here.cell_m,
+        east_min_m=here.east_min_m - here.cell_m,
+        shape=top.shape,
+    )
+    crossed = wider.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     slope = top.ravel().take(crossed)
     slope -= radar_nea_m[2]
     slope /= (steps * here.cell_m)[:, None]

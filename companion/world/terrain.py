@@ -4,18 +4,17 @@ In flight only the simulator has it.  Both answer the same two questions (`Terra
 point is, and how high a box is at most.  `companion.sources.elevation` reads elevation files.
 """
 
+import abc
 import math
 from dataclasses import dataclass, field
 from typing import Any, Protocol, final
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from companion.geodesy import FloatArray, LocalFrame, wrap_deg
-from companion.world.lattice import IntArray
 
-_NEGLIGIBLE_M = 1e-9
-"""What all peaks that are left out of a sum may add up to; it is added."""
 _FEW = 400
 """Points that are projected one by one; more of them on a lattice are interpolated."""
 _NODES = 12
@@ -24,6 +23,8 @@ _FINE_LINES = 2
 """Lines of a grid in a box up to which patches are cut at them: exact, at 16 points a box."""
 _EARTH_M = 6.3e6
 """Less than any radius of the earth: what bends is taken to bend more."""
+_Places = tuple[FloatArray, FloatArray]
+"""Fractional rows and columns of a grid."""
 
 
 class Terrain(Protocol):
@@ -81,29 +82,21 @@ class PeakTerrain:
         """Highest terrain of axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
 
         A peak is highest at the box's nearest point to its centre; exact for the maximum of
-        peaks, an upper bound for their sum.  Time depends on the peaks that matter somewhere in
-        the boxes: the others are left out together (of a sum, up to a nanometre that is added).
+        peaks, an upper bound for their sum.  Time of a maximum depends on the peaks that rise above
+        the ground somewhere in the boxes.
         """
         shape = np.broadcast_shapes(np.shape(south), np.shape(west))
         if 0 in shape:
             return np.empty(shape)
-        outline = np.min(south), np.max(north), np.min(west), np.max(east)
-        near, rest = self._near(_highest_of_peak_m(self._columns, *outline))
-        result = np.full(shape, rest if self.sum_of_peaks and self.peaks else -np.inf)
-        for peak in self._columns[:, near].T:
+        adds = self.sum_of_peaks and bool(self.peaks)
+        peaks, result = self._columns, np.full(shape, 0.0 if adds else -np.inf)
+        if not adds:
+            outline = np.min(south), np.max(north), np.min(west), np.max(east)
+            peaks = peaks[:, _highest_of_peak_m(peaks, *outline) > self.ground_amsl_m]
+        for peak in peaks.T:
             height = _highest_of_peak_m(peak, south, north, west, east)
-            result = result + height if self.sum_of_peaks else np.maximum(result, height)
+            result = result + height if adds else np.maximum(result, height)
         return np.maximum(result, self.ground_amsl_m)
-
-    def _near(self, most_m: FloatArray) -> tuple[IntArray, float]:
-        """The peaks that count, given what each has at most, and a bound of the sum of the rest."""
-        if not self.sum_of_peaks:
-            return np.flatnonzero(most_m > self.ground_amsl_m), 0.0
-        rising = np.argsort(np.abs(most_m), kind="stable")
-        total = np.cumsum(np.abs(most_m[rising]))
-        left_out = int(np.searchsorted(total, _NEGLIGIBLE_M, side="right"))
-        rest = float(total[left_out - 1]) if left_out else 0.0
-        return np.sort(rising[left_out:]), rest
 
 
 def _highest_of_peak_m(
@@ -117,23 +110,15 @@ def _highest_of_peak_m(
     return height
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GridTerrain:
-    """Heights at the nodes of a grid in latitude and longitude, bilinear in these between them.
+class _Nodes(abc.ABC):
+    """Heights at the nodes of a grid, bilinear between them, and beyond its edge as at the edge."""
 
-    The grid stays in the coordinates that its file has it in, so that no resampling comes between
-    the file and the terrain.  Beyond its edge the terrain goes on as at the edge.
-    """
-
-    frame: LocalFrame
     heights_m: npt.NDArray[Any]
-    """(rows, columns) AMSL, of the file's own type; rows to the north, columns to the east."""
-    south_deg: float
-    west_deg: float
-    """Latitude and longitude of node (0, 0)."""
-    step_north_deg: float
-    step_east_deg: float
+    """(rows, columns) AMSL, of any type; rows to the north, columns to the east."""
+
+    @abc.abstractmethod
+    def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> _Places:
+        """Fractional row and column of points.  (...) x2 -> (...) x2."""
 
     def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Terrain height, metres AMSL.  (...) x2 -> (...)."""
@@ -144,16 +129,36 @@ class GridTerrain:
     ) -> FloatArray:
         """Upper bound of the terrain in axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
 
-        A bilinear patch is highest at a corner of the rectangle that one looks at.  Boxes smaller
-        than about two cells of the grid: the corners of all patches in the box's outline in
-        latitude and longitude (a box at 1 degree of convergence grows by 2 %); larger ones: the
-        nodes in and next to it.
+        A bilinear patch is highest at a corner of the rectangle that one looks at: exact in the
+        outline of a box of up to three cells; of larger ones the nodes in and next to it.
         """
-        low, high = self._outlines(south, north, west, east)
-        return _highest_between_m(self.heights_m, low, high)
+        return _highest_between_m(self.heights_m, *self._outlines(south, north, west, east))
 
-    def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Fractional row and column of points.  (...) x2 -> (...) x2."""
+    def _outlines(
+        self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
+    ) -> tuple[_Places, _Places]:
+        """Lowest and highest fractional row and column of boxes.  (...) x4 -> 2 x (...) x2."""
+        return self._nodes(south, west), self._nodes(north, east)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GridTerrain(_Nodes):
+    """Heights at the nodes of a grid in latitude and longitude, bilinear in these.
+
+    The grid stays in the coordinates that its file has it in, so that no resampling comes between
+    the file and the terrain.
+    """
+
+    frame: LocalFrame
+    heights_m: npt.NDArray[Any]
+    south_deg: float
+    west_deg: float
+    """Latitude and longitude of node (0, 0)."""
+    step_north_deg: float
+    step_east_deg: float
+
+    def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> _Places:
         outer = north_m.ndim == east_m.ndim == 2 and north_m.shape[1] == east_m.shape[0] == 1
         if not outer or north_m.size * east_m.size <= _FEW:
             return self._projected(*np.broadcast_arrays(north_m, east_m))
@@ -162,7 +167,7 @@ class GridTerrain:
         row, column = self._projected(*np.meshgrid(north_at, east_at, indexing="ij"))
         return from_north @ row @ from_east.T, from_north @ column @ from_east.T
 
-    def _projected(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _projected(self, north_m: FloatArray, east_m: FloatArray) -> _Places:
         """Fractional row and column of points, each projected.  (...) x2 -> (...) x2."""
         latitude, longitude = self.frame.to_geodetic_deg(north_m, east_m)
         half = 0.5 * self.step_east_deg * (self.heights_m.shape[1] - 1)
@@ -172,11 +177,11 @@ class GridTerrain:
 
     def _outlines(
         self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
-    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-        """Lowest and highest fractional row and column of boxes.  (...) x4 -> 2 x (...) x2.
+    ) -> tuple[_Places, _Places]:
+        """Those of the corners, and a little more.
 
-        Those of the corners, and a little more: the sides bend by side^2 / 8 over the curvature
-        radius of a straight line's image, R / 2 (1 + tan(latitude)), and a millimetre.
+        The sides bend by side^2 / 8 over the curvature radius of a straight line's image, R / 2
+        (1 + tan(latitude)), and a millimetre.
         """
         corners = [
             self._nodes(np.asarray(n), np.asarray(e)) for n in (south, north) for e in (west, east)
@@ -199,42 +204,19 @@ class GridTerrain:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ArrayTerrain:
-    """Heights at the nodes of a square lattice in the local frame, bilinear between them.
-
-    Beyond its edge the terrain goes on as at the edge.
-    """
+class ArrayTerrain(_Nodes):
+    """Heights at the nodes of a square lattice in the local frame."""
 
     heights_m: npt.NDArray[Any]
-    """(rows, columns) AMSL; rows to the north, columns to the east."""
     spacing_m: float
     south_m: float = 0.0
     """North of the nodes of row 0."""
     west_m: float = 0.0
     """East of the nodes of column 0."""
 
-    def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Terrain height, metres AMSL.  (...) x2 -> (...)."""
-        return _bilinear_m(self.heights_m, *self._nodes(north_m, east_m))
-
-    def highest_in_box_m(
-        self, south: FloatArray, north: FloatArray, west: FloatArray, east: FloatArray
-    ) -> FloatArray:
-        """Upper bound of the terrain in axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
-
-        Exact in boxes of up to three cells; of larger ones the nodes in and next to them.
-        """
-        low, high = self._nodes(south, west), self._nodes(north, east)
-        return _highest_between_m(self.heights_m, low, high)
-
-    def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Fractional row and column of points.  (...) x2 -> (...) x2."""
+    def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> _Places:
         north, east = np.broadcast_arrays(north_m, east_m)
         return (north - self.south_m) / self.spacing_m, (east - self.west_m) / self.spacing_m
-
-
-_Nodes = tuple[FloatArray, FloatArray]
-"""Fractional rows and columns of a grid."""
 
 
 def _bilinear_m(heights_m: npt.NDArray[Any], row: FloatArray, column: FloatArray) -> FloatArray:
@@ -252,7 +234,7 @@ def _bilinear_m(heights_m: npt.NDArray[Any], row: FloatArray, column: FloatArray
     return np.asarray(south + u * (north - south))
 
 
-def _highest_between_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> FloatArray:
+def _highest_between_m(heights_m: npt.NDArray[Any], low: _Places, high: _Places) -> FloatArray:
     """Highest of a bilinear surface in boxes of fractional nodes.  2 x (...) x2 -> (...)."""
     lines = [
         int(np.max(np.ceil(b) - np.floor(a) - 1, initial=0)) for a, b in zip(low, high, strict=True)
@@ -270,7 +252,7 @@ def _highest_between_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -
     return result
 
 
-def _highest_node_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> FloatArray:
+def _highest_node_m(heights_m: npt.NDArray[Any], low: _Places, high: _Places) -> FloatArray:
     """Highest node in and next to boxes of fractional nodes.  2 x (...) x2 -> (...).
 
     Maxima over squares as wide as the narrowest box, once for all, then a few squares a box.
@@ -283,12 +265,8 @@ def _highest_node_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> F
     start = [int(index.min()) for index in first]
     window = heights_m[start[0] : last[0].max() + 1, start[1] : last[1].max() + 1]
     width = [int(c.min()) for c in count]
-    for wanted in width:  # of the maxima from each node on, down the rows, then the columns
-        done = 1
-        while done < wanted:
-            more = min(done, wanted - done)
-            window, done = np.maximum(window[:-more], window[more:]), done + more
-        window = window.T
+    # of squares as wide as the narrowest box, from each node on to the north and east
+    window = scipy.ndimage.maximum_filter(window, size=width, origin=[-(w // 2) for w in width])
     result = np.full(first[0].shape, -np.inf)
     for i in range(0, int(count[0].max()), width[0]):
         row = np.minimum(first[0] + i, last[0] + 1 - width[0]) - start[0]

@@ -88,30 +88,24 @@ class ZoneTable(NamedTuple):
 @lru_cache(maxsize=256)
 def packed(zones: tuple[Zone, ...]) -> ZoneTable:
     """Zones as plain arrays; kept, and not to be changed."""
-    circles = [
-        (zone.north_m, zone.east_m, zone.radius_m, -1.0 if zone.keep_in else 1.0)
-        for zone in zones
-        if isinstance(zone, CircleZone)
-    ]
-    polygons: list[tuple[float, ...]] = []
+    circles, polygons = list[tuple[float, ...]](), list[tuple[float, ...]]()
     groups, edges = [np.empty((0, 5))], [np.empty((0, _GROUP, 4))]
     first = 0
     for zone in zones:
+        sign = -1.0 if zone.keep_in else 1.0
         if isinstance(zone, CircleZone):
+            circles.append((zone.north_m, zone.east_m, zone.radius_m, sign))
             continue
         corners = np.array(zone.vertices_ne_m, dtype=np.float64).reshape(-1, 2)
         count = -(-len(corners) // _GROUP)
         mine = np.tile(corners[0], (count * _GROUP, 2))  # the first corner ends the last edge
         mine[: len(corners)] = np.hstack([corners, np.roll(corners, -1, axis=0)])
-        mine = mine.reshape(count, _GROUP, 4)
-        low, high = mine[..., :2].min(axis=1), mine[..., :2].max(axis=1)
-        low = np.minimum(low, mine[..., 2:].min(axis=1))
-        high = np.maximum(high, mine[..., 2:].max(axis=1))
+        ends = mine.reshape(count, 2 * _GROUP, 2)
+        low, high = ends.min(axis=1), ends.max(axis=1)
         own = np.minimum(len(corners) - _GROUP * np.arange(count), _GROUP)
         groups.append(np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1], own], axis=1))
-        edges.append(mine)
+        edges.append(mine.reshape(count, _GROUP, 4))
         low, high = corners.min(axis=0), corners.max(axis=0)
-        sign = -1.0 if zone.keep_in else 1.0
         polygons.append((first, first + count, sign, low[0], high[0], low[1], high[1]))
         first += count
     return ZoneTable(

@@ -11,7 +11,7 @@ from woods_rivals import AStar, Bendy, Clearances
 
 from companion.config import folder_of
 from companion.world.lattice import Lattice
-from companion.world.near_map import NearMap, Rules
+from companion.world.near_map import NearMap
 from vehicle_sim.world import read_world
 
 CELL_M, MARGIN_M, RANGE_M = 0.5, 1.0, 16.0
@@ -21,7 +21,7 @@ SIZE = 100
 def map_with(row: Any, column: Any) -> NearMap:
     """Something stands in these cells."""
     lattice = Lattice(cell_m=CELL_M, north_min_m=0.0, east_min_m=0.0, shape=(SIZE, SIZE))
-    near = NearMap.empty(lattice, Rules())
+    near = NearMap(lattice)
     near.met_since_s[row, column], near.sharp[row, column] = 0.0, True
     return near
 

@@ -17,7 +17,7 @@ from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT
 from companion.mavlink.near_sensing import NearSensing, Poses, Sight
 from companion.telemetry.logs import open_log
 from companion.world.lattice import Lattice
-from companion.world.near_map import NearMap, NearSensor, Rules
+from companion.world.near_map import NearMap, NearSensor
 
 HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
 LIDAR = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0, blind_m=0.2)
@@ -75,7 +75,7 @@ def test_at_no_time_is_any_point_of_a_post_free_and_the_space_between_them_is(
     turn = np.linspace(0.0, math.tau, 100)  # 6 cm apart: a cell has 25
     around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     surfaces = (POSTS[:, None] + around).reshape(-1, 2)
-    near, share, looked_s = NearMap.empty(LATTICE, Rules()), [], 55.0
+    near, share, looked_s = NearMap(LATTICE), [], 55.0
     for now_s, here, sensing in seen(until_s):
         for sweep in sensing.sweeps():
             near.add(sweep)

@@ -11,7 +11,7 @@ from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
 from companion.planner.procedure import Reference
 from companion.world.lattice import Lattice
-from companion.world.near_map import NearMap, NearSensor, Rules, Sight
+from companion.world.near_map import NearMap, NearSensor, Sight
 
 SENSOR = NearSensor(kind="obstacle_distance", component_id=196, range_m=20_000.0)
 MISSION = two_legs_away(mission(near=SENSOR, fallback=Fallback.RETURN))
@@ -20,7 +20,7 @@ PLACE = Lattice(cell_m=CELL_M, north_min_m=-1000.0, east_min_m=-1000.0, shape=(3
 
 
 def near(*things_ne_m: tuple[float, float]) -> NearMap:
-    result = NearMap.empty(PLACE, Rules())
+    result = NearMap(PLACE)
     for north, east in things_ne_m:
         cell = round(north / CELL_M) + 10, round(east / CELL_M) + 10
         result.met_since_s[cell] = result.met_s[cell] = 1.0

@@ -15,7 +15,7 @@ from companion.planner.procedure import Leg
 from companion.planner.recheck import meets_near_things
 from companion.world.known_map import empty_map
 from companion.world.lattice import Lattice
-from companion.world.near_map import NearMap, Rules
+from companion.world.near_map import NearMap
 
 CELL_M = 0.25
 PLACE = Lattice(cell_m=CELL_M, north_min_m=-5.0, east_min_m=-10.0, shape=(120, 80))
@@ -30,7 +30,7 @@ def a_leg(rng: np.random.Generator) -> Leg:
 
 
 def near_map(occupied: list[tuple[int, int]]) -> NearMap:
-    near = NearMap.empty(PLACE, Rules())
+    near = NearMap(PLACE)
     for cell in occupied:
         near.met_since_s[cell] = near.met_s[cell] = 1.0
     return near

@@ -123,7 +123,6 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     fence = false
     [scanner]
     complete = false
-    whole_width = true
     [[rally_points]]
     north_m = 10.0
     east_m = -20.0
@@ -137,7 +136,6 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     assert mission.position_rate_hz == 200.0
     assert mission.task.settings.position_period_s == 0.005
     assert not mission.scanner_complete
-    assert mission.scanner_whole_width
     assert mission.yaw_rad == pytest.approx(-math.pi / 2)
     assert (mission.fallback, mission.attempts) == (Fallback.LAND, 2)
     assert (mission.reserve, mission.endurance_s) == (0.35, 900.0)
@@ -600,13 +598,11 @@ def test_without_a_radar_the_known_terrain_is_all_there_is(folder: Path) -> None
     assert "there is no terrain radar" in refused(folder, promised)
 
 
-@pytest.mark.parametrize("key", ["complete", "whole_width"])
 @pytest.mark.parametrize("value", ["0", '"no"', "[]"])
-def test_what_a_radar_promises_is_true_or_false(folder: Path, key: str, value: str) -> None:
+def test_what_a_radar_promises_is_true_or_false(folder: Path, value: str) -> None:
     assert load(folder, COPTER).scanner_complete
-    assert not load(folder, COPTER).scanner_whole_width
-    message = refused(folder, f"{COPTER}[scanner]\n{key} = {value}\n")
-    assert f"scanner.{key}" in message
+    message = refused(folder, f"{COPTER}[scanner]\ncomplete = {value}\n")
+    assert "scanner.complete" in message
     assert "valid boolean" in message
     assert "\n" not in message
 

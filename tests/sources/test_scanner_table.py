@@ -86,7 +86,6 @@ _NO_SCANNER = ('kind = "copter"', 'kind = "copter"\nscanner = false')
         ("component = 196", None, "scanner.component = 196", "it is of the other kinds"),
         ("blind_m = 0.3", None, "scanner.blind_m = 0.3", "it is of the other kinds"),
         (f"{OBSTACLE}complete = true", None, "scanner.complete = True", "it is a radar's"),
-        (f"{SECTORS}whole_width = false", None, "scanner.whole_width = False", "a radar's"),
         (
             OBSTACLE,
             ('kind = "copter"', 'kind = "copter"\nscanner_component_id = 100'),

@@ -184,8 +184,6 @@ class Sight:
 
     somewhere: BoolArray
     """Some of the cell."""
-    across: BoolArray
-    """Some of the cell in each direction that it lies in."""
     middle: BoolArray
     """The sample nearest to its middle."""
     met_m: FloatArray
@@ -209,12 +207,8 @@ def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
     row, column = (north / CELL_M).astype(np.intp), (east / CELL_M).astype(np.intp)
     cell = np.where(inside, row * COLUMNS + column, ROWS * COLUMNS)
     size = ROWS * COLUMNS + 1
-    ray = np.broadcast_to(np.arange(count), cell.shape)
-    pair = ray * size + cell
-    crossed, free_pairs = np.zeros(count * size, dtype=bool), np.zeros(count * size, dtype=bool)
-    crossed[pair], free_pairs[pair[free]] = True, True
-    somewhere = free_pairs.reshape(count, size).any(axis=0)
-    across = somewhere & ~(crossed & ~free_pairs).reshape(count, size).any(axis=0)
+    somewhere = np.zeros(size, dtype=bool)
+    somewhere[cell[free]] = True
     off = np.hypot(north - (row + 0.5) * CELL_M, east - (column + 0.5) * CELL_M)
     nearest = np.full(size, np.inf)
     np.minimum.at(nearest, cell.ravel(), np.where(inside, off, np.inf).ravel())
@@ -223,7 +217,7 @@ def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
     met = np.full(size, -np.inf)
     np.maximum.at(met, cell.ravel(), height.ravel())
     shape = (ROWS, COLUMNS)
-    seen = (each[:-1].reshape(shape) for each in (somewhere, across, middle))
+    seen = (each[:-1].reshape(shape) for each in (somewhere, middle))
     return Sight(*seen, met[:-1].reshape(shape))
 
 

@@ -44,26 +44,21 @@ def random_hills(rng: np.random.Generator) -> Heights:
     return terrain
 
 
-def looked_at(shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> tuple[FloatArray, FloatArray]:
+def looked_at() -> tuple[FloatArray, FloatArray]:
     """North and east of SUB x SUB points of all cells, edges included.  (CELLS, CELLS, SUB^2)."""
-    inside = np.linspace(0.0, CELL_M, SUB)
-    corner = np.arange(CELLS) * CELL_M
-    north = corner[:, None, None, None] + inside[:, None] + 0.0 * inside + shift_ne_m[0]
-    east = corner[None, :, None, None] + inside + 0.0 * inside[:, None] + shift_ne_m[1]
-    shape = (CELLS, CELLS, SUB, SUB)
-    flat = (CELLS, CELLS, SUB * SUB)
-    return np.broadcast_to(north, shape).reshape(flat), np.broadcast_to(east, shape).reshape(flat)
+    inside, corner = np.linspace(0.0, CELL_M, SUB), np.arange(CELLS) * CELL_M
+    along = corner[:, None] + inside  # (CELLS, SUB)
+    north, east = np.broadcast_arrays(along[:, None, :, None], along[None, :, None, :])
+    return north.reshape(CELLS, CELLS, -1), east.reshape(CELLS, CELLS, -1)
 
 
-def brute_force_scan(
-    terrain: Heights, radar: FloatArray, shift_ne_m: tuple[float, float] = (0.0, 0.0)
-) -> tuple[FloatArray, FloatArray]:
+def brute_force_scan(terrain: Heights, radar: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What a radar truly sees, by marching rays over the true terrain.
 
     -> the answers (CELLS, CELLS): highest terrain of a cell, rounded up, where any of its points
     is in sight and its middle in range; and the true highest terrain of every cell.
     """
-    north, east = looked_at(shift_ne_m)
+    north, east = looked_at()
     height = terrain(north, east)  # (CELLS, CELLS, SUB^2)
     middle_m = np.hypot(north - radar[0], east - radar[1]).mean(axis=-1, keepdims=True)
     in_sight = np.broadcast_to(middle_m <= RANGE_M, height.shape).copy()
@@ -133,37 +128,6 @@ def test_nothing_is_known_off_the_map() -> None:
 
 @settings(max_examples=10)
 @given(seed=st.integers(0, 10**6))
-def test_a_hidden_cells_bound_allows_for_the_registration_and_the_radars_drift(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    terrain = random_hills(rng)
-    radar = random_radar(rng, terrain)
-    shift = complex(*rng.normal(size=2))
-    shift *= 80.0 / abs(shift)
-    drift = np.append(rng.normal(size=2), 0.0)
-    drift *= 120.0 / np.linalg.norm(drift)
-    answers, truth = brute_force_scan(terrain, radar, (shift.real, shift.imag))
-    scan = as_scan(answers, radar + drift, registration_m=80.0, drift_m=120.0)
-    known = blank().with_scan(scan)
-    assert known.registration_m == 80.0
-    assert (known.upper_m >= truth).all()
-
-
-@settings(max_examples=15)
-@example(seed=1697)
-@given(seed=st.integers(0, 10**6))
-def test_a_hidden_cells_bound_is_sound_when_part_of_the_scan_was_not_answered(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    terrain = random_hills(rng)
-    radar = random_radar(rng, terrain)
-    answers, truth = brute_force_scan(terrain, radar)
-    lost = np.kron(rng.random((CELLS // 4, CELLS // 4)) < 0.2, np.ones((4, 4))) > 0.0
-    answers[lost] = NO_ANSWER
-    known = blank().with_scan(as_scan(answers, radar))
-    assert (known.upper_m >= truth).all()
-
-
-@settings(max_examples=10)
-@given(seed=st.integers(0, 10**6))
 def test_a_hidden_cells_bound_is_sound_for_a_radar_that_moves_during_the_scan(seed: int) -> None:
     rng = np.random.default_rng(seed)
     terrain = random_hills(rng)
@@ -179,34 +143,6 @@ def test_a_hidden_cells_bound_is_sound_for_a_radar_that_moves_during_the_scan(se
         radar_nea_m=np.where(moved[..., None], there, here),
     )
     assert (blank().with_scan(scan).upper_m >= truth).all()
-
-
-def test_ground_behind_a_ridge_that_was_not_answered_is_not_believed_to_be_low() -> None:
-    radar = np.array([7.5 * CELL_M, 13.5 * CELL_M, 300.0])
-    answers = np.full((CELLS, CELLS), 50.0)
-    answers[10:13] = NO_ANSWER  # a ridge of 800 m stands here
-    answers[13:] = NOT_SEEN  # and shelters a hill of 250 m behind it
-    known = blank().with_scan(as_scan(answers, radar))
-    assert known.upper_m[15, 13] >= 250.0
-
-
-@settings(max_examples=5)
-@given(seed=st.integers(0, 10**6))
-def test_nothing_known_is_lost_by_a_scan_and_the_map_before_stays_as_it_was(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    terrain = random_hills(rng)
-    before = blank()
-    for _ in range(3):
-        radar = random_radar(rng, terrain)
-        answers, _ = brute_force_scan(terrain, radar)
-        upper, seen = before.upper_m.copy(), before.seen.copy()
-        after = before.with_scan(as_scan(answers, radar))
-        assert (before.upper_m == upper).all()
-        assert (before.seen == seen).all()
-        assert (after.upper_m <= before.upper_m).all()
-        assert (after.seen >= before.seen).all()
-        assert (after.seen >= np.isfinite(answers)).all()
-        before = after
 
 
 @settings(max_examples=25)

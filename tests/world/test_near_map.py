@@ -7,10 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from companion.world.lattice import Lattice
-from companion.world.near_map import NearMap, Rules, Sweep
+from companion.world.near_map import FORGOTTEN_AFTER_S, LOOKS, SIGHTINGS, NearMap, Sweep
 
 FloatArray = NDArray[np.float64]
-RULES = Rules()
 LATTICE = Lattice(cell_m=0.25, north_min_m=-25.0, east_min_m=-25.0, shape=(200, 200))
 REACH_M = 16.0
 PERIOD_S = 0.1
@@ -110,11 +109,11 @@ def flown(seed: int) -> tuple[NearMap, FloatArray]:
     lost, dust = random.uniform(0.0, 0.3), random.uniform(0.0, 0.05)
     speed = random.uniform(-1.0, 1.0, 2)
     turning = random.uniform(-2.0, 2.0)
-    near = NearMap.empty(LATTICE, RULES)
+    near = NearMap(LATTICE)
     for k in range(int(random.integers(4, 40))):
         at, yaw = speed * k * PERIOD_S, turning * k * PERIOD_S
         distance = nearest_m(points, at, yaw, width, seen)
-        if k % RULES.sightings:  # else each thing would be missed as often as it must not be
+        if k % SIGHTINGS:  # else each thing would be missed as often as it must not be
             distance[random.random(seen) < lost] = np.inf
         told_at = at + 0.5 * error_m * random.uniform(-0.7, 0.7, 2)
         noisy = np.maximum(distance + 0.5 * error_m * random.uniform(-1.0, 1.0, seen), 0.0)
@@ -154,7 +153,7 @@ def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells
     sectors: int, drift_m_s: float
 ) -> None:
     """The vehicle stands still, and thinks that it wanders away from the post."""
-    near, thing = NearMap.empty(LATTICE, RULES), post(6.0, 0.0, 0.25)
+    near, thing = NearMap(LATTICE), post(6.0, 0.0, 0.25)
     distance = nearest_m(thing, np.zeros(2), 0.0, math.tau / sectors, sectors)
     for k in range(150):
         time_s = 0.4 * k
@@ -167,13 +166,13 @@ def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells
 
 
 def test_what_is_looked_at_stays_free_and_what_is_not_is_unknown_in_time() -> None:
-    near, clear = NearMap.empty(LATTICE, RULES), np.full((1, 2), 100.0)
+    near, clear = NearMap(LATTICE), np.full((1, 2), 100.0)
     looked(near, clear, 5)
     at_first = near.free()
     ahead = np.full(72, np.inf)
     half = np.where(np.arange(72) % 71 < 17, REACH_M, 0.0)  # looks to the north-east only
     later_s = 0.5
-    while later_s < RULES.free_for_s + 2.0:
+    while later_s < near.free_for_s + 2.0:
         near.add(sweep_of(ahead, clear_m=half, time_s=later_s))
         later_s += 0.5
     row, column = cell_of(5.0, 5.0)
@@ -182,16 +181,16 @@ def test_what_is_looked_at_stays_free_and_what_is_not_is_unknown_in_time() -> No
     assert at_first[behind]
     assert not near.free()[behind]
     assert not near.closed()[behind]
-    looked(near, clear, RULES.sightings, start_s=later_s)
+    looked(near, clear, SIGHTINGS, start_s=later_s)
     np.testing.assert_array_equal(near.free(), at_first)
 
 
 def test_nothing_is_free_for_longer_without_any_sweep() -> None:
-    near = NearMap.empty(LATTICE, RULES)
+    near = NearMap(LATTICE)
     looked(near, np.full((1, 2), 100.0), 5)
-    assert near.expire(RULES.free_for_s) is None
+    assert near.expire(near.free_for_s) is None
     assert near.free().any()
-    window = near.expire(RULES.free_for_s + 1.0)
+    window = near.expire(near.free_for_s + 1.0)
     assert window is not None
     assert not near.free().any()
     assert near.expire(1_000.0) is None
@@ -199,7 +198,7 @@ def test_nothing_is_free_for_longer_without_any_sweep() -> None:
 
 def test_nothing_is_free_of_what_was_seen_before_the_clock_began_anew() -> None:
     """The autopilot has rebooted: in the meantime the position may have drifted, too."""
-    near = NearMap.empty(LATTICE, RULES)
+    near = NearMap(LATTICE)
     looked(near, np.full((1, 2), 100.0), 5, start_s=300.0)
     assert near.free().any()
     assert near.expire(20.0) is not None
@@ -208,7 +207,7 @@ def test_nothing_is_free_of_what_was_seen_before_the_clock_began_anew() -> None:
 
 def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
     """A wall was free up to, and something new stands before it, nearer than the error."""
-    near, barrier = NearMap.empty(LATTICE, RULES), wall((6.5, -30.0), (6.5, 30.0))
+    near, barrier = NearMap(LATTICE), wall((6.5, -30.0), (6.5, 30.0))
     at = np.zeros(2)
     for k in range(5):
         seen = nearest_m(barrier, at, 0.0, math.tau / 72, 72)
@@ -216,15 +215,15 @@ def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it()
     new = post(5.85, 0.0, 0.05)
     assert wrongly_free(near, new) > 0
     seen = nearest_m(np.concatenate([barrier, new]), at, 0.0, math.tau / 72, 72)
-    for k in range(RULES.sightings):
+    for k in range(SIGHTINGS):
         near.add(sweep_of(seen, time_s=1.0 + k * PERIOD_S, error_m=0.5))
     nearest = new[np.hypot(*new.T) < 5.82]
     assert wrongly_free(near, nearest) == 0
 
 
 def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
-    near = NearMap.empty(LATTICE, RULES)
-    looked(near, np.full((1, 2), 100.0), RULES.sightings)
+    near = NearMap(LATTICE)
+    looked(near, np.full((1, 2), 100.0), SIGHTINGS)
     north, east = np.meshgrid(*(np.arange(200) * 0.25 - 25.0 + 0.125,) * 2, indexing="ij")
     away = np.hypot(north, east)
     assert near.free()[away < REACH_M - 0.3].all()
@@ -233,8 +232,8 @@ def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
 
 
 def test_behind_a_wall_nothing_is_known_and_the_wall_is_occupied() -> None:
-    near = NearMap.empty(LATTICE, RULES)
-    looked(near, wall((5.0, -30.0), (5.0, 30.0)), RULES.sightings)
+    near = NearMap(LATTICE)
+    looked(near, wall((5.0, -30.0), (5.0, 30.0)), SIGHTINGS)
     rows, columns = cell_of(4.5, 0.0)[0], slice(90, 110)
     assert near.free()[100:rows, columns].all()
     assert near.occupied()[cell_of(5.0, 0.0)[0], columns].all()
@@ -243,7 +242,7 @@ def test_behind_a_wall_nothing_is_known_and_the_wall_is_occupied() -> None:
 
 
 def test_a_thing_survives_the_longest_row_of_wrong_empty_sweeps() -> None:
-    near, points = NearMap.empty(LATTICE, RULES), post(6.0, 0.0, 0.5)
+    near, points = NearMap(LATTICE), post(6.0, 0.0, 0.5)
     looked(near, points, 10)
     looked(near, np.full((1, 2), 100.0), 9, start_s=1.0)
     assert near.occupied()[cell_of(5.5, 0.0)]
@@ -251,7 +250,7 @@ def test_a_thing_survives_the_longest_row_of_wrong_empty_sweeps() -> None:
 
 
 def test_what_has_gone_leaves_free_cells_once_beams_pass_them_long_enough() -> None:
-    near, points = NearMap.empty(LATTICE, RULES), post(6.0, 0.0, 0.5)
+    near, points = NearMap(LATTICE), post(6.0, 0.0, 0.5)
     looked(near, points, 100)
     looked(near, np.full((1, 2), 100.0), 12, start_s=10.0)
     assert not near.occupied().any()
@@ -260,9 +259,9 @@ def test_what_has_gone_leaves_free_cells_once_beams_pass_them_long_enough() -> N
 
 def passer_by(standing_s: float) -> NearMap:
     """It was met for so long, then not looked at until what moves is forgotten."""
-    near = NearMap.empty(LATTICE, RULES)
+    near = NearMap(LATTICE)
     looked(near, post(6.0, 0.0, 0.5), round(standing_s / PERIOD_S) + 1)
-    later_s = standing_s + RULES.forgotten_after_s + 1.0
+    later_s = standing_s + FORGOTTEN_AFTER_S + 1.0
     says_nothing = sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=later_s)
     near.add(says_nothing)
     return near
@@ -280,14 +279,14 @@ def test_what_stood_for_long_is_remembered() -> None:
 
 def test_one_echo_of_a_wide_sector_blocks_its_arc_but_not_what_is_known_to_be_free() -> None:
     """Eight sectors of 45 degrees, as ArduPilot passes them on (proximity.md 1)."""
-    near, distance = NearMap.empty(LATTICE, RULES), np.full(8, np.inf)
+    near, distance = NearMap(LATTICE), np.full(8, np.inf)
     distance[0] = 8.0
     near.add(sweep_of(distance, first_rad=-math.radians(22.5)))
     for bearing in (-20.0, 0.0, 20.0):
         turned = math.radians(bearing)
         assert near.occupied()[cell_of(8.0 * math.cos(turned), 8.0 * math.sin(turned))]
 
-    free_before = NearMap.empty(LATTICE, RULES)
+    free_before = NearMap(LATTICE)
     points = post(8.5, 0.0, 0.5)
     looked(free_before, points, 5)
     wide = nearest_m(points, np.zeros(2), -math.radians(22.5), math.radians(45.0), 8)
@@ -297,7 +296,7 @@ def test_one_echo_of_a_wide_sector_blocks_its_arc_but_not_what_is_known_to_be_fr
 
 
 def test_an_echo_where_all_was_free_is_something_new_and_blocks_all_of_its_arc() -> None:
-    near = NearMap.empty(LATTICE, RULES)
+    near = NearMap(LATTICE)
     looked(near, np.full((1, 2), 100.0), 5)
     distance = np.full(8, np.inf)
     distance[0] = 8.0
@@ -312,9 +311,9 @@ def test_an_echo_where_all_was_free_is_something_new_and_blocks_all_of_its_arc()
 def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> None:
     """A gap too narrow for a beam is closed once it was looked at for long; what is far is open."""
     posts = np.concatenate([post(4.0, -0.2, 0.1), post(4.0, 0.2, 0.1), [[100.0, 100.0]]])
-    near = NearMap.empty(LATTICE, RULES)
+    near = NearMap(LATTICE)
     assert not near.closed().any()
-    looked(near, posts, RULES.looks - 1)
+    looked(near, posts, LOOKS - 1)
     early = near.closed()
     np.testing.assert_array_equal(early, near.occupied())
     looked(near, posts, 1, start_s=5.0)

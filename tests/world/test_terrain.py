@@ -66,18 +66,6 @@ def test_no_point_of_a_box_is_higher_than_the_highest_in_it(
         assert bound <= brute + max(rises)
 
 
-def test_boxes_broadcast_rows_against_columns() -> None:
-    peak = Peak(
-        north_m=10.0, east_m=20.0, height_amsl_m=900.0, spread_north_m=300.0, spread_east_m=400.0
-    )
-    terrain = PeakTerrain(peaks=(peak,), ground_amsl_m=0.0)
-    rows, columns = np.arange(3.0)[:, None] * 100.0, np.arange(4.0)[None, :] * 100.0
-    boxes = terrain.highest_in_box_m(rows, rows + 100.0, columns, columns + 100.0)
-    assert boxes.shape == (3, 4)
-    one = terrain.highest_in_box_m(*(np.array(v) for v in (200.0, 300.0, 300.0, 400.0)))
-    assert boxes[2, 3] == one
-
-
 @pytest.mark.parametrize("ground_amsl_m", [120.0, 0.0, -350.0])
 def test_without_peaks_the_terrain_is_the_ground_everywhere(ground_amsl_m: float) -> None:
     terrain = PeakTerrain(peaks=(), ground_amsl_m=ground_amsl_m)
