@@ -40,13 +40,25 @@ class Handling:
     leading_s2: float = 0.0
     """How far inside of a bend its setpoints are, metres for each m/s2 across, as it is flown out
     of turns by as much.  When they end it stops as far inside."""
+    unwinding_s: float = 0.0
+    """How long after the setpoints end it is still turned by a bend, at its acceleration limit."""
+    turns_with_grid: bool = False
+    """Whether it stops along a straight line of its own map's grid, though its speed is of true
+    north there: the convergence of meridians turns it aside."""
     beside_m: float = 0.0
     """Of a plane: how much farther than the mission states its circle may reach from its last point
     when the setpoints end."""
 
 
 COPTER = Handling(
-    name="copter", eased=0.5, settling_s=1.0, lag_s=0.4, steady_m=0.2, turning_s2=0.85
+    name="copter",
+    eased=0.5,
+    settling_s=1.0,
+    lag_s=0.4,
+    steady_m=0.2,
+    turning_s2=0.85,
+    unwinding_s=0.25,
+    turns_with_grid=True,
 )
 """Where the autopilot is not known, the widest: as a PX4 multicopter is flown.
 
@@ -75,6 +87,8 @@ class Envelope(NamedTuple):
     """The reference point takes no turn harder, so that the vehicle stays in its tube."""
     tube_m: float
     """How far the vehicle may be from where it was told to be: across the path and past its end."""
+    aside_m: float
+    """How far beside a straight dead-man stretch it may end, beyond its tube."""
     lag_m: float
     """How far behind the reference point it may be: the point waits for it when it is farther."""
     navigation_m: float
@@ -89,16 +103,29 @@ class Envelope(NamedTuple):
         """How far the vehicle may truly be from its path."""
         return self.tube_m + self.navigation_m
 
+    @property
+    def contact_m(self) -> float:
+        """How far the vehicle may truly be from the stretch that it flies without setpoints."""
+        return self.error_m + self.aside_m
 
-def envelope_of(limits: Limits, handling: Handling) -> Envelope:
-    """That of a mission.  Where it states less of a tube than was measured, the measured one."""
+
+def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0) -> Envelope:
+    """That of a mission.  Where it states less of a tube than was measured, the measured one.
+
+    convergence_rad: by how much true north turns on the map, at most.
+    """
     tube_m = max(limits.tracking_error_m, handling.steady_m)
     lateral = math.inf
     if handling.turning_s2 > 0.0:
         lateral = max(tube_m - handling.steady_m, 0.5 * tube_m) / handling.turning_s2
     if handling.leading_s2 > 0.0:
         lateral = min(lateral, tube_m / handling.leading_s2)
-    return Envelope(
+    turn_m_s2 = min(lateral, limits.speed_m_s**2 / limits.turn_radius_m)
+    unwound_s = handling.unwinding_s * turn_m_s2 / limits.acceleration_m_s2
+    turned_rad = 0.5 * turn_m_s2 * unwound_s / limits.speed_m_s  # the acceleration falls evenly
+    if handling.turns_with_grid:
+        turned_rad += convergence_rad
+    motion = Envelope(
         speed_m_s=float(limits.speed_m_s),
         braking_m_s2=float(limits.acceleration_m_s2),
         gaining_m_s2=handling.eased * limits.acceleration_m_s2,
@@ -108,11 +135,13 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
         climb_rate_m_s=float(limits.climb_rate_m_s),
         lateral_m_s2=lateral,
         tube_m=float(tube_m),
+        aside_m=0.0,
         lag_m=float(max(_LAG_S * limits.speed_m_s, 2.0 * tube_m)),
         navigation_m=float(limits.navigation_error_m),
         lead_m=0.0 if limits.hovers else limits.speed_m_s * limits.lead_s,
         loiter_m=0.0 if limits.hovers else limits.loiter_radius_m + handling.beside_m,
     )
+    return motion._replace(aside_m=turned_rad * flown_on_m(motion, motion.speed_m_s))
 
 
 def flown_on_m(it: Envelope, speed: float) -> float:

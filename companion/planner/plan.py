@@ -481,7 +481,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
         safety_distance_m=float(settings.safety_distance_m),
         clearance_m=float(task.zone_search_clearance_m),
         surface=surface,
-        contact=_surface(request, task.error_m) if limits.hovers else surface,
+        contact=_surface(request, task.margins.contact_m) if limits.hovers else surface,
         band_amsl_m=task.band_amsl_m,
         radars=radar_table(radars, _RADAR_MARGIN * settings.scan_range_m),
         zones=zones,
