@@ -83,6 +83,9 @@ class Envelope(NamedTuple):
     overrun_m: float
     """How far beyond the end of a leg it may come if the companion ends meanwhile."""
     climb_rate_m_s: float
+    climb_angle_rad: float
+    dive_angle_rad: float
+    turn_radius_m: float
     lateral_m_s2: float
     """The reference point takes no turn harder, so that the vehicle stays in its tube."""
     tube_m: float
@@ -133,6 +136,9 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
         dead_man_s=limits.dead_man_s + handling.lag_s,
         overrun_m=float(limits.overrun_m),
         climb_rate_m_s=float(limits.climb_rate_m_s),
+        climb_angle_rad=float(limits.climb_angle_rad),
+        dive_angle_rad=float(limits.dive_angle_rad),
+        turn_radius_m=float(limits.turn_radius_m),
         lateral_m_s2=lateral,
         tube_m=float(tube_m),
         aside_m=0.0,
@@ -159,12 +165,9 @@ def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
 
 def ending_m_s(it: Envelope, left_m: float) -> float:
     """The fastest that the reference point is so far before the end of a leg, where it stops."""
-    speed = it.speed_m_s
-    for room_m, delay_s in ((left_m, it.settling_s), (left_m + it.overrun_m, it.dead_man_s)):
-        delay = it.braking_m_s2 * delay_s  # as in `slowed_m_s`: it is asked for with each position
-        eased = math.sqrt(delay * delay + 2.0 * it.braking_m_s2 * max(room_m, 0.0)) - delay
-        speed = min(speed, eased)
-    return speed
+    settles = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
+    overruns = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
+    return min(it.speed_m_s, min(settles, overruns))
 
 
 def rising_m_s(it: Envelope, flown_m: float) -> float:
