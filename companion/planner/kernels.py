@@ -108,8 +108,10 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
     )
 
 
-SOURCES = (objective, refined_de, envelope, proof, proof_shape, columns, zones)
-SOURCES += (cheapest_ways, cost_samples, clearance)
+SOURCES = (
+    *(objective, refined_de, envelope, proof, proof_shape),
+    *(columns, zones, cheapest_ways, cost_samples, clearance),
+)
 """The modules whose code is compiled: a cache made from others is stale."""
 
 
