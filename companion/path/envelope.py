@@ -14,6 +14,7 @@ from typing import NamedTuple, final
 
 from companion.path.limits import Limits
 
+_JERKS_1_S = 4.0  # its jerk for each m/s2 of acceleration: ArduCopter's `parameters_for`, `kills`
 _LAG_S = 1.0  # of flight at full speed: behind a point that gains speed it is up to 0.6 s late
 
 
@@ -40,8 +41,6 @@ class Handling:
     leading_s2: float = 0.0
     """How far inside of a bend its setpoints are, metres for each m/s2 across, as it is flown out
     of turns by as much.  When they end it stops as far inside."""
-    unwinding_s: float = 0.0
-    """How long after the setpoints end it is still turned by a bend, at its acceleration limit."""
     turns_with_grid: bool = False
     """Whether it stops along a straight line of its own map's grid, though its speed is of true
     north there: the convergence of meridians turns it aside."""
@@ -57,7 +56,6 @@ COPTER = Handling(
     lag_s=0.4,
     steady_m=0.2,
     turning_s2=0.85,
-    unwinding_s=0.25,
     turns_with_grid=True,
 )
 """Where the autopilot is not known, the widest: as a PX4 multicopter is flown.
@@ -124,10 +122,9 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
     if handling.leading_s2 > 0.0:
         lateral = min(lateral, tube_m / handling.leading_s2)
     turn_m_s2 = min(lateral, limits.speed_m_s**2 / limits.turn_radius_m)
-    unwound_s = handling.unwinding_s * turn_m_s2 / limits.acceleration_m_s2
+    unwound_s = turn_m_s2 / (_JERKS_1_S * limits.acceleration_m_s2)
     turned_rad = 0.5 * turn_m_s2 * unwound_s / limits.speed_m_s  # the acceleration falls evenly
-    if handling.turns_with_grid:
-        turned_rad += convergence_rad
+    turned_rad += convergence_rad * handling.turns_with_grid
     motion = Envelope(
         speed_m_s=float(limits.speed_m_s),
         braking_m_s2=float(limits.acceleration_m_s2),
@@ -147,6 +144,8 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
         lead_m=0.0 if limits.hovers else limits.speed_m_s * limits.lead_s,
         loiter_m=0.0 if limits.hovers else limits.loiter_radius_m + handling.beside_m,
     )
+    if not limits.hovers:
+        return motion
     return motion._replace(aside_m=turned_rad * flown_on_m(motion, motion.speed_m_s))
 
 

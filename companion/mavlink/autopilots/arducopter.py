@@ -127,17 +127,10 @@ _IGNORES: Final = check.when(
     severity=check.Severity.REFUSE,
 )
 _HANDLING: Final = Handling(
-    name="ArduCopter",
-    eased=0.7,
-    settling_s=0.6,
-    steady_m=0.1,
-    turning_s2=0.3,
-    leading_s2=0.5,
-    unwinding_s=0.25,
+    name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3, leading_s2=0.5
 )
 """turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by, as of
-its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; unwinding_s: WPNAV_ACCEL / PSC_JERK_XY, as
-`parameters_for` sets them; the others: `scripts/bench kills`."""
+its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; the others: `scripts/bench kills`."""
 _RULES: Final = (
     Rule("GUID_TIMEOUT", "how long it flies on without setpoints", (_guid_timeout,), ESSENTIAL),
     Rule("GUID_OPTIONS", "how GUIDED works", (_guided_options,)),
