@@ -61,6 +61,19 @@ class LocalFrame:
         """
         return _north_of_cell_rad(self, round(north_m / _SAME_M), round(east_m / _SAME_M))
 
+    def convergence_rad(self, north_m: tuple[float, float], east_m: tuple[float, float]) -> float:
+        """How far true north is from the north axis of any frame on a rectangle of this one."""
+        corners = [(north, east) for north in north_m for east in east_m]
+        frames = (
+            LocalFrame(latitude_deg=p, longitude_deg=q)
+            for p, q in (self.to_geodetic_deg(*corner) for corner in corners)
+        )
+        return max(
+            abs(frame.grid_north_rad(*frame.to_local_m(*self.to_geodetic_deg(*corner))))
+            for frame in frames
+            for corner in corners
+        )
+
 
 @lru_cache(maxsize=_NEAR)
 def _north_of_cell_rad(frame: LocalFrame, row: int, column: int) -> float:

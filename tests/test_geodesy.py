@@ -75,6 +75,28 @@ def test_a_local_azimuth_and_the_convergence_make_the_true_azimuth_of_the_ray_fr
     assert angle_between(local_plus_convergence, true_rad) < 3e-4
 
 
+@given(
+    frame=st.builds(LocalFrame, latitude_deg=st.floats(-70.0, 70.0), longitude_deg=longitudes),
+    share=st.tuples(*[st.floats(0.0, 1.0)] * 4),
+    far_m=st.floats(100.0, 150_000.0),
+)
+def test_no_frame_of_a_map_has_its_north_farther_from_the_true_one_than_the_convergence(
+    frame: LocalFrame, share: tuple[float, float, float, float], far_m: float
+) -> None:
+    north_m, east_m = (-5e3, -5e3 + far_m), (-0.3 * far_m, far_m)
+    at, other = (
+        frame.to_geodetic_deg(
+            north_m[0] + a * (north_m[1] - north_m[0]), east_m[0] + b * (east_m[1] - east_m[0])
+        )
+        for a, b in (share[:2], share[2:])
+    )
+    mine = LocalFrame(latitude_deg=at[0], longitude_deg=at[1])
+    _, _, apart_m = GEOD.inv(at[1], at[0], other[1], other[0])
+    assume(apart_m > 1.0)
+    away_rad = angle_between(mine.grid_north_rad(*mine.to_local_m(*other)), 0.0)
+    assert away_rad <= frame.convergence_rad(north_m, east_m) * 1.02 + 3e-4
+
+
 def test_grid_north_is_one_degree_clockwise_of_true_north_100_km_east_at_47_north() -> None:
     convergence_deg = math.degrees(HERE.grid_north_rad(0.0, 100_000.0))
     across_deg = 100_000.0 / (6_378_137.0 * math.cos(math.radians(47.0))) * 180.0 / math.pi

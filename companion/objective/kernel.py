@@ -79,7 +79,7 @@ def cost(x: FloatArray, bound: float, scene: Scene) -> float:
     if total > bound:
         return math.inf
     low_m = too_low_m(points, scene.surface)
-    if scene.limits.hovers:  # a plane circles, and its surface stands off by that
+    if scene.motion.loiter_m == 0.0:  # a plane circles, and its surface stands off by that
         low_m += dead_man_m(points, ahead, scene)
     terms[CRASH] = each * CRASH_SCALE / scene.safety_distance_m * low_m
     total += a[CRASH] * terms[CRASH]
@@ -158,15 +158,16 @@ def remaining_m(control: FloatArray, scene: Scene) -> float:
         return 0.0
     last = len(control) - 1
     north, east = control[last, 0] - control[last - 1, 0], control[last, 1] - control[last - 1, 1]
-    scale = scene.look_ahead_m / max(math.sqrt(north * north + east * east), 1e-9)
+    ahead_m = scene.motion.turn_radius_m  # so far: an end that faces terrain is dear
+    scale = ahead_m / max(math.sqrt(north * north + east * east), 1e-9)
     there_n, there_e = control[last, 0] + scale * north, control[last, 1] + scale * east
     needed_m = lattice_m(scene.needed, control[last, 0], control[last, 1])
     low, high = scene.band_amsl_m
     above = max(control[last, 2] - low, 0.0) / (high - low)
     asked = max(needed_m - low, 0.0) / (high - low)
     descent_m = scene.descent_m * max(above * above - asked * asked, 0.0)
-    climb_m = max(needed_m - control[last, 2], 0.0) / math.tan(scene.limits.climb_angle_rad)
-    to_go_m = lattice_m(scene.to_go, there_n, there_e) + scene.look_ahead_m
+    climb_m = max(needed_m - control[last, 2], 0.0) / math.tan(scene.motion.climb_angle_rad)
+    to_go_m = lattice_m(scene.to_go, there_n, there_e) + ahead_m
     here_m = lattice_m(scene.to_go, control[last, 0], control[last, 1])
     a, b = control[last, 0] - scene.scan_ne_m[0], control[last, 1] - scene.scan_ne_m[1]
     short_m = scene.end_radius_m - math.sqrt(a * a + b * b)
@@ -259,8 +260,8 @@ def steering(ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: S
     """Curvature and steepness beyond the limits, and curvature at all near the end."""
     count = len(ahead) - 1
     near_end = count - round(END_SHARE * count)
-    limits = scene.limits
-    steepest = limits.climb_angle_rad / scene.margin, limits.dive_angle_rad / scene.margin
+    motion = scene.motion
+    steepest = motion.climb_angle_rad / scene.margin, motion.dive_angle_rad / scene.margin
     climb, dive = math.tan(steepest[0]), math.tan(steepest[1])
     turning, steep, straight = 0.0, 0.0, 0.0
     for j in range(1, count + 1):
@@ -277,7 +278,7 @@ def steering(ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: S
         ahead[j, 2] = da
         level = math.sqrt(dn * dn + de * de)
         slow = max(level, 1e-9)
-        curvature = abs(dn * dde - de * ddn) / (slow * slow * slow) * limits.turn_radius_m
+        curvature = abs(dn * dde - de * ddn) / (slow * slow * slow) * motion.turn_radius_m
         turning += min(max(curvature * scene.margin - 1.0, 0.0), MAX_EXCESS)
         if da > climb * level:
             steep += math.atan2(da, level) - steepest[0]
@@ -291,10 +292,10 @@ def steering(ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: S
 
 def leaving(points: FloatArray, scene: Scene) -> float:
     """How far samples lie outside the band or the map, in R / 20."""
-    total, limits = 0.0, scene.limits
+    total = 0.0
     for j in range(1, len(points)):
         total += beyond(points[j, 2], scene.band_amsl_m)
-        total += beyond(points[j, 0], limits.north_m) + beyond(points[j, 1], limits.east_m)
+        total += beyond(points[j, 0], scene.north_m) + beyond(points[j, 1], scene.east_m)
     return total / (scene.scan_range_m / 20.0)
 
 

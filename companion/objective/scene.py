@@ -16,7 +16,6 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.bspline import uniform_basis
 from companion.path.envelope import Envelope
-from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.profiles import Weights
 from companion.world.clearance import Surface
@@ -25,29 +24,6 @@ from companion.world.zones import NearCells, ZoneTable
 
 TERMS = (*(each.name for each in fields(Weights)), "to_go")
 """Names of the terms of the cost; what is left to fly after the end weighs as much as length."""
-
-
-class Bounds(NamedTuple):
-    """Of `Limits` what the cost depends on, as numba takes it."""
-
-    turn_radius_m: float
-    climb_angle_rad: float
-    dive_angle_rad: float
-    hovers: bool
-    north_m: tuple[float, float]
-    east_m: tuple[float, float]
-
-    @staticmethod
-    def of(limits: Limits) -> "Bounds":
-        """Those of a vehicle and its map."""
-        return Bounds(
-            turn_radius_m=float(limits.turn_radius_m),
-            climb_angle_rad=float(limits.climb_angle_rad),
-            dive_angle_rad=float(limits.dive_angle_rad),
-            hovers=limits.hovers,
-            north_m=limits.north_m,
-            east_m=limits.east_m,
-        )
 
 
 class Workspace(NamedTuple):
@@ -76,7 +52,6 @@ class Scene(NamedTuple):
     """
 
     weights: tuple[float, ...]  # of `TERMS`
-    limits: Bounds
     motion: Envelope
     margin: float  # on the turn radius and on the steepness, a factor that the search aims at
     start: FloatArray  # (3, 3): p_prog, the tangent and the curvature there
@@ -90,13 +65,14 @@ class Scene(NamedTuple):
     guide_rad: float  # bearing of the guide direction from p_scan
     to_go: Surface  # cost to the target from each place, in metres of level flight at the floor
     needed: Surface  # the lowest altitude from which the way on can be climbed, AMSL
-    look_ahead_m: float  # cost-to-go counts so far straight on: an end that faces terrain is dear
     descent_m: float  # cost of coming down from ceiling to floor, in metres of level flight
     safety_distance_m: float  # d_s
     clearance_m: float  # what the search keeps from zones
     surface: Surface  # the altitude that keeps the clearance from the terrain
     contact: Surface  # the altitude that the dead-man stretch must keep
     band_amsl_m: tuple[float, float]  # to plan in: the vehicle on the path stays within limits
+    north_m: tuple[float, float]  # southern and northern edge of the map
+    east_m: tuple[float, float]
     radars: FloatArray  # (n, 5): north, east, altitude, range, range and margin
     zones: ZoneTable
     near_polygons: NearCells

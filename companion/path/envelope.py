@@ -14,6 +14,7 @@ from typing import NamedTuple, final
 
 from companion.path.limits import Limits
 
+_JERKS_1_S = 4.0  # its jerk for each m/s2 of acceleration: ArduCopter's `parameters_for`, `kills`
 _LAG_S = 1.0  # of flight at full speed: behind a point that gains speed it is up to 0.6 s late
 
 
@@ -40,13 +41,22 @@ class Handling:
     leading_s2: float = 0.0
     """How far inside of a bend its setpoints are, metres for each m/s2 across, as it is flown out
     of turns by as much.  When they end it stops as far inside."""
+    turns_with_grid: bool = False
+    """Whether it stops along a straight line of its own map's grid, though its speed is of true
+    north there: the convergence of meridians turns it aside."""
     beside_m: float = 0.0
     """Of a plane: how much farther than the mission states its circle may reach from its last point
     when the setpoints end."""
 
 
 COPTER = Handling(
-    name="copter", eased=0.5, settling_s=1.0, lag_s=0.4, steady_m=0.2, turning_s2=0.85
+    name="copter",
+    eased=0.5,
+    settling_s=1.0,
+    lag_s=0.4,
+    steady_m=0.2,
+    turning_s2=0.85,
+    turns_with_grid=True,
 )
 """Where the autopilot is not known, the widest: as a PX4 multicopter is flown.
 
@@ -71,10 +81,15 @@ class Envelope(NamedTuple):
     overrun_m: float
     """How far beyond the end of a leg it may come if the companion ends meanwhile."""
     climb_rate_m_s: float
+    climb_angle_rad: float
+    dive_angle_rad: float
+    turn_radius_m: float
     lateral_m_s2: float
     """The reference point takes no turn harder, so that the vehicle stays in its tube."""
     tube_m: float
     """How far the vehicle may be from where it was told to be: across the path and past its end."""
+    aside_m: float
+    """How far beside a straight dead-man stretch it may end, beyond its tube."""
     lag_m: float
     """How far behind the reference point it may be: the point waits for it when it is farther."""
     navigation_m: float
@@ -89,16 +104,28 @@ class Envelope(NamedTuple):
         """How far the vehicle may truly be from its path."""
         return self.tube_m + self.navigation_m
 
+    @property
+    def contact_m(self) -> float:
+        """How far the vehicle may truly be from the stretch that it flies without setpoints."""
+        return self.error_m + self.aside_m
 
-def envelope_of(limits: Limits, handling: Handling) -> Envelope:
-    """That of a mission.  Where it states less of a tube than was measured, the measured one."""
+
+def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0) -> Envelope:
+    """That of a mission.  Where it states less of a tube than was measured, the measured one.
+
+    convergence_rad: by how much true north turns on the map, at most.
+    """
     tube_m = max(limits.tracking_error_m, handling.steady_m)
     lateral = math.inf
     if handling.turning_s2 > 0.0:
         lateral = max(tube_m - handling.steady_m, 0.5 * tube_m) / handling.turning_s2
     if handling.leading_s2 > 0.0:
         lateral = min(lateral, tube_m / handling.leading_s2)
-    return Envelope(
+    turn_m_s2 = min(lateral, limits.speed_m_s**2 / limits.turn_radius_m)
+    unwound_s = turn_m_s2 / (_JERKS_1_S * limits.acceleration_m_s2)
+    turned_rad = 0.5 * turn_m_s2 * unwound_s / limits.speed_m_s  # the acceleration falls evenly
+    turned_rad += convergence_rad * handling.turns_with_grid
+    motion = Envelope(
         speed_m_s=float(limits.speed_m_s),
         braking_m_s2=float(limits.acceleration_m_s2),
         gaining_m_s2=handling.eased * limits.acceleration_m_s2,
@@ -106,13 +133,20 @@ def envelope_of(limits: Limits, handling: Handling) -> Envelope:
         dead_man_s=limits.dead_man_s + handling.lag_s,
         overrun_m=float(limits.overrun_m),
         climb_rate_m_s=float(limits.climb_rate_m_s),
+        climb_angle_rad=float(limits.climb_angle_rad),
+        dive_angle_rad=float(limits.dive_angle_rad),
+        turn_radius_m=float(limits.turn_radius_m),
         lateral_m_s2=lateral,
         tube_m=float(tube_m),
+        aside_m=0.0,
         lag_m=float(max(_LAG_S * limits.speed_m_s, 2.0 * tube_m)),
         navigation_m=float(limits.navigation_error_m),
         lead_m=0.0 if limits.hovers else limits.speed_m_s * limits.lead_s,
         loiter_m=0.0 if limits.hovers else limits.loiter_radius_m + handling.beside_m,
     )
+    if not limits.hovers:
+        return motion
+    return motion._replace(aside_m=turned_rad * flown_on_m(motion, motion.speed_m_s))
 
 
 def flown_on_m(it: Envelope, speed: float) -> float:
@@ -130,12 +164,9 @@ def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
 
 def ending_m_s(it: Envelope, left_m: float) -> float:
     """The fastest that the reference point is so far before the end of a leg, where it stops."""
-    speed = it.speed_m_s
-    for room_m, delay_s in ((left_m, it.settling_s), (left_m + it.overrun_m, it.dead_man_s)):
-        delay = it.braking_m_s2 * delay_s  # as in `slowed_m_s`: it is asked for with each position
-        eased = math.sqrt(delay * delay + 2.0 * it.braking_m_s2 * max(room_m, 0.0)) - delay
-        speed = min(speed, eased)
-    return speed
+    settles = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
+    overruns = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
+    return min(it.speed_m_s, min(settles, overruns))
 
 
 def rising_m_s(it: Envelope, flown_m: float) -> float:

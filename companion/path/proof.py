@@ -87,11 +87,15 @@ def part_of(
     )
 
 
+def distance(x: float, y: float, z: float) -> float:
+    """Length of a vector."""
+    return math.sqrt(x * x + y * y + z * z)
+
+
 def across(x: float, y: float, z: float, dx: float, dy: float, dz: float, squared: float) -> float:
     """Length of the part of a vector that is across a direction of squared length `squared`."""
     along = (x * dx + y * dy + z * dz) / squared if squared > 0.0 else 0.0
-    x, y, z = x - along * dx, y - along * dy, z - along * dz
-    return math.sqrt(x * x + y * y + z * z)
+    return distance(x - along * dx, y - along * dy, z - along * dz)
 
 
 def piece_of(cubics: FloatArray, span: int, start: float, end: float) -> Piece:
@@ -111,7 +115,7 @@ def piece_of(cubics: FloatArray, span: int, start: float, end: float) -> Piece:
     for i in range(3):  # the legs of the control polygon, three times as long: a Bernstein basis
         u, v = (0.0, 0.0) if i == 0 else ((1.0, 0.0) if i == 1 else (2.0, 3.0))
         px, py, pz = ax + u * bx + v * cx, ay + u * by + v * cy, az + u * bz + v * cz
-        leg = math.sqrt(px * px + py * py + pz * pz)
+        leg = distance(px, py, pz)
         length += leg / 3.0
         if leg > 0.0:
             along = px * dx + py * dy + pz * dz
@@ -137,7 +141,7 @@ def stretch_of(
     fastest = ending_m_s(around.motion, left)
     rising = rising_m_s(around.motion, flown)
     farthest = flown_on_m(around.motion, min(fastest, rising))
-    chord = math.sqrt(dx * dx + dy * dy + dz * dz)
+    chord = distance(dx, dy, dz)
     if cosine <= 0.0 or chord <= 0.0:
         return segment, sag + (farthest if cosine < 1.0 or chord > 0.0 else 0.0)
     ahead = min(length + farthest, left + beyond_m(around.motion))
@@ -234,27 +238,21 @@ def least_distance(asked: Question, what: int, cap: float) -> tuple[float, int]:
     return result, count
 
 
-def under_radars(around: Surroundings, piece: Piece) -> tuple[bool, bool, float]:
+def under_radars(radars: FloatArray, piece: Piece) -> tuple[bool, bool, float]:
     """Whether a piece is inside a radar's range for certain, perhaps; detection (eq. 3) at most."""
     (x, y, z, dx, dy, dz), sag, _, _ = piece
     inside, perhaps, detection = False, False, 0.0
     squared = dx * dx + dy * dy + dz * dz
-    for k in range(around.radars.shape[0]):
-        px, py, pz = around.radars[k, 0] - x, around.radars[k, 1] - y, around.radars[k, 2] - z
+    for k in range(radars.shape[0]):
+        px, py, pz, span = radars[k, 0] - x, radars[k, 1] - y, radars[k, 2] - z, radars[k, 3]
         at = 0.0
         if squared > 0.0:
             at = min(max((px * dx + py * dy + pz * dz) / squared, 0.0), 1.0)
-        qx, qy, qz = px - at * dx, py - at * dy, pz - at * dz
-        nearest = max(math.sqrt(qx * qx + qy * qy + qz * qz) - sag, 0.0)
-        span = around.radars[k, 3]
+        nearest = max(distance(px - at * dx, py - at * dy, pz - at * dz) - sag, 0.0)
         if nearest <= span:
             detection = max(detection, 1.0 / (1.0 + (nearest / span) ** 4))
-            qx, qy, qz = px - dx, py - dy, pz - dz
-            one, two = px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz
-            if math.sqrt(max(one, two)) + sag <= span:
-                inside = True
-            else:
-                perhaps = True
+            ends = max(distance(px, py, pz), distance(px - dx, py - dy, pz - dz))
+            inside, perhaps = inside or ends + sag <= span, perhaps or ends + sag > span
     return inside, perhaps, detection
 
 
@@ -274,7 +272,7 @@ def exposure(
             depth -= 1
             start, end = float(stack[depth, 0]), float(stack[depth, 1])
             piece = piece_of(cubics, span, start, end)
-            inside, perhaps, most = under_radars(around, piece)
+            inside, perhaps, most = under_radars(around.radars, piece)
             count += 1
             if perhaps and piece[3] > short and count < _BUDGET:
                 middle = 0.5 * (start + end)

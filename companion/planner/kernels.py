@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from inspect import isfunction
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, final
 
 import numpy as np
@@ -64,10 +64,8 @@ def signature() -> str:
         *([math.sin(v), math.exp(v), math.atan2(v, 0.7), v**0.7] for v in x[::16].tolist()),
         *(frame.to_local_m(47.0 + 0.1 * v, 8.0 - 0.1 * v) for v in x[::160].tolist()),
     ]
-    digest = hashlib.sha256()
-    for each in found:
-        digest.update(np.asarray(each, dtype=np.float64).tobytes())
-    return f"numba {digest.hexdigest()[:8]}"
+    told = b"".join(np.asarray(each, dtype=np.float64).tobytes() for each in found)
+    return f"numba {hashlib.sha256(told).hexdigest()[:8]}"
 
 
 @cache
@@ -83,8 +81,9 @@ def compiled() -> Kernel:
     if folder is not None:
         numba.config.CACHE_DIR = str(folder)  # it may have been imported with another one
     for module in SOURCES:
-        for function in functions_of(module):
-            register_jitable(function)
+        for each in list(vars(module).values()):
+            if isfunction(each) and each.__module__ == module.__name__:
+                register_jitable(each)
     return kernel_by(numba.njit(cache=folder is not None, nogil=True))
 
 
@@ -110,16 +109,8 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
 
 
 SOURCES = (
-    objective,
-    refined_de,
-    envelope,
-    proof,
-    proof_shape,
-    columns,
-    zones,
-    cheapest_ways,
-    cost_samples,
-    clearance,
+    *(objective, refined_de, envelope, proof, proof_shape),
+    *(columns, zones, cheapest_ways, cost_samples, clearance),
 )
 """The modules whose code is compiled: a cache made from others is stale."""
 
@@ -130,29 +121,22 @@ def cache_on_disk() -> Path | None:
     numba looks at the entry function's file alone to see whether its cache is stale, so the
     folder's name holds a digest of all that is compiled.  The environment's NUMBA_CACHE_DIR wins.
     """
-    digest = hashlib.sha256()
     try:
-        for path in (*(str(module.__file__) for module in SOURCES), __file__):
-            digest.update(Path(path).read_bytes())
+        paths = (*(str(module.__file__) for module in SOURCES), __file__)
+        code = b"".join(Path(path).read_bytes() for path in paths)
     except OSError:
         return None  # installed without sources
-    name = f"kernel-{digest.hexdigest()[:16]}"
+    name = f"kernel-{hashlib.sha256(code).hexdigest()[:16]}"
     chosen = os.environ.get("NUMBA_CACHE_DIR") or cache_folder()
     if chosen is None:
         return None
     folder = Path(chosen)
     if folder.name != name:  # it is when this process, or the one that started it, has been here
         folder /= name
-    if not is_writable(folder):
-        return None
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    return folder
-
-
-def functions_of(module: ModuleType) -> list[Callable[..., Any]]:
-    """The functions that a module defines."""
-    every = vars(module).values()
-    return [each for each in every if isfunction(each) and each.__module__ == module.__name__]
+    if is_writable(folder):
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        return folder
+    return None
 
 
 def _run(state: State, scene: Scene, until: int) -> None:
@@ -165,7 +149,4 @@ def _run(state: State, scene: Scene, until: int) -> None:
 
 
 def _costs(x: FloatArray, scene: Scene) -> FloatArray:
-    result = np.empty(len(x))
-    for i in range(len(x)):
-        result[i] = objective.cost(x[i], np.inf, scene)
-    return result
+    return np.array([objective.cost(each, np.inf, scene) for each in x])

@@ -15,7 +15,6 @@ from companion.geodesy import FloatArray
 from companion.objective.kernel import control_points
 from companion.objective.scene import (
     TERMS,
-    Bounds,
     Scene,
     Workspace,
     radar_table,
@@ -333,10 +332,8 @@ class _Plan:
         """The scene of a subpath that is flown no faster than this."""
         scene, task = self._scene, self._request.task.at_speed(speed_m_s)
         return scene._replace(
-            limits=Bounds.of(task.limits),
             motion=task.envelope,
             shortest_m=0.0 if scene.from_rest else _shortest_m(task.envelope),
-            look_ahead_m=float(task.limits.turn_radius_m),
         )
 
     def _way_out(self, *, looks: bool) -> tuple[Planned, float] | None:
@@ -494,7 +491,6 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
     surface = _surface(request, task.search_clearance_m)
     return Scene(
         weights=weights_of(settings.weights),
-        limits=Bounds.of(limits),
         motion=task.envelope,
         margin=settings.profile.margin,
         start=rows_of(request.start),
@@ -508,13 +504,14 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
         guide_rad=field.leaving_rad(scan_ne, end_radius),
         to_go=field.value,
         needed=field.needed,
-        look_ahead_m=float(limits.turn_radius_m),
         descent_m=float(descent_m(limits.ceiling_amsl_m, task)),
         safety_distance_m=float(settings.safety_distance_m),
         clearance_m=float(task.zone_search_clearance_m),
         surface=surface,
-        contact=_surface(request, task.error_m) if limits.hovers else surface,
+        contact=_surface(request, task.margins.contact_m) if limits.hovers else surface,
         band_amsl_m=task.band_amsl_m,
+        north_m=limits.north_m,
+        east_m=limits.east_m,
         radars=radar_table(radars, _RADAR_MARGIN * settings.scan_range_m),
         zones=zones,
         near_polygons=_near_polygons(task),

@@ -73,6 +73,8 @@ class Task:
     settings: PlannerSettings
     handling: Handling | None = None
     """How its autopilot flies setpoints."""
+    convergence_rad: float = 0.0
+    """By how much true north turns on the map, at most."""
     radars: tuple[Radar, ...] = ()
     zones: tuple[Zone, ...] = ()
     stated_ground_amsl_m: float | None = None
@@ -108,7 +110,8 @@ class Task:
     @cached_property
     def envelope(self) -> Envelope:
         """How the vehicle moves on legs that are planned by this task."""
-        return envelope_of(self.limits, self.handling or (COPTER if self.limits.hovers else PLANE))
+        handling = self.handling or (COPTER if self.limits.hovers else PLANE)
+        return envelope_of(self.limits, handling, self.convergence_rad)
 
     @cached_property
     def tail_m(self) -> float:
@@ -159,7 +162,7 @@ class Task:
         """The margins of a certificate, so that the vehicle on the curve keeps d_s."""
         return Margins(
             clearance_m=self.required_clearance_m,
-            contact_m=self.error_m,
+            contact_m=self.envelope.contact_m,
             band_inset_m=self.error_m,
             motion=self.envelope,
         )
@@ -236,5 +239,5 @@ class Task:
         if not settings.profile.verified:
             return settings.scan_range_m
         beyond = beyond_m(self.envelope) if self.limits.hovers else 0.0
-        reserve = max(self.zone_search_clearance_m, beyond + self.error_m)
+        reserve = max(self.zone_search_clearance_m, beyond + self.envelope.contact_m)
         return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)

@@ -206,6 +206,7 @@ def mission_of(
         limits=limits,
         settings=settings,
         handling=handling,
+        convergence_rad=frame.convergence_rad(limits.north_m, limits.east_m),
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)

@@ -76,6 +76,8 @@ class Proven:
     """Of a plane: radius of the circle about each point."""
     error_m: float
     """Tracking and navigation error."""
+    aside_m: float
+    """How much farther than that it may be from a stretch."""
 
     def outside_m(self, track_nea_m: FloatArray) -> FloatArray:
         """How far each place is outside.  (M, 3) -> (M,); negative: inside."""
@@ -90,8 +92,9 @@ class Proven:
         squared = np.maximum(np.einsum("kd,kd->k", steps, steps), 1e-12)
         share = np.clip(np.einsum("mkd,kd->mk", off, steps) / squared, 0.0, 1.0)
         off -= share[..., None] * steps
-        gaps = np.einsum("mkd,mkd->mk", off, off).min(axis=1)
-        return np.asarray(np.sqrt(gaps) - self.error_m)
+        gaps = np.sqrt(np.einsum("mkd,mkd->mk", off, off))
+        gaps[:, len(self.points_nea_m) - 1 :] -= self.aside_m
+        return np.asarray(gaps.min(axis=1) - self.error_m)
 
 
 def proven(leg: Leg, task: Task, *, from_rest: bool, near_m: float = 0.0) -> Proven:
@@ -113,6 +116,7 @@ def proven(leg: Leg, task: Task, *, from_rest: bool, near_m: float = 0.0) -> Pro
         reaches_nea_m=reaches,
         circle_m=motion.loiter_m,
         error_m=motion.error_m,
+        aside_m=motion.aside_m,
     )
 
 

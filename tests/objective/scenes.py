@@ -9,7 +9,6 @@ from planning import ARDUCOPTER, limits
 
 from companion.objective.scene import (
     TERMS,
-    Bounds,
     Scene,
     Workspace,
     radar_table,
@@ -90,7 +89,6 @@ def random_scene(
     flies = LIMITS if rng.random() < 0.8 else replace(LIMITS, loiter_radius_m=80.0)
     return Scene(
         weights=weights_of(drawn),
-        limits=Bounds.of(flies),
         margin=1.06,
         motion=envelope_of(flies, ARDUCOPTER),
         start=rows_of(start),
@@ -104,13 +102,14 @@ def random_scene(
         guide_rad=rng.uniform(-math.pi, math.pi),
         to_go=lattice(rng, 100.0, 4_000.0),
         needed=lattice(rng, 90.0, 900.0),
-        look_ahead_m=400.0,
         descent_m=900.0,
         safety_distance_m=60.0,
         clearance_m=75.0,
         surface=lattice(rng, 40.0, 500.0),
         contact=lattice(rng, 40.0, 450.0),
         band_amsl_m=(315.0, 785.0),
+        north_m=LIMITS.north_m,
+        east_m=LIMITS.east_m,
         radars=radar_table(radars, RADAR_MARGIN_M),
         zones=table,
         near_polygons=near if rng.random() < 0.5 else NO_CELLS,

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import parameter_of, spline
 from scenes import LIMITS, R_M, RADAR_MARGIN_M, cube, random_scene
-from scipy.integrate import quad
 from scipy.interpolate import RegularGridInterpolator
 
 from companion.objective import kernel
 from companion.objective.kernel import LONGEST_R2, SHORTEST_END, SHORTEST_R, SPREAD_RAD
-from companion.objective.scene import TERMS, Scene, rows_of, weights_of
+from companion.objective.scene import TERMS, Scene, radar_table, rows_of, weights_of
 from companion.path.subpath import Subpath
 from companion.profiles import Weights
 from companion.world.clearance import Surface
+from companion.world.radars import Radar
 from companion.world.zones import ZoneTable
 
 FloatArray = NDArray[np.float64]
@@ -222,13 +222,13 @@ def expected_to_go_m(control: FloatArray, scene: Scene) -> float:
     if scene.is_final:
         return 0.0
     heading = math.atan2(*(control[-1, :2] - control[-2, :2])[::-1])
-    ahead = scene.look_ahead_m
+    ahead = LIMITS.turn_radius_m
     there = control[-1, 0] + ahead * math.cos(heading), control[-1, 1] + ahead * math.sin(heading)
     low, high = scene.band_amsl_m
     altitude, needed = control[-1, 2], bilinear_m(scene.needed, control[-1, 0], control[-1, 1])
     above, asked = (max((z - low) / (high - low), 0.0) for z in (altitude, needed))
     down = scene.descent_m * max(above**2 - asked**2, 0.0)
-    up = max(needed - altitude, 0.0) / math.tan(scene.limits.climb_angle_rad)
+    up = max(needed - altitude, 0.0) / math.tan(LIMITS.climb_angle_rad)
     here_m = bilinear_m(scene.to_go, control[-1, 0], control[-1, 1])
     short = scene.end_radius_m - math.dist(control[-1, :2], scene.scan_ne_m)
     return float(max(ahead + bilinear_m(scene.to_go, *there), here_m) + down + up + 0.25 * short)
@@ -247,7 +247,7 @@ def expected_crash(
             n, e, z = a + share * (b - a)
             total += max(bilinear_m(scene.surface, n, e) - z, 0.0) / 3.0
     for j in range(1, len(points), 2):
-        if not scene.limits.hovers:
+        if scene.motion.loiter_m:
             break  # it circles: the surface knows
         left, flown = sum(chords[j:]), sum(chords[:j])
         it = scene.motion  # v settling + v^2 / 2 a = what is left
@@ -328,16 +328,6 @@ def test_the_weights_are_those_of_equation_5_and_what_is_left_to_fly_counts_as_l
 
 
 @given(seed=seeds)
-def test_f1_is_the_length_of_the_curve_in_units_of_2_4_r(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng, samples=40)
-    x = 0.25 + 0.5 * cube(rng, scene, 1)
-    curve = spline(control_points(x, scene)[0])
-    length_m, _ = quad(lambda u: float(np.linalg.norm(curve(u, 1))), 0.0, 1.0, limit=200)
-    assert terms(x[0], scene)["length"] == pytest.approx(100.0 * length_m / (2.4 * R_M), rel=0.005)
-
-
-@given(seed=seeds)
 def test_no_term_is_negative_or_anything_but_a_number(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = random_scene(rng)
@@ -382,3 +372,44 @@ def test_what_stands_between_two_samples_is_met_at_the_points_of_the_chords() ->
     assert np.linalg.norm(points - points[20], axis=-1)[21] > 6.0 * 4.0
     without, with_it = (terms(x[0], scene._replace(surface=s))["crash"] for s in (flat, mast))
     assert with_it > without + 100.0
+
+
+# --- how a candidate is looked at
+
+
+@given(seed=seeds, margins=st.sampled_from([-0.01, 0.01, 0.5, 0.99, 1.01, 1.5]))
+def test_a_radar_ends_at_its_range_and_margin(seed: int, margins: float) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x = cube(rng, scene, 1)
+    kernel.cost(x[0], math.inf, scene)
+    centre, margin_m = (2_000.0, 2_000.0, 0.0), 2.5
+    nearest_m = float(np.linalg.norm(scene.at.points[1:, :3] - centre, axis=-1).min())
+    radar = Radar(name="r", centre_nea_m=centre, range_m=nearest_m - margins * margin_m)
+    expected = 1.0 / (1.0 + (nearest_m / radar.range_m) ** 4) if margins < 1.0 else 0.0
+    found = kernel.detection(scene.at.points, radar_table((radar,), margin_m))
+    assert found >= expected * (1.0 - 1e-12)
+    assert (found > 0.0) == (margins < 1.0)
+
+
+@settings(max_examples=60)
+@given(seed=seeds, share=st.sampled_from([0.0, 0.1, 0.4, 0.8, 0.97, 0.999999, 1.000001, 1.5]))
+def test_beyond_a_bound_the_cost_is_infinite_and_below_it_the_cost(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x = cube(rng, scene, 1)[0]
+    cost = kernel.cost(x, math.inf, scene)
+    assert kernel.cost(x, share * cost, scene) == (math.inf if share < 1.0 else cost)
+    assert kernel.cost(x, cost, scene) == cost
+
+
+@settings(max_examples=15)
+@given(seed=seeds)
+def test_a_workspace_is_good_for_many_candidates_in_any_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x = cube(rng, scene, 4)
+    there = [kernel.cost(each, math.inf, scene) for each in x]
+    back = [kernel.cost(each, math.inf, scene) for each in x[::-1]]
+    assert there == back[::-1]
+    assert there == [kernel.cost(each, math.inf, scene.with_points(scene.points)) for each in x]

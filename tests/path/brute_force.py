@@ -428,7 +428,7 @@ def violations(
     real = truth(case, samples=400)
     broken = {
         "clearance": min(real.clearance_m, real.keep_out_m) < wanted - 1e-3,
-        "dead man": real.dead_man_m < error - 1e-3,
+        "dead man": real.dead_man_m < error + task.envelope.aside_m - 1e-3,
         "turn": real.turn_radius_m < limits.turn_radius_m * (1.0 - 1e-6),
         "climb": real.climb_angle_rad > limits.climb_angle_rad + 1e-6,
         "dive": real.dive_angle_rad > limits.dive_angle_rad + 1e-6,

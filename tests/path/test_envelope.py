@@ -71,6 +71,22 @@ def test_no_stretch_ends_farther_beyond_a_leg_than_is_told(motion: Envelope) -> 
     assert beyond_m(motion) <= max(beyond.max(), 0.0) + 0.01 * motion.speed_m_s + 1e-6
 
 
+@pytest.mark.parametrize("speed", [3.0, 8.0, 150.0])
+def test_without_setpoints_it_leaves_its_tangent_by_what_its_jerk_and_its_map_turn_it(
+    speed: float,
+) -> None:
+    bounds = limits(speed_m_s=speed, acceleration_m_s2=5.0, turn_radius_m=speed**2 / 4.0)
+    motion = envelope_of(bounds, replace(COPTER, turning_s2=0.0), convergence_rad=0.02)
+    reach_m = flown_on_m(motion, speed)
+    time_s = np.linspace(0.0, reach_m / speed, 200_001)
+    across_m_s2 = np.maximum(4.0 - 20.0 * time_s, 0.0)  # jerk: four times the acceleration
+    velocity = np.cumsum(across_m_s2) * time_s[1] + 0.02 * speed
+    assert velocity.sum() * time_s[1] == pytest.approx(motion.aside_m, rel=0.05)
+    assert velocity.sum() * time_s[1] <= motion.aside_m * 1.0001
+    straight = replace(bounds, turn_radius_m=math.inf)
+    assert envelope_of(straight, replace(COPTER, turns_with_grid=False), 0.02).aside_m == 0.0
+
+
 def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
     # ardupilot.md 3: WPNAV_ACCEL 2.5 m/s2, GUID_TIMEOUT 3 s
     motion = envelope_of(limits(acceleration_m_s2=2.5), ARDUCOPTER)
