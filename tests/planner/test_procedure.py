@@ -215,7 +215,7 @@ def test_a_short_leg_is_flown_so_slowly_that_its_successor_comes_while_it_can_st
         length_m = max(length_m, slowing_m(SHORT.envelope, V))
     leg, tick_s = leg_to(length_m, 0.0, 0.0), 0.02
     slow = leg.slows_to_m_s(SHORT)
-    assert (slow is not None) <= (length_m < SHORT.shortest_scan_distance_m)
+    assert (slow < V) <= (length_m < SHORT.shortest_scan_distance_m)
     if not leg.can_be_left(SHORT):
         assert length_m < 0.8 * SHORT.shortest_scan_distance_m
         return
