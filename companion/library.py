@@ -88,31 +88,10 @@ def fly(
 ) -> Flown:
     """Fly a mission: scan, plan a subpath, fly it, and again, until the last target.
 
-    Parameters
-    ----------
-    world
-        The truth: a bundled name, a world.toml, a `Terrain`, or heights AMSL (rows to the north,
-        columns to the east), `spacing_m` apart from `corner_ne_m` (the map's south-west corner).
-    mission
-        A bundled name or a mission file, or a `Task`, which needs a start and targets.
-    start_nea_m, targets_ne_m
-        North, east (and altitude AMSL) in metres; by default those of the files.
-    known
-        Terrain known in advance; None: that of the mission file, or nothing.
-    scanner
-        What is seen of the truth from a point with a range: `simulated_scan`, or your own.
-    near, scene
-        In place of a scanner: a sensor of near things (by default the mission's), and what stands
-        in the world.  `known.guess_m` is the ground, which it does not see; None: the world's.
-    planner
-        What answers the requests: `plan`, or your own.
-    optimiser
-        A name in `OPTIMISERS`, or your own: what makes one; None: the mission's.
-    seed
-        Of every search.
-    most_legs
-        After how many it gives up; None: six times as many as a straight way has, at least 60.
-
+    What the arguments mean: docs/library.md.  world: its name or file, its terrain, or heights AMSL
+    (rows to the north, columns to the east).  mission: its name or file, or a task, which needs a
+    start and targets.  known, near, optimiser: None: the mission's.  near, scene: in place of a
+    scanner; `known.guess_m` is the ground, which they do not see (None: the world's).
     InputError: an argument is not understood.
     """
     if seed < 0 or (most_legs is not None and most_legs < 1):

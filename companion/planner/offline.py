@@ -31,8 +31,7 @@ from companion.world.near_map import NearMap, NearSensor, Rules, both, top_amsl_
 from companion.world.simulated_scan import simulated_scan
 from companion.world.simulated_sweep import NearScene
 
-_MIN_MOST_LEGS = 60
-_TIMES_AS_MANY = 6  # legs as a straight way of legs of full length has
+_TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 60
 _MAX_ATTEMPTS = 4  # from one place, each with a wider search
 _STEP_S = 0.1  # of the reference point
 _LOOKS_FIRST_S = 2.0  # a vehicle that takes off has looked about for longer than that
@@ -182,12 +181,9 @@ def fly_offline(
 ) -> OfflineFlight:
     """Scan, plan, go on to p_prog, until the last target is reached or nothing can be planned.
 
-    most_legs: it gives up after so many, with `TOO_MANY_LEGS`; None: six times as many as a
-    straight way has, or 60 if that is more.  From one place it plans up to four times, each time
-    with a wider search.
-
     As in flight: the vehicle stops at each target, and a leg without a successor is flown to its
-    end, where the vehicle stops, scans and plans again.
+    end, where the vehicle stops, scans and plans again.  It gives up after four plans in one place,
+    each with a wider search, or after most_legs (None: `usual_most_legs`), with `TOO_MANY_LEGS`.
     """
     ask = PlanRequest(
         plan_id=0,
@@ -217,7 +213,7 @@ def fly_offline(
 def usual_most_legs(
     task: Task, start_nea_m: Vector, targets_ne_m: tuple[tuple[float, float], ...]
 ) -> int:
-    """The default limit of the number of legs of a flight."""
+    """Six times as many as a straight way has, or 60 if that is more."""
     places = [start_nea_m[:2], *targets_ne_m]
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
     legs = sum(math.ceil(math.dist(a, b) / leg_m) for a, b in pairwise(places))
