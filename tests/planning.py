@@ -107,7 +107,8 @@ def fly(
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,
         seed=seed,
-        planner=plan,  # of this module: it may be asked a little aside (tests/nudge.py)
+        # of this module: it may be asked a little aside (tests/nudge.py)
+        planner=keywords.pop("planner", plan),
         **keywords,
     )
 
