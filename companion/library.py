@@ -16,9 +16,9 @@ from companion.geodesy import FloatArray
 from companion.optimise.registry import OPTIMISERS, Maker, temporarily_registered
 from companion.path.certificate import Certificate, bounds_text
 from companion.path.limits import Limits
+from companion.planner import rules
 from companion.planner.offline import OfflineFlight, OnBoard, Scanner, fly_offline
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
-from companion.planner.rules import check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.planning import plan
 from companion.profiles import PROFILES
@@ -189,7 +189,7 @@ def _checked(task: Task, *, is_near: bool) -> Task:
         values = {name: getattr(held, name) for name in names}
         plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
         validated(keys_of(type(held), *names), plain, where)
-    check_task(task)
+    rules.refuse(rules.of_task(task))
     if settings.optimiser is not None:
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")
     return task

@@ -41,27 +41,10 @@ _MAX_CORNERS = 2000
 of no use at the scale of a flight."""
 
 
-def check_task(task: Task, where: str = "") -> None:
-    """Check a task against every rule between its numbers.
-
-    Raises InputError for the first that is broken; where comes before the field ("file: ").
-    """
-    _refuse(_of_task(task), where)
-
-
-def check_target(task: Task, target_ne_m: Place, field: str) -> None:
-    """Hold a target to the map and the zones.  Raises InputError about the field."""
-    _refuse(_of_target(task, target_ne_m, field))
-
-
-def check_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> None:
-    """Hold a polygon to having an inside.  Raises InputError about the field."""
-    _refuse((field, name, *broken) for broken in _of_polygon(vertices_ne_m))
-
-
-def check_area(north_m: tuple[float, float], east_m: tuple[float, float], where: str = "") -> None:
-    """Hold a map to having an inside.  Raises InputError."""
-    _refuse(_of_area(north_m, east_m), where)
+def refuse(broken: Iterable[Broken], where: str = "") -> None:
+    """Raise InputError for the first that is broken; where comes before the field ("file: ")."""
+    for field, value, rule, remedy in broken:
+        raise InputError(f"{where}{field}", value, rule, remedy)
 
 
 def newly_broken(before: Task, after: Task, target_ne_m: Place) -> InputError | None:
@@ -71,7 +54,7 @@ def newly_broken(before: Task, after: Task, target_ne_m: Place) -> InputError | 
     target, and home may be at the edge of the map.
     """
     was, now = (
-        [*_of_task(task), *_of_target(task, target_ne_m, "targets[0]")] for task in (before, after)
+        [*of_task(task), *of_target(task, target_ne_m, "targets[0]")] for task in (before, after)
     )
     known = {field for field, *_ in was}
     return next((InputError(*broken) for broken in now if broken[0] not in known), None)
@@ -79,28 +62,24 @@ def newly_broken(before: Task, after: Task, target_ne_m: Place) -> InputError | 
 
 def target_refusal(task: Task, target_ne_m: Place) -> str:
     """Why a place cannot be a target, as text; empty if it can."""
-    return next((f"the target: {rule}" for _, _, rule, _ in _of_target(task, target_ne_m, "")), "")
+    return next((f"the target: {rule}" for _, _, rule, _ in of_target(task, target_ne_m, "")), "")
 
 
-def _refuse(broken: Iterable[Broken], where: str = "") -> None:
-    for field, value, rule, remedy in broken:
-        raise InputError(f"{where}{field}", value, rule, remedy)
-
-
-def _of_area(north_m: tuple[float, float], east_m: tuple[float, float]) -> Iterator[Broken]:
+def of_area(north_m: tuple[float, float], east_m: tuple[float, float]) -> Iterator[Broken]:
+    """A map has an inside."""
     for axis, (low, high) in (("north", north_m), ("east", east_m)):
         if low >= high:
             rule = f"it must be more than area.{axis}_min_m = {low:g}"
             yield f"area.{axis}_max_m", high, rule, "Swap or widen them."
 
 
-def _of_task(task: Task) -> Iterator[Broken]:
+def of_task(task: Task) -> Iterator[Broken]:
     """All rules of a task, in the order in which they are told."""
     limits, settings = task.limits, task.settings
     range_m, speed, d_s = settings.scan_range_m, limits.speed_m_s, settings.safety_distance_m
     floor, ceiling, end_m = limits.floor_amsl_m, limits.ceiling_amsl_m, task.end_radius_m
 
-    yield from _of_area(limits.north_m, limits.east_m)
+    yield from of_area(limits.north_m, limits.east_m)
     if ceiling - floor <= _MIN_BAND_ERRORS * task.error_m:
         rule = (
             f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
@@ -173,7 +152,8 @@ def _too_tight(lateral_m_s2: float, *, hovers: bool) -> str:
     return f"{bank:.0f} degrees of bank, over {_MAX_BANK_DEG:g}" if too_much else ""
 
 
-def _of_target(task: Task, target_ne_m: Place, field: str) -> Iterator[Broken]:
+def of_target(task: Task, target_ne_m: Place, field: str) -> Iterator[Broken]:
+    """A target lies on the map, and where no zone forbids to be."""
     limits, kept_m = task.limits, task.zone_search_clearance_m
     inset_m = kept_m if task.settings.profile.verified else 0.0
     sides_m = {"north": limits.north_m, "east": limits.east_m}
@@ -198,18 +178,20 @@ def _least(task: Task) -> str:
     return f"{task.zone_search_clearance_m:g} m (d_s and the vehicle's errors{circle})"
 
 
-def _of_polygon(vertices_ne_m: tuple[Place, ...]) -> Iterator[tuple[str, str]]:
-    """The rule that it breaks, and the remedy."""
+def of_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> Iterator[Broken]:
+    """A polygon has a clear inside."""
     corners = np.array(vertices_ne_m, dtype=np.float64).reshape(-1, 2)
     if len(set(vertices_ne_m)) < 3:
-        yield "a polygon has three or more corners", "Give three or more different corners."
+        remedy = "Give three or more different corners."
+        yield field, name, "a polygon has three or more corners", remedy
     elif len(corners) > _MAX_CORNERS:
-        yield f"it has more than {_MAX_CORNERS} corners", "Simplify it, outwards."
+        yield field, name, f"it has more than {_MAX_CORNERS} corners", "Simplify it, outwards."
     elif (crossing := first_crossing(corners)) is not None:
         edges = f"the edges from its corners {crossing[0]} and {crossing[1]} (from 0) cross"
-        yield f"{edges}, so it has no clear inside", "Draw it so that it does not cross itself."
+        remedy = "Draw it so that it does not cross itself."
+        yield field, name, f"{edges}, so it has no clear inside", remedy
     elif abs(_area_m2(corners - corners[0])) < _MIN_AREA_M2:
-        yield "it has no area", "Give corners that do not lie on one line."
+        yield field, name, "it has no area", "Give corners that do not lie on one line."
 
 
 def _area_m2(corners: FloatArray) -> float:
