@@ -3,8 +3,8 @@
 See docs/library.md.  Deterministic: the same arguments, the same flight.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from typing import final
 
@@ -121,7 +121,13 @@ def fly(
         blank = replace(blank, guess_m=truth.upper_m) if blank.guess_m is None else blank
         on_board = OnBoard(near, scene, task, blank)
     load_kernel()  # once: ten seconds the first time ever
-    with _searched_with(optimiser, task) as task:
+    with ExitStack() as lent:
+        if callable(optimiser):
+            optimiser = lent.enter_context(temporarily_registered(optimiser))
+        elif optimiser is not None:
+            OPTIMISERS.chosen(optimiser, "optimiser")
+        if optimiser is not None:
+            task = replace(task, settings=replace(task.settings, optimiser=optimiser))
         flight = fly_offline(
             task,
             blank=blank,
@@ -151,19 +157,6 @@ def fly(
         task=task,
         details=flight,
     )
-
-
-@contextmanager
-def _searched_with(optimiser: str | Maker | None, task: Task) -> Iterator[Task]:
-    """The task, with another optimiser if one is given."""
-    if optimiser is None:
-        yield task
-    elif isinstance(optimiser, str):
-        OPTIMISERS.chosen(optimiser, "optimiser")
-        yield replace(task, settings=replace(task.settings, optimiser=optimiser))
-    else:
-        with temporarily_registered(optimiser) as name:
-            yield replace(task, settings=replace(task.settings, optimiser=name))
 
 
 def _numbers(place: Sequence[float], count: int, field: str) -> tuple[float, ...]:

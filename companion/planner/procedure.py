@@ -132,11 +132,10 @@ class Leg:
         return Rest(length_m=length_m - at_m, end_nea_m=end_nea_m, speed_m_s=speed_m_s)
 
     def can_be_left(self, task: Task) -> bool:
-        """Whether a successor may take over in flight.
+        """Whether a successor may take over in flight: p_prog is far enough before the end.
 
-        The certificate assumes a vehicle that can stop at the end; from a p_prog too near to the
-        end it could not, and a plane would be sent to points beyond it.  Such a leg is flown to its
-        end, and the next begins at rest.
+        The certificate assumes a vehicle that can stop there, and a plane is sent to no point
+        beyond it.  Else the leg is flown to its end, and the next begins at rest.
         """
         if not task.settings.profile.verified:
             return True
@@ -177,10 +176,9 @@ def advance(
     """Move the reference point: speed up, cruise at V, slow down for bends and the end of the leg.
 
     It is nowhere faster than the certificate takes it to be (`path.envelope`), gains speed the more
-    slowly the farther behind the vehicle is, and waits if it is too far.
-    goes_on: the next leg is ready, so there is no stop at the end of this one.  until_m: the length
-    at which to stop, with all that the vehicle brakes with, if that is before the end.
-    slows_to_m_s: see `Leg.slows_to_m_s`.
+    slowly the farther behind the vehicle is, and waits if it is too far.  goes_on: the next leg is
+    ready, so there is no stop at the end of this one.  until_m: the length at which to stop, with
+    all that the vehicle brakes with, if that is before the end.
     """
     at_m, speed = reference.length_m, reference.speed_m_s
     pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m

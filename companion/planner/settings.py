@@ -95,11 +95,9 @@ class Task:
 
     def radars_near(self, place_ne_m: tuple[float, float], reach_m: float) -> tuple[Radar, ...]:
         """The radars whose range comes within reach of a place."""
-        return tuple(
-            radar
-            for radar in self.radars
-            if math.dist(radar.centre_nea_m[:2], place_ne_m) <= radar.range_m + reach_m
-        )
+        away_m = (math.dist(radar.centre_nea_m[:2], place_ne_m) for radar in self.radars)
+        near = zip(self.radars, away_m, strict=True)
+        return tuple(radar for radar, away in near if away <= radar.range_m + reach_m)
 
     # --- what is kept: by what the search aims at, and, a little less, by what is proven
 
@@ -159,9 +157,8 @@ class Task:
     def tail_m(self) -> float:
         """Length of a subpath beyond p_prog.
 
-        The paper's d_s; in profile `flight` the dead-man reach, enough to stop in (for a plane:
-        the lead and d_s), and never less than 0.15 R (design section 6: it takes away most of what
-        goes wrong near the end of sight).
+        The paper's d_s; in `flight` the dead-man reach, enough to stop in (for a plane: the lead
+        and d_s), and 0.15 R (design 6: most of what goes wrong at the end of sight does not then).
         """
         settings, motion = self.settings, self.envelope
         if not settings.profile.verified:
@@ -198,8 +195,8 @@ class Task:
     def end_radius_m(self) -> float:
         """Radius of the circle about p_scan on which subpaths end.
 
-        The paper's R; in profile `flight` less, so that the ground is scanned within the required
-        clearance of the end and of the dead-man reach from there.
+        The paper's R; in `flight` less, so that the ground is scanned within the required clearance
+        of the end and of the dead-man reach from there.
         """
         settings = self.settings
         if not settings.profile.verified:
