@@ -17,7 +17,7 @@ from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
 from companion.path.certificate import Certificate
 from companion.planner.offline import OnBoard, fly_offline
 from companion.planner.plan import plan
-from companion.planner.procedure import Leg, Reference
+from companion.planner.procedure import Leg
 from companion.profiles import PROFILES
 from companion.world.known_map import KnownMap, Scan, empty_map
 
@@ -164,15 +164,15 @@ def test_a_thing_that_comes_into_the_way_is_stopped_for(
 ) -> None:
     task: Task = page["among"].task
     on_board, where = aboard(task, [])
-    looks = on_board.sees
+    flies = on_board.flies
 
-    def sees(leg: Leg, reference: Reference) -> bool:
+    def meets(leg: Leg, from_m: float, until_m: float, *, goes_on: bool) -> tuple[float, float]:
         if leg.number == 2:
             ahead = leg.subpath.pose(leg.subpath.length_m).point_nea_m[:2]
             on_board._scene = NearScene([Thing(corners_ne_m=[ahead], half_width_m=0.3)])
-        return looks(leg, reference)
+        return flies(leg, from_m, until_m, goes_on=goes_on)
 
-    monkeypatch.setattr(on_board, "sees", sees)
+    monkeypatch.setattr(on_board, "flies", meets)
     flight = fly_offline(task, targets_ne_m=((42.0, 42.0),), **where)
     assert flight.failure is None
     assert flight.holds

@@ -13,7 +13,15 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.envelope import stopping_m
-from companion.planner.procedure import Leg, Reference, Vector, advance, hover_pose, is_at_end
+from companion.planner.procedure import (
+    Leg,
+    Reference,
+    Vector,
+    advance,
+    hover_pose,
+    is_at_end,
+    paced_s_m,
+)
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.recheck import meets_near_things
 from companion.planner.request import (
@@ -33,7 +41,7 @@ from companion.world.simulated_sweep import NearScene
 
 _TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 60
 _MAX_ATTEMPTS = 4  # from one place, each with a wider search
-_STEP_S = 0.1  # of the reference point
+_ROUNDING = 1e-6  # of a sweep
 _LOOKS_FIRST_S = 2.0  # a vehicle that takes off has looked about for longer than that
 
 Scanner = Callable[[KnownMap, Vector, float], Scan]
@@ -61,8 +69,7 @@ class OfflineFlight:
     holds: int = 0
     """How often it had to stop, for want of a successor or for what it saw."""
     seconds: float = 0.0
-    """How long it took, from the first leg on, at rest for each plan from there included."""
-    _reference: Reference = field(default_factory=Reference)
+    """An estimate of how long it took, from the first leg on, with its stops."""
 
     @property
     def known(self) -> KnownMap:
@@ -79,14 +86,15 @@ class OfflineFlight:
 
     def scan(self, truth: KnownMap, scanner: Scanner) -> None:
         """Scan from where the next request says."""
-        ask, settings = self.next, self.next.task.settings
-        rests_s = settings.scan_time_s + settings.planning_time_s if ask.from_rest else 0.0
+        ask, task, settings = self.next, self.next.task, self.next.task.settings
         if self.on_board is None:
             scan = scanner(truth, ask.scan_nea_m, settings.scan_range_m)
+            self.seconds += task.stop_m / task.limits.speed_m_s if ask.from_rest else 0.0
         else:
+            rests_s = settings.scan_time_s + settings.planning_time_s if ask.from_rest else 0.0
             looks_s = rests_s if self.scans_nea_m else max(rests_s, _LOOKS_FIRST_S)
             scan = self.on_board.scan(ask.scan_nea_m, looks_s)
-        self.seconds += rests_s if self.scans_nea_m else 0.0
+            self.seconds += rests_s if self.scans_nea_m else 0.0
         self.scans_nea_m.append(ask.scan_nea_m)
         self.next = replace(ask, plan_id=ask.plan_id + 1, known=ask.known.with_scan(scan))
 
@@ -110,7 +118,6 @@ class OfflineFlight:
         self.plans.append(outcome)
         self.legs.append(leg)
         self.flown_m.append(0.0)
-        self._reference = Reference(speed_m_s=self._reference.speed_m_s)
         scan_at_m = leg.scan_at_m(task) if leg.wants_successor(math.inf, task) else math.inf
         if self.fly(scan_at_m):
             self.next = replace(
@@ -126,33 +133,18 @@ class OfflineFlight:
 
         Else it has stopped, at the end or for what it saw.  goes_on: the next leg begins there.
         """
-        leg, task = self.legs[-1], self.next.task
-        length_m, at_m, motion = leg.subpath.length_m, self.flown_m[-1], leg.motion(task)
-        slows_to_m_s, end_m = leg.slows_to_m_s(task), min(until_m, length_m)
-        stops = not goes_on and end_m == length_m
-        while self._reference.length_m < end_m and not is_at_end(self._reference, leg):
-            self._reference = advance(
-                self._reference,
-                leg,
-                _STEP_S,
-                leg.subpath.pose(self._reference.length_m).position_nea_m,
-                motion,
-                goes_on=goes_on,
-                slows_to_m_s=slows_to_m_s,
-            )
-            self.seconds += _STEP_S if task.limits.hovers else 0.0
-            if self.on_board is not None and self.on_board.sees(leg, self._reference):
-                stop_m = stopping_m(motion, self._reference.speed_m_s)
-                self.seconds += self._reference.speed_m_s / task.limits.acceleration_m_s2
-                end_m = float(min(self._reference.length_m + stop_m, np.nextafter(end_m, 0.0)))
-                stops = True
-                break
+        leg, from_m, length_m = self.legs[-1], self.flown_m[-1], self.legs[-1].subpath.length_m
+        end_m = until_m = min(until_m, length_m)
+        if self.on_board is None:
+            took_s = (end_m - from_m) * paced_s_m(leg.subpath, leg.motion(self.next.task))
+        else:
+            end_m, took_s = self.on_board.flies(leg, from_m, until_m, goes_on=goes_on)
+        self.seconds += took_s
         self.flown_m[-1] = end_m
-        if not task.limits.hovers:  # it flies at V all the time
-            self.seconds += (end_m - at_m) / task.limits.speed_m_s
-        if stops:
+        is_under_way = end_m == until_m and (goes_on or until_m < length_m)
+        if not is_under_way:
             self._stop(leg.subpath.pose(end_m).point_nea_m, at_end=end_m == length_m)
-        return not stops
+        return is_under_way
 
     def _stop(self, here_nea_m: Vector, *, at_end: bool) -> None:
         """It stands; at a target it turns to the next one."""
@@ -163,7 +155,7 @@ class OfflineFlight:
             self.left_ne_m.pop(0)
         else:
             self.holds += 1
-        self.next, self._reference = replace(ask, from_rest=True, rest=None), Reference()
+        self.next = replace(ask, from_rest=True, rest=None)
 
 
 def fly_offline(
@@ -230,8 +222,9 @@ class OnBoard:
         self.near = NearMap.empty(blank.bare(), Rules.of(sensor, task.limits.navigation_error_m))
         self._sensor, self._scene, self._task, self._ground_m = sensor, scene, task, blank.guess_m
         self._top_m = top_amsl_m(task.limits.ceiling_amsl_m, sensor.range_m)
-        self._now_s = self._due_s = self._heading_rad = 0.0
+        self._now_s = self._heading_rad = 0.0
         self._changed: Window | None = None
+        self._reference = Reference()
 
     def scan(self, at_nea_m: Vector, looks_s: float) -> Scan:
         """What it has come to know since the last time; at rest it looks about first, so long."""
@@ -239,14 +232,41 @@ class OnBoard:
         changed, self._changed = self._changed, None
         return self.near.scan(changed, self._ground_m, self._top_m)
 
-    def sees(self, leg: Leg, reference: Reference) -> bool:
-        """Look about on the way.  -> whether something has come into it."""
-        pose, task = leg.subpath.pose(reference.length_m), self._task
-        self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
-        here_ne_m = pose.point_nea_m[:2]
-        self.look(here_ne_m, self._heading_rad, reference.speed_m_s, seconds=_STEP_S)
+    def flies(
+        self, leg: Leg, from_m: float, until_m: float, *, goes_on: bool
+    ) -> tuple[float, float]:
+        """Look about along a part of a leg.  goes_on: the next leg begins at until_m.
+
+        -> until_m, or where it stopped for something, and the seconds that it took.
+        """
+        if from_m == 0.0:  # a new one: it goes on at the speed at which the last one was left
+            self._reference = Reference(speed_m_s=self._reference.speed_m_s)
+        task, step_s, began_s = self._task, 1.0 / self._scene.rate_hz, self._now_s
         kept_m = task.settings.safety_distance_m + task.limits.tracking_error_m
-        return meets_near_things(leg, reference.length_m, self.near, kept_m)
+        motion, slows_to_m_s = leg.motion(task), leg.slows_to_m_s(task)
+        while self._reference.length_m < until_m and not is_at_end(self._reference, leg):
+            here = leg.subpath.pose(self._reference.length_m).position_nea_m
+            self._reference = advance(
+                self._reference,
+                leg,
+                step_s,
+                here,
+                motion,
+                goes_on=goes_on,
+                slows_to_m_s=slows_to_m_s,
+            )
+            at_m, speed_m_s = self._reference.length_m, self._reference.speed_m_s
+            pose = leg.subpath.pose(at_m)
+            self._heading_rad = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
+            self.look(pose.point_nea_m[:2], self._heading_rad, speed_m_s, seconds=step_s)
+            if meets_near_things(leg, at_m, self.near, kept_m):
+                self._now_s += speed_m_s / task.limits.acceleration_m_s2
+                self._reference = Reference()
+                stop_m = min(at_m + stopping_m(motion, speed_m_s), np.nextafter(until_m, 0.0))
+                return float(stop_m), self._now_s - began_s
+        if until_m == leg.subpath.length_m and not goes_on:
+            self._reference = Reference()
+        return until_m, self._now_s - began_s
 
     def look(
         self,
@@ -257,9 +277,8 @@ class OnBoard:
         seconds: float,
     ) -> None:
         """Look about at a place for a while."""
-        period_s, self._due_s = 1.0 / self._scene.rate_hz, self._due_s + seconds
-        while self._due_s > 0.5 * period_s:
-            self._due_s -= period_s
+        period_s = 1.0 / self._scene.rate_hz
+        for _ in range(math.ceil(seconds / period_s - _ROUNDING)):
             self._now_s += period_s
             sweep = self._scene.sweep(self._sensor, self._now_s, place_ne_m, heading_rad, speed_m_s)
             self._changed = both(self._changed, self.near.add(sweep))

@@ -205,6 +205,11 @@ def paced_m_s(subpath: Subpath, motion: Envelope, at_m: float) -> float:
     return min(float(paces[k]), float(paces[k + 1]))
 
 
+def paced_s_m(subpath: Subpath, motion: Envelope) -> float:
+    """How long it takes, seconds a metre in the mean."""
+    return float((1.0 / _paces_m_s(subpath, motion)).mean())
+
+
 @lru_cache(maxsize=4)
 def _paces_m_s(subpath: Subpath, motion: Envelope) -> FloatArray:
     """V, or less where it climbs faster than the vehicle can, or bends, or soon does.  -> (N,)."""
