@@ -15,13 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mission.mission import Mission
-from companion.planner.request import (
-    Backtrack,
-    NotPlanned,
-    PlanOutcome,
-    PlanRequest,
-    outcome_of,
-)
+from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, outcome_of
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.planning import plan
