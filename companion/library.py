@@ -54,17 +54,15 @@ class Flown:
     points_nea_m: FloatArray
     """(S, 3) north, east, altitude along what was flown, R / 400 apart or less."""
     length_m: float
-    """Of what was flown."""
     terms: dict[str, float]
     """`length`, `height` and `radar` of eq. 5, along what was flown."""
     cost: float
     """J, the sum of the terms: what docs/results/benchmarks.md compares with the optimum."""
     seconds: float
-    """An estimate of how long it takes, with its stops."""
+    """About how long it takes, with its stops."""
     certificates: tuple[Certificate, ...]
     """The proof of each subpath; `certificate.broken` says what was not proven (`paper`)."""
     task: Task
-    """Under which it was flown."""
     details: OfflineFlight
     """Everything: legs, plans with the cost terms of each search, scans, the known map."""
 

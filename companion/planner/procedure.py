@@ -94,8 +94,7 @@ class Leg:
              start         p_prog end
 
         In the time T of scan and plan it comes v T + (V - v)^2 / 2a far, to p_prog, and needs
-        v d + v^2 / 2a from there on: together as much as a brake of a / 2 needs to stop from v with
-        a delay of T + d - V/a, and V^2 / 2a.
+        v d + v^2 / 2a from there on: together v^2 / a + v (T + d - V/a) + V^2 / 2a.
         """
         motion, length_m = self.motion(task), self.subpath.length_m
         task, full_m_s = task.at_speed(self.speed_m_s), motion.speed_m_s
@@ -109,8 +108,10 @@ class Leg:
         brakes_m, brakes_s = 0.5 * full_m_s**2 / brake_m_s2, full_m_s / brake_m_s2
         slow_m_s = full_m_s
         for delay_s, beyond_m in ((motion.settling_s, 0.0), (motion.dead_man_s, motion.overrun_m)):
-            room_m, late_s = length_m + beyond_m - brakes_m, time_s + delay_s - brakes_s
-            slow_m_s = min(slow_m_s, slowed_m_s(room_m, 0.5 * brake_m_s2, late_s))
+            room_m = length_m + beyond_m - brakes_m
+            late_m_s = 0.5 * brake_m_s2 * (time_s + delay_s - brakes_s)
+            root_m_s = math.sqrt(max(late_m_s**2 + brake_m_s2 * room_m, 0.0))
+            slow_m_s = min(slow_m_s, max(root_m_s - late_m_s, 0.0))
         at_m = slow_m_s * time_s + 0.5 * (full_m_s - slow_m_s) ** 2 / brake_m_s2
         return min(at_m, length_m), slow_m_s
 

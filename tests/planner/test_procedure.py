@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import leg_of, limits
 
-from companion.path.envelope import ending_m_s, slowing_m
+from companion.path.envelope import Envelope, ending_m_s, slowing_m
 from companion.planner.procedure import (
     Leg,
     Reference,
@@ -41,14 +42,21 @@ def bent_leg() -> Leg:
     return leg_of([[0, 0, 500], [600, 0, 500], [900, 700, 560], [1_500, 900, 520.0]])
 
 
+def step(
+    reference: Reference, leg: Leg, tick_s: float, motion: Envelope = MOTION, **keywords: Any
+) -> Reference:
+    """One tick of a vehicle that is always on its reference point."""
+    here = leg.subpath.pose(reference.length_m).position_nea_m
+    return advance(reference, leg, tick_s, here, motion, **keywords)
+
+
 def flown(
     leg: Leg, tick_s: float, *, goes_on: bool = False, most_s: float = 400.0
 ) -> list[Reference]:
     """The reference point of a vehicle that is always on it, tick by tick."""
     references = [Reference()]
     while len(references) * tick_s < most_s and not is_at_end(references[-1], leg):
-        vehicle = leg.subpath.pose(references[-1].length_m).position_nea_m
-        references.append(advance(references[-1], leg, tick_s, vehicle, MOTION, goes_on=goes_on))
+        references.append(step(references[-1], leg, tick_s, goes_on=goes_on))
     return references
 
 
@@ -184,8 +192,7 @@ def test_towards_the_end_its_dead_man_reach_ends_no_farther_beyond_than_the_over
 ) -> None:
     leg, reference, seconds = leg_to(600.0, 0.0, 0.0), Reference(), 0.0
     while not is_at_end(reference, leg):
-        here = leg.subpath.pose(reference.length_m).position_nea_m
-        reference = advance(reference, leg, tick_s, here, SHORT.envelope, goes_on=False)
+        reference = step(reference, leg, tick_s, SHORT.envelope, goes_on=False)
         left_m = 600.0 - reference.length_m
         reach_m = reference.speed_m_s * SLOWING.dead_man_s + reference.speed_m_s**2 / (2.0 * A)
         assert reach_m <= left_m + SLOWING.overrun_m + V * tick_s
@@ -208,10 +215,7 @@ def test_a_short_leg_is_flown_so_slowly_that_its_successor_comes_while_it_can_st
     at_m = leg.successor_at_m(SHORT)
     reference, seconds = Reference(speed_m_s=0.0 if from_rest else V), 0.0
     while reference.length_m < at_m:
-        here = leg.subpath.pose(reference.length_m).position_nea_m
-        reference = advance(
-            reference, leg, tick_s, here, SHORT.envelope, goes_on=True, slows_to_m_s=slow
-        )
+        reference = step(reference, leg, tick_s, SHORT.envelope, goes_on=True, slows_to_m_s=slow)
         seconds += tick_s
     settings = SHORT.settings
     assert seconds >= settings.planning_time_s + settings.scan_time_s
@@ -246,8 +250,7 @@ def test_the_reference_point_stops_where_it_is_told_to_if_that_is_before_the_end
     end_m = min(until_m, leg.subpath.length_m)
     reference, before = Reference(), 0.0
     for _ in range(math.ceil(200.0 / tick_s)):
-        here = leg.subpath.pose(reference.length_m).position_nea_m
-        reference = advance(reference, leg, tick_s, here, MOTION, goes_on=True, until_m=until_m)
+        reference = step(reference, leg, tick_s, goes_on=True, until_m=until_m)
         room_m = max(end_m - before, 0.0)
         assert reference.length_m <= end_m + 1e-9
         assert reference.speed_m_s <= math.sqrt(2.0 * A * room_m) + 2.0 * A * tick_s
