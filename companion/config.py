@@ -13,7 +13,7 @@ from typing import NamedTuple, final
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.mission.mission import Mission
-from companion.planner.rules import check_area
+from companion.planner import rules
 from companion.sources.elevation import read_terrain
 from companion.sources.files import (
     RawTable,
@@ -165,7 +165,7 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
         )
     origin, area = model.origin, model.area
     sides_m = (area.north_min_m, area.north_max_m), (area.east_min_m, area.east_max_m)
-    check_area(*sides_m, f"{name_or_path}: ")
+    rules.refuse(rules.of_area(*sides_m), f"{name_or_path}: ")
     return read_terrain(
         folder_of(name_or_path) / model.terrain.file,
         LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg),

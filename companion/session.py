@@ -53,8 +53,7 @@ from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.start import Resume, Start
 from companion.mission.state import IN_AIR, Phase
-from companion.planner import outcomes
-from companion.planner.request import PlanOutcome
+from companion.planner.request import PlanOutcome, values_of
 
 _HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
 _POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
@@ -215,7 +214,7 @@ class Session:
 
     def deliver(self, outcome: PlanOutcome) -> None:
         """The answer to the last plan request."""
-        self._out.inputs.append(("deliver", outcomes.values_of(outcome)))
+        self._out.inputs.append(("deliver", values_of(outcome)))
         self._plan.deliver(outcome, self.now_s)
 
     def part_died(self, part: str, error: str) -> None:

@@ -12,9 +12,10 @@ from scipy.optimize import brentq
 
 from companion.mavlink.autopilots import named
 from companion.path.limits import Limits
+from companion.path.subpath import Subpath
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
+from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
@@ -106,9 +107,16 @@ def fly(
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,
         seed=seed,
-        planner=plan,  # of this module: it may be asked a little aside (tests/nudge.py)
+        # of this module: it may be asked a little aside (tests/nudge.py)
+        planner=keywords.pop("planner", plan),
         **keywords,
     )
+
+
+def leg_of(control_nea_m: Any, **changes: Any) -> Leg:
+    """A leg along a spline that does not reach the target, but for some changes."""
+    subpath = Subpath(control_nea_m=np.asarray(control_nea_m, dtype=float))
+    return replace(Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False), **changes)
 
 
 def spline(control_nea_m: FloatArray) -> Any:

@@ -3,7 +3,7 @@ import math
 
 import pyproj
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from companion.geodesy import LocalFrame, deg, deg_e7, offset_deg, rotate, wrap_rad

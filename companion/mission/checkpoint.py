@@ -27,9 +27,8 @@ from companion.mission.state import (
     State,
 )
 from companion.path.subpath import Subpath
-from companion.planner.outcomes import control_points
 from companion.planner.procedure import Leg
-from companion.planner.request import FlownSegment, Refusal
+from companion.planner.request import FlownSegment, Refusal, control_points
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.zones import CircleZone, PolygonZone, Zone

@@ -66,7 +66,7 @@ def advance_reference(state: State, event: Position) -> Flight:
     assert leg is not None
     here = np.asarray(event.position_nea_m)
     task = task if leg.speed_m_s is None else task.at_speed(leg.speed_m_s)
-    slows_to_m_s, leaves_at_m = None, math.inf
+    slows_to_m_s = leaves_at_m = math.inf
     if flight.next_leg is not None:
         leaves_at_m = leg.successor_at_m(task)
     if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
@@ -77,7 +77,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             pace_m_s = paced_m_s(flight.next_leg.subpath, motion, 0.0)
             room_m = max(leaves_at_m - flight.reference.length_m, 0.0)
             pace_m_s = math.sqrt(pace_m_s**2 + 2.0 * motion.gaining_m_s2 * room_m)
-            slows_to_m_s = min(slows_to_m_s or math.inf, pace_m_s)
+            slows_to_m_s = min(slows_to_m_s, pace_m_s)
         reference = advance(
             flight.reference,
             leg,
@@ -85,7 +85,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             here,
             motion,
             goes_on=flight.next_leg is not None,
-            until_m=None if flight.stop is None else flight.stop.at_m,
+            until_m=math.inf if flight.stop is None else flight.stop.at_m,
             slows_to_m_s=slows_to_m_s,
         )
     else:
@@ -224,8 +224,8 @@ def is_stopped(state: State, flight: Flight) -> bool:
         return False
     if state.vehicle.traits.hovers:
         joins = flight.offset is not None and not flight.offset.is_gone
-        until_m = None if stop is None else stop.at_m
-        return not joins and is_at_end(flight.reference, leg, until_m=until_m)
+        until_m = math.inf if stop is None else stop.at_m
+        return not joins and is_at_end(flight.reference, leg, until_m)
     if stop is not None:
         return True  # it circles where it was to stop
     if leg.reaches_target:  # it passes it, and circles it then

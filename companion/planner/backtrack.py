@@ -6,14 +6,14 @@ points in the other direction.
 """
 
 from dataclasses import replace
-from itertools import pairwise, zip_longest
+from functools import partial
+from itertools import zip_longest
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import cubics_of
+from companion.path.bspline import cubics_of, samples_at
 from companion.path.certificate import Prover, certify, pack_surroundings
-from companion.path.limits import Limits
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
@@ -34,25 +34,23 @@ def backtrack(
     the vehicle stops at its end.  The vehicle starts at rest.
     """
     curves = _curves_back(flown, task)
-    subpaths: list[Subpath] = []
-    throughs: list[bool] = []
+    back: list[tuple[Subpath, bool, float]] = []
     from_rest = True
     for (control, speed_m_s), follows in zip_longest(curves, curves[1:]):
         subpath, slow = Subpath(control_nea_m=control), task.at_speed(speed_m_s)
-        through = follows is not None and _is_smooth(control, follows[0])
-        through = through and follows[1] >= speed_m_s  # else it would come too fast
-        through = through and _is_proven(subpath, slow, known, prover, from_rest, stops=False)
-        if not through and not _is_proven(subpath, slow, known, prover, from_rest, stops=True):
+        is_proven = partial(_is_proven, subpath, slow, known, prover, from_rest=from_rest)
+        through = follows is not None and follows[1] >= speed_m_s  # else it would come too fast
+        through = through and _is_smooth(control, follows[0]) and is_proven(stops=False)
+        if not (through or is_proven(stops=True)):
             break
-        subpaths.append(subpath)
-        throughs.append(through)
+        back.append((subpath, through, speed_m_s))
         from_rest = not through
     return Backtrack(
         plan_id=plan_id,
-        subpaths=tuple(subpaths),
-        through=tuple(throughs),
-        reaches_start=len(subpaths) == len(curves),
-        speeds_m_s=tuple(speed_m_s for _, speed_m_s in curves[: len(subpaths)]),
+        subpaths=tuple(subpath for subpath, _, _ in back),
+        through=tuple(through for _, through, _ in back),
+        reaches_start=len(back) == len(curves),
+        speeds_m_s=tuple(speed_m_s for _, _, speed_m_s in back),
     )
 
 
@@ -75,31 +73,19 @@ def _curves_back(flown: tuple[FlownSegment, ...], task: Task) -> list[tuple[Floa
 
 def _reversed(segment: FlownSegment) -> list[FloatArray]:
     """A segment of a leg, reversed, as Bezier control points of its pieces."""
-    subpath = Subpath(control_nea_m=segment.control_nea_m)
+    subpath, cubics = Subpath(control_nea_m=segment.control_nea_m), cubics_of(segment.control_nea_m)
     first_m, last_m = segment.from_m + _SHORTEST_M, segment.until_m - _SHORTEST_M
     if last_m <= segment.from_m:
         return []
-    cubics = cubics_of(segment.control_nea_m)
     knots = [k / len(cubics) for k in range(1, len(cubics))]
-    cuts = [
-        subpath.parameter_at(segment.from_m),
-        *(u for u in knots if first_m < subpath.length_at_m(u) < last_m),
-        subpath.parameter_at(segment.until_m),
-    ]
-    pieces = []
-    for a, b in pairwise(cuts):
-        span = min(int(0.5 * (a + b) * len(cubics)), len(cubics) - 1)
-        pieces.append(_bezier(cubics[span], a * len(cubics) - span, b * len(cubics) - span)[::-1])
-    return pieces[::-1]
-
-
-def _bezier(cubic: FloatArray, a: float, b: float) -> FloatArray:
-    """Bezier control points of a part of a cubic.  (4, 3) of 1, t, t^2, t^3 -> (4, 3)."""
-    start, end = (np.array([1.0, t, t * t, t * t * t]) @ cubic for t in (a, b))
-    leaving, arriving = (
-        np.array([0.0, 1.0, 2.0 * t, 3.0 * t * t]) @ cubic * (b - a) / 3.0 for t in (a, b)
-    )
-    return np.stack([start, start + leaving, end - arriving, end])
+    inner = [u for u in knots if first_m < subpath.length_at_m(u) < last_m]
+    ends = subpath.parameter_at(segment.from_m), subpath.parameter_at(segment.until_m)
+    cuts = np.array([ends[0], *inner, ends[1]])
+    curve = samples_at(cubics, cuts)
+    third = np.diff(cuts)[:, None] / 3.0
+    leaving, arriving = curve.first[:-1] * third, curve.first[1:] * third
+    begin, end = curve.value[:-1], curve.value[1:]
+    return list(np.stack([end, end - arriving, begin + leaving, begin], axis=1)[::-1])
 
 
 def _is_smooth(control: FloatArray, follows: FloatArray) -> bool:
@@ -110,13 +96,16 @@ def _is_smooth(control: FloatArray, follows: FloatArray) -> bool:
 
 
 def _is_proven(
-    subpath: Subpath, task: Task, known: KnownMap, prover: Prover, from_rest: bool, *, stops: bool
+    subpath: Subpath, task: Task, known: KnownMap, prover: Prover, *, from_rest: bool, stops: bool
 ) -> bool:
-    control = subpath.control_nea_m[:, :2]
+    limits, control = task.limits, subpath.control_nea_m[:, :2]
+    if limits.hovers:  # it climbs as steeply as it dives, only slower: `allowed_speed_m_s`
+        steepest = max(limits.climb_angle_rad, limits.dive_angle_rad)
+        limits = replace(limits, climb_angle_rad=steepest, dive_angle_rad=steepest)
     centre = 0.5 * (control.min(axis=0) + control.max(axis=0))
     surroundings = pack_surroundings(
         known,
-        _both_ways(task.limits),
+        limits,
         (),
         task.zones,
         task.margins,
@@ -125,14 +114,3 @@ def _is_proven(
         stops=stops,
     )
     return certify(subpath, surroundings, from_rest=from_rest, prover=prover).proven
-
-
-def _both_ways(limits: Limits) -> Limits:
-    """The limits of a path that was flown in the other direction.
-
-    Multicopters climb as steeply as they dive, only slower (`procedure.allowed_speed_m_s`).
-    """
-    if not limits.hovers:
-        return limits
-    steepest = max(limits.climb_angle_rad, limits.dive_angle_rad)
-    return replace(limits, climb_angle_rad=steepest, dive_angle_rad=steepest)

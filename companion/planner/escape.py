@@ -2,8 +2,8 @@
 
 If a threat appears around a hovering or loitering vehicle, or it holds beside a slope, no curve
 from there keeps the required clearance.  The escape path is straight, proven not to come nearer to
-the terrain than the vehicle already is, clear of every other threat, and clear of all at its end.
-For a plane distances are those of its loiter circle.
+terrain and zones than the vehicle already is, and clear of all at its end.  For a plane distances
+are those of its loiter circle.
 """
 
 import math
@@ -24,14 +24,13 @@ from companion.world.zones import Zone, gaps_m, packed
 
 _BEARINGS = 72
 """Directions of ways: 5 degrees apart, which lengthens a way out of a circle by 0.1 %."""
-_LENGTHS, _FARTHEST = 24, 0.4
-"""Lengths of ways, and the longest as a share of R: within it all ground is usually seen."""
-_LONGER = 12
-"""Lengths beyond, up to where subpaths end: only out of zones, which may be as large."""
+_NEAR, _LENGTHS, _LONGER = 0.4, 24, 12
+"""Of R, within which all ground is usually seen; lengths of ways up to there, and lengths beyond,
+up to where subpaths end: a zone may be as large."""
+_STEEP = (0.0, 0.95, -0.95)
+"""Of the climb or dive angle."""
 _CERTIFIED = 200
 """Ways that are proven, the shortest first: 1 ms each."""
-_RANKED, _STEPS = 600, 16
-"""Of the shortest ways out of zones, and points of each at which its depth is taken."""
 _DEEPER = 3.0
 """Metres of way that count as much as one metre deeper into a zone."""
 _SLACK_M = 0.5
@@ -70,7 +69,7 @@ def start_violation(request: PlanRequest) -> StartViolation | None:
     start, around = request.start.position_nea_m, request.around
     terrain_m = distance_to_terrain_m(around, start, required_m)
     seen_m = distance_to_terrain_m(around, start, required_m, seen_only=True)
-    zones = tuple(each for each in request.task.zones if _gap_m(request, (each,)) < required_m)
+    zones = tuple(zone for zone in request.task.zones if _gaps_m(request, zone) < required_m)
     if terrain_m >= required_m and not zones:
         return None
     return StartViolation(
@@ -89,102 +88,79 @@ def escape_path(
     is too large, a way as far towards its edge as can be seen.  The certificate is that about the
     terrain.
     """
-    around, required_m = request.around, request.task.required_clearance_m * _PROVABLE
-    inside = tuple(zone for zone in found.zones if _gap_m(request, (zone,)) < _TOUCHING_M)
-    ends = _ends_nea_m(request, inside)
-    clear = (end for end in ends if distance_to_terrain_m(around, end, required_m) >= required_m)
-    for end in islice(clear, _CERTIFIED):
-        certificate = _proven(request, found, end, prover)
-        if certificate is not None:
-            return straight(request.start.position_nea_m, end), certificate
+    start, known, around = request.start.position_nea_m, request.known, request.around
+    required_m, now_m = request.task.required_clearance_m, found.terrain_m
+    inside = tuple(zone for zone in found.zones if _gaps_m(request, zone) < _TOUCHING_M)
+    others = tuple(zone for zone in request.task.zones if zone not in inside)
+    gap_m = float(_gaps_m(request, *others))
+    air = replace(known, upper_m=np.full(known.upper_m.shape, _NO_GROUND_M))
+    off_zones = _kept(request, air, others, max(gap_m - _SLACK_M, 0.5 * gap_m))
+    clear = _kept(request, known, (), required_m)
+    ground = clear if now_m >= required_m else _kept(request, known, (), max(now_m, 1.0) - _SLACK_M)
+    ends = _ends_nea_m(request, inside, others)
+    least_m = required_m * _PROVABLE
+    seen = (end for end in ends if distance_to_terrain_m(around, end, least_m) >= least_m)
+    for end in islice(seen, _CERTIFIED):
+        whole = straight(start, end)
+        if others and not certify(whole, off_zones, from_rest=True, prover=prover).proven:
+            continue
+        along = start + np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None] * (end - start)
+        short = distances_to_terrain_m(around, along, required_m) < required_m
+        if short.any():  # the rest is proven at full speed, as it does not begin there at rest
+            split = along[min(int(np.flatnonzero(short)[-1]) + 1, _SAMPLES)]
+            rest = straight(split, end)
+            proven = certify(rest, clear, from_rest=False, prover=prover).proven
+            if not (proven or rest.length_m <= 1.0):
+                continue
+        certificate = certify(whole, ground, from_rest=True, prover=prover)
+        if certificate.proven:
+            return whole, certificate
     return None
 
 
-def _ends_nea_m(request: PlanRequest, inside: tuple[Zone, ...]) -> FloatArray:
-    """Places to escape to, the best first: clear of zones, else less deep in those around it.
+def _ends_nea_m(
+    request: PlanRequest, inside: tuple[Zone, ...], others: tuple[Zone, ...]
+) -> FloatArray:
+    """Places all round, within the band, to escape to, the best first.  -> (N, 3).
 
-    inside: the zones that the vehicle is in.  -> (N, 3)
+    Clear of zones, the shortest way first, what leads deeper into one counting more; else clear of
+    those that the vehicle is not inside of, and less deep in the others.
     """
-    start, zones = request.start.position_nea_m, request.task.zones
-    required_m = request.task.required_clearance_m * _PROVABLE
-    ends = _all_round_nea_m(request, farther=bool(inside))
-    clear = ends[_gaps_m(request, zones, ends) >= required_m]
-    if not inside:
-        return clear
-    if not len(clear):
-        others = tuple(zone for zone in zones if zone not in inside)
-        ends = ends[_gaps_m(request, others, ends) >= required_m]
-        gaps = _gaps_m(request, inside, ends)
-        better = np.count_nonzero(gaps > _gap_m(request, inside) + _WORTH_M)
-        return np.asarray(ends[np.argsort(-gaps, kind="stable")[:better]])
-    near = clear[:_RANKED]
-    ways = start + np.linspace(0.0, 1.0, _STEPS + 1)[:, None] * (near - start)[:, None]  # (N, S, 3)
-    rank = np.linalg.norm(near - start, axis=-1)
-    for zone in inside:
-        gaps = _gaps_m(request, (zone,), ways)
-        rank += _DEEPER * np.maximum(gaps[:, 0] - gaps.min(axis=1), 0.0)
-    return np.concatenate([near[np.argsort(np.round(rank, 6), kind="stable")], clear[_RANKED:]])
-
-
-def _all_round_nea_m(request: PlanRequest, *, farther: bool) -> FloatArray:
-    """Places all round within the band, nearest first.  -> (N, 3)."""
     task, start = request.task, request.start.position_nea_m
-    usual_m, most_m = _FARTHEST * task.settings.scan_range_m, task.end_radius_m
-    lengths = np.linspace(usual_m / _LENGTHS, usual_m, _LENGTHS)
-    if farther and most_m > usual_m:
-        lengths = np.append(lengths, np.linspace(usual_m, most_m, _LONGER + 1)[1:])
+    near_m, required_m = _NEAR * task.settings.scan_range_m, task.required_clearance_m * _PROVABLE
+    steps = np.linspace(near_m / _LENGTHS, near_m, _LENGTHS)
+    longer = np.linspace(near_m, max(task.end_radius_m, near_m), _LONGER + 1)[1:]
+    level_m, turn = np.append(steps, longer), np.linspace(0.0, math.tau, _BEARINGS, endpoint=False)
+    away = level_m[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)[:, None]
+    places = start[:2] + away  # (bearings, lengths, 2)
+    may_end = _gaps_m(request, *others, at_ne_m=places) >= required_m
+    gap_m, now_m = _gaps_m(request, *inside, at_ne_m=places), _gaps_m(request, *inside)
+    if (may_end & (gap_m >= required_m)).any():
+        may_end &= gap_m >= required_m
+        rank_m = np.broadcast_to(level_m, gap_m.shape)
+        for zone in inside:
+            least_m = np.minimum.accumulate(_gaps_m(request, zone, at_ne_m=places), axis=1)
+            rank_m = rank_m + _DEEPER * np.maximum(_gaps_m(request, zone) - least_m, 0.0)
+    else:
+        may_end &= gap_m > now_m + _WORTH_M
+        rank_m = -gap_m
     climb, dive = task.limits.climb_angle_rad, task.limits.dive_angle_rad
-    bearing, length, steep = np.meshgrid(
-        np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False),
-        lengths,
-        [0.0, 0.95 * climb, -0.95 * dive],
-        indexing="ij",
-    )
-    level = length * np.cos(steep)
-    away = np.stack(
-        [level * np.cos(bearing), level * np.sin(bearing), length * np.sin(steep)], axis=-1
-    )
-    ends = start + away.reshape(-1, 3)
+    steep = np.tan([share * (climb if share > 0.0 else dive) for share in _STEEP])
+    up_m = start[2] + level_m[:, None] * steep
     low, high = task.band_amsl_m
-    ends = ends[(ends[:, 2] >= low) & (ends[:, 2] <= high)]
-    order = np.argsort(np.round(np.linalg.norm(ends - start, axis=-1), 6), kind="stable")
-    return np.asarray(ends[order])
-
-
-def _proven(
-    request: PlanRequest, found: StartViolation, end: FloatArray, prover: Prover
-) -> Certificate | None:
-    """The certificate of the straight way to an end, if all of it is proven."""
-    start, required_m = request.start.position_nea_m, request.task.required_clearance_m
-    whole, known, now_m = straight(start, end), request.known, found.terrain_m
-    if found.zones:  # no nearer to those that it is clear of than it is
-        zones = tuple(z for z in request.task.zones if _gap_m(request, (z,)) >= _TOUCHING_M)
-        nearest_m = _gap_m(request, zones)
-        keep_m = min(required_m, max(nearest_m - _SLACK_M, 0.5 * nearest_m))
-        air = replace(known, upper_m=np.full(known.upper_m.shape, _NO_GROUND_M))
-        off = _kept(request, air, zones, keep_m)
-        if not certify(whole, off, from_rest=True, prover=prover).proven:
-            return None
-    if now_m < required_m:
-        along = start + np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None] * (end - start)
-        short = distances_to_terrain_m(request.around, along, required_m) < required_m
-        split = along[min(int(np.flatnonzero(short)[-1]) + 1, _SAMPLES)]
-        # The rest is proven for a vehicle at full speed, as it does not begin there at rest.
-        ground, now_m = _kept(request, known, (), required_m), max(now_m - _SLACK_M, _SLACK_M)
-        if np.linalg.norm(end - split) > 1.0 and not (
-            certify(straight(split, end), ground, from_rest=False, prover=prover).proven
-        ):
-            return None
-    ground = _kept(request, known, (), min(now_m, required_m))
-    certificate = certify(whole, ground, from_rest=True, prover=prover)
-    return certificate if certificate.proven else None
+    which = np.nonzero(may_end[..., None] & (up_m >= low) & (up_m <= high))
+    bearing, length, slope = which
+    rank = rank_m[bearing, length] + level_m[length] * (np.hypot(1.0, steep[slope]) - 1.0)
+    ends = np.column_stack([places[bearing, length], up_m[length, slope]])
+    return np.asarray(ends[np.argsort(np.round(rank, 6), kind="stable")])
 
 
 def _kept(
     request: PlanRequest, known: KnownMap, zones: tuple[Zone, ...], keep_m: float
 ) -> Surroundings:
-    """What a way is to keep a distance from."""
+    """What a way is to keep a distance from, the required one at most."""
     task = request.task
+    keep_m = min(keep_m, task.required_clearance_m)
     contact_m = min(task.margins.contact_m, keep_m)
     return pack_surroundings(
         known,
@@ -197,12 +173,11 @@ def _kept(
     )
 
 
-def _gap_m(request: PlanRequest, zones: tuple[Zone, ...]) -> float:
-    """Distance of the vehicle, or of the circle that it flies, to the nearest of some zones."""
-    return float(_gaps_m(request, zones, request.start.position_nea_m))
+def _gaps_m(request: PlanRequest, *zones: Zone, at_ne_m: FloatArray | None = None) -> FloatArray:
+    """Distance of points, or of the vehicle, or of the circle about it, to the nearest of zones.
 
-
-def _gaps_m(request: PlanRequest, zones: tuple[Zone, ...], points_nea_m: FloatArray) -> FloatArray:
-    """`_gap_m` of points.  (..., 3) -> (...)."""
-    gaps = gaps_m(packed(zones), points_nea_m[..., 0], points_nea_m[..., 1])
+    (..., 2) -> (...).
+    """
+    at_ne_m = request.start.position_nea_m[:2] if at_ne_m is None else at_ne_m
+    gaps = gaps_m(packed(zones), at_ne_m[..., 0], at_ne_m[..., 1])
     return np.asarray(gaps - request.task.limits.loiter_radius_m)

@@ -1,21 +1,18 @@
 """Searches a place where a plane can loiter that has to leave its path for a new zone."""
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import FloatArray
+from companion.planner.cheapest_ways import IndexArray
+from companion.planner.procedure import Vector
 from companion.planner.settings import Task
 from companion.world.clearance import sees_anything
 from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
 from companion.world.known_map import KnownMap
-from companion.world.zones import gaps_m, nearest, packed
-
-Vector = tuple[float, float, float]
-Ways = tuple[FloatArray, FloatArray, BoolArray]
-"""Ways to M of N places: (M, S, 2), their lengths (M,), and to which (N,)."""
+from companion.world.zones import gaps_m, packed
 
 _BEARINGS, _LENGTHS = 36, 16
 """Places about the vehicle: 10 degrees and 2.5 % of R apart, about a turn radius at the rim."""
@@ -27,14 +24,14 @@ _LOOKED_AT = 40
 """Ways that are looked at closely, the best first; each takes 1 ms: the watchdog allows 0.2 s."""
 _SLACK_M = 1.0
 """How much nearer than the vehicle is a way may come: its own position is no better known."""
-_TURNS = (0.5, 1.0)
-"""Of the turn radius of paths: autopilots turn more tightly to a point."""
+_TURNS = np.array([-0.5, -1.0, 0.5, 1.0])
+"""Of the turn radius of paths, > 0 to the right: autopilots turn more tightly to a point."""
 _EITHER_SIDE_RAD = math.radians(135.0)
 """So far behind that it may turn either way: within 45 degrees of straight behind."""
 _AHEAD_RAD = 1e-6
 """A turn short of full by less is none: rounding, 0.1 mm on a turn of 100 m."""
-_STILL_M_S = 1.0
-"""Slower over ground no plane flies: then its course means nothing."""
+_STILL_M_S, _ON_THE_SPOT = 1.0, 1e-6
+"""Slower over ground no plane flies: its course means nothing, and it counts as turning at once."""
 
 
 class Motion(NamedTuple):
@@ -48,10 +45,10 @@ class Motion(NamedTuple):
 def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector) -> Vector | None:
     """A point to loiter at: its circle is clear of terrain and zones.
 
-    The preferred point if the way there is clear, else the point around the vehicle with the
-    shortest way, where parts too near to zones count twice; at its own height or half way
-    to the ceiling; with the required clearance about the circle, or if there is none with the
-    vehicle's errors.  Of the way there, which begins with a turn:
+    The preferred point if the way there is clear, else the point at the vehicle's height with the
+    shortest way, where parts too near to zones count twice; with the required clearance about the
+    circle, or if there is none with the vehicle's errors.  Of the way there, which begins with a
+    turn:
 
     - it clears terrain by the errors, or comes no nearer than the vehicle is; all of it counts as
       flown at the lower of its ends, as a climb takes longer than the way;
@@ -59,120 +56,92 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
 
     Unknown ground is never clear.  None: there is no such place among the best.
     """
-    here, required_m = np.asarray(motion.here_nea_m), task.required_clearance_m
-    reach_m = _FARTHEST * task.settings.scan_range_m
-    if not sees_anything(known, motion.here_nea_m[:2], reach_m):
+    here, zones = np.array(motion.here_nea_m), packed(task.zones)
+    error_m, required_m = task.error_m, task.required_clearance_m
+    if not sees_anything(known, motion.here_nea_m[:2], _FARTHEST * task.settings.scan_range_m):
         return None
-    points = _points_nea_m(task, here, reach_m, preferred)
-    zones_m = gaps_m(packed(task.zones), points[:, 0], points[:, 1], task.zone_clearance_m)
-    circle_m = zones_m - task.limits.loiter_radius_m
-    points, circle_m = points[circle_m >= task.error_m], circle_m[circle_m >= task.error_m]
-    badness_m, gap_m = _judged(task, motion, points, _ROUGHLY)
-    badness_m[(points == preferred).all(axis=1) & (gap_m >= required_m)] = -1.0
-    allowed_m = min(task.error_m, nearest(task.zones, *motion.here_nea_m[:2])[1] - _SLACK_M)
-    open_ = gap_m >= allowed_m
-    points, circle_m, badness_m = points[open_], circle_m[open_], badness_m[open_]
-
+    points = _points_nea_m(task, here, preferred)
+    circle_m = gaps_m(zones, points[:, 0], points[:, 1], task.zone_clearance_m)
+    circle_m -= task.limits.loiter_radius_m
+    points, circle_m = points[circle_m >= error_m], circle_m[circle_m >= error_m]
+    bad_m, gap_m = _judged(task, motion, points[:, :2])
+    bad_m[(points == preferred).all(axis=1) & (gap_m >= required_m)] = -1.0
+    off_zones_m = min(error_m, float(gaps_m(zones, here[0], here[1])) - _SLACK_M)
+    off_terrain_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
     low = np.column_stack([points[:, :2], np.minimum(points[:, 2], here[2])])
     grown = known.grown(task.limits.loiter_radius_m)
     circle_m = np.minimum(circle_m, distances_to_terrain_m(grown, low, required_m))
-    order = np.lexsort([np.round(badness_m, 3), circle_m < required_m])
-    for k in order[circle_m[order] >= task.error_m][:_LOOKED_AT]:
-        off_zones = _judged(task, motion, points[k : k + 1], _SAMPLES)[1] >= allowed_m
-        if off_zones and _keeps_off_terrain(known, task, motion, low[k]):
+    order = np.lexsort([np.round(bad_m, 3), circle_m < required_m])
+    for k in order[(gap_m >= off_zones_m)[order] & (circle_m >= error_m)[order]][:_LOOKED_AT]:
+        ways, _, _ = _ways_ne_m(task, motion, low[k : k + 1, :2], _SAMPLES)
+        north, east = ways.reshape(-1, 2).T
+        flown = np.column_stack([north, east, np.full(len(north), low[k, 2])])
+        if (gaps_m(zones, north, east, required_m) >= off_zones_m).all() and (
+            distances_to_terrain_m(known, flown, error_m) >= off_terrain_m
+        ).all():
             return (float(points[k, 0]), float(points[k, 1]), float(points[k, 2]))
     return None
 
 
-def _points_nea_m(task: Task, here: FloatArray, reach_m: float, preferred: Vector) -> FloatArray:
-    """The preferred one; here, and on rings about here, at two heights each.  -> (N, 3)."""
+def _points_nea_m(task: Task, here: FloatArray, preferred: Vector) -> FloatArray:
+    """The preferred one; here, and on rings about here.  -> (N, 3)."""
     low, high = task.band_amsl_m
-    level = min(max(float(here[2]), low), high)
     turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
-    radii = np.linspace(0.0, reach_m, _LENGTHS + 1)[1:, None, None]
+    radii = np.linspace(0.0, _FARTHEST * task.settings.scan_range_m, _LENGTHS + 1)[1:, None, None]
     rings = here[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    places = np.repeat(np.concatenate([here[None, :2], rings.reshape(-1, 2)]), 2, axis=0)
-    heights = np.resize([level, 0.5 * (level + high)], len(places))
-    return np.concatenate([[preferred], np.column_stack([places, heights])])
+    places = np.concatenate([here[None, :2], rings.reshape(-1, 2)])
+    level = np.full(len(places), min(max(float(here[2]), low), high))
+    return np.concatenate([[preferred], np.column_stack([places, level])])
 
 
-def _judged(
-    task: Task, motion: Motion, points: FloatArray, samples: int
-) -> tuple[FloatArray, FloatArray]:
-    """Of the ways to each point: how bad they are, and their least distance to zones, metres.
+def _judged(task: Task, motion: Motion, places_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Of the ways to each place: how bad they are, and their least distance to zones, metres.
 
     Bad is the length, and again what of it is too near to zones: metres, each by the share of the
     required clearance that is missing there (counted once, or up to 20 times: among 300 drawn
     fences it led out of them equally soon).  The worst of what the vehicle may fly counts:
     wide or tight turns, and to places behind it turns to either side.  -> (N,) x 2
     """
-    zones, required_m = packed(task.zones), task.required_clearance_m
-    places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
-    length_m, intruding_m = np.zeros(len(places)), np.zeros(len(places))
-    nearest_m = np.full(len(places), np.inf)
-    for ways, lengths_m, flown in _ways_ne_m(task, motion, places, samples):
-        off_m = gaps_m(zones, ways[..., 0], ways[..., 1], required_m)
-        into_m = np.maximum(1.0 - off_m / required_m, 0.0).mean(axis=-1) * lengths_m
-        length_m[flown] = np.maximum(length_m[flown], lengths_m)
-        intruding_m[flown] = np.maximum(intruding_m[flown], into_m)
-        nearest_m[flown] = np.minimum(nearest_m[flown], off_m.min(axis=-1))
-    return (length_m + intruding_m)[which], nearest_m[which]
+    required_m, count = task.required_clearance_m, len(places_ne_m)
+    ways, lengths_m, which = _ways_ne_m(task, motion, places_ne_m, _ROUGHLY)
+    off_m = gaps_m(packed(task.zones), ways[..., 0], ways[..., 1], required_m)
+    into_m = np.maximum(1.0 - off_m / required_m, 0.0).mean(axis=-1) * lengths_m
+    bad_m, nearest_m = np.zeros(count), np.full(count, np.inf)
+    np.maximum.at(bad_m, which, lengths_m + into_m)
+    np.minimum.at(nearest_m, which, off_m.min(axis=-1))
+    return bad_m, nearest_m
 
 
-def _ways_ne_m(task: Task, motion: Motion, places: FloatArray, samples: int) -> Iterator[Ways]:
-    """The ways to places."""
-    here, velocity = np.asarray(motion.here_nea_m[:2]), motion.velocity_nea_m_s
-    away = places - here
-    if math.hypot(*velocity[:2]) < _STILL_M_S:
-        share = np.linspace(0.0, 1.0, samples + 1)[1:, None]
-        always = np.ones(len(places), dtype=bool)
-        yield here + share * away[:, None], np.hypot(away[:, 0], away[:, 1]), always
-        return
-    course = math.atan2(velocity[1], velocity[0])
+def _ways_ne_m(
+    task: Task, motion: Motion, places_ne_m: FloatArray, samples: int
+) -> tuple[FloatArray, FloatArray, IndexArray]:
+    """Ways to N places: a turn until the nose points there, then straight.
+
+    A place within the turn is never pointed at: the whole turn.
+    -> (M, S, 2), lengths (M,), and to which of the places (M,).
+    """
+    here, (north, east, _) = np.array(motion.here_nea_m[:2]), motion.velocity_nea_m_s
+    course, moves = math.atan2(east, north), math.hypot(north, east) >= _STILL_M_S
+    away = places_ne_m - here
     bearing = np.arctan2(away[:, 1], away[:, 0]) - course
     bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
-    for side in (-1.0, 1.0):
-        flown = (side * bearing >= 0.0) | (np.abs(bearing) > _EITHER_SIDE_RAD)
-        for tightness in _TURNS:
-            radius_m = side * tightness * task.limits.turn_radius_m
-            ways, lengths_m = _turns_ne_m(here, course, radius_m, places[flown], samples)
-            yield ways, lengths_m, flown
-
-
-def _turns_ne_m(
-    here: FloatArray, course: float, radius_m: float, places: FloatArray, samples: int
-) -> tuple[FloatArray, FloatArray]:
-    """A turn (radius > 0: to the right) until the nose points at a place, then straight there.
-
-    A place within the turn is never pointed at: the whole turn.  -> (N, S, 2) and lengths (N,)
-    """
-    side, size_m = math.copysign(1.0, radius_m), abs(radius_m)
-    centre = here + radius_m * np.array([-math.sin(course), math.cos(course)])
-    away = places - centre
+    flown = (_TURNS[:, None] * bearing >= 0.0) | (np.abs(bearing) > _EITHER_SIDE_RAD)
+    turn, which = np.nonzero(flown)
+    side, size_m = np.sign(_TURNS)[turn], (np.abs(_TURNS) * task.limits.turn_radius_m)[turn]
+    size_m = size_m if moves else np.full(len(size_m), _ON_THE_SPOT)
+    centre = here + (side * size_m)[:, None] * [-math.sin(course), math.cos(course)]
+    away = places_ne_m[which] - centre
     apart_m = np.hypot(away[:, 0], away[:, 1])
     straight_m = np.sqrt(np.maximum(apart_m**2 - size_m**2, 0.0))
-    then = np.arctan2(away[:, 1], away[:, 0]) + np.arctan2(radius_m, straight_m)
-    turn = np.mod(side * (then - course), 2.0 * math.pi)
-    turn = np.where(turn > 2.0 * math.pi - _AHEAD_RAD, 0.0, turn)
-    turn = np.where(apart_m <= size_m, 2.0 * math.pi, turn)
-    lengths_m = size_m * turn + straight_m
+    then = np.arctan2(away[:, 1], away[:, 0]) + np.arctan2(side * size_m, straight_m)
+    turned = np.mod(side * (then - course), 2.0 * math.pi)
+    turned = np.where(turned > 2.0 * math.pi - _AHEAD_RAD, 0.0, turned)
+    turned = np.where(apart_m <= size_m, 2.0 * math.pi, turned)
+    lengths_m = size_m * turned + straight_m
     along_m = np.linspace(0.0, 1.0, samples + 1)[1:] * lengths_m[:, None]
-    turned = course + side * np.minimum(along_m / size_m, turn[:, None])
-    beyond_m = np.maximum(along_m - size_m * turn[:, None], 0.0)
-    north = centre[0] + radius_m * np.sin(turned) + beyond_m * np.cos(turned)
-    east = centre[1] - radius_m * np.cos(turned) + beyond_m * np.sin(turned)
-    return np.stack([north, east], axis=-1), lengths_m
-
-
-def _keeps_off_terrain(known: KnownMap, task: Task, motion: Motion, end: FloatArray) -> bool:
-    """Whether the way to a point keeps off terrain by the errors, or as far as the vehicle does.
-
-    end: the point, or the one below it at the height of the vehicle.
-    """
-    error_m, here = task.error_m, np.asarray(motion.here_nea_m)
-    least_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
-    for ways, _, _ in _ways_ne_m(task, motion, end[None, :2], _SAMPLES):
-        flown = np.insert(ways.reshape(-1, 2), 2, end[2], axis=1)
-        if (distances_to_terrain_m(known, flown, error_m) < least_m).any():
-            return False
-    return True
+    side, size_m, turned = side[:, None], size_m[:, None], turned[:, None]
+    now = course + side * np.minimum(along_m / size_m, turned)
+    beyond_m = np.maximum(along_m - size_m * turned, 0.0)
+    north_m = centre[:, :1] + side * size_m * np.sin(now) + beyond_m * np.cos(now)
+    east_m = centre[:, 1:] - side * size_m * np.cos(now) + beyond_m * np.sin(now)
+    return np.stack([north_m, east_m], axis=-1), lengths_m, which

@@ -25,9 +25,7 @@ from companion.path.subpath import Pose, Subpath
 from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
 
-_GAINS = (
-    0.6  # of that: so far ahead it gains no more speed, else the vehicle catches up faster than V
-)
+_GAINS = 0.6  # of the lag: so far ahead it gains no speed, else the vehicle catches up too fast
 _SLOWEST = 0.25  # of V: what would have to be left more slowly is flown to its end
 _ROUNDING_M = 1e-6
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
@@ -35,7 +33,9 @@ _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
 _PACES = 100  # parts of a leg for each of which a speed is known
 _PROJECTIONS = 2  # to the nearest point of a path that hardly bends over a tracking error
-_LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
+_LEAVES = math.cos(math.radians(25.0))  # a plane leaves its circle when it flies so along the path
+
+Vector = tuple[float, float, float]
 
 
 @final
@@ -93,34 +93,33 @@ class Leg:
             0                   |\
              start         p_prog end
 
-        It takes v T + (V - v)^2 / 2a up to p_prog, where T is the time of scan and plan, and from
-        there on v d + v^2 / 2a to stop: together v^2 / a + v (T + d - V/a) + V^2 / 2a.
+        In the time T of scan and plan it comes v T + (V - v)^2 / 2a far, to p_prog, and needs
+        v d + v^2 / 2a from there on: together v^2 / a + v (T + d - V/a) + V^2 / 2a.
         """
         motion, length_m = self.motion(task), self.subpath.length_m
-        task, speed_m_s = task.at_speed(self.speed_m_s), motion.speed_m_s
+        task, full_m_s = task.at_speed(self.speed_m_s), motion.speed_m_s
         if self.through:
-            return length_m, speed_m_s
+            return length_m, full_m_s
         least_m = task.shortest_scan_distance_m
-        earliest_m = self.scan_at_m(task) + least_m - task.tail_m
-        at_m = min(max(length_m - task.tail_m, earliest_m), length_m)
         if length_m >= least_m or not task.settings.is_near:
-            return at_m, speed_m_s
-        brake_m_s2, time_s = motion.braking_m_s2, (least_m - task.tail_m) / speed_m_s
-        slow_m_s = speed_m_s
+            earliest_m = self.scan_at_m(task) + least_m - task.tail_m
+            return min(max(length_m - task.tail_m, earliest_m), length_m), full_m_s
+        brake_m_s2, time_s = motion.braking_m_s2, (least_m - task.tail_m) / full_m_s
+        brakes_m, brakes_s = 0.5 * full_m_s**2 / brake_m_s2, full_m_s / brake_m_s2
+        slow_m_s = full_m_s
         for delay_s, beyond_m in ((motion.settling_s, 0.0), (motion.dead_man_s, motion.overrun_m)):
-            half_m_s = 0.5 * (brake_m_s2 * (time_s + delay_s) - speed_m_s)
-            room_m = length_m + beyond_m - 0.5 * speed_m_s**2 / brake_m_s2
-            root_m_s = math.sqrt(max(half_m_s**2 + brake_m_s2 * room_m, 0.0))
-            slow_m_s = min(slow_m_s, max(root_m_s - half_m_s, 0.0))
-        at_m = slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / brake_m_s2
+            room_m = length_m + beyond_m - brakes_m
+            late_m_s = 0.5 * brake_m_s2 * (time_s + delay_s - brakes_s)
+            root_m_s = math.sqrt(max(late_m_s**2 + brake_m_s2 * room_m, 0.0))
+            slow_m_s = min(slow_m_s, max(root_m_s - late_m_s, 0.0))
+        at_m = slow_m_s * time_s + 0.5 * (full_m_s - slow_m_s) ** 2 / brake_m_s2
         return min(at_m, length_m), slow_m_s
 
-    def slows_to_m_s(self, task: Task) -> float | None:
-        """The speed that a short leg is flown at, from its start on; None: V."""
-        shortest_m = task.at_speed(self.speed_m_s).shortest_scan_distance_m
-        if self.reaches_target or self.through or self.subpath.length_m >= shortest_m:
-            return None
-        return self.leaving(task)[1] if self.can_be_left(task) else None
+    def slows_to_m_s(self, task: Task) -> float:
+        """The speed that it is flown at from its start on; infinite: as fast as it may."""
+        if self.reaches_target or not self.can_be_left(task):
+            return math.inf
+        return self.leaving(task)[1]
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog."""
@@ -134,13 +133,11 @@ class Leg:
         return Rest(length_m=length_m - at_m, end_nea_m=end_nea_m, speed_m_s=speed_m_s)
 
     def can_be_left(self, task: Task) -> bool:
-        """Whether a successor may take over in flight.
+        """Whether a successor may take over in flight: p_prog is far enough before the end.
 
-        The certificate assumes a vehicle that can stop at the end; from a p_prog too near to the
-        end it could not, and a plane would be sent to points beyond it.  Such a leg is flown to its
-        end, and the next begins at rest.
+        The certificate assumes a vehicle that can stop there, and a plane is sent to no point
+        beyond it.  Else the leg is flown to its end, and the next begins at rest.
         """
-        task = task.at_speed(self.speed_m_s)
         if not task.settings.profile.verified:
             return True
         motion, (at_m, speed_m_s) = self.motion(task), self.leaving(task)
@@ -158,6 +155,14 @@ class Reference:
     speed_m_s: float = 0.0
 
 
+def hover_pose(position_nea_m: Vector) -> Pose:
+    """The start pose of a vehicle at rest; the plan chooses the tangent."""
+    return Pose(position_nea_m=np.asarray(position_nea_m), tangent_nea=np.array([1.0, 0.0, 0.0]))
+
+
+# --- of a copter
+
+
 def advance(
     reference: Reference,
     leg: Leg,
@@ -166,34 +171,29 @@ def advance(
     motion: Envelope,
     *,
     goes_on: bool,
-    until_m: float | None = None,
-    slows_to_m_s: float | None = None,
+    until_m: float = math.inf,
+    slows_to_m_s: float = math.inf,
 ) -> Reference:
     """Move the reference point: speed up, cruise at V, slow down for bends and the end of the leg.
 
     It is nowhere faster than the certificate takes it to be (`path.envelope`), gains speed the more
-    slowly the farther behind the vehicle is, and waits if it is too far.
-    goes_on: the next leg is ready, so there is no stop at the end of this one.  until_m: the length
-    at which to stop, with all that the vehicle brakes with, if that is before the end.
-    slows_to_m_s: see `Leg.slows_to_m_s`.
+    slowly the farther behind the vehicle is, and waits if it is too far.  goes_on: the next leg is
+    ready, so there is no stop at the end of this one.  until_m: the length at which to stop, with
+    all that the vehicle brakes with, if that is before the end.
     """
     at_m, speed = reference.length_m, reference.speed_m_s
     pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
-    allowed = paced_m_s(leg.subpath, motion, at_m)
-    end_m = length_m if until_m is None else min(length_m, until_m)
-    left_m = max(end_m - at_m, 0.0)
-    if not goes_on or until_m is not None:
-        allowed = min(allowed, ending_m_s(motion, length_m - at_m))
-    if until_m is not None:
-        allowed = min(allowed, slowed_m_s(left_m, motion.braking_m_s2, 0.0))
-    slower = motion.braking_m_s2 * elapsed_s
-    if slows_to_m_s is not None:
-        allowed = min(allowed, max(slows_to_m_s, speed - slower))
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
-    most = motion.lag_m
-    if lead > most:
+    if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
-    faster = motion.gaining_m_s2 * elapsed_s * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
+    slower, left_m = motion.braking_m_s2 * elapsed_s, max(min(length_m, until_m) - at_m, 0.0)
+    allowed = min(paced_m_s(leg.subpath, motion, at_m), max(slows_to_m_s, speed - slower))
+    if until_m < math.inf:
+        allowed = min(allowed, slowed_m_s(left_m, motion.braking_m_s2, 0.0))
+    if until_m < math.inf or not goes_on:
+        allowed = min(allowed, ending_m_s(motion, length_m - at_m))
+    gains = min(max(1.0 - lead / (_GAINS * motion.lag_m), 0.0), 1.0)
+    faster = motion.gaining_m_s2 * elapsed_s * gains
     after = min(max(allowed, speed - 2.0 * slower), speed + faster)
     step = min(0.5 * (speed + after) * elapsed_s, left_m)
     return Reference(length_m=at_m + step, speed_m_s=after)
@@ -204,6 +204,11 @@ def paced_m_s(subpath: Subpath, motion: Envelope, at_m: float) -> float:
     paces = _paces_m_s(subpath, motion)
     k = int(min(max(at_m / subpath.length_m, 0.0), 1.0) * (len(paces) - 2))
     return min(float(paces[k]), float(paces[k + 1]))
+
+
+def paced_s_m(subpath: Subpath, motion: Envelope) -> float:
+    """How long it takes, seconds a metre in the mean."""
+    return float((1.0 / _paces_m_s(subpath, motion)).mean())
 
 
 @lru_cache(maxsize=4)
@@ -223,14 +228,50 @@ def _paces_m_s(subpath: Subpath, motion: Envelope) -> FloatArray:
     return np.asarray(paces)
 
 
+def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:
+    """V, or less where the path climbs faster than the vehicle can."""
+    steepness = abs(float(pose.tangent_nea[2]))
+    return min(limits.speed_m_s, limits.climb_rate_m_s / max(steepness, 1e-9))
+
+
+def is_at_end(reference: Reference, leg: Leg, until_m: float = math.inf) -> bool:
+    """Whether the reference point has come to the end of its leg, or to where it is to stop."""
+    return min(leg.subpath.length_m, until_m) - reference.length_m < _ARRIVED_M
+
+
+def ahead_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
+    """How far the vehicle is ahead of the reference point, along the path; negative: behind."""
+    pose = leg.subpath.pose(reference.length_m)
+    return float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
+
+
+def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
+    """Distance of the vehicle from the path near the reference point; beyond its end, from that.
+
+    Before its start the path is taken to come straight from behind: another leg does.
+    """
+    at_m = reference.length_m
+    for _ in range(_PROJECTIONS):
+        along_m = ahead_m(Reference(length_m=at_m), leg, vehicle_nea_m)
+        at_m = min(max(at_m + along_m, 0.0), leg.subpath.length_m)
+    pose = leg.subpath.pose(at_m)
+    off = vehicle_nea_m - pose.position_nea_m
+    if at_m < leg.subpath.length_m:
+        off = off - float(off @ pose.tangent_nea) * pose.tangent_nea
+    return float(np.linalg.norm(off))
+
+
+# --- of a plane
+
+
 def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Limits) -> Reference:
     """Reference point of a plane: the nearest point of the path, seen from above.
 
     It never moves back, nor farther ahead than the plane can have flown, so that a path that comes
     near to itself is not short-cut.
     """
-    ahead_m = max(_WINDOW_S * limits.speed_m_s, limits.turn_radius_m)
-    until_m = min(reference.length_m + ahead_m, leg.subpath.length_m)
+    window_m = max(_WINDOW_S * limits.speed_m_s, limits.turn_radius_m)
+    until_m = min(reference.length_m + window_m, leg.subpath.length_m)
     lengths = np.linspace(reference.length_m, max(until_m, reference.length_m), _CHORDS + 1)
     points = leg.subpath.points_nea_m(lengths)[:, :2]
     steps, offset = np.diff(points, axis=0), vehicle_nea_m[:2] - points[:-1]
@@ -255,82 +296,28 @@ def sent_pose(
     return leg.subpath.pose(at_m)
 
 
-def off_disc_m(
-    centre_nea_m: tuple[float, float, float],
-    position_nea_m: tuple[float, float, float],
-    radius_m: float,
-) -> float:
+def off_disc_m(centre_nea_m: Vector, position_nea_m: Vector, radius_m: float) -> float:
     """Distance from the level disc within a plane's circle, which is what is proven of it."""
     flat_m = math.dist(centre_nea_m[:2], position_nea_m[:2])
     return math.hypot(max(flat_m - radius_m, 0.0), position_nea_m[2] - centre_nea_m[2])
 
 
-def is_on_circle(
-    centre_nea_m: tuple[float, float, float],
-    position_nea_m: tuple[float, float, float],
-    limits: Limits,
-) -> bool:
+def is_on_circle(centre_nea_m: Vector, position_nea_m: Vector, limits: Limits) -> bool:
     """Whether a plane has reached its loiter circle, but for its tracking error."""
     off_m = off_disc_m(centre_nea_m, position_nea_m, limits.loiter_radius_m)
     return off_m <= limits.tracking_error_m
 
 
 def may_leave(
-    leg: Leg,
-    at_m: float,
-    position_nea_m: tuple[float, float, float],
-    velocity_nea_m_s: tuple[float, float, float],
-    limits: Limits,
+    leg: Leg, at_m: float, position_nea_m: Vector, velocity_nea_m_s: Vector, limits: Limits
 ) -> bool:
     """Whether a plane that circles a point of a leg is on that circle and flies the leg's way.
 
     It does so once in each turn, and is then no farther aside than its circle: what it flies until
     it is on the path lies within the circles about the path's points, which are proven.
     """
-    pose = leg.subpath.pose(at_m)
-    north, east = velocity_nea_m_s[0], velocity_nea_m_s[1]
-    along = north * float(pose.tangent_nea[0]) + east * float(pose.tangent_nea[1])
-    level = math.hypot(float(pose.tangent_nea[0]), float(pose.tangent_nea[1]))
-    near = is_on_circle(pose.point_nea_m, position_nea_m, limits)
-    return near and along >= math.cos(_LEAVES_RAD) * level * math.hypot(north, east) > 0.0
-
-
-def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
-    """Distance of the vehicle from the path near the reference point; beyond its end, from that.
-
-    Before its start the path is taken to come straight from behind: another leg does.
-    """
-    at_m = reference.length_m
-    for _ in range(_PROJECTIONS):
-        pose = leg.subpath.pose(at_m)
-        along_m = float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
-        at_m = min(max(at_m + along_m, 0.0), leg.subpath.length_m)
-    pose = leg.subpath.pose(at_m)
-    off = vehicle_nea_m - pose.position_nea_m
-    along_m = float(off @ pose.tangent_nea)
-    if at_m < leg.subpath.length_m:
-        off = off - along_m * pose.tangent_nea
-    return float(np.linalg.norm(off))
-
-
-def ahead_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
-    """How far the vehicle is ahead of the reference point, along the path; negative: behind."""
-    pose = leg.subpath.pose(reference.length_m)
-    return float((vehicle_nea_m - pose.position_nea_m) @ pose.tangent_nea)
-
-
-def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:
-    """V, or less where the path climbs faster than the vehicle can."""
-    steepness = abs(float(pose.tangent_nea[2]))
-    return min(limits.speed_m_s, limits.climb_rate_m_s / max(steepness, 1e-9))
-
-
-def is_at_end(reference: Reference, leg: Leg, until_m: float | None = None) -> bool:
-    """Whether the reference point has come to the end of its leg, or to where it is to stop."""
-    end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
-    return end_m - reference.length_m < _ARRIVED_M
-
-
-def hover_pose(position_nea_m: tuple[float, float, float]) -> Pose:
-    """The start pose of a vehicle at rest; the plan chooses the tangent."""
-    return Pose(position_nea_m=np.asarray(position_nea_m), tangent_nea=np.array([1.0, 0.0, 0.0]))
+    pose, (north, east, _) = leg.subpath.pose(at_m), velocity_nea_m_s
+    ahead_n, ahead_e = pose.tangent_nea[:2].tolist()
+    least = _LEAVES * math.hypot(ahead_n, ahead_e) * math.hypot(north, east)
+    flies_along = north * ahead_n + east * ahead_e >= least > 0.0
+    return flies_along and is_on_circle(pose.point_nea_m, position_nea_m, limits)

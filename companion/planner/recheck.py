@@ -3,6 +3,8 @@
 What was proven stays proven: a leg is checked only against rules that are new or stricter.
 """
 
+import math
+
 import numpy as np
 
 from companion.planner.procedure import Leg
@@ -11,12 +13,8 @@ from companion.world.columns import distances_to_cells_m
 from companion.world.near_map import NearMap
 from companion.world.zones import Zone, gaps_m, packed
 
-_PIECES = 48
-"""Of the rest of a leg at first: most are clear as wholes, by one look at all of them."""
 _LEEWAY, _LEEWAY_M = 2e-3, 0.01
 """Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
-_FINEST = 0.25
-"""Of the leeway: of a piece whose half is shorter, what is not clear by then is not."""
 _BAND_SLACK_M = 0.5
 """A ceiling above home moves that much with where the autopilot has its home."""
 _BAND_SAMPLES = 100
@@ -24,25 +22,22 @@ _BAND_SAMPLES = 100
 
 
 def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
-    """Whether the rest of a leg violates a new rule: a zone, the floor, the ceiling.
+    """Whether a leg violates, from a length on, a rule that is new: a zone, the floor, the ceiling.
 
-    leg, from_m: the leg, and the length from which on it matters.  task: the rules now.
+    task: the rules now.
     """
-    before = leg.rules
+    before, zones = leg.rules, task.zones
     if before == task:
         return False
-    zones = task.zones
     if before is not None and task.zone_clearance_m <= before.zone_clearance_m:
         zones = tuple(zone for zone in zones if zone not in before.zones)
-    if comes_too_near(leg, from_m, zones, task.zone_clearance_m):
-        return True
-    low_m, high_m = _band_amsl_m(task)
-    was_low_m, was_high_m = (-np.inf, np.inf) if before is None else _band_amsl_m(before)
     lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
     heights = leg.subpath.points_nea_m(lengths)[:, 2]
+    low_m, high_m = _band_amsl_m(task)
+    was_low_m, was_high_m = (-np.inf, np.inf) if before is None else _band_amsl_m(before)
     too_low = low_m > was_low_m and heights.min() < low_m - _BAND_SLACK_M
     too_high = high_m < was_high_m and heights.max() > high_m + _BAND_SLACK_M
-    return bool(too_low or too_high)
+    return bool(too_low or too_high) or comes_too_near(leg, from_m, zones, task.zone_clearance_m)
 
 
 def _band_amsl_m(task: Task) -> tuple[float, float]:
@@ -52,43 +47,26 @@ def _band_amsl_m(task: Task) -> tuple[float, float]:
 
 
 def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m: float) -> bool:
-    """Whether the rest of a leg comes nearer to a zone than required somewhere.
+    """Whether a leg comes nearer to a zone, from a length on, than the path must keep, to 0.2 %.
 
-    leg, from_m: the leg, and the length from which on it matters.  required_m: what the path must
-    keep (`Task.zone_clearance_m`), to 0.2 %, between samples too: pieces of the curve that are not
-    clear of all zones as wholes are halved, until they are or their middle is too near.
+    Looked at a leeway apart: between two samples nothing is nearer than half of that.
     """
-    if not zones:
-        return False
-    leeway_m = _LEEWAY * required_m + _LEEWAY_M
-    wanted_m, table = required_m - leeway_m, packed(zones)
-    length_m = leg.subpath.length_m
-    cuts_m = np.linspace(min(from_m, length_m), length_m, _PIECES + 1)
-    begin_m, end_m = cuts_m[:-1], cuts_m[1:]
-    while len(begin_m):
-        middle_m, half_m = 0.5 * (begin_m + end_m), 0.5 * (end_m - begin_m)
-        north, east, _ = leg.subpath.points_nea_m(middle_m).T
-        enough_m = np.maximum(wanted_m + half_m, 0.0) + _LEEWAY_M
-        told_m = gaps_m(table, north, east, enough_m)
-        left = told_m - half_m < wanted_m  # no point of a piece is nearer than by half its length
-        if (told_m < wanted_m).any() or (half_m[left] < _FINEST * leeway_m).any():
-            return True
-        begin_m = np.append(begin_m[left], middle_m[left])
-        end_m = np.append(middle_m[left], end_m[left])
-    return False
+    leeway_m, length_m = _LEEWAY * required_m + _LEEWAY_M, leg.subpath.length_m
+    count = math.ceil(max(length_m - from_m, 0.0) / leeway_m) + 1
+    lengths = np.linspace(min(from_m, length_m), length_m, count)
+    north, east, _ = leg.subpath.points_nea_m(lengths).T
+    told_m = gaps_m(packed(zones), north, east, required_m)
+    return bool((told_m < required_m - 0.5 * leeway_m).any())
 
 
 def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float) -> bool:
     """Whether something stands nearer than required to the rest of a leg, seen from above.
 
     What is too near already may be left: a stop would be on the same path.  It must lead away, to
-    where the distance is kept, within as much of the path.
-
-    Looked at every half cell along the leg; what lies between two points is nearer by less than a
-    thirtieth of a cell where required_m is a cell or more.
+    where the distance is kept, within as much of the path.  Looked at every half cell: what lies
+    between two points is nearer by less than a thirtieth of a cell if required_m is a cell or more.
     """
-    cell_m = near.lattice.cell_m
-    steps = max(round(2.0 * (leg.subpath.length_m - from_m) / cell_m), 1)
+    steps = max(round(2.0 * (leg.subpath.length_m - from_m) / near.lattice.cell_m), 1)
     lengths = np.linspace(from_m, leg.subpath.length_m, steps + 1)
     points = leg.subpath.points_nea_m(lengths)[:, :2]
     window = near.lattice.about(points, required_m)

@@ -1,9 +1,11 @@
-"""The plan request and its possible answers."""
+"""The plan request and its possible answers, also as plain values."""
 
 import enum
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any, Final, final, get_type_hints
 
+import msgspec
 import numpy as np
 
 from companion.geodesy import FloatArray
@@ -227,3 +229,51 @@ class Backtrack:
 
 
 PlanOutcome = Planned | NotPlanned | Backtrack
+
+
+# --- answers in files, exact: a decoded subpath has the same control points
+
+Values = dict[str, Any]
+_KINDS: Final = {"planned": Planned, "not planned": NotPlanned, "way back": Backtrack}
+_hints = cache(get_type_hints)
+
+
+def values_of(outcome: PlanOutcome) -> Values:
+    """An answer as numbers, texts, lists and dictionaries."""
+    kind = next(name for name, each in _KINDS.items() if each is type(outcome))
+    values = {"kind": kind} | {each.name: getattr(outcome, each.name) for each in fields(outcome)}
+    match outcome:
+        case Planned():
+            values["control_nea_m"] = values.pop("subpath").control_nea_m
+        case NotPlanned():
+            values["refusal"] = outcome.refusal.name
+        case Backtrack():
+            values["control_nea_m"] = [each.control_nea_m for each in values.pop("subpaths")]
+    plain: Values = msgspec.to_builtins(values, enc_hook=np.ndarray.tolist)
+    return plain
+
+
+def outcome_of(values: Values) -> PlanOutcome:
+    """Decode an answer.  KeyError, TypeError, ValueError: invalid values."""
+    made: Values = {}
+    for name, hint in _hints(_KINDS[values["kind"]]).items():
+        if name == "subpath":
+            made[name] = Subpath(control_nea_m=control_points(values["control_nea_m"]))
+        elif name == "subpaths":
+            rows = map(control_points, values["control_nea_m"])
+            made[name] = tuple(Subpath(control_nea_m=control) for control in rows)
+        elif name == "refusal":
+            made[name] = Refusal[values[name]]
+        elif name in values:
+            made[name] = msgspec.convert(values[name], hint, strict=False)
+    return _KINDS[values["kind"]](**made)
+
+
+def control_points(rows: list[list[float]]) -> FloatArray:
+    """The control points of a subpath.  ValueError: invalid values."""
+    control = np.array(rows, dtype=np.float64)
+    if control.ndim != 2 or control.shape[1] != 3 or len(control) < 4:
+        raise ValueError("control points are rows of north, east, altitude")
+    if not np.isfinite(control).all():
+        raise ValueError("control points are finite")
+    return control

@@ -5,17 +5,17 @@ are all checked by them.  A broken rule is an InputError whose field is named as
 """
 
 import math
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.planner.settings import Task
-from companion.world.zones import Zone
 
 Place = tuple[float, float]
+Broken = tuple[str, object, str, str]
+"""A rule that is broken: the field, its value, the rule, and the remedy."""
 
 _GRAVITY_M_S2 = 9.81
 """Standard gravity (ISO 80000-3), to 0.04 %."""
@@ -41,85 +41,163 @@ _MAX_CORNERS = 2000
 of no use at the scale of a flight."""
 
 
-def check_task(task: Task, where: str = "") -> None:
-    """Check a task against every rule between its numbers.
-
-    Raises InputError for the first that is broken; where comes before the field ("file: ").
-    """
-    for check in _OF_TASKS:
-        check(task, where)
+def refuse(broken: Iterable[Broken], where: str = "") -> None:
+    """Raise InputError for the first that is broken; where comes before the field ("file: ")."""
+    for field, value, rule, remedy in broken:
+        raise InputError(f"{where}{field}", value, rule, remedy)
 
 
-def newly_broken(
-    before: Task, after: Task, targets_ne_m: Iterable[Place] = ()
-) -> InputError | None:
+def newly_broken(before: Task, after: Task, target_ne_m: Place) -> InputError | None:
     """The first rule that a change of a task breaks; None: it breaks none.
 
-    Rules that were broken before do not prevent a change: the vehicle's fence may exclude a target,
-    and home may be at the edge of the map.
+    Fields that broke a rule before do not prevent a change: the vehicle's fence may exclude a
+    target, and home may be at the edge of the map.
     """
-    checks: list[_Check] = [partial(check, where="") for check in _OF_TASKS]
-    for number, target in enumerate(targets_ne_m):
-        checks.append(partial(check_target, target_ne_m=target, field=f"targets[{number}]"))
-    for check in checks:
-        if (error := _broken(check, after)) is not None and _broken(check, before) is None:
-            return error
-    return None
+    was, now = (
+        [*of_task(task), *of_target(task, target_ne_m, "targets[0]")] for task in (before, after)
+    )
+    known = {field for field, *_ in was}
+    return next((InputError(*broken) for broken in now if broken[0] not in known), None)
 
 
 def target_refusal(task: Task, target_ne_m: Place) -> str:
     """Why a place cannot be a target, as text; empty if it can."""
-    error = _broken(partial(check_target, target_ne_m=target_ne_m, field="target"), task)
-    return "" if error is None else f"the target: {error.rule}"
+    return next((f"the target: {rule}" for _, _, rule, _ in of_target(task, target_ne_m, "")), "")
 
 
-_Check = Callable[[Task], None]
+def of_area(north_m: tuple[float, float], east_m: tuple[float, float]) -> Iterator[Broken]:
+    """A map has an inside."""
+    for axis, (low, high) in (("north", north_m), ("east", east_m)):
+        if low >= high:
+            rule = f"it must be more than area.{axis}_min_m = {low:g}"
+            yield f"area.{axis}_max_m", high, rule, "Swap or widen them."
 
 
-def _broken(check: _Check, task: Task) -> InputError | None:
-    try:
-        check(task)
-    except InputError as error:
-        return error
-    return None
+def of_task(task: Task) -> Iterator[Broken]:
+    """All rules of a task, in the order in which they are told."""
+    limits, settings = task.limits, task.settings
+    range_m, speed, d_s = settings.scan_range_m, limits.speed_m_s, settings.safety_distance_m
+    floor, ceiling, end_m = limits.floor_amsl_m, limits.ceiling_amsl_m, task.end_radius_m
+
+    yield from of_area(limits.north_m, limits.east_m)
+    if ceiling - floor <= _MIN_BAND_ERRORS * task.error_m:
+        rule = (
+            f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
+            "vehicle.tracking_error_m + navigation_error_m"
+        )
+        yield "altitude.ceiling_amsl_m", ceiling, rule, "Widen the band."
+    sides_m = (high - low for low, high in (limits.north_m, limits.east_m))
+    if math.prod(sides_m) / task.cell_m**2 > MAX_CELLS:
+        rule = f"the map has more than {MAX_CELLS:.0e} cells of R / 80"
+        yield "planner.scan_range_m", range_m, rule, "Raise it, or make [area] smaller."
+
+    given_m, least_m = settings.scan_distance_m, task.shortest_scan_distance_m
+    if given_m is not None and given_m < least_m:
+        rule = f"eq. 4: L must be at least V (T + scan time) + tail = {least_m:g} m"
+        remedy = "Leave scan_distance_m out, or lower planning_time_s or speed_m_s."
+        yield "planner.scan_distance_m", given_m, rule, remedy
+    if task.scan_distance_m > _MOST_OF_SIGHT * end_m:
+        rule = (
+            f"eq. 4: with V = {speed:g} m/s and d_s = {d_s:g} m it needs L = "
+            f"{task.scan_distance_m:g} m, too much for R = {range_m:g} m "
+            f"(at most {_MOST_OF_SIGHT * end_m:g} m)"
+        )
+        remedy = "Lower planning_time_s, speed_m_s or safety_distance_m, or raise scan_range_m."
+        yield "planner.planning_time_s", settings.planning_time_s, rule, remedy
+    period_s = settings.position_period_s
+    least_s = 0.0 if settings.is_near else _SCAN_REQUESTS * period_s  # there is no TERRAIN_REQUEST
+    if settings.scan_time_s < least_s:
+        rule = f"a scan takes {_SCAN_REQUESTS} requests, one a position ({period_s:g} s)"
+        remedy = f"Raise it to {least_s:g}, or raise vehicle.position_rate_hz."
+        yield "planner.scan_time_s", settings.scan_time_s, rule, remedy
+
+    turns = {"turn_radius_m": limits.turn_radius_m}
+    if not limits.hovers:
+        turns["loiter_radius_m"] = limits.loiter_radius_m
+    for key, radius_m in turns.items():
+        if too_tight := _too_tight(speed**2 / radius_m, hovers=limits.hovers):
+            rule = f"at V = {speed:g} m/s it asks for {too_tight}"
+            yield f"vehicle.{key}", radius_m, rule, "Raise it, or lower vehicle.speed_m_s."
+    if limits.turn_radius_m > 0.5 * range_m:
+        rule = f"a turn must fit into the scan range R = {range_m:g} m twice"
+        remedy = "Lower it, or raise planner.scan_range_m."
+        yield "vehicle.turn_radius_m", limits.turn_radius_m, rule, remedy
+    room_m = task.zone_search_clearance_m + task.envelope.lead_m + 2.0 * limits.turn_radius_m
+    if not limits.hovers and room_m > end_m:
+        rule = (
+            f"a plane holds on circles: with what it flies until then, a turn and {_least(task)} "
+            f"it needs {room_m:.0f} m, and the scan range R = {range_m:g} m leaves {end_m:.0f} m"
+        )
+        remedy = "Lower it, vehicle.turn_radius_m or safety_distance_m, or raise scan_range_m."
+        yield "vehicle.loiter_radius_m", limits.loiter_radius_m, rule, remedy
+
+    if (ground_m := task.stated_ground_amsl_m) is not None:
+        least_m = ground_m + task.search_clearance_m - (task.band_amsl_m[0] - floor)
+        if floor < least_m:
+            rule = (
+                f"the ground reaches terrain.highest_amsl_m = {ground_m:g}, and no path lies "
+                "nearer to it than d_s and the vehicle's errors"
+            )
+            remedy = f"Raise it to {math.ceil(least_m)}, or lower planner.safety_distance_m."
+            yield "altitude.floor_amsl_m", floor, rule, remedy
 
 
-def check_target(task: Task, target_ne_m: Place, field: str) -> None:
-    """Hold a target to the map and the zones.  Raises InputError about the field."""
-    limits, zones = task.limits, task.zones
-    inset = task.zone_search_clearance_m if task.settings.profile.verified else 0.0
-    for value, (low, high), axis in zip(
-        target_ne_m, (limits.north_m, limits.east_m), ("north", "east"), strict=True
-    ):
-        if not low + inset <= value <= high - inset:
+def _too_tight(lateral_m_s2: float, *, hovers: bool) -> str:
+    """What a turn asks for that is too much for the vehicle; empty if nothing is."""
+    if hovers:
+        too_much = lateral_m_s2 > _MAX_LATERAL_M_S2
+        return f"{lateral_m_s2:.3g} m/s2 sideways, over 2 g" if too_much else ""
+    bank = math.degrees(math.atan(lateral_m_s2 / _GRAVITY_M_S2))
+    too_much = bank > _MAX_BANK_DEG
+    return f"{bank:.0f} degrees of bank, over {_MAX_BANK_DEG:g}" if too_much else ""
+
+
+def of_target(task: Task, target_ne_m: Place, field: str) -> Iterator[Broken]:
+    """A target lies on the map, and where no zone forbids to be."""
+    limits, kept_m = task.limits, task.zone_search_clearance_m
+    inset_m = kept_m if task.settings.profile.verified else 0.0
+    sides_m = {"north": limits.north_m, "east": limits.east_m}
+    for value, (axis, (low, high)) in zip(target_ne_m, sides_m.items(), strict=True):
+        if not low + inset_m <= value <= high - inset_m:
             rule = f"it lies outside the map, {low:g} to {high:g} m"
             if low <= value <= high:
                 rule = f"it lies nearer than {_least(task)} to the edge of the map"
-            raise InputError(f"{field}.{axis}_m", value, rule, "Move it, or widen [area].")
-    for zone in zones:
-        gap = float(zone.distance_m(*np.array(target_ne_m)))
-        if gap < task.zone_search_clearance_m:
-            rule = f"it lies {_where(zone, gap, task)} {zone.name!r}"
-            raise InputError(field, list(target_ne_m), rule, "Move the target, or remove the zone.")
+            yield f"{field}.{axis}_m", value, rule, "Move it, or widen [area]."
+    for zone in task.zones:
+        if (gap_m := float(zone.distance_m(*np.array(target_ne_m)))) < kept_m:
+            keep, edge = ("keep-in", " the edge of") if zone.keep_in else ("keep-out", "")
+            where = f"nearer than {_least(task)} to{edge}"
+            if gap_m < 0.0:
+                where = "outside" if zone.keep_in else "inside"
+            rule = f"it lies {where} {keep} {zone.name!r}"
+            yield field, list(target_ne_m), rule, "Move the target, or remove the zone."
 
 
-def check_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> None:
-    """Hold a polygon to having an inside.  Raises InputError about the field."""
+def _least(task: Task) -> str:
+    circle = "" if task.limits.hovers else ", and the circle that a plane holds on"
+    return f"{task.zone_search_clearance_m:g} m (d_s and the vehicle's errors{circle})"
+
+
+def of_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> Iterator[Broken]:
+    """A polygon has a clear inside."""
     corners = np.array(vertices_ne_m, dtype=np.float64).reshape(-1, 2)
     if len(set(vertices_ne_m)) < 3:
         remedy = "Give three or more different corners."
-        raise InputError(field, name, "a polygon has three or more corners", remedy)
-    if len(corners) > _MAX_CORNERS:
-        rule = f"it has more than {_MAX_CORNERS} corners"
-        raise InputError(field, name, rule, "Simplify it, outwards.")
-    crossing = first_crossing(corners)
-    if crossing is not None:
-        a, b = crossing
-        rule = f"the edges from its corners {a} and {b} (from 0) cross, so it has no clear inside"
-        raise InputError(field, name, rule, "Draw it so that it does not cross itself.")
-    if abs(_area_m2(corners)) < _MIN_AREA_M2:
-        remedy = "Give corners that do not lie on one line."
-        raise InputError(field, name, "it has no area", remedy)
+        yield field, name, "a polygon has three or more corners", remedy
+    elif len(corners) > _MAX_CORNERS:
+        yield field, name, f"it has more than {_MAX_CORNERS} corners", "Simplify it, outwards."
+    elif (crossing := first_crossing(corners)) is not None:
+        edges = f"the edges from its corners {crossing[0]} and {crossing[1]} (from 0) cross"
+        remedy = "Draw it so that it does not cross itself."
+        yield field, name, f"{edges}, so it has no clear inside", remedy
+    elif abs(_area_m2(corners - corners[0])) < _MIN_AREA_M2:
+        yield field, name, "it has no area", "Give corners that do not lie on one line."
+
+
+def _area_m2(corners: FloatArray) -> float:
+    """Of a polygon whose first corner is the origin; signed.  (corners, 2)."""
+    north, east = corners.T
+    return 0.5 * float(north[:-1] @ east[1:] - east[:-1] @ north[1:])
 
 
 def first_crossing(corners_ne_m: FloatArray) -> tuple[int, int] | None:
@@ -130,12 +208,10 @@ def first_crossing(corners_ne_m: FloatArray) -> tuple[int, int] | None:
     begins, ends = corners_ne_m, np.roll(corners_ne_m, -1, axis=0)
     for k in range(len(begins) - 2):
         others = slice(k + 2, len(begins) - (k == 0))
-        c, d = begins[others], ends[others]
-        sides_of_k = _side(begins[k], ends[k], c) * _side(begins[k], ends[k], d)
-        sides_of_others = _side(c, d, begins[k]) * _side(c, d, ends[k])
-        crossing = np.flatnonzero((sides_of_k < 0.0) & (sides_of_others < 0.0))
-        if len(crossing):
-            return k, k + 2 + int(crossing[0])
+        a, b, c, d = begins[k], ends[k], begins[others], ends[others]
+        crosses = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
+        if crosses.any():
+            return k, k + 2 + int(crosses.argmax())
     return None
 
 
@@ -143,135 +219,3 @@ def _side(a: FloatArray, b: FloatArray, points: FloatArray) -> FloatArray:
     """On which side of the line from a to b points lie: the sign.  (..., 2) x3 -> (...)."""
     along, off = b - a, points - a
     return np.sign(along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0])
-
-
-def _area_m2(corners_ne_m: FloatArray) -> float:
-    north, east = (corners_ne_m - corners_ne_m[0]).T
-    return 0.5 * float(np.sum(north * np.roll(east, -1) - east * np.roll(north, -1)))
-
-
-def _least(task: Task) -> str:
-    circle = "" if task.limits.hovers else ", and the circle that a plane holds on"
-    return f"{task.zone_search_clearance_m:g} m (d_s and the vehicle's errors{circle})"
-
-
-def _where(zone: Zone, gap_m: float, task: Task) -> str:
-    near = f"nearer than {_least(task)} to"
-    if zone.keep_in:
-        return "outside keep-in" if gap_m < 0.0 else f"{near} the edge of keep-in"
-    return "inside keep-out" if gap_m < 0.0 else f"{near} keep-out"
-
-
-def check_area(north_m: tuple[float, float], east_m: tuple[float, float], where: str = "") -> None:
-    """Hold a map to having an inside.  Raises InputError."""
-    for axis, (low, high) in (("north", north_m), ("east", east_m)):
-        if low >= high:
-            rule = f"it must be more than area.{axis}_min_m = {low:g}"
-            raise InputError(f"{where}area.{axis}_max_m", high, rule, "Swap or widen them.")
-
-
-def _check_map(task: Task, where: str) -> None:
-    limits = task.limits
-    check_area(limits.north_m, limits.east_m, where)
-    floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
-    if ceiling - floor <= _MIN_BAND_ERRORS * task.error_m:
-        rule = (
-            f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
-            "vehicle.tracking_error_m + navigation_error_m"
-        )
-        raise InputError(f"{where}altitude.ceiling_amsl_m", ceiling, rule, "Widen the band.")
-    cells = math.prod(high - low for low, high in (limits.north_m, limits.east_m))
-    if cells / task.cell_m**2 > MAX_CELLS:
-        rule = f"the map has more than {MAX_CELLS:.0e} cells of R / 80"
-        remedy = "Raise it, or make [area] smaller."
-        raise InputError(f"{where}planner.scan_range_m", task.settings.scan_range_m, rule, remedy)
-
-
-def _check_scan_distance(task: Task, where: str) -> None:
-    """Eq. 4 and what it needs: L >= V T + d_s, and room for L within sight."""
-    settings, speed = task.settings, task.limits.speed_m_s
-    least = task.shortest_scan_distance_m
-    given = settings.scan_distance_m
-    if given is not None and given < least:
-        rule = f"eq. 4: L must be at least V (T + scan time) + tail = {least:g} m"
-        remedy = "Leave scan_distance_m out, or lower planning_time_s or speed_m_s."
-        raise InputError(f"{where}planner.scan_distance_m", given, rule, remedy)
-    room = _MOST_OF_SIGHT * task.end_radius_m
-    if task.scan_distance_m > room:
-        rule = (
-            f"eq. 4: with V = {speed:g} m/s and d_s = {settings.safety_distance_m:g} m it needs "
-            f"L = {task.scan_distance_m:g} m, too much for R = {settings.scan_range_m:g} m "
-            f"(at most {room:g} m)"
-        )
-        remedy = "Lower planning_time_s, speed_m_s or safety_distance_m, or raise scan_range_m."
-        given = settings.planning_time_s
-        raise InputError(f"{where}planner.planning_time_s", given, rule, remedy)
-    if settings.is_near:
-        return  # no TERRAIN_REQUEST is sent
-    least = _SCAN_REQUESTS * settings.position_period_s
-    if settings.scan_time_s < least:
-        period = f"one a position ({settings.position_period_s:g} s)"
-        rule = f"a scan takes {_SCAN_REQUESTS} requests, {period}"
-        remedy = f"Raise it to {least:g}, or raise vehicle.position_rate_hz."
-        raise InputError(f"{where}planner.scan_time_s", settings.scan_time_s, rule, remedy)
-
-
-def _check_turns(task: Task, where: str) -> None:
-    limits, settings = task.limits, task.settings
-    turns = {"turn_radius_m": limits.turn_radius_m}
-    if not limits.hovers:
-        turns["loiter_radius_m"] = limits.loiter_radius_m
-    for key, radius in turns.items():
-        if rule := _too_tight(limits.speed_m_s, radius, hovers=limits.hovers):
-            remedy = "Raise it, or lower vehicle.speed_m_s."
-            raise InputError(f"{where}vehicle.{key}", radius, rule, remedy)
-    if limits.turn_radius_m > 0.5 * settings.scan_range_m:
-        rule = f"a turn must fit into the scan range R = {settings.scan_range_m:g} m twice"
-        remedy = "Lower it, or raise planner.scan_range_m."
-        raise InputError(f"{where}vehicle.turn_radius_m", limits.turn_radius_m, rule, remedy)
-    if not limits.hovers:
-        _check_circle(task, where)
-
-
-def _check_circle(task: Task, where: str) -> None:
-    """Check a plane's overshoot, turn and circle against the scan range."""
-    limits, settings = task.limits, task.settings
-    room = task.zone_search_clearance_m + task.envelope.lead_m + 2.0 * limits.turn_radius_m
-    if room > task.end_radius_m:
-        rule = (
-            f"a plane holds on circles: with what it flies until then, a turn and {_least(task)} "
-            f"it needs {room:.0f} m, and the scan range R = {settings.scan_range_m:g} m leaves "
-            f"{task.end_radius_m:.0f} m"
-        )
-        remedy = "Lower it, vehicle.turn_radius_m or safety_distance_m, or raise scan_range_m."
-        raise InputError(f"{where}vehicle.loiter_radius_m", limits.loiter_radius_m, rule, remedy)
-
-
-def _check_ground(task: Task, where: str) -> None:
-    """Without a scanner the lowest path must clear the stated ground."""
-    ground_m = task.stated_ground_amsl_m
-    if ground_m is None:
-        return
-    floor_m, (lowest_m, _) = task.limits.floor_amsl_m, task.band_amsl_m
-    least_m = ground_m + task.search_clearance_m - (lowest_m - floor_m)
-    if floor_m < least_m:
-        rule = (
-            f"the ground reaches terrain.highest_amsl_m = {ground_m:g}, and no path lies "
-            f"nearer to it than d_s and the vehicle's errors"
-        )
-        remedy = f"Raise it to {math.ceil(least_m)}, or lower planner.safety_distance_m."
-        raise InputError(f"{where}altitude.floor_amsl_m", floor_m, rule, remedy)
-
-
-_OF_TASKS = (_check_map, _check_scan_distance, _check_turns, _check_ground)
-
-
-def _too_tight(speed_m_s: float, radius_m: float, *, hovers: bool) -> str:
-    lateral = speed_m_s**2 / radius_m
-    at_speed = f"at V = {speed_m_s:g} m/s it asks for"
-    if hovers:
-        too_much = lateral > _MAX_LATERAL_M_S2
-        return f"{at_speed} {lateral:.3g} m/s2 sideways, over 2 g" if too_much else ""
-    bank = math.degrees(math.atan(lateral / _GRAVITY_M_S2))
-    too_much = bank > _MAX_BANK_DEG
-    return f"{at_speed} {bank:.0f} degrees of bank, over {_MAX_BANK_DEG:g}" if too_much else ""

@@ -6,10 +6,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, final
 
-import numpy as np
 from annotated_types import Ge, Le
 
-from companion.geodesy import FloatArray
 from companion.path.certificate import Margins
 from companion.path.envelope import (
     COPTER,
@@ -28,6 +26,7 @@ from companion.world.radars import Radar
 from companion.world.zones import Zone
 
 CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
+_AIMS = 1.1  # errors that the search keeps beyond d_s: a proof needs a little to spare
 
 
 @final
@@ -60,7 +59,7 @@ class PlannerSettings:
 
     @property
     def is_near(self) -> bool:
-        """Whether it flies among near things, by a sensor whose map has cells of its own."""
+        """Whether it flies among near things, whose map has cells of its own."""
         return self.cell_m is not None
 
 
@@ -79,28 +78,6 @@ class Task:
     zones: tuple[Zone, ...] = ()
     stated_ground_amsl_m: float | None = None
     """Upper bound of the ground for flights without a scanner; None: not stated."""
-    _circles: FloatArray = field(init=False, repr=False, compare=False)
-    """(radars, 3): north, east, range of each, so that looking for the near ones is one scan."""
-    _at_speeds: "dict[float, Task]" = field(
-        init=False, repr=False, compare=False, default_factory=dict
-    )
-    """Kept by `at_speed`: they are asked for with every position."""
-
-    def __post_init__(self) -> None:
-        rows = [(*radar.centre_nea_m[:2], radar.range_m) for radar in self.radars]
-        object.__setattr__(self, "_circles", np.array(rows, dtype=np.float64).reshape(-1, 3))
-
-    def radars_near(self, place_ne_m: tuple[float, float], reach_m: float) -> tuple[Radar, ...]:
-        """The radars whose range comes within reach of a place."""
-        north, east, range_m = self._circles.T
-        apart = np.hypot(north - place_ne_m[0], east - place_ne_m[1])
-        return tuple(self.radars[k] for k in np.nonzero(apart <= range_m + reach_m)[0])
-
-    @property
-    def cell_m(self) -> float:
-        """Size of the cells of the known map."""
-        settings = self.settings
-        return settings.cell_m or float(max(round(settings.scan_range_m / CELLS_PER_RANGE), 1))
 
     @cached_property
     def digest(self) -> str:
@@ -113,18 +90,83 @@ class Task:
         handling = self.handling or (COPTER if self.limits.hovers else PLANE)
         return envelope_of(self.limits, handling, self.convergence_rad)
 
+    @property
+    def cell_m(self) -> float:
+        """Size of the cells of the known map."""
+        settings = self.settings
+        return settings.cell_m or float(max(round(settings.scan_range_m / CELLS_PER_RANGE), 1))
+
+    def radars_near(self, place_ne_m: tuple[float, float], reach_m: float) -> tuple[Radar, ...]:
+        """The radars whose range comes within reach of a place."""
+        away_m = (math.dist(radar.centre_nea_m[:2], place_ne_m) for radar in self.radars)
+        near = zip(self.radars, away_m, strict=True)
+        return tuple(radar for radar, away in near if away <= radar.range_m + reach_m)
+
+    # --- what is kept: by what the search aims at, and, a little less, by what is proven
+
+    @property
+    def error_m(self) -> float:
+        """Allowed distance of the vehicle from the path: tracking and navigation error."""
+        return self.envelope.error_m
+
+    @property
+    def required_clearance_m(self) -> float:
+        """The distance of the curve from terrain and keep-outs."""
+        return self.settings.safety_distance_m + self.error_m
+
+    @property
+    def search_clearance_m(self) -> float:
+        """What the search aims at: more than the certificate asks for (in `paper`, d_s itself)."""
+        settings = self.settings
+        if not settings.profile.verified:
+            return settings.safety_distance_m
+        least = settings.safety_distance_m + _AIMS * self.error_m
+        return max(settings.safety_distance_m * settings.profile.margin, least)
+
+    @property
+    def zone_clearance_m(self) -> float:
+        """The distance of the curve from zones; of a plane that of its circle about each point."""
+        return self.required_clearance_m + self.envelope.loiter_m
+
+    @property
+    def zone_search_clearance_m(self) -> float:
+        """What the search keeps from zones."""
+        return self.search_clearance_m + self.envelope.loiter_m
+
+    @property
+    def band_amsl_m(self) -> tuple[float, float]:
+        """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
+        inset = _AIMS * self.error_m if self.settings.profile.verified else 0.0
+        return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
+
+    @property
+    def margins(self) -> Margins:
+        """The margins of a certificate, so that the vehicle on the curve keeps d_s."""
+        return Margins(
+            clearance_m=self.required_clearance_m,
+            contact_m=self.envelope.contact_m,
+            band_inset_m=self.error_m,
+            motion=self.envelope,
+        )
+
+    @cached_property
+    def take_off_amsl_m(self) -> float:
+        """Where the climb-out ends and the first path begins: no lower than paths are planned."""
+        return max(self.limits.floor_amsl_m + 2.0 * self.envelope.tube_m, self.band_amsl_m[0])
+
+    # --- what is flown meanwhile
+
     @cached_property
     def tail_m(self) -> float:
         """Length of a subpath beyond p_prog.
 
-        The paper's d_s; in profile `flight` the dead-man reach, enough to stop in (for a plane:
-        the lead and d_s), and never less than 0.15 R (design section 6: it takes away most of what
-        goes wrong near the end of sight).
+        The paper's d_s; in `flight` the dead-man reach, enough to stop in (for a plane: the lead
+        and d_s), and 0.15 R (design 6: most of what goes wrong at the end of sight does not then).
         """
-        settings, speed = self.settings, self.limits.speed_m_s
+        settings, motion = self.settings, self.envelope
         if not settings.profile.verified:
             return settings.safety_distance_m
-        motion = self.envelope
+        speed = self.limits.speed_m_s
         stop_m = stopping_m(motion, speed) + motion.lead_m + settings.safety_distance_m
         return max(0.15 * settings.scan_range_m, stop_m, flown_on_m(motion, speed))
 
@@ -153,49 +195,25 @@ class Task:
         return self.settings.scan_distance_m or self.shortest_scan_distance_m
 
     @property
-    def error_m(self) -> float:
-        """Allowed distance of the vehicle from the path: tracking and navigation error."""
-        return self.envelope.error_m
+    def end_radius_m(self) -> float:
+        """Radius of the circle about p_scan on which subpaths end.
 
-    @property
-    def margins(self) -> Margins:
-        """The margins of a certificate, so that the vehicle on the curve keeps d_s."""
-        return Margins(
-            clearance_m=self.required_clearance_m,
-            contact_m=self.envelope.contact_m,
-            band_inset_m=self.error_m,
-            motion=self.envelope,
-        )
-
-    @property
-    def required_clearance_m(self) -> float:
-        """The distance of the curve from terrain and keep-outs."""
-        return self.settings.safety_distance_m + self.error_m
-
-    @property
-    def zone_clearance_m(self) -> float:
-        """The distance of the curve from zones; of a plane that of its circle about each point."""
-        return self.required_clearance_m + self.envelope.loiter_m
-
-    @property
-    def zone_search_clearance_m(self) -> float:
-        """What the search keeps from zones."""
-        return self.search_clearance_m + self.envelope.loiter_m
-
-    @property
-    def search_clearance_m(self) -> float:
-        """What the search aims at: more than the certificate asks for (in `paper`, d_s itself)."""
+        The paper's R; in `flight` less, so that the ground is scanned within the required clearance
+        of the end and of the dead-man reach from there.
+        """
         settings = self.settings
         if not settings.profile.verified:
-            return settings.safety_distance_m
-        least = settings.safety_distance_m + 1.1 * self.error_m
-        return max(settings.safety_distance_m * settings.profile.margin, least)
+            return settings.scan_range_m
+        beyond = beyond_m(self.envelope) if self.limits.hovers else 0.0
+        reserve = max(self.zone_search_clearance_m, beyond + self.envelope.contact_m)
+        return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)
 
-    @property
-    def band_amsl_m(self) -> tuple[float, float]:
-        """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
-        inset = 1.1 * self.error_m if self.settings.profile.verified else 0.0
-        return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
+    # --- the same task, a little otherwise
+
+    @cached_property
+    def _at_speeds(self) -> "dict[float, Task]":
+        """Kept by `at_speed`: they are asked for with every position."""
+        return {}
 
     def at_speed(self, speed_m_s: float | None) -> "Task":
         """The task of a leg that is flown more slowly than V; None: at V.
@@ -214,30 +232,5 @@ class Task:
 
     def no_lower_than(self, amsl_m: float) -> "Task":
         """The task with this, if it is higher, as the lowest altitude to plan for."""
-        raised_m = max(amsl_m - self.band_amsl_m[0], 0.0)
-        limits = replace(self.limits, floor_amsl_m=self.limits.floor_amsl_m + raised_m)
-        return replace(self, limits=limits)
-
-    @cached_property
-    def take_off_amsl_m(self) -> float:
-        """Where the climb-out ends: the floor of the band plus the tracking and navigation error.
-
-        Never lower than paths are planned, as the first one begins here.
-        """
-        limits = self.limits
-        lowest_m, _ = self.band_amsl_m
-        return max(limits.floor_amsl_m + 2.0 * self.envelope.tube_m, lowest_m)
-
-    @property
-    def end_radius_m(self) -> float:
-        """Radius of the circle about p_scan on which subpaths end.
-
-        The paper's R; in profile `flight` less, so that the ground is scanned within the required
-        clearance of the end and of the dead-man reach from there.
-        """
-        settings = self.settings
-        if not settings.profile.verified:
-            return settings.scan_range_m
-        beyond = beyond_m(self.envelope) if self.limits.hovers else 0.0
-        reserve = max(self.zone_search_clearance_m, beyond + self.envelope.contact_m)
-        return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)
+        raised_m = self.limits.floor_amsl_m + max(amsl_m - self.band_amsl_m[0], 0.0)
+        return replace(self, limits=replace(self.limits, floor_amsl_m=raised_m))

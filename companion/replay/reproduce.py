@@ -18,8 +18,7 @@ from companion.errors import InputError
 from companion.mavlink.link import Input, Output
 from companion.mission.start import Start
 from companion.planner import kernels
-from companion.planner.outcomes import values_of
-from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planner.request import PlanOutcome, PlanRequest, values_of
 from companion.planning import plan
 from companion.replay.differences import NOTHING, Difference, Recording, values_differ
 from companion.replay.report import PlanDiffers, Replayed

@@ -13,8 +13,7 @@ from companion.mavlink.link import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.start import Resume, Start, SystemId
-from companion.planner.outcomes import outcome_of
-from companion.planner.request import PlanOutcome
+from companion.planner.request import PlanOutcome, outcome_of
 from companion.profiles import PROFILES
 from companion.session import Session
 from companion.world.known_map import unpacked_map

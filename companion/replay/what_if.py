@@ -15,8 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mission.mission import Mission
-from companion.planner.outcomes import outcome_of
-from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest
+from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, outcome_of
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.planning import plan
@@ -100,7 +99,7 @@ def what_if(
             task=with_changes(request.task, session.mission.task, changed.task),
             seed=request.seed if seed is None else seed,
         )
-        if (error := newly_broken(request.task, other.task, (other.target_ne_m,))) is not None:
+        if (error := newly_broken(request.task, other.task, other.target_ne_m)) is not None:
             raise error
         again = plan(other)
         yield WhatIf(

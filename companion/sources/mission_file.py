@@ -19,7 +19,7 @@ from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, 
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.path.envelope import COPTER, PLANE
 from companion.path.limits import Limits
-from companion.planner.rules import check_target, check_task
+from companion.planner import rules
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
 from companion.sources.altitudes import about_altitudes, carried_on
@@ -213,7 +213,7 @@ def mission_of(
         ),
         stated_ground_amsl_m=_stated_ground(model),
     )
-    check_task(task, f"{where}: ")
+    rules.refuse(rules.of_task(task), f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
     said = (model.scanner, vehicle, model.fallback, model.battery, link, model.from_vehicle)
@@ -348,7 +348,7 @@ def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> 
     for index, target in enumerate(model.targets):
         field = f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
         place = place_of(target, frame, field)
-        check_target(task, place, field)
+        rules.refuse(rules.of_target(task, place, field))
         found.append(place)
     return tuple(found)
 

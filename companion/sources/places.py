@@ -7,7 +7,7 @@ import math
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, parts_within, short_way, wrap_deg
-from companion.planner.rules import check_polygon
+from companion.planner import rules
 from companion.planner.settings import Task
 from companion.sources.mission_schema import MissionRadarTable, MissionTable, PlaceTable, ZoneTable
 from companion.world.radars import Radar
@@ -80,7 +80,7 @@ def zones_of(
                 continue
             zone, corners = made
             if isinstance(zone, PolygonZone):
-                check_polygon(corners, field, zone.name)
+                rules.refuse(rules.of_polygon(corners, field, zone.name))
             found.append(zone)
     note = f"{far} of {len(model.keep_outs)} keep-outs lie away from the map" if far else ""
     return tuple(found), note

@@ -13,7 +13,7 @@ from woods_rivals import AT_M, DECIDES_S, LIMIT_S, AStar
 from companion.config import folder_of, load_mission, load_world
 from companion.library import Flown, NearScene, Thing
 from companion.library import fly as fly_in_library
-from companion.planner.on_board import OnBoard
+from companion.planner.offline import OnBoard
 from vehicle_sim.world import read_world
 
 _STEP_S = 0.1  # of the sensor: 10 Hz

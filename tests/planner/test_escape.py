@@ -126,8 +126,20 @@ def test_out_of_zones_that_overlap_the_way_leads_deeper_into_none(
 
 def test_out_of_a_zone_in_a_zone_the_way_leads_out_of_both(task: Task, truth: KnownMap) -> None:
     zones = (circle(6_450.0, 1_400.0, 150.0), circle(6_600.0, 1_600.0, 500.0))
-    points = along(escaped(replace(task, zones=zones), truth, HERE))
-    assert depth_m(zones, points)[-1] >= REQUIRED_M
+    assert depth_m(zones, along(escaped(replace(task, zones=zones), truth, HERE)))[-1] >= REQUIRED_M
+
+
+@pytest.mark.parametrize("fenced", [True, False])
+def test_the_way_out_from_beside_terrain_leads_through_no_zone(
+    task: Task, blank: KnownMap, fenced: bool
+) -> None:
+    """In a corridor of known ground, 30 m from its end: the only way leads along it."""
+    corridor = replace(blank, upper_m=blank.upper_m.copy(), seen=blank.seen.copy())
+    corridor.upper_m[240:320, 40:48] = 100.0
+    corridor.seen[240:320, 40:48] = True
+    post = circle(6_110.0, 1_100.0, 5.0)  # 75 m ahead
+    request = ask(replace(task, zones=(post,) * fenced), corridor, (6_030.0, 1_100.0, 600.0))
+    assert isinstance(plan(request), NotPlanned if fenced else Planned)
 
 
 @pytest.mark.parametrize("beyond_m", [-40.0, 0.0, 200.0, 700.0])

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from planning import PLANE_TASK, limits
+from planning import PLANE_TASK, leg_of, limits
 
-from companion.path.subpath import Subpath
 from companion.planner.cost_grid import CostGrid
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.procedure import Leg
@@ -26,7 +25,7 @@ def a_leg(rng: np.random.Generator) -> Leg:
     turn = np.cumsum(rng.normal(0.0, 0.4, 4))
     steps = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1) * 4.0
     control = np.array([0.0, 0.0, 400.0]) + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    return leg_of(control)
 
 
 def near_map(occupied: list[tuple[int, int]]) -> NearMap:
@@ -65,8 +64,7 @@ def test_a_leg_meets_what_stands_nearer_to_its_rest_than_required(
 
 
 def test_what_is_behind_or_was_wiped_out_is_not_met() -> None:
-    control = np.outer(np.linspace(0.0, 1.0, 4), [16.0, 0.0, 0.0])
-    leg = Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=True)
+    leg = straight_on(16.0)
     near = near_map([(20, 40)])  # at the leg's begin
     assert meets_near_things(leg, 0.0, near, 0.5)
     assert not meets_near_things(leg, 2.0, near, 0.5)
@@ -76,8 +74,7 @@ def test_what_is_behind_or_was_wiped_out_is_not_met() -> None:
 
 
 def straight_on(north_m: float) -> Leg:
-    control = np.outer(np.linspace(0.0, 1.0, 4), [north_m, 0.0, 0.0])
-    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    return leg_of(np.outer(np.linspace(0.0, 1.0, 4), [north_m, 0.0, 0.0]))
 
 
 def test_what_is_too_near_is_left_by_a_leg_that_leads_away_soon_and_to_nothing_else() -> None:

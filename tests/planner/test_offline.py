@@ -4,8 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brute_force import violations
+from planning import fly
 
-from companion.planner.offline import OfflineFlight, fly_offline, usual_most_legs
+from companion.planner.offline import OfflineFlight, usual_most_legs
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
@@ -38,40 +39,14 @@ class Refusing:
         return outcome
 
 
-def fly(
-    task: Task,
-    blank: KnownMap,
-    truth: KnownMap,
-    planner: Refusing,
-    targets: tuple[tuple[float, float], ...] = (TARGET,),
-) -> OfflineFlight:
-    return fly_offline(
-        task,
-        blank=blank,
-        truth=truth,
-        start_nea_m=START,
-        targets_ne_m=targets,
-        seed=3,
-        planner=planner,
-    )
-
-
 @pytest.fixture(scope="module")
 def planner() -> Refusing:
     return Refusing()
 
 
 @pytest.fixture(scope="module")
-def flight(task: Task, blank: KnownMap, truth: KnownMap, planner: Refusing) -> OfflineFlight:
-    return fly(task, blank, truth, planner)
-
-
-def flown(flight: OfflineFlight) -> np.ndarray:
-    """Points of the whole path, 5 m apart, each leg as far as it was flown."""
-    points = []
-    for leg, flown_m in zip(flight.legs, flight.flown_m, strict=True):
-        points += [leg.subpath.pose(at).position_nea_m for at in np.arange(0.0, flown_m, 5.0)]
-    return np.array(points)
+def flight(task: Task, truth: KnownMap, planner: Refusing) -> OfflineFlight:
+    return fly(task, truth, START, TARGET, seed=3, planner=planner)
 
 
 def test_the_flight_arrives_at_the_target(flight: OfflineFlight) -> None:
@@ -83,13 +58,11 @@ def test_the_flight_arrives_at_the_target(flight: OfflineFlight) -> None:
     assert len(flight.plans) == len(flight.scans_nea_m) == len(flight.legs) >= 4
 
 
-def test_a_target_in_the_middle_of_a_radar_is_flown_to(
-    task: Task, blank: KnownMap, truth: KnownMap
-) -> None:
+def test_a_target_in_the_middle_of_a_radar_is_flown_to(task: Task, truth: KnownMap) -> None:
     target = (1_200.0, 3_000.0)
     watched = Radar(name="r", centre_nea_m=(*target, 0.0), range_m=1_200.0)
     among = replace(task, radars=(watched,))
-    flight = fly(among, blank, truth, Refusing(), targets=(target,))
+    flight = fly(among, truth, START, target, seed=3)
     assert flight.failure is None
     assert sum(flight.flown_m) < 2.0 * math.dist(START[:2], target)
 
@@ -139,7 +112,7 @@ def test_scans_are_made_at_p_scan_of_each_leg(flight: OfflineFlight, task: Task)
 def test_the_whole_flight_keeps_the_safety_distance_to_the_true_terrain(
     flight: OfflineFlight, task: Task, terrain: PeakTerrain
 ) -> None:
-    points = flown(flight)
+    points = flight.route_nea_m(5.0)
     around = np.arange(-72.0, 73.0, 8.0)
     n = points[:, 0, None, None] + around[:, None]
     e = points[:, 1, None, None] + around[None, :]
@@ -163,10 +136,10 @@ def test_it_plans_on_what_its_scans_have_shown_only(
 
 
 def test_a_flight_that_finds_no_way_gives_up_after_four_attempts_each_wider(
-    task: Task, blank: KnownMap, truth: KnownMap
+    task: Task, truth: KnownMap
 ) -> None:
     planner = Refusing(*range(1, 100))
-    flight = fly(task, blank, truth, planner)
+    flight = fly(task, truth, START, TARGET, seed=3, planner=planner)
     assert flight.failure is planner.outcomes[-1]
     assert flight.legs == flight.plans == flight.flown_m == []
     assert flight.scans_nea_m == [START] * 4
@@ -175,12 +148,9 @@ def test_a_flight_that_finds_no_way_gives_up_after_four_attempts_each_wider(
 
 
 def test_a_flight_that_runs_out_of_legs_says_so_and_how_to_go_on(
-    task: Task, blank: KnownMap, truth: KnownMap, flight: OfflineFlight
+    task: Task, truth: KnownMap, flight: OfflineFlight
 ) -> None:
-    cut = fly_offline(
-        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3,
-        planner=planner_of(OURS), most_legs=2,
-    )  # fmt: skip
+    cut = fly(task, truth, START, TARGET, seed=3, planner=planner_of(OURS), most_legs=2)
     assert cut.failure is not None
     assert cut.failure.refusal is Refusal.TOO_MANY_LEGS
     assert "most_legs" in cut.failure.refusal.value
@@ -192,10 +162,10 @@ def test_a_flight_that_runs_out_of_legs_says_so_and_how_to_go_on(
 
 
 def test_a_leg_without_a_successor_is_flown_to_its_end_and_the_flight_goes_on_from_there(
-    task: Task, blank: KnownMap, truth: KnownMap
+    task: Task, truth: KnownMap
 ) -> None:
     planner = Refusing(3)
-    flight = fly(task, blank, truth, planner)
+    flight = fly(task, truth, START, TARGET, seed=3, planner=planner)
     assert flight.failure is None
     assert flight.legs[-1].reaches_target
     assert flight.holds == 1
@@ -212,11 +182,9 @@ def test_a_leg_without_a_successor_is_flown_to_its_end_and_the_flight_goes_on_fr
     assert not planner.requests[4].from_rest
 
 
-def test_attempts_are_counted_anew_once_a_plan_is_found(
-    task: Task, blank: KnownMap, truth: KnownMap
-) -> None:
+def test_attempts_are_counted_anew_once_a_plan_is_found(task: Task, truth: KnownMap) -> None:
     planner = Refusing(1, 2, 4, 5, 6)
-    flight = fly(task, blank, truth, planner)
+    flight = fly(task, truth, START, TARGET, seed=3, planner=planner)
     assert flight.legs[-1].reaches_target
     # twice from the start; in flight, which ends it in a hover; twice from there
     assert [request.attempt for request in planner.requests[:7]] == [0, 1, 2, 0, 0, 1, 2]
@@ -227,10 +195,10 @@ def test_attempts_are_counted_anew_once_a_plan_is_found(
 
 
 def test_a_flight_that_is_stuck_on_its_way_keeps_what_it_has_flown(
-    task: Task, blank: KnownMap, truth: KnownMap
+    task: Task, truth: KnownMap
 ) -> None:
     planner = Refusing(*range(3, 100))
-    flight = fly(task, blank, truth, planner)
+    flight = fly(task, truth, START, TARGET, seed=3, planner=planner)
     assert isinstance(flight.failure, NotPlanned)
     assert len(flight.legs) == 2
     assert flight.flown_m[1] == flight.legs[1].subpath.length_m
@@ -238,7 +206,7 @@ def test_a_flight_that_is_stuck_on_its_way_keeps_what_it_has_flown(
 
 
 def test_the_flight_goes_round_the_radar(flight: OfflineFlight, task: Task) -> None:
-    points, radar = flown(flight), task.radars[0]
+    points, radar = flight.route_nea_m(5.0), task.radars[0]
     straight = np.linspace(START[:2], TARGET, 500)
     crossed = np.hypot(*(straight - radar.centre_nea_m[:2]).T) < radar.range_m
     assert math.dist(START[:2], TARGET) < 5.0 * len(points) < 1.3 * math.dist(START[:2], TARGET)
@@ -247,10 +215,10 @@ def test_the_flight_goes_round_the_radar(flight: OfflineFlight, task: Task) -> N
 
 
 def test_targets_are_reached_in_their_order_with_a_stop_at_each(
-    task: Task, blank: KnownMap, truth: KnownMap
+    task: Task, truth: KnownMap
 ) -> None:
     targets, planner = ((2_500.0, 2_000.0), (1_000.0, 3_500.0), (1_000.0, 3_400.0)), Refusing()
-    flight = fly(task, blank, truth, planner, targets)
+    flight = fly(task, truth, START, *targets, seed=3, planner=planner)
     ends = [leg.subpath.control_nea_m[-1, :2] for leg in flight.legs if leg.reaches_target]
     np.testing.assert_allclose(ends, targets, atol=1e-6)
     reached = 0

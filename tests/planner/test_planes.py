@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import ask, column_distance_m, fly, limits, spline
+from planning import ask, column_distance_m, fly, leg_of, limits, spline
 
 from companion.path.envelope import flown_on_m, stopping_m
-from companion.path.subpath import Subpath
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
@@ -110,13 +109,7 @@ def test_a_leg_is_long_enough_for_the_point_that_the_plane_is_sent_to(
             sent_m = leg.scan_at_m(TASK) + V * time_s + lead_m
             assert sent_m <= leg.successor_at_m(TASK) + 1e-6
             assert leg.subpath.length_m - leg.successor_at_m(TASK) >= lead_m
-    short = Leg(
-        number=1,
-        plan_id=1,
-        subpath=Subpath(control_nea_m=np.outer([0.0, 0.3, 0.6, 1.0], [200.0, 0.0, 0.0])),
-        reaches_target=False,
-    )
-    assert not short.can_be_left(TASK)
+    assert not leg_of(np.outer([0.0, 0.3, 0.6, 1.0], [200.0, 0.0, 0.0])).can_be_left(TASK)
 
 
 def test_a_target_whose_circle_leaves_the_fence_is_refused(truth: KnownMap) -> None:
@@ -150,8 +143,7 @@ def a_leg(turn_rad: float = 1.2, length_m: float = 1_500.0) -> Leg:
     bearing = turn_rad * at
     steps = np.stack([np.cos(bearing), np.sin(bearing), 0.02 + 0.0 * at], axis=-1)[1:]
     control = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) * length_m / 4.0
-    subpath = Subpath(control_nea_m=control + np.array([1_000.0, 1_000.0, 400.0]))
-    return Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False)
+    return leg_of(control + np.array([1_000.0, 1_000.0, 400.0]))
 
 
 @given(at=st.floats(0.05, 0.95), aside_m=st.floats(-90.0, 90.0), turn=st.floats(-2.0, 2.0))
@@ -190,7 +182,7 @@ def test_the_reference_never_goes_back_and_comes_to_the_end() -> None:
 def test_where_the_path_comes_near_to_itself_the_reference_does_not_jump() -> None:
     around = np.array([[0, 0], [1_500, 0], [1_500, 60], [0, 60]], dtype=float)
     control = np.column_stack([around, np.full(4, 400.0)])
-    leg = Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    leg = leg_of(control)
     reference = Reference(length_m=200.0)
     for at_m in np.arange(200.0, 700.0, 2.0):
         other_side = leg.subpath.pose(at_m).position_nea_m + np.array([0.0, 35.0, 0.0])
@@ -204,9 +196,7 @@ def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end(
     control = leg.subpath.pose(over_m).position_nea_m + np.outer(
         [0.0, 0.3, 0.6, 1.0], 900.0 * leg.subpath.pose(over_m).tangent_nea
     )
-    next_leg = Leg(
-        number=2, plan_id=2, subpath=Subpath(control_nea_m=control), reaches_target=False
-    )
+    next_leg = leg_of(control, number=2)
     before = Reference(length_m=over_m - 60.0)
     at = sent_pose(before, leg, next_leg, 110.0, TASK).position_nea_m
     assert at == pytest.approx(next_leg.subpath.pose(50.0).position_nea_m)

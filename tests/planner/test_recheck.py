@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import zone_distance_m
+from planning import leg_of, zone_distance_m
 
-from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.recheck import comes_too_near, is_touched
 from companion.planner.settings import Task
@@ -22,12 +21,11 @@ def a_leg(rng: np.random.Generator, length_m: float = 20_000.0) -> Leg:
     turn = np.cumsum(rng.normal(0.0, 0.5, points - 1))
     steps = np.stack([np.cos(turn), np.sin(turn), 0.05 + 0.0 * turn], axis=-1)
     control = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) * length_m / (points - 1)
-    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    return leg_of(control)
 
 
 def straight_leg() -> Leg:
-    control = np.outer([0.0, 0.25, 0.5, 1.0], [20_000.0, 0.0, 0.0])
-    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    return leg_of(np.outer([0.0, 0.25, 0.5, 1.0], [20_000.0, 0.0, 0.0]))
 
 
 def zones_along(rng: np.random.Generator, leg: Leg) -> tuple[Zone, ...]:
@@ -104,8 +102,7 @@ LOW_M = 300.0 + 10.0  # of the floor, and tracking and navigation error
 def low_leg(rules: Task | None, below_m: float = 0.0) -> Leg:
     """Across the map, as low as it is proven, or lower."""
     control = np.linspace((1_000.0, 500.0, LOW_M - below_m), (7_000.0, 500.0, LOW_M + 90.0), 4)
-    subpath = Subpath(control_nea_m=control)
-    return Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False, rules=rules)
+    return leg_of(control, rules=rules)
 
 
 ACROSS = CircleZone(name="new", north_m=4_000.0, east_m=500.0, radius_m=100.0)

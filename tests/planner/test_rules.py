@@ -9,7 +9,7 @@ from planning import limits
 
 from companion.errors import InputError
 from companion.path.limits import Limits
-from companion.planner.rules import check_polygon, check_target, check_task, first_crossing
+from companion.planner import rules
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.zones import CircleZone
 
@@ -24,14 +24,14 @@ SETTINGS = PlannerSettings(scan_range_m=2000.0, safety_distance_m=40.0, planning
 
 def refused(of: Limits, settings: PlannerSettings = SETTINGS, where: str = "") -> InputError:
     with pytest.raises(InputError) as caught:
-        check_task(Task(limits=of, settings=settings), where)
+        rules.refuse(rules.of_task(Task(limits=of, settings=settings)), where)
     assert len(str(caught.value).splitlines()) == 1
     return caught.value
 
 
 def test_tasks_that_can_be_flown_pass() -> None:
     for each in (COPTER, PLANE):
-        check_task(Task(limits=each, settings=SETTINGS))
+        assert not list(rules.of_task(Task(limits=each, settings=SETTINGS)))
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,9 @@ def test_a_broken_rule_is_told_by_the_field_of_a_mission_file(
 
 def test_a_scan_distance_and_a_scan_time_that_are_too_short_are_refused() -> None:
     least = Task(limits=COPTER, settings=SETTINGS).shortest_scan_distance_m
-    check_task(Task(limits=COPTER, settings=replace(SETTINGS, scan_distance_m=least)))
+    assert not list(
+        rules.of_task(Task(limits=COPTER, settings=replace(SETTINGS, scan_distance_m=least)))
+    )
     short = replace(SETTINGS, scan_distance_m=least - 0.1)
     assert refused(COPTER, short).field == "planner.scan_distance_m"
     assert refused(COPTER, replace(SETTINGS, scan_time_s=3.2)).field == "planner.scan_time_s"
@@ -65,7 +67,9 @@ def test_a_scan_distance_and_a_scan_time_that_are_too_short_are_refused() -> Non
 @pytest.mark.parametrize("key", ["turn_radius_m", "loiter_radius_m"])
 def test_a_plane_is_not_asked_to_bank_by_more_than_45_degrees(key: str) -> None:
     tightest = 18.0**2 / 9.81  # tan(45 degrees) = 1
-    check_task(Task(limits=replace(PLANE, **{key: tightest + 0.01}), settings=SETTINGS))
+    assert not list(
+        rules.of_task(Task(limits=replace(PLANE, **{key: tightest + 0.01}), settings=SETTINGS))
+    )
     error = refused(replace(PLANE, **{key: tightest - 0.01}))
     assert error.field == f"vehicle.{key}"
     assert "45 degrees of bank" in str(error)
@@ -77,7 +81,7 @@ def test_a_circle_that_sight_cannot_hold_is_refused() -> None:
     assert error.field == "vehicle.loiter_radius_m"
     assert "a plane holds on circles" in str(error)
     task = Task(limits=replace(PLANE, loiter_radius_m=500.0), settings=SETTINGS)
-    check_task(task)
+    assert not list(rules.of_task(task))
     room = task.zone_search_clearance_m + 18.0 * task.limits.lead_s + 2.0 * 80.0
     assert room < task.end_radius_m
 
@@ -88,7 +92,7 @@ def test_a_target_must_lie_on_the_map_outside_keep_outs_and_inside_keep_ins() ->
         CircleZone(name="in", north_m=0.0, east_m=0.0, radius_m=3000.0, keep_in=True),
     )
     task = Task(limits=COPTER, settings=SETTINGS, zones=zones)
-    check_target(task, (0.0, 0.0), "target")
+    rules.refuse(rules.of_target(task, (0.0, 0.0), "target"))
     for place, words in (
         ((6000.0, 0.0), "outside the map"),
         ((4990.0, 0.0), "to the edge of the map"),
@@ -98,7 +102,7 @@ def test_a_target_must_lie_on_the_map_outside_keep_outs_and_inside_keep_ins() ->
         ((0.0, -2990.0), "to the edge of keep-in 'in'"),
     ):
         with pytest.raises(InputError, match=words):
-            check_target(task, place, "target")
+            rules.refuse(rules.of_target(task, place, "target"))
 
 
 # --- polygons
@@ -118,7 +122,7 @@ def test_a_polygon_round_a_point_never_crosses_itself(
     corners = np.stack([radii * np.cos(ring), radii * np.sin(ring)], axis=-1)
     gaps = np.diff([*sorted(angles), sorted(angles)[0] + 2 * math.pi])
     if gaps.max() < 3.0:  # the point is inside, so the order of directions is that of the edges
-        assert first_crossing(corners) is None
+        assert rules.first_crossing(corners) is None
 
 
 @given(st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=4, max_size=9))
@@ -126,7 +130,7 @@ def test_edges_that_cross_are_found_as_a_search_of_all_pairs_finds_them(
     places: list[tuple[int, int]],
 ) -> None:
     corners = np.array(places, dtype=float)
-    assert (first_crossing(corners) is not None) == any_crossing(places)
+    assert (rules.first_crossing(corners) is not None) == any_crossing(places)
 
 
 def any_crossing(places: list[tuple[int, int]]) -> bool:
@@ -157,12 +161,12 @@ def test_a_polygon_without_a_clear_inside_is_refused(
     corners: tuple[tuple[float, float], ...], words: str
 ) -> None:
     with pytest.raises(InputError, match=words):
-        check_polygon(corners, "keep_outs[0]", "zone")
+        rules.refuse(rules.of_polygon(corners, "keep_outs[0]", "zone"))
 
 
 def test_a_polygon_of_2000_corners_passes_and_one_of_more_does_not() -> None:
     angle = np.linspace(0.0, 2.0 * math.pi, 2001, endpoint=False)
     corners = tuple((1e3 * math.cos(a), 1e3 * math.sin(a)) for a in angle)
-    check_polygon(corners[:-1], "keep_outs[0]", "ring")
+    rules.refuse(rules.of_polygon(corners[:-1], "keep_outs[0]", "ring"))
     with pytest.raises(InputError, match="more than 2000 corners"):
-        check_polygon(corners, "keep_outs[0]", "ring")
+        rules.refuse(rules.of_polygon(corners, "keep_outs[0]", "ring"))

@@ -35,13 +35,16 @@ def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
     assert task.tail_m == 3_000.0  # 0.15 R
     assert task.shortest_scan_distance_m == 150.0 * (9.0 + 3 * 0.1) + 3_000.0
     assert task.scan_distance_m == task.shortest_scan_distance_m
+    longer = replace(task.settings, scan_distance_m=7_000.0)
+    assert replace(task, settings=longer).scan_distance_m == 7_000.0
     assert task.error_m == 15.0  # tracking 10 m, navigation 5 m
     assert task.required_clearance_m == 515.0  # d_s, and both
 
 
-def test_the_tail_of_the_paper_is_the_safety_distance_and_its_circle_the_scan_range() -> None:
-    assert PAPERS.tail_m == 500.0
+def test_the_paper_keeps_the_safety_distance_in_the_whole_band_and_ends_on_the_scan_range() -> None:
+    assert PAPERS.tail_m == PAPERS.search_clearance_m == 500.0
     assert PAPERS.end_radius_m == 20_000.0
+    assert PAPERS.band_amsl_m == (3_000.0, 5_000.0)
 
 
 def test_a_certificate_is_asked_for_what_keeps_the_vehicle_on_the_curve_safe() -> None:
@@ -50,11 +53,6 @@ def test_a_certificate_is_asked_for_what_keeps_the_vehicle_on_the_curve_safe() -
     assert margins.band_inset_m == 15.0
     assert margins.contact_m == 15.0 + margins.motion.aside_m > 15.0
     assert margins.motion.dead_man_s == LIMITS.dead_man_s + COPTER.lag_s >= 3.5
-
-
-def test_the_paper_aims_at_the_safety_distance_and_at_the_whole_band() -> None:
-    assert PAPERS.search_clearance_m == 500.0
-    assert PAPERS.band_amsl_m == (3_000.0, 5_000.0)
 
 
 errors = st.floats(0.0, 60.0)
@@ -73,11 +71,6 @@ def test_the_search_aims_at_more_than_the_certificate_asks_for(
     low, high = task.band_amsl_m
     assert low >= 3_000.0 + tracking + navigation
     assert high <= 5_000.0 - tracking - navigation
-
-
-def test_a_scan_distance_that_is_given_is_taken() -> None:
-    given_m = replace(ENVIRONMENT_1.settings, scan_distance_m=7_000.0)
-    assert replace(ENVIRONMENT_1, settings=given_m).scan_distance_m == 7_000.0
 
 
 @given(
