@@ -293,7 +293,7 @@ class _Plan:
                 best = self._cheaper(best, self._searched(self._at_speed(speed_m_s)))
         if request.from_rest and (best is None or self._goes_round(best)):
             owes = self._progress.owed_m > self._allowed_m
-            out = self._way_out(looks=best is None)
+            out = self._way_out(looks=best is None, strays=not owes)
             if out is None and owes and self._field.is_barred and not is_near:
                 return self._refused(Refusal.NO_WAY, self._field.route_ne_m[0])
             price_m = math.inf if best is None else self._prices.price_m(best)
@@ -319,9 +319,12 @@ class _Plan:
         return anew.outcome()
 
     def _owed_m(self, planned: Planned) -> float:
-        """What the mission owes with this subpath; a straight piece of the route owes nothing."""
+        """What the mission owes with this subpath; a straight piece only if more is left then."""
         if planned.is_escape:
-            return self._progress.owed_m
+            here_nea_m, end_nea_m = planned.subpath.control_nea_m[[0, -1]].tolist()
+            more_m = self._prices.left_m(end_nea_m) - self._prices.left_m(here_nea_m)
+            stop_m = self._request.task.stop_m if more_m > 0.0 else 0.0
+            return self._progress.owed_m + max(more_m, 0.0) + stop_m
         return self._progress.owing(self._prices.excess_m(planned), self._range_m)
 
     def _goes_round(self, planned: Planned) -> bool:
@@ -336,7 +339,7 @@ class _Plan:
             shortest_m=0.0 if scene.from_rest else _shortest_m(task.envelope),
         )
 
-    def _way_out(self, *, looks: bool) -> tuple[Planned, float] | None:
+    def _way_out(self, *, looks: bool, strays: bool) -> tuple[Planned, float] | None:
         """A straight piece to where less is left to fly, or (looks) more is seen; its price."""
 
         def prove(subpath: Subpath) -> Planned | None:
@@ -350,7 +353,8 @@ class _Plan:
                     )
             return None
 
-        return way_out(self._request, self._field, prove, self._prices.price_m, looks=looks)
+        price = self._prices.price_m
+        return way_out(self._request, self._field, prove, price, looks=looks, strays=strays)
 
     def _told_m_s(self, speed_m_s: float) -> float | None:
         """The speed of a plan; None if it is V."""

@@ -57,16 +57,22 @@ class _End:
 
 
 def way_out(
-    request: PlanRequest, field: CostToGo, prove: Prove, price: Price, *, looks: bool
+    request: PlanRequest,
+    field: CostToGo,
+    prove: Prove,
+    price: Price,
+    *,
+    looks: bool,
+    strays: bool,
 ) -> tuple[Planned, float] | None:
     """The straight piece to begin with, level or climbing, and what it costs with all that follows.
 
-    looks: where no less is left to fly anywhere, it goes to where more is seen.  None if there is
-    no place to go to.
+    looks: where no less is left to fly anywhere, it goes to where more is seen.  strays: it may
+    climb where that brings it no nearer at once.  None if there is no place to go to.
     """
     found = []
     for climb in _CLIMBS:
-        for end in _Search(request, field, climb).ends(looks=looks):
+        for end in _Search(request, field, climb).ends(looks=looks, strays=strays):
             planned = prove(straight(request.start.position_nea_m, end.place_nea_m))
             if planned is not None:
                 found.append((planned, max(price(planned) + end.stops_m, end.least_m)))
@@ -91,12 +97,12 @@ class _Search:
         self._radars = task.radars_near(request.scan_nea_m[:2], 2.0 * range_m)
         self._left_here_m = float(self._left_m(*self._start))
 
-    def ends(self, *, looks: bool) -> list[_End]:
+    def ends(self, *, looks: bool, strays: bool) -> list[_End]:
         """The best one first; those that no radar sees before the others."""
         ways, reached_ne_m = self._ways(looks=looks)
         ends = [end for way in ways for end in self._along(way)]
         if self._climbs and ways:
-            ends = self._cheapest_first(ends + self._higher(reached_ne_m))
+            ends = self._cheapest_first(ends + self._higher(reached_ne_m), strays=strays)
         return sorted(ends, key=lambda end: self._is_seen(end.place_nea_m))
 
     def _is_seen(self, end_nea_m: FloatArray) -> bool:
@@ -151,23 +157,21 @@ class _Search:
             if away_m[i] >= self._cell_m
         ]
 
-    def _cheapest_first(self, ends: list[_End]) -> list[_End]:
+    def _cheapest_first(self, ends: list[_End], *, strays: bool) -> list[_End]:
         """The rest of a climb takes as many more stops as it has such pieces.
 
-        Without climbs after which neither less is left than here nor, by half of them, to climb.
+        Last come climbs after which neither less is left than here nor, by half of them, to climb.
         """
         place = np.array([end.place_nea_m for end in ends])
         away_m = np.linalg.norm(place - self._start, axis=-1)
         left_m, climb_m = self._left_m(*place.T), self._climb_m(*place.T)
         gained_m = float(self._climb_m(*self._start)) - climb_m
         gets_on = (left_m < self._left_here_m) | (gained_m > 0.5 * away_m)
+        gets_on |= np.array([end.least_m > 0.0 for end in ends])
         stops_m = np.maximum(self._stop_m * climb_m / away_m, [end.stops_m for end in ends])
-        order = np.argsort(left_m + away_m + stops_m, kind="stable").tolist()
-        return [
-            replace(ends[i], stops_m=float(stops_m[i]))
-            for i in order
-            if gets_on[i] or ends[i].least_m
-        ]
+        order = np.lexsort((left_m + away_m + stops_m, ~gets_on)).tolist()
+        order = [i for i in order if gets_on[i] or strays]
+        return [replace(ends[i], stops_m=float(stops_m[i])) for i in order]
 
     def _ways(self, *, looks: bool) -> tuple[list[Way], FloatArray]:
         """Ways over free places to where less is left to fly, or more is seen.
