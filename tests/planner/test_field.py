@@ -273,8 +273,9 @@ def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.Mon
         else:
             zone = CircleZone(name="new", north_m=at[0], east_m=at[1], radius_m=2e3)
             task = replace(task, zones=(*task.zones, zone))
-        anew = cost_to_go(known, task, here, target, route, Memory())
-        repaired = cost_to_go(known, task, here, target, route, memory)
+        guesses = step % 4 != 1
+        anew = cost_to_go(known, task, here, target, route, Memory(), guesses=guesses)
+        repaired = cost_to_go(known, task, here, target, route, memory, guesses=guesses)
         assert repaired.value.vertex_m.tobytes() == anew.value.vertex_m.tobytes()
         assert repaired.needed.vertex_m.tobytes() == anew.needed.vertex_m.tobytes()
         assert repaired.route_ne_m == anew.route_ne_m
@@ -291,6 +292,20 @@ def test_ground_that_has_not_been_seen_is_free() -> None:
         free.value.vertex_m
     )
     assert value(cost_to_go(known, task, (5e3, 5e3), (50e3, 40e3)), (5e3, 5e3)) > 1e6
+
+
+def test_without_guesses_hidden_ground_is_as_high_as_its_sight_line_allows() -> None:
+    """What is promised can be proven then: a slope is climbed to its bound, where it is hidden."""
+    task, here, there = a_task(), (5e3, 30e3), (55e3, 30e3)
+    north, _ = middles(task)
+    known = seen(task, np.where(np.abs(north - 30e3) < 5e3, 3_900.0, 0.0))
+    hidden = replace(known, seen=known.seen & (np.abs(north - 30e3) > 5e3))
+    told, guessed = cost_to_go(known, task, here, there), cost_to_go(hidden, task, here, there)
+    bounded = cost_to_go(hidden, task, here, there, guesses=False)
+    assert bounded.value.vertex_m == pytest.approx(told.value.vertex_m)
+    assert bounded.needed.vertex_m == pytest.approx(told.needed.vertex_m)
+    foot = np.array(24.5e3), np.array(30e3)
+    assert guessed.needed.altitude_m(*foot) < told.needed.altitude_m(*foot) - 500.0
 
 
 HERE, TARGET = (30e3, 5e3), (30e3, 55e3)
