@@ -271,6 +271,7 @@ class _Plan:
         return self._prices.left_m(request.start.point_nea_m)
 
     def _at(self, before: Progress, left_m: float) -> Progress:
+        """Whether the mission gets on, from where so much is left."""
         known = self._request.known
         few_cells = _FEW * math.pi * (self._range_m / known.cell_m) ** 2
         seen = int(np.count_nonzero(known.seen))
@@ -300,8 +301,8 @@ class _Plan:
             if out is not None and out[1] <= price_m + (self._progress.owed_m if owes else 0.0):
                 best, price_m = out[0], out[1] - self._request.task.stop_m
             dearer_m = price_m - self._prices.promised_m(request.start.point_nea_m)
-            believes = self._progress.believed_below_m == math.inf
-            if dearer_m > self._allowed_m and believes and not is_near:
+            believes = not is_near and self._progress.believed_below_m == math.inf
+            if dearer_m > self._allowed_m and believes and not self._is_cut:
                 return self._without_guesses()
         if best is None:
             return self._refused(Refusal.OUT_OF_TIME if self._is_cut else Refusal.NOTHING_SAFE)
