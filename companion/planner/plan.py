@@ -253,7 +253,7 @@ class _Plan:
             progress = self._at(before, left_m)
             if progress.doubt_m <= BELIEVED * self._range_m:
                 return progress
-            before = progress.disbelieving(left_m, self._allowed_m)
+            before = progress.disbelieving(left_m, self._request.known.cell_m)
         return self._at(before, self._left_m(guesses=False))
 
     def _left_m(self, *, guesses: bool) -> float:
@@ -314,7 +314,7 @@ class _Plan:
     def _without_guesses(self) -> Planned | NotPlanned:
         """The plan anew, where what guidance has promised from here cannot be flown."""
         left_m = self._prices.left_m(self._request.start.point_nea_m)
-        progress = self._progress.disbelieving(left_m, self._allowed_m)
+        progress = self._progress.disbelieving(left_m, self._request.known.cell_m)
         anew = _Plan(replace(self._request, progress=progress), self._stop)
         anew._evaluations, anew._tries = self._evaluations, self._tries
         return anew.outcome()
