@@ -174,28 +174,40 @@ def edge_m(grid: Grid, row: int, column: int, k: int) -> float:
     return float(total * piece_m)
 
 
-def repair(grid: Grid, costs: Costs, dirty: BoolArray, here: IndexArray, beyond_m: float) -> int:
+def repair(
+    grid: Grid,
+    costs: Costs,
+    dirty: BoolArray,
+    here: IndexArray,
+    beyond_m: float,
+    window: tuple[int, int, int, int],
+) -> int:
     """Make costs right again as far as they matter.  How often a point was looked at.
 
     dirty: (rows, columns), the points one of whose edges has changed; to begin with, when all costs
     are infinite, those that have a seed.
-    here, beyond_m: costs matter up to so much more than the least of these points.  Others are
-    left as they are until they do; what is stored of them is more than that.
+    here, beyond_m, window: costs matter in a window, and on the ways on from there, up to so much
+    more than the least of some points.  Others are left as they are until they do; what is stored
+    of those in the window is more than that.
+    window: first and last row, first and last column, without the last.
     """
     rows, columns = grid.rows, grid.columns
     cost, ahead, via = costs.cost, costs.ahead, costs.via
-    least_m = _ROUNDED * grid.least * 2.0 * grid.step_m * _LENGTHS
+    step_m = _ROUNDED * grid.least * 2.0 * grid.step_m
+    least_m = step_m * _LENGTHS
     heap, looked = [(math.inf, -1)], 0
-    for u in range(rows * columns):
-        if dirty[u // columns, u % columns]:
-            _again(u, grid, costs, least_m, heap)
-        elif cost[u] != ahead[u]:  # left before
-            heapq.heappush(heap, (min(cost[u], ahead[u]), u))
+    for row in range(rows):
+        for column in range(columns):
+            u = row * columns + column
+            if dirty[row, column]:
+                _again(u, grid, costs, least_m)
+            if cost[u] != ahead[u]:  # now, or left before
+                _put(heap, u, costs, columns, window, step_m)
     while heap[0][1] >= 0:
         if looked % _LOOKS == 0 and heap[0][0] > ahead[here].min() + beyond_m:
             break
         key, u = heapq.heappop(heap)
-        if cost[u] == ahead[u] or key != min(cost[u], ahead[u]):
+        if cost[u] == ahead[u] or key != _key(u, costs, columns, window, step_m):
             continue  # since it was put there, it was put there again
         looked += 1
         row, column = u // columns, u % columns
@@ -212,22 +224,46 @@ def repair(grid: Grid, costs: Costs, dirty: BoolArray, here: IndexArray, beyond_
                 if by_u < ahead[v]:
                     ahead[v], via[v] = by_u, back
                     if by_u != cost[v]:
-                        heapq.heappush(heap, (by_u, v))
+                        _put(heap, v, costs, columns, window, step_m)
                 elif by_u == ahead[v] and back < via[v]:
                     via[v] = back
         else:
             cost[u] = math.inf
-            _again(u, grid, costs, least_m, heap)
+            _again(u, grid, costs, least_m)
+            if cost[u] != ahead[u]:
+                _put(heap, u, costs, columns, window, step_m)
             for k in range(len(DIRECTIONS)):
                 if is_within or _leads_on(row, column, rows, columns, k):
                     v = u + grid.jump[k]
                     if via[v] == (k + _HALF) % len(DIRECTIONS):
                         if cost[v] == ahead[v]:  # it is looked at when its turn comes
                             ahead[v] = math.inf
-                            heapq.heappush(heap, (cost[v], v))
                         else:
-                            _again(v, grid, costs, least_m, heap)
+                            _again(v, grid, costs, least_m)
+                        if cost[v] != ahead[v]:
+                            _put(heap, v, costs, columns, window, step_m)
     return looked
+
+
+def _key(
+    u: int, costs: Costs, columns: int, window: tuple[int, int, int, int], step_m: float
+) -> float:
+    """No way from the window over a point costs less."""
+    row, column = u // columns, u % columns
+    north = max(max(window[0] - row, row - window[1] + 1), 0)
+    east = max(max(window[2] - column, column - window[3] + 1), 0)
+    return min(costs.cost[u], costs.ahead[u]) + step_m * math.sqrt(north * north + east * east)
+
+
+def _put(
+    heap: list[tuple[float, int]],
+    u: int,
+    costs: Costs,
+    columns: int,
+    window: tuple[int, int, int, int],
+    step_m: float,
+) -> None:
+    heapq.heappush(heap, (_key(u, costs, columns, window, step_m), u))
 
 
 def _is_within(row: int, rows: int) -> bool:
@@ -241,9 +277,7 @@ def _leads_on(row: int, column: int, rows: int, columns: int, k: int) -> bool:
     return 0 <= i < rows and 0 <= j < columns
 
 
-def _again(
-    u: int, grid: Grid, costs: Costs, least_m: FloatArray, heap: list[tuple[float, int]]
-) -> None:
+def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray) -> None:
     """Look at a point again, by all of its neighbours."""
     rows, columns = grid.rows, grid.columns
     row, column = u // columns, u % columns
@@ -261,8 +295,6 @@ def _again(
                 if by_it < best or (by_it == best and k < via):
                     best, via = by_it, k
     costs.ahead[u], costs.via[u] = best, via
-    if best != costs.cost[u]:
-        heapq.heappush(heap, (min(best, costs.cost[u]), u))
 
 
 def touch(row: int, column: int, touched: BoolArray) -> None:

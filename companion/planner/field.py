@@ -189,10 +189,16 @@ class _Field:
 
     def repair(self, dirty: BoolArray) -> None:
         """Make costs right again; dirty: the points whose edges have changed."""
-        here = self.grid.around(self.ends_ne_m[0])
+        here, (rows, columns) = self.grid.around(self.ends_ne_m[0]), self._box()
+        window = rows.start, rows.stop, columns.start, columns.stop
         kernels.compiled().guidance.repair(
-            self.samples, self.costs, dirty, here, _BEYOND_RANGES * self._range_m
+            self.samples, self.costs, dirty, here, _BEYOND_RANGES * self._range_m, window
         )
+
+    def _box(self) -> tuple[slice, slice]:
+        """Rows and columns of the lattice points whose costs are asked for."""
+        reach = math.ceil(_GIVEN_RANGES * self._range_m / (2.0 * self.grid.step_m))
+        return self.grid.box_about(self.ends_ne_m[0], reach)
 
     @property
     def most_m(self) -> float:
@@ -241,8 +247,7 @@ class _Field:
     def surfaces(self) -> tuple[Surface, Surface]:
         """`CostToGo.value` and `needed` about here."""
         (here, target), grid, limits = self.ends_ne_m, self.grid, self.task.limits
-        reach = math.ceil(_GIVEN_RANGES * self._range_m / (2.0 * grid.step_m))
-        rows, columns = box = grid.box_about(here, reach)
+        rows, columns = box = self._box()
         inside = (
             slice(2 * rows.start, 2 * rows.stop - 1, 2),
             slice(2 * columns.start, 2 * columns.stop - 1, 2),
