@@ -27,7 +27,7 @@ from companion.planner import kernels
 from companion.planner.cheapest_ways import Grid, IndexArray
 from companion.planner.cost_samples import BLOCKED, Box, Ground, Scale
 from companion.planner.settings import Task
-from companion.world.guess import Blocks, believed_m, continued
+from companion.world.guess import believed_m, continued
 from companion.world.known_map import KnownMap
 from companion.world.lattice import Lattice
 from companion.world.zones import too_near
@@ -76,7 +76,6 @@ class CostGrid:
         """The samples beside which nothing has been told: there it may be guessed."""
         self._everywhere = True
         """Whether all samples are to be looked at next time: at first, and after a guess."""
-        self._blocks = Blocks(known.upper_m.shape, 2 * every)
         self._ground = Ground(
             seen_m=np.full((rows, columns), -np.inf),
             guess_m=np.full((rows, columns), self._scale.floor_m),
@@ -95,31 +94,23 @@ class CostGrid:
 
         here_ne_m: what was seen is continued about it where it was not; not without guesses.
         """
-        ground, floor_m = self._ground, self._scale.floor_m
+        ground, guidance = self._ground, kernels.compiled().guidance
         box = self._look_at(known)
-        guess_m = None
-        if self.guesses and self._open.any():
-            guess_m = self._continued_m(known, here_ne_m)
+        guess_m = self._continued_m(known, here_ne_m) if self.guesses else None
         if guess_m is not None or self._everywhere:
-            ground.guess_m[:] = floor_m if guess_m is None else guess_m
+            ground.guess_m[:] = self._scale.floor_m if guess_m is None else guess_m
             box = 0, self.shape[0], 0, self.shape[1]
         self._everywhere = guess_m is not None
         touched = np.zeros(self.lattice_shape, dtype=bool)
-        kernels.compiled().guidance.fill(
-            self.samples,
-            ground,
-            box,
-            self.corner_ne_m,
-            self._upper_m,
-            self._surveyed,
-            self._scale,
-            touched,
-        )
+        guidance.fill(
+            self.samples, ground, box, self.corner_ne_m, self._upper_m, self._surveyed,
+            self._scale, touched,
+        )  # fmt: skip
         return touched
 
     def _look_at(self, known: KnownMap) -> Box:
         """Take over what is known.  -> the samples that may ask for another altitude."""
-        guidance, scale, size = kernels.compiled().guidance, self._scale, known.upper_m.shape
+        guidance, scale, size = kernels.compiled().guidance, self._scale, known.shape
         cells = guidance.changed(self._upper_m, self._surveyed, known.upper_m, known.surveyed)
         if known.guess_m is not None and not _same(known.guess_m, self._told_m):
             cells, self._told_m = (0, size[0], 0, size[1]), known.guess_m
@@ -130,31 +121,27 @@ class CostGrid:
             self._open = np.isnan(known.guess_m[np.ix_(row, column)])
         if cells[0] >= cells[1]:
             return 0, 0, 0, 0
-        rows, columns = slice(*cells[:2]), slice(*cells[2:])
-        self._upper_m[rows, columns] = known.upper_m[rows, columns]
-        self._surveyed[rows, columns] = known.surveyed[rows, columns]
-        if self._open.any():
-            self._blocks.update(known, (rows, columns))
-        reach, box, about = len(scale.rises_m), [], []
-        for part, count, cut in zip((rows, columns), self.shape, size, strict=True):
-            low = max(-((reach - 1 - part.start) // scale.every), 0)
-            high = max(min((part.stop - 1 + reach) // scale.every + 1, count), low)
+        window = slice(*cells[:2]), slice(*cells[2:])
+        self._upper_m[window], self._surveyed[window] = known.upper_m[window], known.surveyed[window]
+        reach, box, about = len(scale.rises_m), list[int](), list[slice]()
+        for part, count, cut in zip(window, self.shape, size, strict=True):
+            low = max((part.start - reach) // scale.every, 0)
+            high = min((part.stop + reach) // scale.every + 1, count)
             box += [low, high]
-            about.append(
-                slice(max(low * scale.every - reach, 0), min(high * scale.every + reach, cut))
-            )
+            first, last = low * scale.every - reach, high * scale.every + reach
+            about.append(slice(max(first, 0), min(last, cut)))
         tops_m = believed_m(known, *about)
         if not self.guesses:  # what is hidden is as high as it may be
-            bound_m = known.part(*about).upper_m
+            bound_m = known.upper_m[*about]
             tops_m = np.where(np.isfinite(bound_m), bound_m, tops_m)
-        guidance.raise_to(
-            self._ground.seen_m, tuple(box), tops_m, (about[0].start, about[1].start), scale
-        )
+        first = about[0].start, about[1].start
+        guidance.raise_to(self._ground.seen_m, tuple(box), tops_m, first, scale)
         return box[0], box[1], box[2], box[3]
 
     def _continued_m(self, known: KnownMap, here_ne_m: Place) -> FloatArray | None:
         """`Ground.guess_m`: linear between the points of the lattice.  None: nothing is guessed."""
-        goes_on, scale = continued(known, self._blocks, here_ne_m), self._scale
+        scale = self._scale
+        goes_on = continued(known, 2 * scale.every, here_ne_m) if self._open.any() else None
         if goes_on is None:
             return None
         rows, columns = (4 * scale.every * np.arange(count) for count in self.lattice_shape)

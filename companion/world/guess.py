@@ -12,10 +12,10 @@ from typing import final
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
+from companion.world.lattice import IntArray, Window
 
 _REACH = 6.0
 """Of R about here, in which seen terrain is continued.  A mountain that was forgotten from afar
@@ -28,9 +28,6 @@ _SCALES = (3.0, 4.0, 5.4)  # blocks: lengths of the covariance, the likeliest is
 _NOISE = 0.02  # of the amplitude: cells are as high as the highest in them, not as their middle
 _PLAIN = 0.02  # quantile of what was seen: the plain that mountains stand on
 
-IntArray = NDArray[np.intp]
-_Box = tuple[slice, slice]
-
 
 def believed_m(known: KnownMap, rows: slice, columns: slice) -> FloatArray:
     """The terrain of some cells as it was seen, or else told; -inf elsewhere, metres AMSL."""
@@ -41,42 +38,9 @@ def believed_m(known: KnownMap, rows: slice, columns: slice) -> FloatArray:
     return np.where(part.surveyed, part.upper_m, told)
 
 
-@final
-class Blocks:
-    """Means of what was seen over squares of cells, kept up to date."""
-
-    def __init__(self, shape: tuple[int, int], size: int) -> None:
-        """size: cells to a side; the last ones may be cut off."""
-        self.size = size
-        self.mean_m = np.zeros([-(-count // size) for count in shape])
-        self.seen = np.zeros(self.mean_m.shape, dtype=bool)
-        """Whether half of the block was."""
-
-    @staticmethod
-    def of(known: KnownMap, range_m: float) -> "Blocks":
-        """Of a whole map; range_m is R."""
-        size = max(round(range_m / (_BLOCKS_PER_RANGE * known.cell_m)), 1)
-        rows, columns = known.upper_m.shape
-        blocks = Blocks((rows, columns), size)
-        blocks.update(known, (slice(0, rows), slice(0, columns)))
-        return blocks
-
-    def update(self, known: KnownMap, cells: _Box) -> None:
-        """Cells, these at most, have changed."""
-        size = self.size
-        rows, columns = (slice(part.start // size, -(-part.stop // size)) for part in cells)
-        part = known.part(*(slice(each.start * size, each.stop * size) for each in (rows, columns)))
-        firm = part.surveyed
-        padding = [(0, -count % size) for count in firm.shape]
-
-        def sums(values: FloatArray) -> FloatArray:
-            values = np.pad(values, padding)
-            strips = values.reshape(-1, size, values.shape[1]).sum(axis=1)
-            return np.asarray(sum(strips[:, k::size] for k in range(size)))
-
-        count, total = sums(firm.astype(np.float64)), sums(np.where(firm, part.upper_m, 0.0))
-        self.mean_m[rows, columns] = total / np.maximum(count, 1.0)
-        self.seen[rows, columns] = count >= 0.5 * size * size
+def block_cells(known: KnownMap, range_m: float) -> int:
+    """Cells to a side of the squares over which what was seen is averaged; range_m is R."""
+    return max(round(range_m / (_BLOCKS_PER_RANGE * known.cell_m)), 1)
 
 
 @final
@@ -110,13 +74,20 @@ class Continued:
         return result
 
 
-def continued(known: KnownMap, blocks: Blocks, here_ne_m: tuple[float, float]) -> Continued | None:
-    """How the terrain goes on, seen from here; None: nothing was seen, or all."""
-    size = blocks.size
-    reach = round(_REACH * _BLOCKS_PER_RANGE)
-    here = [at // size for at in known.cell_of(*here_ne_m)]
-    rows, columns = box = tuple(slice(max(at - reach, 0), max(at + reach, 0)) for at in here)
-    mean_m, seen = blocks.mean_m[box], blocks.seen[box]
+def continued(known: KnownMap, size: int, here_ne_m: tuple[float, float]) -> Continued | None:
+    """How the terrain goes on, seen from here; None: nothing was seen, or all.
+
+    size: of blocks (`block_cells`).
+    """
+    reach, here = (
+        round(_REACH * _BLOCKS_PER_RANGE),
+        [at // size for at in known.cell_of(*here_ne_m)],
+    )
+    rows, columns = (
+        slice(max(at - reach, 0), min(max(at + reach, 0), -(-count // size)))
+        for at, count in zip(here, known.shape, strict=True)
+    )
+    mean_m, seen = _averaged(known, size, (rows, columns))
     if not seen.any() or seen.all():
         return None
     plain_m = float(np.quantile(mean_m[seen], _PLAIN))
@@ -129,17 +100,32 @@ def continued(known: KnownMap, blocks: Blocks, here_ne_m: tuple[float, float]) -
         weights=weights,
         scale=2.0 * size * scale,
         within=(
-            (2 * size * rows.start, 2 * size * rows.stop),
-            (2 * size * columns.start, 2 * size * columns.stop),
+            (2 * size * rows.start, 2 * size * (here[0] + reach)),
+            (2 * size * columns.start, 2 * size * (here[1] + reach)),
         ),
     )
+
+
+def _averaged(known: KnownMap, size: int, blocks: Window) -> tuple[FloatArray, BoolArray]:
+    """The means of what was seen over blocks, and whether half of each was.  -> (N, M) x2."""
+    part = known.part(*(slice(size * each.start, size * each.stop) for each in blocks))
+    firm = part.surveyed
+    padding = [(0, -count % size) for count in firm.shape]
+
+    def sums(values: FloatArray) -> FloatArray:
+        values = np.pad(values, padding)
+        strips = values.reshape(-1, size, values.shape[1]).sum(axis=1)
+        return np.asarray(sum(strips[:, k::size] for k in range(size)))
+
+    count, total = sums(firm.astype(np.float64)), sums(np.where(firm, part.upper_m, 0.0))
+    return total / np.maximum(count, 1.0), count >= 0.5 * size * size
 
 
 def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
     """The terrain of all cells as it was seen, told or guessed, metres AMSL; -inf: not at all."""
     rows, columns = known.upper_m.shape
     believed = believed_m(known, slice(0, rows), slice(0, columns))
-    goes_on = continued(known, Blocks.of(known, range_m), here_ne_m)
+    goes_on = continued(known, block_cells(known, range_m), here_ne_m)
     if goes_on is not None:
         guess = goes_on.at_m(2 * np.arange(rows) + 1, 2 * np.arange(columns) + 1)
         unseen = (

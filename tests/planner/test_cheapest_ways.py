@@ -14,6 +14,7 @@ from companion.planner import kernels
 from companion.planner.cheapest_ways import DIRECTIONS, Costs, Grid
 
 FloatArray = NDArray[np.float64]
+Window = tuple[int, int, int, int]
 HERE = np.array([0])
 STEP_M = 10.0
 
@@ -85,10 +86,17 @@ def solved(grid: Grid, seeds: dict[int, float]) -> Costs:
     return costs
 
 
-def repair(grid: Grid, costs: Costs, dirty: NDArray[np.bool_], beyond_m: float = math.inf) -> int:
-    """All costs, or those up to so much above that of HERE.  How often a point was looked at."""
+def repair(
+    grid: Grid,
+    costs: Costs,
+    dirty: NDArray[np.bool_],
+    beyond_m: float = math.inf,
+    window: Window | None = None,
+) -> int:
+    """All costs, or those in a window up to so much above that of HERE.  How often it looked."""
     shape = grid.rows, grid.columns
-    looked: int = found.repair(grid, costs, dirty.reshape(shape), HERE, beyond_m)
+    window = window or (0, shape[0], 0, shape[1])
+    looked: int = found.repair(grid, costs, dirty.reshape(shape), HERE, beyond_m, window)
     return looked
 
 
@@ -140,12 +148,18 @@ def test_what_is_repaired_is_what_is_found_anew_to_the_last_digit(
         dirty = touched_by(grid, changed).ravel() | (anew.seed != costs.seed)
         costs.seed[:] = anew.seed
         beyond_m = float(rng.choice([0.0, 30.0, math.inf]))
-        repair(grid, costs, dirty, beyond_m)
+        window = (0, int(rng.integers(1, rows + 1)), 0, int(rng.integers(1, columns + 1)))
+        repair(grid, costs, dirty, beyond_m, window)
         if beyond_m < math.inf:  # as far as they matter; and all, when they do
-            right = anew.cost <= anew.cost[HERE].min() + beyond_m
+            inside = np.zeros((rows, columns), dtype=bool)
+            inside[: window[1], : window[3]] = True
+            right = inside.ravel() & (anew.cost <= anew.cost[HERE].min() + beyond_m)
+            for u in np.flatnonzero(right).tolist():  # and so are the ways on, wherever they lead
+                right[found.way_from(grid, anew, u)] = True
             assert costs.cost[right].tobytes() == anew.cost[right].tobytes()
             assert costs.via[right].tobytes() == anew.via[right].tobytes()
-            assert (costs.cost[~right] > anew.cost[HERE].min() + beyond_m).all()
+            dearer = costs.cost[inside.ravel() & ~right]
+            assert (dearer > anew.cost[HERE].min() + beyond_m).all()
             if rng.random() < 0.5:
                 continue
             repair(grid, costs, np.zeros(rows * columns, dtype=bool))
@@ -228,7 +242,8 @@ def test_compiled_and_as_plain_python_it_is_the_same() -> None:
     grid = a_grid(rng, 12, 15)
     fast = solved(grid, {17: 3.0})
     slow = Costs.unknown(fast.seed.copy())
-    plain.repair(grid, slow, np.isfinite(fast.seed).reshape(12, 15), HERE, math.inf)
+    seeds = np.isfinite(fast.seed).reshape(12, 15)
+    plain.repair(grid, slow, seeds, HERE, math.inf, (0, 12, 0, 15))
     for mine, other in zip(fast[:4], slow[:4], strict=True):
         assert mine.tobytes() == other.tobytes()
     ends = rng.uniform(-5.0, 40.0, (2, 20, 2))
