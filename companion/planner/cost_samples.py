@@ -55,6 +55,10 @@ class Ground(NamedTuple):
     """Zones or the edge of the map forbid to be here."""
     costly: BoolArray
     """Blocked, or seen by a radar."""
+    beside: FloatArray
+    """What a metre costs more, if it was not seen, for what stands near it."""
+    extra: FloatArray
+    """What of that is in the costs."""
 
 
 def changed(
@@ -152,7 +156,10 @@ def fill(
                 count += 1
         for j in range(box[2], box[3]):
             at, asked_m = i * across + j, max(ground.seen_m[i, j], ground.guess_m[i, j])
-            if asked_m <= scale.floor_m == grid.lowest_m[at]:
+            extra = ground.beside[i, j]
+            if extra > 0.0 and _is_surveyed(surveyed, i * scale.every, j * scale.every):
+                extra = 0.0
+            if asked_m <= scale.floor_m == grid.lowest_m[at] and extra == ground.extra[i, j]:
                 continue
             low_m, bound_m, is_sure = ground.seen_m[i, j], scale.ceiling_m, True
             if asked_m > scale.floor_m:
@@ -175,7 +182,7 @@ def fill(
                     seen += 1.0 / (1.0 + ratio * ratio)
             fraction = (altitude_m - scale.floor_m) / band_m
             cost = 1.0 + scale.per_height * (flown_m - scale.floor_m) / band_m
-            cost += scale.per_radar * seen
+            cost += scale.per_radar * seen + extra
             above = max(low_m - scale.highest_m, 0.0) / band_m
             is_blocked = above > 0.0 or ground.shut[i, j]
             if is_blocked:
@@ -183,6 +190,7 @@ def fill(
                 cost += blocked * (1.0 + above)
             height, ramp_m = scale.per_height * fraction, scale.per_ramp_m * fraction * fraction
             grid.lowest_m[at], ground.costly[i, j] = altitude_m, is_blocked or seen > 0.0
+            ground.extra[i, j] = extra
             if cost != grid.cost[at] or height != grid.height[at] or ramp_m != grid.ramp_m[at]:
                 grid.cost[at], grid.height[at], grid.ramp_m[at] = cost, height, ramp_m
                 touch(i, j, touched)

@@ -246,7 +246,7 @@ class _Field:
 
     def surfaces(self) -> tuple[Surface, Surface]:
         """`CostToGo.value` and `needed` about here."""
-        (here, target), grid, limits = self.ends_ne_m, self.grid, self.task.limits
+        target, grid, limits = self.ends_ne_m[1], self.grid, self.task.limits
         rows, columns = box = self._box()
         inside = (
             slice(2 * rows.start, 2 * rows.stop - 1, 2),

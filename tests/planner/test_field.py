@@ -45,6 +45,11 @@ def a_task(
     )
 
 
+def near(task: Task) -> Task:
+    """The task among near things."""
+    return replace(task, settings=replace(task.settings, cell_m=task.cell_m))
+
+
 def a_map(task: Task) -> KnownMap:
     return empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
 
@@ -249,9 +254,9 @@ def test_along_the_route_the_cost_falls_all_the_way(seed: int) -> None:
     assert (values - later).max() <= CELL
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(12))
 def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scans, other targets, zones and places, with the ground told or guessed; a coarse lattice."""
+    """Scans, other targets, zones and places; ground told or guessed; coarse; near things."""
     rng = np.random.default_rng(seed)
     if seed % 2:  # the map is too large for cells of R / 20
         monkeypatch.setattr(cost_grid, "_MOST_CELLS", 20)
@@ -259,6 +264,8 @@ def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.Mon
     n, e = middles(task)
     if seed % 4 < 2:
         known = replace(known, guess_m=None)
+    if seed >= 8:
+        task = near(task)
     memory, target, route = Memory(), (58e3, 57e3), ()
     for step in range(12):
         here = (float(rng.uniform(5e3, 30e3)), float(rng.uniform(5e3, 30e3)))
@@ -292,6 +299,22 @@ def test_ground_that_has_not_been_seen_is_free() -> None:
         free.value.vertex_m
     )
     assert value(cost_to_go(known, task, (5e3, 5e3), (50e3, 40e3)), (5e3, 5e3)) > 1e6
+
+
+def test_what_stands_near_is_taken_to_go_on() -> None:
+    """Between walls that are seen for 5 km more, and free ground for 20, to a target aside."""
+    task, here, target = a_task(), (15e3, 30e3), (50e3, 58e3)
+    north, east = middles(task)
+    aside, lane = np.abs(east - 30e3), north < 35e3
+    walls = (aside > 3e3) & (aside < 4e3) & (north < 20e3)
+    known = seen(task, np.where(walls, 9e3, 0.0), walls | ((aside < 3e3) & lane))
+    known = replace(known, guess_m=np.zeros_like(known.upper_m))
+    turns_at_m = []
+    for each in (task, near(task)):
+        points = along(cost_to_go(known, each, here, target).route_ne_m)
+        turns_at_m.append(float(points[np.abs(points[:, 1] - 30e3) > 3e3][0, 0]))
+    assert turns_at_m[0] < 20e3 + 0.1 * R
+    assert turns_at_m[1] > 20e3 + 0.25 * R
 
 
 def test_without_guesses_hidden_ground_is_as_high_as_its_sight_line_allows() -> None:
