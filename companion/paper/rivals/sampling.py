@@ -29,8 +29,7 @@ def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> Fl
         return known[ends]
 
     def is_free(state: Any) -> bool:
-        at_m = corner + np.array([state[0], state[1]])
-        return bool(np.isfinite(problem.rate_at(at_m)))
+        return bool(np.isfinite(problem.rate_at(corner + np.array([state[0], state[1]]))))
 
     def is_spent() -> bool:
         nonlocal asked
