@@ -32,11 +32,11 @@ def _wrong_with(make: Maker) -> str | None:
 
 
 _OWN: dict[str, Maker | str] = {
-    "improved-de": "companion.paper.evolution:ImprovedDE",
+    "improved-de": "companion.paper.optimisers:ImprovedDE",
     "refined-de": RefinedDE,
-    "de/rand/1/bin": "companion.paper.evolution:ClassicalDE",
-    "pso": "companion.paper.swarm:ParticleSwarm",
-    "ga": "companion.paper.genetic:Genetic",
+    "de/rand/1/bin": "companion.paper.optimisers:ClassicalDE",
+    "pso": "companion.paper.optimisers:ParticleSwarm",
+    "ga": "companion.paper.optimisers:Genetic",
 }
 """The paper's are loaded when they are asked for: who flies never meets them."""
 OPTIMISERS = Parts("companion.optimisers", _OWN, what="optimiser", check=_wrong_with)
