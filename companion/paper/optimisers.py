@@ -34,8 +34,7 @@ _FASTEST = 0.5  # greatest step of a particle in one variable, in the unit cube
 class Generations(ABC):
     """An optimiser that asks for a whole generation at a time, the first one seeds and chance."""
 
-    members = 60
-    """NP (4.1); the paper gives it for its improved DE, the rivals have as many here."""
+    members = 60  # NP (4.1); the paper gives it for its improved DE alone
 
     def __init__(
         self, dimensions: int, evaluations: int, rng: Generator, seeds: FloatArray | None = None
@@ -178,15 +177,28 @@ class ParticleSwarm(Generations):
 class Genetic(Generations):
     """Generations of children; the best member so far takes the place of the worst child."""
 
-    crossover = 0.9
-    """Probability that a pair of parents is crossed."""
-    crossover_index = 15.0
-    """Distribution index of the crossover: the larger, the more like their parents children are."""
-    mutation_index = 20.0
-    """Distribution index of the mutation: the larger, the smaller its steps."""
+    crossover = 0.9  # probability that a pair of parents is crossed
+    crossover_index = 15.0  # the larger, the more like their parents children are
+    mutation_index = 20.0  # the larger, the smaller the steps of mutations
 
     def _next(self) -> FloatArray:
-        return self._mutated(self._crossed(self._parents()))
+        # the winners of binary tournaments
+        size, dimensions = self.population.shape
+        first, second = self._rng.integers(size, size=(2, size))
+        winners = np.where(self.costs[first] <= self.costs[second], first, second)
+        # simulated binary crossover of each half with the other
+        one, two = np.split(self.population[winners], 2)
+        u, power = self._rng.random(one.shape), 1.0 / (self.crossover_index + 1.0)
+        spread = np.where(u <= 0.5, (2.0 * u) ** power, (2.0 * (1.0 - u)) ** -power)
+        crossed = self._rng.random((len(one), 1)) < self.crossover
+        spread = np.where(crossed & (self._rng.random(one.shape) < 0.5), spread, 1.0)
+        middle, half = 0.5 * (one + two), 0.5 * spread * (one - two)
+        children = np.concatenate([middle + half, middle - half])
+        # polynomial mutation of each variable with probability 1 / D
+        u, power = self._rng.random(children.shape), 1.0 / (self.mutation_index + 1.0)
+        step = np.where(u < 0.5, (2.0 * u) ** power - 1.0, 1.0 - (2.0 * (1.0 - u)) ** power)
+        chosen = self._rng.random(children.shape) < 1.0 / dimensions
+        return np.where(chosen, children + step, children)
 
     def _learn(self, costs: FloatArray) -> None:
         """Children take over from the parents, but for the best of them."""
@@ -195,28 +207,3 @@ class Genetic(Generations):
         if self.costs[best] < costs.min():
             members[worst], costs[worst] = self.population[best], self.costs[best]
         self.population, self.costs = members, costs
-
-    def _parents(self) -> FloatArray:
-        """The winners of binary tournaments.  -> (NP, D)."""
-        size = len(self.population)
-        first, second = self._rng.integers(size, size=(2, size))
-        return self.population[np.where(self.costs[first] <= self.costs[second], first, second)]
-
-    def _crossed(self, parents: FloatArray) -> FloatArray:
-        """Simulated binary crossover of each half with the other.  (NP, D) -> (NP, D)."""
-        one, two = np.split(parents, 2)
-        u = self._rng.random(one.shape)
-        power = 1.0 / (self.crossover_index + 1.0)
-        spread = np.where(u <= 0.5, (2.0 * u) ** power, (2.0 * (1.0 - u)) ** -power)
-        crossed = self._rng.random((len(one), 1)) < self.crossover
-        spread = np.where(crossed & (self._rng.random(one.shape) < 0.5), spread, 1.0)
-        middle, half = 0.5 * (one + two), 0.5 * spread * (one - two)
-        return np.concatenate([middle + half, middle - half])
-
-    def _mutated(self, children: FloatArray) -> FloatArray:
-        """Polynomial mutation, each variable with probability 1 / D.  (NP, D) -> (NP, D)."""
-        u = self._rng.random(children.shape)
-        power = 1.0 / (self.mutation_index + 1.0)
-        step = np.where(u < 0.5, (2.0 * u) ** power - 1.0, 1.0 - (2.0 * (1.0 - u)) ** power)
-        chosen = self._rng.random(children.shape) < 1.0 / children.shape[1]
-        return np.where(chosen, children + step, children)
