@@ -77,12 +77,12 @@ def grid_edges(rate: FloatArray, stride: int, ways: Sequence[tuple[int, int]]) -
     rows, columns = rate[::stride, ::stride].shape
     found = []
     for up, right in ways:
-        row, column = np.mgrid[: rows - up, max(0, -right) : columns - max(0, right)].reshape(2, -1)
+        row, column = np.ogrid[: rows - up, max(0, -right) : columns - max(0, right)]
         along = [
             rate[stride * row + up * k, stride * column + right * k] for k in range(stride + 1)
         ]
-        cost = math.hypot(up, right) * np.trapezoid(along, axis=0)
-        here = row * columns + column
+        cost = (math.hypot(up, right) * np.trapezoid(along, axis=0)).ravel()
+        here = (row * columns + column).ravel()
         found.append(np.stack([here, here + up * columns + right, cost])[:, np.isfinite(cost)])
     a, b, cost = np.concatenate(found, axis=1)
     return a.astype(np.intp), b.astype(np.intp), cost
