@@ -69,6 +69,5 @@ def first_members(
     """
     members = rng.random((size, dimensions))
     if seeds is not None:
-        count = min(len(seeds), size)
-        members[:count] = np.clip(seeds[:count], 0.0, 1.0)
+        members[: len(seeds)] = np.clip(seeds[:size], 0.0, 1.0)
     return members

@@ -29,6 +29,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 import numpy.typing as npt
+from numpy.random import Generator
 
 from companion.geodesy import FloatArray
 from companion.optimise.loop import first_members
@@ -42,8 +43,11 @@ _LEAST, _MOST = 20, 150  # members at the start
 _MAX_GAIN = 1e9  # counts for one success: it may be infinite
 _COLLAPSED = 1e-5  # widest edge of a simplex that is begun anew
 
+SPENT, PHASE, SIZE, KEPT, NEXT = range(5)
+"""Of `State.now`: evaluations, what the trials under way are, members, archived parents, the slot
+of the memory that is written next."""
 START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)
-"""`State.phase`: what the trials under way are."""
+"""What trials are."""
 SLOT, P_BEST, R1, R2, R3, CERTAIN, ARCHIVE, CROSS = range(8)
 """Columns of `State.uniforms`: slot of the memory, x_best, x_r1, x_r2 and x_r3 of eq. 17, the
 variable that certainly changes, whose place in the archive is taken; from CROSS on, eq. 13."""
@@ -52,22 +56,14 @@ variable that certainly changes, whose place in the archive is taken; from CROSS
 class Settings(NamedTuple):
     """The refined DE's parameters; the defaults were measured by scripts/benchmarks/quality.py."""
 
-    population: int = 0
-    """Members at the start; 0: as the budget allows, 60 for 3,000 evaluations."""
-    smallest: int = 6
-    """Members at the end of the linear reduction."""
-    p_best: float = 0.2
-    """Share of the population among which x_best of eq. 17 is drawn."""
-    own: float = 0.5
-    """Share of trials whose x_r1 of eq. 17 is the member itself: it keeps basins apart."""
-    memory: int = 5
-    """Pairs of a and Cr that are remembered."""
-    spread: float = 0.1
-    """Of a and Cr about what is remembered."""
-    polish: float = 0.15
-    """Share of the budget that goes to the simplex, at the end."""
-    edge: float = 0.05
-    """Of a new simplex."""
+    population: int = 0  # members at the start; 0: as the budget allows, 60 for 3,000 evaluations
+    smallest: int = 6  # members at the end of the linear reduction
+    p_best: float = 0.2  # share of the population among which x_best of eq. 17 is drawn
+    own: float = 0.5  # share of trials whose x_r1 is the member itself: it keeps basins apart
+    memory: int = 5  # pairs of a and Cr that are remembered
+    spread: float = 0.1  # of a and Cr about what is remembered
+    polish: float = 0.15  # share of the budget that goes to the simplex, at the end
+    edge: float = 0.05  # of a new simplex
 
     def members(self, evaluations: int) -> int:
         """Members at the start of a search with so many evaluations."""
@@ -83,31 +79,22 @@ class State(NamedTuple):
     polish_at: int  # evaluations before the simplex
     uniforms: FloatArray  # (E, CROSS + D): row e is drawn for evaluation e of the evolution
     deviates: FloatArray  # (E, 2): likewise, Cauchy's for a, normal ones for Cr
-    spent: IntArray  # (1,): evaluations
-    phase: IntArray  # (1,)
-    size: IntArray  # (1,): members
-    population: FloatArray  # (NP, D): the first `size` rows count
+    now: IntArray  # (5,): how far it is
+    population: FloatArray  # (NP, D): the first `SIZE` rows count
     costs: FloatArray  # (NP,)
     order: IntArray  # (NP,): members, best first
-    pull: FloatArray  # (NP,): 1 - a of the trials under way
-    cr: FloatArray  # (NP,)
+    drawn: FloatArray  # (NP, 2): 1 - a and Cr of the trials under way
     trial: FloatArray  # (max(NP, D), D): what ask() wants to know
     trial_costs: FloatArray  # (max(NP, D),): the answer
     trial_bounds: FloatArray  # (max(NP, D),): a trial that costs more is sure to be rejected
-    archived: IntArray  # (1,)
-    archive: FloatArray  # (NP, D): beaten parents, the first `archived` rows count
-    slot: IntArray  # (1,): of the memory, the next to be written
+    archive: FloatArray  # (NP, D): beaten parents, the first `KEPT` rows count
     memory: FloatArray  # (H, 2): 1 - a and Cr that succeeded
     simplex: FloatArray  # (D + 2, D): vertices, best first, and one that may replace the worst
     simplex_costs: FloatArray  # (D + 2,): infinite where there is none
 
 
 def begin(
-    dimensions: int,
-    evaluations: int,
-    seeds: FloatArray | None,
-    settings: Settings,
-    rng: np.random.Generator,
+    dimensions: int, evaluations: int, seeds: FloatArray | None, settings: Settings, rng: Generator
 ) -> State:
     """A search of the unit cube that has not evaluated anything.
 
@@ -126,20 +113,15 @@ def begin(
         polish_at=polish_at,
         uniforms=rng.random((polish_at, CROSS + dimensions)),
         deviates=deviates,
-        spent=np.array([0]),
-        phase=np.array([START]),
-        size=np.array([size]),
+        now=np.array([0, START, size, 0, 0]),
         population=np.zeros((size, dimensions)),
         costs=np.full(size, math.inf),
         order=np.arange(size),
-        pull=np.zeros(size),
-        cr=np.zeros(size),
+        drawn=np.zeros((size, 2)),
         trial=trial,
         trial_costs=np.full(rows, math.inf),
         trial_bounds=np.full(rows, math.inf),
-        archived=np.array([0]),
         archive=np.zeros((size, dimensions)),
-        slot=np.array([0]),
         memory=np.full((settings.memory, 2), 0.5),
         simplex=np.zeros((dimensions + 2, dimensions)),
         simplex_costs=np.full(dimensions + 2, math.inf),
@@ -151,14 +133,13 @@ def ranked(state: State) -> tuple[FloatArray, FloatArray]:
 
     -> (M, D) in the unit cube, and their costs (M,); nothing before the first tell().
     """
-    size = int(state.size[0]) if state.phase[0] != START else 0
+    size = int(state.now[SIZE]) if state.now[PHASE] != START else 0
     vertices = state.simplex_costs < math.inf
     x = np.concatenate([state.simplex[vertices], state.population[:size]])
     costs = np.concatenate([state.simplex_costs[vertices], state.costs[:size]])
     order = np.argsort(costs, kind="stable")
-    x, costs = x[order], costs[order]
-    first = np.sort(np.unique(x, axis=0, return_index=True)[1])
-    return x[first], costs[first]
+    first = np.sort(np.unique(x[order], axis=0, return_index=True)[1])
+    return x[order][first], costs[order][first]
 
 
 @final
@@ -166,11 +147,7 @@ class RefinedDE:
     """The search as an `Optimiser` for the one loop."""
 
     def __init__(
-        self,
-        dimensions: int,
-        evaluations: int,
-        rng: np.random.Generator,
-        seeds: FloatArray | None = None,
+        self, dimensions: int, evaluations: int, rng: Generator, seeds: FloatArray | None = None
     ) -> None:
         """evaluations: the budget; seeds: candidates to start from, (K, D) in the unit cube."""
         self._state = begin(dimensions, evaluations, seeds, Settings(), rng)
@@ -200,12 +177,12 @@ class RefinedDE:
 
 def spent(state: State) -> int:
     """Evaluations so far."""
-    return int(state.spent[0])
+    return int(state.now[SPENT])
 
 
 def ask(state: State) -> int:
     """Put the next candidates into trial[:n] and trial_bounds[:n].  -> n, 0 at the budget's end."""
-    left, size, phase = state.budget - spent(state), int(state.size[0]), int(state.phase[0])
+    left, size, phase = state.budget - spent(state), int(state.now[SIZE]), int(state.now[PHASE])
     if left <= 0:
         return 0
     if phase == START:
@@ -217,37 +194,38 @@ def ask(state: State) -> int:
 
 def tell(state: State, n: int) -> None:
     """Learn from trial_costs[:n], the costs of the trials of the last ask()."""
-    phase, costs = int(state.phase[0]), state.trial_costs[:n]
+    now, costs = state.now, state.trial_costs[:n]
     costs[:] = np.where(np.isnan(costs), math.inf, costs)
-    state.spent[0] += n
-    if phase not in (START, EVOLVE):
-        _transform(state, n, phase)
+    now[SPENT] += n
+    if now[PHASE] > EVOLVE:
+        _transform(state, n, int(now[PHASE]))
         return
-    if phase == START:
+    if now[PHASE] == START:
         state.population[:n], state.costs[:n] = state.trial[:n], costs
-        state.size[0], state.phase[0] = n, EVOLVE
+        now[SIZE], now[PHASE] = n, EVOLVE
     else:
         _select(state, n)
-    _sort(state.order[: state.size[0]], state.costs)
+    order = state.order[: now[SIZE]]
+    order[:] = order[np.argsort(state.costs[order], kind="mergesort")]
     _reduce(state)
-    if state.spent[0] >= state.polish_at or state.size[0] < FEWEST:
+    if now[SPENT] >= state.polish_at or now[SIZE] < FEWEST:
         best = state.order[0]
         state.simplex[0], state.simplex_costs[0] = state.population[best], state.costs[best]
-        state.phase[0] = BUILD
+        now[PHASE] = BUILD
 
 
 def _propose(state: State, n: int) -> int:
     """The trials of the first n members: eq. 17 with k1 and k2 of eq. 18, and eq. 13.  -> n."""
     rules, memory = state.settings, state.memory
     population, archive, trial = state.population, state.archive, state.trial
-    size, total = int(state.size[0]), int(state.size[0] + state.archived[0])
+    size, total = int(state.now[SIZE]), int(state.now[SIZE] + state.now[KEPT])
     among = min(max(int(rules.p_best * size + 0.5), 2), size)
     for i in range(n):
         u, deviates = state.uniforms[spent(state) + i], state.deviates[spent(state) + i]
         slot = int(u[SLOT] * len(memory))
         pull = min(max(memory[slot, 0] + rules.spread * deviates[0], 0.0), 1.0)  # 1 - a
         cr = memory[slot, 1] + rules.spread * deviates[1]
-        state.pull[i], state.cr[i] = pull, min(max(cr, 0.0), 1.0)
+        state.drawn[i, 0], state.drawn[i, 1] = pull, min(max(cr, 0.0), 1.0)
         best = state.order[int(u[P_BEST] * among)]
         drawn = (u[R1] - rules.own) / (1.0 - rules.own)
         r1, r2, r3 = others(i, size, total, max(drawn, 0.0), u[R2], u[R3])
@@ -282,55 +260,43 @@ def _past(index: int, taken: int) -> int:
 
 def _select(state: State, n: int) -> None:
     """Eq. 14, and what it teaches: the archive and the memory of a and Cr, by gains in cost."""
-    first_row = spent(state) - n
+    now, first_row = state.now, spent(state) - n
     total = pulls = squares = crs = 0.0
     for i in range(n):
         cost, trial_cost = float(state.costs[i]), float(state.trial_costs[i])
         if trial_cost > cost:
             continue
         if trial_cost < cost:
-            gain = min(cost - trial_cost, _MAX_GAIN)
+            gain, pull = min(cost - trial_cost, _MAX_GAIN), state.drawn[i, 0]
             total += gain
-            pulls += gain * state.pull[i]
-            squares += gain * state.pull[i] ** 2
-            crs += gain * state.cr[i]
-            kept = int(state.archived[0])
-            if kept < state.size[0]:
-                state.archived[0] += 1
+            pulls += gain * pull
+            squares += gain * pull**2
+            crs += gain * state.drawn[i, 1]
+            kept = int(now[KEPT])
+            if kept < now[SIZE]:
+                now[KEPT] += 1
             else:  # in the place of a random one
-                kept = int(state.uniforms[first_row + i, ARCHIVE] * state.size[0])
+                kept = int(state.uniforms[first_row + i, ARCHIVE] * now[SIZE])
             state.archive[kept] = state.population[i]
-        state.population[i] = state.trial[i]
-        state.costs[i] = trial_cost
+        state.population[i], state.costs[i] = state.trial[i], trial_cost
     if total > 0.0:
-        slot = int(state.slot[0])
-        state.memory[slot, 0] = squares / pulls if pulls > 0.0 else 0.0
-        state.memory[slot, 1] = crs / total
-        state.slot[0] = (slot + 1) % len(state.memory)
-
-
-def _sort(order: IntArray, costs: FloatArray) -> None:
-    """Bring an order by costs up to date: by insertion, as few change their place."""
-    for k in range(1, len(order)):
-        member, at = order[k], k
-        while at > 0 and costs[order[at - 1]] > costs[member]:
-            order[at] = order[at - 1]
-            at -= 1
-        order[at] = member
+        learnt = state.memory[now[NEXT]]
+        learnt[0], learnt[1] = squares / pulls if pulls > 0.0 else 0.0, crs / total
+        now[NEXT] = (now[NEXT] + 1) % len(state.memory)
 
 
 def _reduce(state: State) -> None:
     """Drop the worst members: the size falls linearly with the evaluations."""
-    first = len(state.population)
+    now, first = state.now, len(state.population)
     smallest = min(state.settings.smallest, first)
-    progress = min(state.spent[0] / state.polish_at, 1.0)
+    progress = min(now[SPENT] / state.polish_at, 1.0)
     wanted = int(first + (smallest - first) * progress + 0.5)
-    for last in range(int(state.size[0]) - 1, wanted - 1, -1):  # the last takes the worst's place
+    for last in range(int(now[SIZE]) - 1, wanted - 1, -1):  # the last takes the worst's place
         order, worst = state.order[:last], int(state.order[last])
         state.population[worst], state.costs[worst] = state.population[last], state.costs[last]
         order[order == last] = worst
-    state.size[0] = min(state.size[0], wanted)
-    state.archived[0] = min(state.archived[0], state.size[0])
+    now[SIZE] = min(now[SIZE], wanted)
+    now[KEPT] = min(now[KEPT], now[SIZE])
 
 
 # The simplex.  Factors for the number of variables D as Gao and Han choose them (Comput. Optim.
@@ -354,15 +320,10 @@ def _propose_vertices(state: State, phase: int) -> int:
         bounds[:dimensions] = math.inf
         return dimensions
     contraction = 0.75 - 0.5 / variables
-    factor = 1.0
-    if phase == EXPAND:
-        factor = 1.0 + 2.0 / variables
-    elif phase != REFLECT:
-        factor = contraction if phase == OUTSIDE else -contraction
+    factors = (1.0, 1.0 + 2.0 / variables, contraction, -contraction)  # from REFLECT to INSIDE
     centre = simplex[:dimensions].sum(axis=0) / dimensions
-    trial[0] = np.clip(centre + factor * (centre - worst), 0.0, 1.0)
-    is_beyond = phase in (EXPAND, OUTSIDE)
-    bounds[0] = state.simplex_costs[-1 if is_beyond else dimensions]
+    trial[0] = np.clip(centre + factors[phase - REFLECT] * (centre - worst), 0.0, 1.0)
+    bounds[0] = state.simplex_costs[-1 if phase in (EXPAND, OUTSIDE) else dimensions]
     return 1
 
 
@@ -391,4 +352,4 @@ def _transform(state: State, n: int, phase: int) -> None:
         simplex[:-1], costs[:-1] = simplex[order], costs[order]
         if np.abs(simplex[1:-1] - simplex[0]).max() < _COLLAPSED:
             following = BUILD
-    state.phase[0] = following
+    state.now[PHASE] = following

@@ -11,7 +11,6 @@ import numpy as np
 from companion.entry_points import Parts
 from companion.geodesy import FloatArray
 from companion.optimise.loop import Optimiser
-from companion.optimise.refined_de import RefinedDE
 
 Maker = Callable[[int, int, np.random.Generator, FloatArray | None], Optimiser]
 """From dimensions, evaluation budget, random generator, and seeds (K, D) in the unit cube."""
@@ -31,15 +30,19 @@ def _wrong_with(make: Maker) -> str | None:
     return None
 
 
-_OWN: dict[str, Maker | str] = {
-    "improved-de": "companion.paper.evolution:ImprovedDE",
-    "refined-de": RefinedDE,
-    "de/rand/1/bin": "companion.paper.evolution:ClassicalDE",
-    "pso": "companion.paper.swarm:ParticleSwarm",
-    "ga": "companion.paper.genetic:Genetic",
-}
-"""The paper's are loaded when they are asked for: who flies never meets them."""
-OPTIMISERS = Parts("companion.optimisers", _OWN, what="optimiser", check=_wrong_with)
+OPTIMISERS = Parts[Maker](
+    "companion.optimisers",
+    {
+        "improved-de": "companion.paper.optimisers:ImprovedDE",
+        "refined-de": "companion.optimise.refined_de:RefinedDE",
+        "de/rand/1/bin": "companion.paper.optimisers:ClassicalDE",
+        "pso": "companion.paper.optimisers:ParticleSwarm",
+        "ga": "companion.paper.optimisers:Genetic",
+    },
+    what="optimiser",
+    check=_wrong_with,
+)
+"""Each is loaded when it is asked for: who flies never meets the paper's."""
 
 
 @contextmanager

@@ -25,10 +25,16 @@ def tangent_guide_rad(
     (row 16).  Circles of the whole range (row 14); a radar around S is ignored (row 15).
     """
     straight = _bearing_rad(scan_ne_m, target_ne_m)
-    reach_m = math.hypot(target_ne_m[0] - scan_ne_m[0], target_ne_m[1] - scan_ne_m[1])
     around = [each for each in radars if _apart_m(scan_ne_m, each) > each.range_m]
-    entries_m = [_entry_m(scan_ne_m, each, straight) for each in around]
-    if not around or min(entries_m) >= reach_m:
+    offsets = [wrap_rad(_bearing_rad(scan_ne_m, each.centre_nea_m) - straight) for each in around]
+    entries_m = [math.inf] * len(around)  # where S-T enters each
+    for k, (each, offset) in enumerate(zip(around, offsets, strict=True)):
+        apart_m = _apart_m(scan_ne_m, each)
+        along, aside = apart_m * math.cos(offset), apart_m * math.sin(offset)
+        if along > 0.0 and abs(aside) < each.range_m:
+            entries_m[k] = along - math.sqrt(each.range_m**2 - aside**2)
+    north, east = target_ne_m[0] - scan_ne_m[0], target_ne_m[1] - scan_ne_m[1]
+    if min(entries_m, default=math.inf) >= math.hypot(north, east):
         return straight
     joined = [
         [_apart_m(a.centre_nea_m, b) < a.range_m + b.range_m - overlap_m for b in around]
@@ -36,9 +42,8 @@ def tangent_guide_rad(
     ]
     cluster = connected_components(np.array(joined))[1]  # a number for each radar
     left, right = 0.0, 0.0
-    for each, number in zip(around, cluster, strict=True):
+    for each, offset, number in zip(around, offsets, cluster, strict=True):
         if number == cluster[np.argmin(entries_m)]:
-            offset = wrap_rad(_bearing_rad(scan_ne_m, each.centre_nea_m) - straight)
             half_width = math.asin(each.range_m / _apart_m(scan_ne_m, each))
             left, right = min(left, offset - half_width), max(right, offset + half_width)
     left, right = max(left, -_WIDEST_RAD), min(right, _WIDEST_RAD)
@@ -52,13 +57,3 @@ def _bearing_rad(here: Place, there: Place) -> float:
 def _apart_m(place: Place, radar: Radar) -> float:
     """Horizontal distance to a radar."""
     return math.hypot(radar.centre_nea_m[0] - place[0], radar.centre_nea_m[1] - place[1])
-
-
-def _entry_m(scan_ne_m: Place, radar: Radar, bearing_rad: float) -> float:
-    """Distance along a ray from S to where it enters a radar's circle; inf if it does not."""
-    offset = wrap_rad(_bearing_rad(scan_ne_m, radar.centre_nea_m) - bearing_rad)
-    apart_m = _apart_m(scan_ne_m, radar)
-    along, aside = apart_m * math.cos(offset), apart_m * math.sin(offset)
-    if along <= 0.0 or abs(aside) >= radar.range_m:
-        return math.inf
-    return along - math.sqrt(radar.range_m**2 - aside**2)

@@ -5,13 +5,13 @@ flown as it is.  Its certificate is only a report.
 """
 
 import math
+from dataclasses import replace
 
 from companion.geodesy import FloatArray
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
-from companion.paper import terms as objective
 from companion.paper.guide import tangent_guide_rad
-from companion.paper.terms import VARIABLES, Scene, control_points, cost_table
+from companion.paper.terms import VARIABLES, Scene, control_points, cost, cost_table
 from companion.path.certificate import Prover, certify, pack_surroundings
 from companion.path.subpath import Subpath
 from companion.planner.request import REACH, Planned, PlanRequest
@@ -23,13 +23,13 @@ def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
     settings, scene = request.task.settings, scene_of(request)
     make = OPTIMISERS[settings.optimiser or settings.profile.optimiser]
     optimiser = make(VARIABLES, settings.evaluations, request.rng(0), None)
-    ranked = minimise(optimiser, lambda x: objective.cost(x, scene), settings.evaluations)
-    best = ranked.x[:1]
-    return reported(
-        request,
-        control_points(best, scene)[0],
-        prove,
-        reaches_target=scene.final_ne_m is not None,
+    ranked = minimise(optimiser, lambda x: cost(x, scene), settings.evaluations)
+    best, reaches_target = ranked.x[:1], scene.final_ne_m is not None
+    planned = reported(
+        request, control_points(best, scene)[0], prove, reaches_target=reaches_target
+    )
+    return replace(
+        planned,
         cost=float(ranked.costs[0]),
         terms={name: float(column[0]) for name, column in cost_table(best, scene).items()},
         guide_rad=scene.guide_rad,
@@ -38,15 +38,7 @@ def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
 
 
 def reported(
-    request: PlanRequest,
-    control_nea_m: FloatArray,
-    prove: Prover,
-    *,
-    reaches_target: bool,
-    cost: float = 0.0,
-    terms: dict[str, float] | None = None,
-    guide_rad: float = 0.0,
-    evaluations: int = 0,
+    request: PlanRequest, control_nea_m: FloatArray, prove: Prover, *, reaches_target: bool
 ) -> Planned:
     """A subpath (K, 3) that is flown as it is; its certificate says what could be proven."""
     task, subpath = request.task, Subpath(control_nea_m=control_nea_m)
@@ -64,13 +56,13 @@ def reported(
         kernel="numpy",
         subpath=subpath,
         reaches_target=reaches_target,
-        cost=cost,
+        cost=0.0,
         to_go=0.0,
-        terms=terms or {},
+        terms={},
         certificate=certify(subpath, surroundings, from_rest=request.from_rest, prover=prove),
-        guide_rad=guide_rad,
+        guide_rad=0.0,
         route_ne_m=(),
-        evaluations=evaluations,
+        evaluations=0,
         rank=0,
         tries=1,
     )

@@ -81,16 +81,39 @@ def control_points(x: FloatArray, scene: Scene) -> FloatArray:
 
 def cost_table(x: FloatArray, scene: Scene) -> dict[str, FloatArray]:
     """Every term of the objective by name, unweighted.  (P, 6) in the unit cube -> each (P,)."""
+    settings, limits = scene.task.settings, scene.task.limits
     control = control_points(x, scene)
     points = uniform_basis(PAPER.samples).value @ control  # (P, 11, 3): the start does not count
     samples = points[:, 1:]
+    north, east, altitude = np.moveaxis(samples, -1, 0)  # each (P, 10)
+
+    # eq. 6: the length of the control polygon, 100 for 2.4 R (row 10)
+    polygon_m = np.linalg.norm(np.diff(control, axis=1), axis=-1).sum(axis=1)
+    length = polygon_m * (100.0 / (2.4 * settings.scan_range_m))
+    # eq. 7: the mean altitude, 0 at the floor of the band, 100 at its ceiling
+    floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
+    height = (altitude.mean(axis=1) - floor) * (100.0 / (ceiling - floor))
+    # eq. 8: the angle at p_scan between the end and the guide direction, in plan view (row 26),
+    # 100 for pi
+    end = control[:, -1, :2] - np.asarray(scene.scan_ne_m)
+    off = np.abs(_wrapped(np.arctan2(end[:, 1], end[:, 0]) - scene.guide_rad))
+    # eq. 9 with eq. 2: how far samples are short of d_s, by the first-order normal distance
+    # d = (z - h) / sqrt(1 + |grad h|^2) (row 12), linear below 0 too (row 11).  The terrain is one
+    # surface, as the radar shows it, so the sum over peaks has one member (row 27).
+    surface, slope2 = scene.surface.altitude_and_slope(north, east)
+    d_s, distance_m = settings.safety_distance_m, (altitude - surface) / np.sqrt(1.0 + slope2)
+    short = np.maximum(d_s - distance_m, 0.0) / d_s
+    # eq. 10 with eq. 3: the detection probabilities of all samples by all radars
+    seen = np.zeros(len(x))
+    for radar in scene.task.radars:
+        seen += detection_probability(radar.distance_m(samples), radar.range_m).sum(axis=1)
     return {
-        "length": length(control, scene),
-        "height": height(samples, scene),
-        "guide": guide(control[:, -1], scene),
-        "crash": crash(samples, scene),
-        "radar": radar(samples, scene),
-        "constraints": turns(points, scene) + outside(samples, scene) + keep_outs(samples, scene),
+        "length": length,
+        "height": height,
+        "guide": np.asarray(off * (100.0 / math.pi)),
+        "crash": short.sum(axis=1) * _CRASH_SCALE,
+        "radar": seen * _RADAR_SCALE,
+        "constraints": constraints(points, scene),
     }
 
 
@@ -100,82 +123,25 @@ def cost(x: FloatArray, scene: Scene) -> FloatArray:
     return np.asarray(sum(getattr(weights, name) * column for name, column in table.items()))
 
 
-def length(control: FloatArray, scene: Scene) -> FloatArray:
-    """Eq. 6: the length of the control polygon, 100 for 2.4 R (row 10).  (P, 4, 3) -> (P,)."""
-    legs = np.linalg.norm(np.diff(control, axis=1), axis=-1)
-    return legs.sum(axis=1) * (100.0 / (2.4 * scene.task.settings.scan_range_m))
-
-
-def height(samples: FloatArray, scene: Scene) -> FloatArray:
-    """Eq. 7: the mean altitude, 0 at the floor of the band, 100 at its ceiling.  (P, S, 3)."""
-    floor, ceiling = scene.task.limits.floor_amsl_m, scene.task.limits.ceiling_amsl_m
-    return (samples[..., 2].mean(axis=1) - floor) * (100.0 / (ceiling - floor))
-
-
-def guide(ends: FloatArray, scene: Scene) -> FloatArray:
-    """Eq. 8: the angle at p_scan between the subpath's end and the guide direction, 100 for pi.
-
-    In plan view (row 26).  (P, 3) -> (P,).
-    """
-    offset = ends[:, :2] - np.asarray(scene.scan_ne_m)
-    off = np.abs(_wrapped(np.arctan2(offset[:, 1], offset[:, 0]) - scene.guide_rad))
-    return np.asarray(off * (100.0 / math.pi))
-
-
-def crash(samples: FloatArray, scene: Scene) -> FloatArray:
-    """Eq. 9 with eq. 2: how far samples are short of d_s, by the first-order normal distance.
-
-    d = (z - h) / sqrt(1 + |grad h|^2) (row 12), linear below 0 too (row 11).  The terrain is one
-    surface, as the radar shows it, so the sum over peaks has one member (row 27).
-    """
-    wanted, (north, east, altitude) = scene.task.settings.safety_distance_m, _axes(samples)
-    surface, slope2 = scene.surface.altitude_and_slope(north, east)
-    distance = (altitude - surface) / np.sqrt(1.0 + slope2)
-    return (np.maximum(wanted - distance, 0.0) / wanted).sum(axis=1) * _CRASH_SCALE
-
-
-def radar(samples: FloatArray, scene: Scene) -> FloatArray:
-    """Eq. 10 with eq. 3: the detection probabilities of all samples by all radars."""
-    total = np.zeros(len(samples))
-    for each in scene.task.radars:
-        total += detection_probability(each.distance_m(samples), each.range_m).sum(axis=1)
-    return total * _RADAR_SCALE
-
-
-def turns(points: FloatArray, scene: Scene) -> FloatArray:
-    """Eq. 11, k1 alpha + k2 beta: what the chords between samples turn, climb and dive too much.
-
-    Row 21.  (P, S + 1, 3) -> (P,).
-    """
+def constraints(points: FloatArray, scene: Scene) -> FloatArray:
+    """Eq. 11: alpha and beta (row 21), f_v.  (P, S + 1, 3), the start included -> (P,)."""
+    settings, limits = scene.task.settings, scene.task.limits
+    # k1 alpha + k2 beta: what the chords between samples turn, climb and dive too much
     chords = np.diff(points, axis=1)  # (P, S, 3)
     turn = np.abs(_wrapped(np.diff(np.arctan2(chords[..., 1], chords[..., 0]), axis=1)))
     alpha = np.maximum(turn - _CHORD_TURN_RAD, 0.0).sum(axis=1)
-    limits = scene.task.limits
     beta = _beyond(climb_angle_rad(chords), (-limits.dive_angle_rad, limits.climb_angle_rad))
-    return _ANGLE_SCALE * (alpha + beta.sum(axis=1))
-
-
-def outside(samples: FloatArray, scene: Scene) -> FloatArray:
-    """Eq. 11, f_v: how far samples lie outside the altitude band or the map (row 22)."""
-    limits, (north, east, altitude) = scene.task.limits, _axes(samples)
+    angles = _ANGLE_SCALE * (alpha + beta.sum(axis=1))
+    # f_v: how far samples lie outside the altitude band or the map (row 22)
+    north, east, altitude = np.moveaxis(points[:, 1:], -1, 0)
     beyond = _beyond(altitude, (limits.floor_amsl_m, limits.ceiling_amsl_m))
     beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
-    unit_m = scene.task.settings.scan_range_m / 20.0
-    return np.asarray(beyond.sum(axis=1) * (_OUTSIDE_SCALE / unit_m))
-
-
-def keep_outs(samples: FloatArray, scene: Scene) -> FloatArray:
-    """How far samples are short of d_s from keep-out zones: part of f_v here (row 33)."""
-    wanted, (north, east, _) = scene.task.settings.safety_distance_m, _axes(samples)
-    short = np.zeros(len(samples))
+    outside = beyond.sum(axis=1) * (_OUTSIDE_SCALE / (settings.scan_range_m / 20.0))
+    # and how far they are short of d_s from keep-out zones (row 33)
+    d_s, short = settings.safety_distance_m, np.zeros(len(points))
     for zone in scene.task.zones:
-        short += np.maximum(wanted - zone.distance_m(north, east), 0.0).sum(axis=1)
-    return short / wanted * _OUTSIDE_SCALE
-
-
-def _axes(points: FloatArray) -> FloatArray:
-    """North, east and altitude apart.  (..., 3) -> (3, ...)."""
-    return np.moveaxis(points, -1, 0)
+        short += np.maximum(d_s - zone.distance_m(north, east), 0.0).sum(axis=1)
+    return np.asarray(angles + outside + short / d_s * _OUTSIDE_SCALE)
 
 
 def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:

@@ -27,7 +27,7 @@ from companion.config import load_mission
 from companion.geodesy import FloatArray
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import Phase
-from companion.paper.rivals.roadmaps import EIGHT, cheapest, edges, step_costs
+from companion.paper.rivals.roadmaps import EIGHT, cheapest, grid_edges
 from companion.world.near_map import NearMap
 from vehicle_sim.world import World
 
@@ -158,7 +158,7 @@ def a_star(rate: FloatArray, start: tuple[int, int], end: tuple[int, int]) -> ND
     """
     rate = rate.copy()
     rate[start] = 1.0
-    before, after, cost = edges(step_costs(rate, 1, EIGHT), EIGHT)
+    before, after, cost = grid_edges(rate, 1, EIGHT)
     graph = csr_array((cost, (before, after)), shape=(rate.size, rate.size))
     way = cheapest(graph, *(row * rate.shape[1] + column for row, column in (start, end)))
     return np.stack(np.divmod(np.array(way, dtype=np.int64), rate.shape[1]), axis=-1)

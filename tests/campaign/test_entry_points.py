@@ -109,7 +109,7 @@ def test_its_names_stand_beside_ours_and_ours_win() -> None:
     assert {"scatter", "flat", "gone", "refined-de"} <= set(OPTIMISERS)
     assert "scatter" in library.OPTIMISERS
     assert {"straight", "a-star"} <= set(PLANNERS)
-    assert OPTIMISERS["pso"].__module__ == "companion.paper.swarm"
+    assert OPTIMISERS["pso"].__module__ == "companion.paper.optimisers"
 
 
 def test_a_mission_file_flies_with_its_optimiser(tmp_path: Path) -> None:

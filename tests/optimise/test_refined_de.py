@@ -87,14 +87,14 @@ def started(
 
 
 def members(state: State) -> FloatArray:
-    return state.population[: state.size[0]].copy()
+    return state.population[: state.now[names.SIZE]].copy()
 
 
 def mutants(state: State, i: int, a: float, best: list[FloatArray]) -> FloatArray:
     """Every mutant that member i can have: eq. 17 with k1 = 0 and 1 - a for k2 a."""
     x = members(state)
     rest = [r for r in range(len(x)) if r != i]
-    kept = state.archive[: state.archived[0]]
+    kept = state.archive[: state.now[names.KEPT]]
     triples = [
         (r1, r2, third)
         for r1, r2 in itertools.permutations(rest, 2)
@@ -118,7 +118,7 @@ def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
     how = SMALL._replace(p_best=0.43)
     state = started(how, seed, a=a)
     kept = np.random.default_rng(seed + 1).uniform(0.45, 0.55, (4, D))
-    state.archive[:4], state.archived[0] = kept, 4
+    state.archive[:4], state.now[names.KEPT] = kept, 4
     best = [members(state)[k] for k in np.argsort(state.costs)[:3]]
     n = ask(state)
     assert n == 7
@@ -130,7 +130,7 @@ def test_members_of_the_archive_and_each_of_the_p_best_come_into_use() -> None:
     x_best, x_3 = set(), set()
     for seed in range(60):
         state = started(seed=seed, a=0.4)
-        state.archive[0], state.archived[0] = 0.9, 1
+        state.archive[0], state.now[names.KEPT] = 0.9, 1
         order = np.argsort(state.costs)
         ask(state)
         for i in range(7):
@@ -189,7 +189,7 @@ def test_the_better_survives_and_the_trial_if_equal_and_beaten_parents_are_kept(
     assert (bounds == costs).all()
     assert (state.population == np.where((change <= 0.0)[:, None], trial, before)).all()
     assert (state.costs == np.minimum(costs, costs + change)).all()
-    assert state.archive[: state.archived[0]].tolist() == before[change < 0].tolist()
+    assert state.archive[: state.now[names.KEPT]].tolist() == before[change < 0].tolist()
     assert (state.costs[state.order] == np.sort(state.costs)).all()
 
 
@@ -198,7 +198,7 @@ def test_the_memory_takes_the_lehmer_mean_of_1_minus_a_and_the_mean_of_cr_weight
 ):
     state = started(Settings(population=7, smallest=7, memory=3))
     n = ask(state)
-    pull, cr, costs = state.pull[:n].copy(), state.cr[:n].copy(), state.costs[:n].copy()
+    pull, cr, costs = state.drawn[:n, 0].copy(), state.drawn[:n, 1].copy(), state.costs[:n].copy()
     gain = np.array([0.3, 0.0, 0.1, -0.2, 0.05, -0.1, 0.0])
     state.trial_costs[:n] = costs - gain
     tell(state, n)
@@ -221,7 +221,7 @@ def test_a_follows_cauchy_and_cr_a_normal_distribution_about_the_memory() -> Non
     state = started(Settings(population=2_000, smallest=2_000), evaluations=6_000, a=0.4, cr=0.5)
     n = ask(state)
     assert n == 2_000
-    pull, cr = state.pull[:n], state.cr[:n]
+    pull, cr = state.drawn[:n, 0], state.drawn[:n, 1]
     # a quarter of Cauchy's deviates lie beyond one spread to each side; 5 deviations are 0.048
     assert np.mean(pull > 0.7) == pytest.approx(0.25, abs=0.049)
     assert np.mean(pull < 0.5) == pytest.approx(0.25, abs=0.049)
@@ -246,20 +246,20 @@ def test_every_triple_of_others_is_equally_likely(size: int, more: int, i: int) 
 
 def test_the_population_falls_linearly_and_its_worst_go() -> None:
     state = begin(D, 2_000, NO_SEEDS, Settings(population=60, smallest=6), np.random.default_rng(1))
-    while state.phase[0] in (names.START, names.EVOLVE):
-        before = np.sort(state.costs[: state.size[0]])
+    while state.now[names.PHASE] in (names.START, names.EVOLVE):
+        before = np.sort(state.costs[: state.now[names.SIZE]])
         n = ask(state)
         told = [bowl(x) for x in state.trial[:n]]
         state.trial_costs[:n] = told
         tell(state, n)
-        size = int(state.size[0])
+        size = int(state.now[names.SIZE])
         assert size == pytest.approx(60.0 - 54.0 * spent(state) / 1_700.0, abs=0.5)
         now = np.sort(state.costs[:size])
         assert now[0] == min(min(told), before[0])
         assert (now <= before[:size]).all()
         assert (state.costs[state.order[:size]] == now).all()
         assert all(bowl(state.population[k]) == state.costs[k] for k in range(size))
-        assert state.archived[0] <= size
+        assert state.now[names.KEPT] <= size
     assert size == 6
     assert spent(state) == 1_700
 
@@ -338,13 +338,13 @@ def test_the_simplex_makes_the_moves_of_another_implementation(
     moves: list[FloatArray] = []
     simplex = np.empty(0)
     while n := ask(state):
-        phase = int(state.phase[0])
+        phase = int(state.now[names.PHASE])
         if phase not in (names.START, names.EVOLVE, names.BUILD):
             simplex = simplex if len(simplex) else state.simplex[:-1].copy()
             moves += list(state.trial[:n].copy())
         state.trial_costs[:n] = [cost(x) for x in state.trial[:n]]
         tell(state, n)
-        if len(simplex) and state.phase[0] == names.BUILD:
+        if len(simplex) and state.now[names.PHASE] == names.BUILD:
             break  # it has converged
     theirs: list[FloatArray] = []
 
@@ -382,21 +382,21 @@ def test_between_equals_a_simplex_decides_as_nelder_and_mead(
     state = begin(2, 100, None, Settings(), np.random.default_rng(0))
     state.simplex[:3] = [[0.4, 0.4], [0.5, 0.4], [0.4, 0.5]]
     state.simplex_costs[:3] = 1.0, 2.0, 3.0
-    state.phase[0] = names.REFLECT
+    state.now[names.PHASE] = names.REFLECT
     for k, cost in enumerate(told):
-        assert state.phase[0] == (second if k else names.REFLECT)
+        assert state.now[names.PHASE] == (second if k else names.REFLECT)
         assert ask(state) == 1
         state.trial_costs[0] = cost
         tell(state, 1)
     assert state.simplex_costs.tolist() == [*sorted([1.0, 2.0, worst]), math.inf]
-    assert state.phase[0] == (names.SHRINK if worst == 3.0 else names.REFLECT)
+    assert state.now[names.PHASE] == (names.SHRINK if worst == 3.0 else names.REFLECT)
 
 
 def test_a_simplex_that_has_collapsed_is_begun_anew_and_its_best_vertex_kept() -> None:
     state = begin(2, 2_000, np.empty((0, 2)), Settings(polish=0.9), np.random.default_rng(0))
     best, begun = [], 0
     while n := ask(state):
-        begun += state.phase[0] == names.BUILD
+        begun += state.now[names.PHASE] == names.BUILD
         state.trial_costs[:n] = [abs(x[0] - 0.25) + abs(x[1] - 0.5) for x in state.trial[:n]]
         tell(state, n)
         best.append(ranked(state)[1][0])

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from companion.errors import InputError
 from companion.paper.compare.command import compare_app
-from companion.paper.compare.table_1 import PAPERS
+from companion.paper.compare.comparisons import PAPERS
 
 every_picture = pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])
 
@@ -49,7 +49,7 @@ def test_a_comparison_prints_tables_and_writes_a_picture_and_numbers(
 
 
 def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.paper.compare.routes.ENVIRONMENTS", ("environment-1",))
+    monkeypatch.setattr("companion.paper.compare.comparisons.ENVIRONMENTS", ("environment-1",))
     words = ["routes", "--jobs", "1", "--planner", "paper", "--planner", "a-star"]
     shown = called(*words, "--json", str(tmp_path / "routes.json"))
     results = json.loads((tmp_path / "routes.json").read_text())["results"]

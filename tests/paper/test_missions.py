@@ -14,9 +14,8 @@ from companion.profiles import PAPER
 
 
 def quick(planning_time_s: float = 3.0) -> Case:
-    return bundled_case("environment-1").planned_with(
-        optimiser="improved-de", planning_time_s=planning_time_s, evaluations=60
-    )
+    settings = {"optimiser": "improved-de", "planning_time_s": planning_time_s}
+    return bundled_case("environment-1", **settings, evaluations=60)
 
 
 @pytest.mark.parametrize("planning_time_s", [3.0, 5.0])
@@ -58,7 +57,7 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
                     yield each
             quick = {"optimiser": "pso", "planning_time_s": 3.0, "evaluations": 100}
             try:
-                fly_all([bundled_case("environment-1").planned_with(**quick)], 999, 1, 2, told)
+                fly_all([bundled_case("environment-1", **quick)], 999, 1, 2, told)
             except KeyboardInterrupt:
                 sys.exit(130)
     """

@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.paper.evolution import (
+from companion.paper.optimisers import (
     ClassicalDE,
     DifferentialEvolution,
     Generations,
+    Genetic,
     ImprovedDE,
+    ParticleSwarm,
     three_others,
 )
-from companion.paper.genetic import Genetic
-from companion.paper.swarm import ParticleSwarm
 
 FloatArray = NDArray[np.float64]
 NP, D, GENERATIONS, MANY = 7, 3, 8, 40_000

@@ -15,7 +15,7 @@ from companion.planning import plan
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 
-CASE = bundled_case("environment-2").planned_with(evaluations=200)
+CASE = bundled_case("environment-2", evaluations=200)
 START, TASK = CASE.start_nea_m, CASE.task
 BLANK = empty_map(TASK.cell_m, TASK.limits.north_m, TASK.limits.east_m)
 TRUTH = true_map(CASE.terrain, BLANK)

@@ -95,8 +95,7 @@ def test_the_way_over_a_grid_costs_what_relaxing_every_step_until_none_gains_fin
     every: int, steps: tuple[tuple[int, int], ...]
 ) -> None:
     rate = with_discs(1)[60 : 61 + 20 * every, 60 : 61 + 20 * every]
-    costs = roadmaps.step_costs(rate, every, steps)
-    rows, columns, _ = costs.shape
+    rows, columns = rate[::every, ::every].shape
     cheapest = {(2, 2): 0.0}
     expected, gained = dict[tuple[int, int, int, int], float](), True
     for (i, j), (up, right) in itertools.product(np.ndindex(rows, columns), steps):
@@ -110,7 +109,7 @@ def test_the_way_over_a_grid_costs_what_relaxing_every_step_until_none_gains_fin
             for here, there in (((i, j), (k, m)), ((k, m), (i, j))):
                 if cheapest.get(here, math.inf) + cost < cheapest.get(there, math.inf) - 1e-9:
                     cheapest[there], gained = cheapest[here] + cost, True
-    before, after, found = roadmaps.edges(costs, steps)
+    before, after, found = roadmaps.grid_edges(rate, every, steps)
     graph = csr_array((found, (before, after)), shape=(rows * columns, rows * columns))
     way = [
         divmod(node, columns)

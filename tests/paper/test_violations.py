@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.paper.compare.missions import bundled_case
-from companion.paper.compare.violations import KINDS, peak_distance_m, violations
+from companion.paper.compare.missions import KINDS, bundled_case, peak_distance_m, violations
 from companion.path.subpath import Subpath
 from companion.world.radars import Radar
 from companion.world.terrain import Peak, PeakTerrain

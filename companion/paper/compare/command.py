@@ -1,19 +1,20 @@
 """`companion compare`: the paper's table and figures, computed again."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich import box
 from rich.progress import track
+from rich.table import Table
 
 from companion.errors import InputError
-from companion.paper.compare.figures import figure_3, figure_4
-from companion.paper.compare.missions import Comparison, fly_all, table
-from companion.paper.compare.routes import routes
-from companion.paper.compare.table_1 import PER_SECOND, table_1
+from companion.paper.compare import comparisons
+from companion.paper.compare.comparisons import PER_SECOND, Comparison, Row, by_heading
+from companion.paper.compare.missions import Outcome, fly_all
 from companion.runtime.worker_pool import processors
 from companion.sources.files import picture_file, writable, writing
 from companion.views.output import plain_console
@@ -24,65 +25,49 @@ compare_app = typer.Typer(
     rich_markup_mode="markdown",
     help="Compute the paper's Table 1, Fig. 3 and Fig. 4 again; fly the planners that it names.",
 )
-
-RunsOption = Annotated[
-    int, typer.Option(min=1, max=1000, help="Missions for each setting, each with a seed.")
-]
-JobsOption = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes to fly them in; by default one per processor."),
-]
-SeedOption = Annotated[
-    int, typer.Option(min=0, help="Seed of the first mission; the others count on from it.")
-]
-JsonOption = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers to a JSON file.")
-]
-FigureOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--figure",
-        "--out",
-        metavar="FILE",
-        help="Picture to write: .png, .svg or .pdf; by default COMMAND.png.",
-    ),
-]
+Option = typer.Option
+Runs = Annotated[int, Option(min=1, max=1000, help="Missions for each setting, each with a seed.")]
+_JOBS = "Processes to fly them in; by default one per processor."
+Jobs = Annotated[int | None, Option(min=1, help=_JOBS)]
+_SEED = "Seed of the first mission; the others count on from it."
+Seed = Annotated[int, Option(min=0, help=_SEED)]
+_JSON = "Write all numbers to a JSON file."
+Json = Annotated[Path | None, Option("--json", metavar="FILE", help=_JSON)]
+_FIGURE = "Picture to write: .png, .svg or .pdf; by default COMMAND.png."
+Picture = Annotated[Path | None, Option("--figure", "--out", metavar="FILE", help=_FIGURE)]
+_EVALUATIONS = "Evaluations that stand for a second of T."
+_PLANNERS = "Only these; by default ours and all that are installed."
 
 
 def _add(name: str, comparison_of: Callable[[int], Comparison]) -> None:
     @compare_app.command(name, help=comparison_of.__doc__)
     def command(
-        runs: RunsOption = 20,
-        jobs: JobsOption = None,
-        seed: SeedOption = 1,
-        json_file: JsonOption = None,
-        figure: FigureOption = None,
-        per_second: Annotated[
-            int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
-        ] = PER_SECOND,
+        runs: Runs = 20,
+        jobs: Jobs = None,
+        seed: Seed = 1,
+        json_file: Json = None,
+        figure: Picture = None,
+        per_second: Annotated[int, Option(min=1, help=_EVALUATIONS)] = PER_SECOND,
     ) -> None:
         picture = figure or Path(f"{name}.png")
         _compare(comparison_of(per_second), runs, jobs, seed, json_file, picture)
 
 
-_add("table-1", table_1)
-_add("figure-3", figure_3)
-_add("figure-4", figure_4)
+_add("table-1", comparisons.table_1)
+_add("figure-3", comparisons.figure_3)
+_add("figure-4", comparisons.figure_4)
 
 
 @compare_app.command("routes")
 def routes_command(
-    runs: RunsOption = 1,
-    jobs: JobsOption = None,
-    seed: SeedOption = 1,
-    json_file: JsonOption = None,
-    planners: Annotated[
-        list[str] | None,
-        typer.Option("--planner", help="Only these; by default ours and all that are installed."),
-    ] = None,
+    runs: Runs = 1,
+    jobs: Jobs = None,
+    seed: Seed = 1,
+    json_file: Json = None,
+    planners: Annotated[list[str] | None, Option("--planner", help=_PLANNERS)] = None,
 ) -> None:
     """The planners that the paper's introduction names, beside ours, in both environments."""
-    _compare(routes(planners or ()), runs, jobs, seed, json_file, None)
+    _compare(comparisons.routes(planners or ()), runs, jobs, seed, json_file, None)
 
 
 def _compare(
@@ -106,8 +91,8 @@ def _compare(
     total = runs * len(comparison.cases)
     shown = partial(track, description="flying", total=total, console=bar, transient=True)
     found = fly_all(comparison.cases, runs, seed, jobs or processors(), shown)
-    for title, columns in comparison.tables.items():
-        console.print(table(title, columns, found))
+    for title, row in comparison.tables.items():
+        console.print(table(title, row, found))
     for remark in comparison.remarks(found):
         console.print(remark, highlight=False)
     if picture is not None:
@@ -122,3 +107,22 @@ def _compare(
         with writing("--json", json_file):
             json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
         console.out(f"numbers: {json_file}", highlight=False)
+
+
+def table(title: str, row: Row, found: Sequence[Outcome]) -> Table:
+    """A row for each outcome, and one for each heading if there are several.
+
+    Its cells stay whole in a terminal of 80 columns.
+    """
+    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
+    result.add_column("", no_wrap=True)
+    for name in row(found[0]):
+        result.add_column(name, justify="right")
+    parts = by_heading(found)
+    indent = "  " if len(parts) > 1 else ""
+    for part in parts:
+        if indent:
+            result.add_row(part[0].case.heading)
+        for outcome in part:
+            result.add_row(indent + outcome.case.label, *row(outcome).values())
+    return result

@@ -1,23 +1,26 @@
-"""Missions as the paper flies them, without a vehicle, what they cost, and what is told of them."""
+"""Missions as the paper flies them, without a vehicle, what they cost, and what they violate.
+
+Violations are looked at every 10 m: the paper's ten samples a subpath miss them.
+"""
 
 import itertools
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from rich import box
-from rich.table import Table
+import numpy as np
 
 from companion.config import load_mission, load_world
 from companion.errors import CompanionError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
-from companion.paper.compare.violations import KINDS, violations
+from companion.path.bspline import climb_angle_rad, horizontal_curvature_1_m
+from companion.path.subpath import Subpath
 from companion.planner.offline import fly_offline
 from companion.planner.settings import Task
 from companion.planning import OURS, planner_of
@@ -27,18 +30,25 @@ from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import PeakTerrain
 
-_SPACING_M = 100.0
+_ROUTE_SPACING_M, _DENSE_M = 100.0, 10.0
+_TOLERANCE = 1e-6  # relative: what lies on a bound has not crossed it
+KINDS = {
+    "clearance": "nearer than d_s",  # to a peak or to the ground
+    "radar": "seen by radars",  # within the range of one (eq. 3)
+    "turn": "turn",  # more tightly than the vehicle can, joins included
+    "climb": "climb",  # or dive more steeply than it can
+    "band": "altitude",  # below the floor or above the ceiling
+}
+"""What may be violated, and how tables say it."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A mission to fly: where, how it is planned, and the seed of the search."""
+    """A mission to fly, and how it is planned; tables call it by its label under its heading."""
 
     heading: str
-    """What it is a part of, in tables."""
-    label: str
-    """Which part."""
+    label: str = ""
     world: str
     terrain: PeakTerrain
     task: Task
@@ -46,28 +56,42 @@ class Case:
     target_ne_m: tuple[float, float]
     planner: str = OURS
     """Who plans (`planning.planner_of`): ours plans by the task's profile."""
-    seed: int = 1
     papers_cost: tuple[float, float] = (math.nan, math.nan)
     """The mean and the standard deviation that the paper has."""
     papers_way: str = ""
     """Which way the paper's route goes."""
 
-    def planned_with(self, **settings: Any) -> "Case":
-        """The case with other settings of the planner."""
-        task = replace(self.task, settings=replace(self.task.settings, **settings))
-        return replace(self, task=task)
+
+def bundled_case(name: str, **settings: Any) -> Case:
+    """A bundled environment as published, with some settings of the planner.
+
+    L = V T + d_s (eq. 4): a scan takes no time.
+    """
+    mission, world = load_mission(name, PAPER.name), load_world(name)
+    assert isinstance(world.terrain, PeakTerrain)
+    timeless = {"scan_time_s": 0.0, "position_period_s": 0.0, "scan_distance_m": None}
+    planned_with = replace(mission.task.settings, **timeless | settings)
+    return Case(
+        heading=name,
+        world=name,
+        terrain=world.terrain,
+        task=replace(mission.task, settings=planned_with),
+        start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
+        target_ne_m=mission.targets_ne_m[-1],
+    )
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """How a case went."""
+    """How a case went with one seed."""
 
     arrived: bool
     cost: float
     """Sum of the subpaths' f: the "fitness from start to target" (row 24)."""
     legs: int
     length_m: float
+    highest_amsl_m: float
     j: float
     """Length, height and radar of eq. 5 along what was flown (`library.route_terms`)."""
     took_s: float
@@ -78,10 +102,83 @@ class Run:
     violations: dict[str, float]
     """Metres of each kind."""
 
-    @property
-    def highest_amsl_m(self) -> float:
-        """The highest point of the route."""
-        return float(self.route_nea_m[:, 2].max())
+
+def fly(case: Case, seed: int) -> Run:
+    """Fly a case: simulated scans and perfect tracking."""
+    limits, began_s = case.task.limits, time.process_time()
+    blank = empty_map(case.task.cell_m, limits.north_m, limits.east_m)
+    flight = fly_offline(
+        case.task,
+        blank=blank,
+        truth=true_map(case.terrain, blank),
+        start_nea_m=case.start_nea_m,
+        targets_ne_m=(case.target_ne_m,),
+        seed=seed,
+        planner=planner_of(case.planner),
+    )
+    took_s, route = time.process_time() - began_s, flight.route_nea_m(_ROUTE_SPACING_M)
+    flown = zip((leg.subpath for leg in flight.legs), flight.flown_m, strict=True)
+    return Run(
+        arrived=flight.failure is None,
+        cost=sum(planned.cost for planned in flight.plans),
+        legs=len(flight.legs),
+        length_m=sum(flight.flown_m),
+        highest_amsl_m=float(route[:, 2].max()),
+        j=sum(route_terms(route, case.task).values()),
+        took_s=took_s,
+        route_nea_m=route,
+        scans_nea_m=tuple(flight.scans_nea_m),
+        violations=violations(flown, case.task, case.terrain),
+    )
+
+
+def violations(
+    flown: Iterable[tuple[Subpath, float]], task: Task, terrain: PeakTerrain
+) -> dict[str, float]:
+    """Metres of subpaths, each as far as it was flown (metres), that break a bound, by kind."""
+    limits, more, less = task.limits, 1.0 + _TOLERANCE, 1.0 - _TOLERANCE
+    slack_m = _TOLERANCE * (limits.ceiling_amsl_m - limits.floor_amsl_m)
+    total = dict.fromkeys(KINDS, 0.0)
+    for subpath, flown_m in flown:
+        points, first, second = subpath.sampled(_DENSE_M)
+        at_m = np.linspace(0.0, subpath.length_m, len(points))
+        edges_m = np.concatenate([[0.0], 0.5 * (at_m[1:] + at_m[:-1]), [subpath.length_m]])
+        stands_for_m = np.diff(edges_m.clip(max=flown_m)) * (at_m <= flown_m + 1e-9)
+        speed = np.linalg.norm(first, axis=1)
+        corner = speed < 1e-6 * speed.max()  # r2 = 0: the join is a corner, and has no direction
+        curvature, altitude = horizontal_curvature_1_m(first, second), points[:, 2]
+        climb = np.where(corner, 0.0, climb_angle_rad(first))
+        seen = np.zeros(len(points), dtype=bool)
+        for radar in task.radars:
+            seen |= radar.distance_m(points) < radar.range_m * less
+        broken = {
+            "clearance": peak_distance_m(points, terrain) < task.settings.safety_distance_m * less,
+            "radar": seen,
+            "turn": corner | (curvature * limits.turn_radius_m > more),
+            "climb": (climb > limits.climb_angle_rad + _TOLERANCE)
+            | (climb < -limits.dive_angle_rad - _TOLERANCE),
+            "band": (altitude < limits.floor_amsl_m - slack_m)
+            | (altitude > limits.ceiling_amsl_m + slack_m),
+        }
+        for kind, where in broken.items():
+            total[kind] += float(where @ stands_for_m)
+    return total
+
+
+def peak_distance_m(points_nea_m: FloatArray, terrain: PeakTerrain) -> FloatArray:
+    """Distance to the nearest true peak or the ground, negative below it, metres.  (S, 3) -> (S,).
+
+    To first order, as the paper has it: (z - h) / sqrt(1 + |grad h|^2) (row 12 of its page).
+    """
+    north, east, altitude = points_nea_m.T
+    nearest = altitude - terrain.ground_amsl_m
+    for peak in terrain.peaks:
+        n = (north - peak.north_m) / peak.spread_north_m
+        e = (east - peak.east_m) / peak.spread_east_m
+        height = peak.height_amsl_m * np.exp(-(n**2) - e**2)
+        slope = 2.0 * height * np.hypot(n / peak.spread_north_m, e / peak.spread_east_m)
+        nearest = np.minimum(nearest, (altitude - height) / np.hypot(1.0, slope))
+    return nearest
 
 
 @final
@@ -98,14 +195,24 @@ class Outcome:
         return [run.cost for run in self.runs if run.arrived]
 
     @property
-    def arrivals(self) -> str:
-        """How many arrived."""
-        return f"{len(self.costs)}/{len(self.runs)}"
-
-    @property
     def shown(self) -> Run:
         """The run of median cost: the one in pictures."""
         return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
+
+    @property
+    def violations(self) -> dict[str, dict[str, float]]:
+        """Of each kind the share of missions that break it, and the mean metres that do."""
+        result = {}
+        for kind in KINDS:
+            metres = [run.violations[kind] for run in self.runs]
+            share = statistics.fmean(each > 0.0 for each in metres)
+            result[kind] = {"missions": share, "mean_m": statistics.fmean(metres)}
+        return result
+
+    @property
+    def arrivals(self) -> str:
+        """How many arrived."""
+        return f"{len(self.costs)}/{len(self.runs)}"
 
     def mean(self, measure: str = "cost") -> float:
         """Mean of a number of `Run` over the runs that arrived; not a number when none did."""
@@ -116,18 +223,6 @@ class Outcome:
     def deviation(self) -> float:
         """Standard deviation of the costs; not a number with fewer than two."""
         return statistics.stdev(self.costs) if len(self.costs) > 1 else math.nan
-
-    @property
-    def violations(self) -> dict[str, dict[str, float]]:
-        """Of each kind the share of missions that break it, and the mean metres that do."""
-        metres = {kind: [run.violations[kind] for run in self.runs] for kind in KINDS}
-        return {
-            kind: {
-                "missions": statistics.fmean(each > 0.0 for each in found),
-                "mean_m": statistics.fmean(found),
-            }
-            for kind, found in metres.items()
-        }
 
     def facts(self) -> dict[str, Any]:
         """All its numbers, for --json."""
@@ -145,89 +240,6 @@ class Outcome:
         }
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Comparison:
-    """Cases that are flown, and how what came of them is told."""
-
-    cases: Sequence[Case]
-    tables: Mapping[str, Mapping[str, Callable[[Outcome], str]]]
-    """By title and column what a cell says of an outcome."""
-    remarks: Callable[[Sequence[Outcome]], list[str]]
-    """What the tables cannot say by themselves."""
-    more: Callable[[Outcome], dict[str, Any]] = lambda _: {}
-    """What is told beside the numbers of an outcome, for --json."""
-
-
-def table(
-    title: str, columns: Mapping[str, Callable[[Outcome], str]], found: Sequence[Outcome]
-) -> Table:
-    """A row for each outcome, and one for each heading if there are several.
-
-    Its cells stay whole in a terminal of 80 columns.
-    """
-    result = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
-    result.add_column("", no_wrap=True)
-    for name in columns:
-        result.add_column(name, justify="right")
-    parts = by_heading(found)
-    for part in parts:
-        if len(parts) > 1:
-            result.add_row(part[0].case.heading)
-        for outcome in part:
-            label = ("  " if len(parts) > 1 else "") + outcome.case.label
-            result.add_row(label, *(cell(outcome) for cell in columns.values()))
-    return result
-
-
-def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
-    """Outcomes in parts of the same heading, as they follow each other."""
-    return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
-
-
-def bundled_case(name: str) -> Case:
-    """A bundled environment as published: L = V T + d_s (eq. 4), where a scan takes no time."""
-    mission, world = load_mission(name, PAPER.name), load_world(name)
-    assert isinstance(world.terrain, PeakTerrain)
-    return Case(
-        heading=name,
-        label="",
-        world=name,
-        terrain=world.terrain,
-        task=mission.task,
-        start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
-        target_ne_m=mission.targets_ne_m[-1],
-    ).planned_with(scan_time_s=0.0, position_period_s=0.0, scan_distance_m=None)
-
-
-def fly(case: Case) -> Run:
-    """Fly a case: simulated scans and perfect tracking."""
-    limits, began_s = case.task.limits, time.process_time()
-    blank = empty_map(case.task.cell_m, limits.north_m, limits.east_m)
-    flight = fly_offline(
-        case.task,
-        blank=blank,
-        truth=true_map(case.terrain, blank),
-        start_nea_m=case.start_nea_m,
-        targets_ne_m=(case.target_ne_m,),
-        seed=case.seed,
-        planner=planner_of(case.planner),
-    )
-    took_s, route = time.process_time() - began_s, flight.route_nea_m(_SPACING_M)
-    pieces = [(leg.subpath, m) for leg, m in zip(flight.legs, flight.flown_m, strict=True)]
-    return Run(
-        arrived=flight.failure is None,
-        cost=sum(planned.cost for planned in flight.plans),
-        legs=len(flight.legs),
-        length_m=sum(flight.flown_m),
-        j=sum(route_terms(route, case.task).values()),
-        took_s=took_s,
-        route_nea_m=route,
-        scans_nea_m=tuple(flight.scans_nea_m),
-        violations=violations(pieces, case.task, case.terrain),
-    )
-
-
 def fly_all(
     cases: Sequence[Case],
     runs: int,
@@ -240,17 +252,17 @@ def fly_all(
     The results do not depend on the number of processes, and these end with their parent.  shown:
     what is iterated over goes through it, to show how far it is.
     """
-    every = [replace(case, seed=seed + run) for case in cases for run in range(runs)]
+    every = list(itertools.product(cases, range(seed, seed + runs)))
     if jobs == 1:
-        flown = [fly(case) for case in shown(every)]
+        flown = [fly(*each) for each in shown(every)]
     else:
         try:
             with worker_pool(min(jobs, len(every))) as submit:
-                futures = [submit(fly, case) for case in every]
+                futures = [submit(fly, *each) for each in every]
                 for done in shown(as_completed(futures)):
                     done.result()
                 flown = [future.result() for future in futures]
         except BrokenProcessPool as error:
             raise CompanionError("a worker process ended early. Try fewer --jobs.") from error
-    parts = (flown[k : k + runs] for k in range(0, len(flown), runs))
-    return [Outcome(case=case, runs=tuple(part)) for case, part in zip(cases, parts, strict=True)]
+    parts = (tuple(flown[k : k + runs]) for k in range(0, len(flown), runs))
+    return [Outcome(case=case, runs=part) for case, part in zip(cases, parts, strict=True)]

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ from companion.geodesy import FloatArray
 from companion.paper.plan import reported
 from companion.path.certificate import Prover
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
-from companion.world.clearance import dilated_m, safe_surface
+from companion.world.clearance import Surface, dilated_m, safe_surface
+from companion.world.known_map import KnownMap
 from companion.world.radars import detection_probability
 
 IntArray = NDArray[np.intp]
@@ -83,15 +84,14 @@ class RouteProblem:
         """
         pieces = [(self.line_cost(a, b), math.dist(a, b)) for a, b in pairwise(route_ne_m)]
         cost = np.cumsum([0.0, *(c if math.isfinite(c) else 2.0 * m for c, m in pieces)])
-        last, here, kept = sum(np.cumsum([m for _, m in pieces]) <= self.ahead_m), 0, [0]
-        while here < last:
-            begin, there = route_ne_m[here], last
-            while there > here + 1 and (
-                self.line_cost(begin, route_ne_m[there]) > cost[there] - cost[here]
-            ):
-                there -= 1
-            here = there
-            kept.append(here)
+        last, kept = sum(np.cumsum([m for _, m in pieces]) <= self.ahead_m), [0]
+        while (here := kept[-1]) < last:
+            farther = (
+                there
+                for there in range(last, here + 1, -1)
+                if self.line_cost(route_ne_m[here], route_ne_m[there]) <= cost[there] - cost[here]
+            )
+            kept.append(next(farther, here + 1))
         return np.concatenate([route_ne_m[kept], route_ne_m[here + 1 :]])
 
 
@@ -114,7 +114,7 @@ PLANNERS = Parts[RoutePlanner](
     {
         "a-star": "companion.paper.rivals.roadmaps:a_star",
         "voronoi": "companion.paper.rivals.roadmaps:voronoi",
-        "ants": "companion.paper.rivals.ants:ants",
+        "ants": "companion.paper.rivals.roadmaps:ants",
         "rrt-star": "companion.paper.rivals.sampling:rrt_star",
         "bit-star": "companion.paper.rivals.sampling:bit_star",
     },
@@ -143,14 +143,13 @@ def leg_by_leg(
 
 def problem_of(request: PlanRequest) -> RouteProblem:
     """The question of a plan: what nobody has seen is free."""
-    task, known, clear_m = request.task, request.known, _clear_m(request)
-    sides = (task.limits.north_m, task.limits.east_m)
-    surface = safe_surface(
-        replace(known, upper_m=np.where(known.surveyed, known.upper_m, np.inf)),
-        compiled(dilated_m),
+    task, sides = request.task, (request.task.limits.north_m, request.task.limits.east_m)
+    seen_m = np.where(request.known.surveyed, request.known.upper_m, np.inf)
+    surface = _safe_surface(
+        request,
+        replace(request.known, upper_m=seen_m),
         centre_ne_m=(0.5 * sum(sides[0]), 0.5 * sum(sides[1])),
         reach_m=0.5 * max(high - low for low, high in sides),
-        clearance_m=clear_m,
         unknown_m=-_HIGH_M,
     )
     axes = []
@@ -168,7 +167,7 @@ def problem_of(request: PlanRequest) -> RouteProblem:
         points = np.stack([north, east, altitude_m], axis=-1)
         rate += seen * detection_probability(radar.distance_m(points), radar.range_m)
     for zone in task.zones:
-        rate[zone.distance_m(north, east) < clear_m] = np.inf
+        rate[zone.distance_m(north, east) < _clear_m(request)] = np.inf
     rate[need_m > ceiling] = np.inf
     problem = RouteProblem(
         start_ne_m=np.array(request.start.point_nea_m[:2]),
@@ -187,6 +186,10 @@ def _clear_m(request: PlanRequest) -> float:
     return request.task.required_clearance_m + _SPARE * request.known.cell_m
 
 
+def _safe_surface(request: PlanRequest, known: KnownMap, **where: Any) -> Surface:
+    return safe_surface(known, compiled(dilated_m), clearance_m=_clear_m(request), **where)
+
+
 def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
     """The answer, (N, 2); InputError if it is no route from the start to the target."""
     route, ends = np.asarray(answer, dtype=np.float64), (problem.start_ne_m, problem.target_ne_m)
@@ -203,22 +206,16 @@ def _flown(
 ) -> tuple[FloatArray, bool]:
     """Control points (K, 3) of what may be flown of a route, none if nothing; whether all of it."""
     task, known, scan_ne_m = request.task, request.known, request.scan_nea_m[:2]
-    range_m = task.settings.scan_range_m
-    surface = safe_surface(
-        known,
-        compiled(dilated_m),
-        centre_ne_m=scan_ne_m,
-        reach_m=range_m,
-        clearance_m=_clear_m(request),
-        unknown_m=_HIGH_M,
+    range_m, (floor, ceiling) = task.settings.scan_range_m, task.band_amsl_m
+    surface = _safe_surface(
+        request, known, centre_ne_m=scan_ne_m, reach_m=range_m, unknown_m=_HIGH_M
     )
-    floor, ceiling = task.band_amsl_m
     length_m = np.hypot(*np.diff(route, axis=0).T).sum()
     points = resampled(route, math.ceil(2.0 * length_m / problem.spacing_m) + 1)
     nodes = problem.index(points)
-    may_be = np.isfinite(problem.rate_at(points))
-    may_be &= surface.altitude_m(*problem.place_m(nodes).T) <= ceiling
     cells = np.array([known.cell_of(*point) for point in points.tolist()])
+    may_be = np.isfinite(problem.rate[tuple(nodes.T)])
+    may_be &= surface.altitude_m(*problem.place_m(nodes).T) <= ceiling
     may_be &= known.surveyed[tuple(np.clip(cells, 0, np.array(known.surveyed.shape) - 1).T)]
     may_be |= (nodes == nodes[0]).all(axis=1)  # it is there
     may_be |= binary_closing(may_be, _GRAZE)

@@ -4,7 +4,8 @@ They stop when so many lines have been costed (or asked for without being costed
 OMPL's own generator is set before each plan, so a plan is a function of problem and seed.
 """
 
-from functools import partial
+import itertools
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,23 +20,21 @@ def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> Fl
     extras.need("compare", "planner", planner)
     from ompl import base, geometric, util  # an extra, and slow to import
 
-    corner, known, asked = problem.corner_ne_m, dict[tuple[float, ...], float](), 0
+    corner, asked = problem.corner_ne_m, itertools.count(1)
+
+    @cache
+    def known(*ends: float) -> float:
+        return problem.line_cost(corner + ends[:2], corner + ends[2:])
 
     def cost(a: Any, b: Any) -> float:
         """Of the line between two states; infinite: it is not free."""
-        ends = (a[0], a[1], b[0], b[1])
-        if ends not in known:
-            known[ends] = problem.line_cost(corner + ends[:2], corner + ends[2:])
-        return known[ends]
+        return known(a[0], a[1], b[0], b[1])
 
     def is_free(state: Any) -> bool:
-        at_m = corner + np.array([state[0], state[1]])
-        return bool(np.isfinite(problem.rate_at(at_m)))
+        return bool(np.isfinite(problem.rate_at(corner + np.array([state[0], state[1]]))))
 
     def is_spent() -> bool:
-        nonlocal asked
-        asked += 1
-        return max(len(known), asked) >= problem.lines
+        return max(known.cache_info().currsize, next(asked)) >= problem.lines
 
     class Validator(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, a: Any, b: Any, _last: Any = None) -> bool:
@@ -54,8 +53,8 @@ def plan(problem: RouteProblem, rng: np.random.Generator, *, planner: str) -> Fl
     util.noOutputHandler()
     util.RNG.setSeed(int(rng.integers(1, 2**31)))
     space, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
+    bounds.setLow(0.0)
     for axis, size in enumerate(problem.rate.shape):
-        bounds.setLow(axis, 0.0)
         bounds.setHigh(axis, (size - 1) * problem.spacing_m)
     space.setBounds(bounds)
     information = base.SpaceInformation(space)

@@ -1,0 +1,330 @@
+"""What is compared: Table 1, Fig. 3 and Fig. 4 (4.1, 4.2), and planners of whole routes."""
+
+import itertools
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, final
+
+import numpy as np
+from scipy.stats import mannwhitneyu
+
+from companion import extras
+from companion.config import load_mission
+from companion.geodesy import FloatArray
+from companion.paper.compare.missions import KINDS, Case, Outcome, bundled_case
+from companion.paper.rivals.routes import PLANNERS
+from companion.planning import OURS, planner_of
+from companion.profiles import PAPER, Weights
+from companion.world.radars import Radar
+from companion.world.terrain import Peak, PeakTerrain
+
+PER_SECOND = 1000
+"""Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
+Row = Callable[[Outcome], dict[str, str]]
+"""What a table says of an outcome, by its columns."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """Cases that are flown, and how what came of them is told."""
+
+    cases: Sequence[Case]
+    tables: Mapping[str, Row]
+    """By their titles."""
+    remarks: Callable[[Sequence[Outcome]], list[str]]
+    """What the tables cannot say by themselves."""
+    more: Callable[[Outcome], dict[str, Any]] = lambda _: {}
+    """What is told beside the numbers of an outcome, for --json."""
+
+
+def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
+    """Outcomes in parts of the same heading, as they follow each other."""
+    return [list(part) for _, part in itertools.groupby(found, lambda each: each.case.heading)]
+
+
+def _budget(time_s: float, per_second: int) -> dict[str, Any]:
+    """T, and the evaluations that stand for it."""
+    return {"planning_time_s": time_s, "evaluations": round(time_s * per_second)}
+
+
+# --- Table 1: four algorithms, two environments, two planning times, twenty runs each
+
+ALGORITHMS = {
+    "improved DE": "improved-de",
+    "classical DE": "de/rand/1/bin",
+    "PSO": "pso",
+    "GA": "ga",
+}
+PAPERS = {
+    ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
+    ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
+    ("environment-2", 3.0): ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
+    ("environment-2", 5.0): ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
+}
+"""By environment and T the paper's mean and standard deviation of the cost of `ALGORITHMS`."""
+_SURE = 0.05  # significance at which costs count as different,
+_LEAST = 0.005  # if their medians differ by this part
+
+
+def table_1(per_second: int = PER_SECOND) -> Comparison:
+    """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
+    cases = [
+        replace(
+            bundled_case(environment, optimiser=optimiser, **_budget(time_s, per_second)),
+            heading=f"{environment}, {time_s:g} s",
+            label=algorithm,
+            papers_cost=cost,
+        )
+        for (environment, time_s), costs in PAPERS.items()
+        for (algorithm, optimiser), cost in zip(ALGORITHMS.items(), costs, strict=True)
+    ]
+    return Comparison(
+        cases=cases,
+        tables={
+            "Table 1: cost from start to target, mean ± standard deviation": _costs,
+            "Missions that break a bound somewhere, and the mean metres that do": _broken,
+        },
+        remarks=partial(_orders, per_second=per_second),
+        more=lambda outcome: dict(
+            zip(("paper_mean_cost", "paper_st_dev_cost"), outcome.case.papers_cost, strict=True)
+        ),
+    )
+
+
+def _costs(outcome: Outcome) -> dict[str, str]:
+    return {
+        "cost": f"{outcome.mean():.2f} ± {outcome.deviation:.2f}",
+        "paper": "{:.1f} ± {:.1f}".format(*outcome.case.papers_cost),
+        "arrived": outcome.arrivals,
+        "length": f"{outcome.mean('length_m') / 1000:.1f} km",
+    }
+
+
+def _broken(outcome: Outcome) -> dict[str, str]:
+    found = outcome.violations
+    return {
+        words: f"{math.ceil(100.0 * found[kind]['missions'] - 1e-6)}% {found[kind]['mean_m']:6,.0f}"
+        for kind, words in KINDS.items()
+    }
+
+
+def _orders(found: Sequence[Outcome], per_second: int) -> list[str]:
+    """The budget, and whose order it is."""
+    settings = [outcome.case.task.settings for outcome in found]
+    evaluations = {each.planning_time_s: each.evaluations for each in settings}
+    budgets = ", ".join(f"T = {t:g} s is {n:,} evaluations" for t, n in evaluations.items())
+    why = ", about what interpreted Matlab did in 2011" if per_second == PER_SECOND else ""
+    lines = [
+        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
+        "No result depends on the speed of this machine.",
+        "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
+    ]
+    for row in by_heading(found):
+        by_the_paper = sorted(row, key=lambda outcome: outcome.case.papers_cost)
+        papers_order = " < ".join(outcome.case.label for outcome in by_the_paper)
+        confirmed, contradicted = agreement(by_the_paper)
+        against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
+        lines.append(
+            f"{row[0].case.heading}: {order(row)}. The paper: {papers_order}. "
+            f"{confirmed} of its 6 pairs are surely so here{against}."
+        )
+    return lines
+
+
+def order(row: Sequence[Outcome]) -> str:
+    """The algorithms by mean cost, best first; `~` where the next is not surely worse.
+
+    Those that never arrived come last.
+    """
+    ranked = sorted(row, key=lambda each: (not each.costs, each.mean()))
+    words = ranked[0].case.label
+    for better, worse in itertools.pairwise(ranked):
+        words += (" < " if surely_less(better, worse) else " ~ ") + worse.case.label
+    return words
+
+
+def agreement(by_the_paper: Sequence[Outcome]) -> tuple[int, list[str]]:
+    """How many pairs in the paper's order are surely so here, and which surely are not."""
+    pairs = list(itertools.combinations(by_the_paper, 2))
+    against = [(b.case.label, a.case.label) for a, b in pairs if surely_less(b, a)]
+    return sum(surely_less(a, b) for a, b in pairs), [" < ".join(pair) for pair in against]
+
+
+def surely_less(one: Outcome, other: Outcome) -> bool:
+    """Whether the costs of one are surely, and noticeably, less than those of the other.
+
+    Mann and Whitney's one-sided test at 5 %, and medians that differ by half a percent.
+    """
+    if not one.costs or not other.costs:
+        return False
+    if statistics.median(one.costs) > (1.0 - _LEAST) * statistics.median(other.costs):
+        return False
+    return bool(mannwhitneyu(one.costs, other.costs, alternative="less").pvalue < _SURE)
+
+
+# --- Fig. 3 and Fig. 4: what a parameter of the planner decides
+#
+# In the bundled environments neither effect shows: their mountains on the way rise above the band,
+# and their radars are not passed where they overlap.  So each figure has a small world of its own,
+# 100 km x 100 km, flown from corner to corner as in the paper.
+
+_T_S = 3.0
+_RANGE_M, _OVERLAP_M, _ASIDE_M = 16_000.0, 2_500.0, 1_000.0  # of the radars; aside of the way
+Peaks = Sequence[tuple[float, float, float, float]]
+"""Of each north, east, height AMSL and spread, metres."""
+_RIDGE: Peaks = [(k * 1e3, 100e3 - k * 1e3, 3_900.0, 10_000.0) for k in (42.0, 50.0, 58.0)]
+_HILLS: Peaks = [
+    (88_000.0, 25_000.0, 4_200.0, 6_000.0),
+    (22_000.0, 86_000.0, 4_800.0, 6_000.0),
+    (66_000.0, 92_000.0, 3_400.0, 6_000.0),
+]
+Point = tuple[float, float]
+
+
+def figure_3(per_second: int = PER_SECOND) -> Comparison:
+    """Fig. 3: climb over a ridge or go round it, by the weights of height and guide."""
+    cases = [
+        replace(
+            _case("ridge", _RIDGE, per_second, weights=Weights(height=a2, guide=a3)),
+            label=f"a2 = {a2:g}, a3 = {a3:g}",
+            papers_way=way,
+        )
+        for way, a2, a3 in (("climbs over", 0.15, 0.15), ("goes round", 0.25, 0.05))
+    ]
+    paper = (
+        "“UAV can choose climbing or bypassing the mountain by weighing the relative size of a2 "
+        "and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”"
+    )
+    title = "Fig. 3: 3D path and vertical profile for two weightings"
+    return _effect(title, paper, cases, "climbs over", _RIDGE[0][:2], _RIDGE[-1][:2])
+
+
+def figure_4(per_second: int = PER_SECOND) -> Comparison:
+    """Fig. 4: fly between two overlapping radars or round both, by d_overlap."""
+    half_m = _RANGE_M - 0.5 * _OVERLAP_M
+    aside_m = [math.sqrt(0.5) * (_ASIDE_M + side * half_m) for side in (-1.0, 1.0)]
+    one, two = ((50_000.0 - each_m, 50_000.0 + each_m) for each_m in aside_m)
+    radars = tuple(
+        Radar(name=name, centre_nea_m=(*centre, 0.0), range_m=_RANGE_M)
+        for name, centre in (("radar 1", one), ("radar 2", two))
+    )
+    cases = [
+        replace(
+            _case("two radars", _HILLS, per_second, radars, overlap_m=1000.0 * km),
+            label=f"d_overlap = {km:g} km",
+            papers_way=way,
+        )
+        for way, km in (("goes round", 2.0), ("flies between", 6.0))
+    ]
+    paper = (
+        "“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
+        "traverse through the intersection of two radars”"
+    )
+    title = "Fig. 4: 3D path for two values of d_overlap"
+    return _effect(title, paper, cases, "flies between", one, two)
+
+
+def _case(
+    world: str, peaks: Peaks, per_second: int, radars: tuple[Radar, ...] = (), **settings: Any
+) -> Case:
+    """A world with the vehicle, the band and the planner of environment-1."""
+    settings |= {"optimiser": ALGORITHMS["improved DE"], **_budget(_T_S, per_second)}
+    base = bundled_case("environment-1", **settings)
+    made = (
+        Peak(north_m=n, east_m=e, height_amsl_m=height, spread_north_m=spread, spread_east_m=spread)
+        for n, e, height, spread in peaks
+    )
+    terrain = PeakTerrain(peaks=tuple(made), ground_amsl_m=0.0)
+    return replace(base, world=world, terrain=terrain, task=replace(base.task, radars=radars))
+
+
+def _effect(
+    title: str, paper: str, cases: Sequence[Case], across: str, one_ne_m: Point, two_ne_m: Point
+) -> Comparison:
+    """Settings with which routes cross a line, and are said to, or go round it."""
+
+    def ways(outcome: Outcome) -> list[str]:
+        crossed = (crosses(run.route_nea_m, one_ne_m, two_ne_m) for run in outcome.runs)
+        return [across if each else "goes round" for each in crossed]
+
+    def row(outcome: Outcome) -> dict[str, str]:
+        shown, way = outcome.shown, outcome.case.papers_way
+        return {
+            "way": f"{way}: {ways(outcome).count(way)}/{len(outcome.runs)}",
+            "arrived": outcome.arrivals,
+            "cost": f"{shown.cost:.1f}",
+            "length": f"{shown.length_m / 1000:.1f} km",
+            "highest": f"{shown.highest_amsl_m / 1000:.2f} km",
+            "in radars": f"{shown.violations['radar'] / 1000:.1f} km",
+        }
+
+    remarks = [
+        f"The paper: {paper}.",
+        "Cost, length and heights are those of the run of median cost, which the picture shows. "
+        f"Improved DE, {cases[0].task.settings.evaluations:,} evaluations for T = {_T_S:g} s.",
+    ]
+    return Comparison(
+        cases=cases,
+        tables={title: row},
+        remarks=lambda _: remarks,
+        more=lambda each: {"papers_way": each.case.papers_way, "ways": ways(each)},
+    )
+
+
+def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
+    """Whether a route passes between two points, seen from above.  (S, 3)."""
+    one = complex(*one_ne_m)
+    place = (route_nea_m[:, 0] + 1j * route_nea_m[:, 1] - one) / (complex(*two_ne_m) - one)
+    before = np.nonzero(np.diff(place.imag < 0.0))[0]  # the points lie at 0 and 1
+    here, there = place[before], place[before + 1]
+    at = here.real + here.imag / (here.imag - there.imag) * (there.real - here.real)
+    return bool(np.any((at > 0.0) & (at < 1.0)))
+
+
+# --- planners of whole routes, ours and the paper's
+
+ENVIRONMENTS = ("environment-1", "environment-2")
+_ROUTES = (
+    "J: length, height and radar of eq. 5 along what was flown; below d_s: metres nearer to the "
+    "ground than d_s. All scan as they go; the rivals turn on the spot and climb without limit."
+)
+
+
+def routes(names: Sequence[str] = ()) -> Comparison:
+    """Environment by environment, planner by planner; L as a flight needs it, for all alike.
+
+    names: of planners; none: ours, the paper's, and all rivals that are installed.
+    """
+    ompl = ("rrt-star", "bit-star") if extras.missing("compare") else ()
+    installed = [OURS, PAPER.name, *(name for name in PLANNERS if name not in ompl)]
+    asked = {name: OURS if name == PAPER.name else name for name in names or installed}
+    for name in asked.values():
+        planner_of(name, "--planner")  # or says why not
+    cases = [
+        replace(
+            bundled_case(environment),
+            label=name,
+            planner=planner,
+            task=load_mission(environment, name if name == PAPER.name else None).task,
+        )
+        for environment in ENVIRONMENTS
+        for name, planner in asked.items()
+    ]
+    title = "Planners of whole routes, and planners of subpaths"
+    return Comparison(cases=cases, tables={title: _means}, remarks=lambda _: [_ROUTES])
+
+
+def _means(outcome: Outcome) -> dict[str, str]:
+    """Over the runs that arrived."""
+    return {
+        "J": f"{outcome.mean('j'):.2f}",
+        "length": f"{outcome.mean('length_m') / 1000:.1f} km",
+        "below d_s": f"{outcome.violations['clearance']['mean_m']:,.0f}",
+        "legs": f"{outcome.mean('legs'):.0f}",
+        "arrived": outcome.arrivals,
+        "processor": f"{outcome.mean('took_s'):.1f} s",
+    }
