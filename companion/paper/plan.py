@@ -14,6 +14,7 @@ from companion.paper.guide import tangent_guide_rad
 from companion.paper.terms import VARIABLES, Scene, control_points, cost_table
 from companion.path.certificate import Prover, certify, pack_surroundings
 from companion.path.subpath import Subpath
+from companion.planner.procedure import hover_pose
 from companion.planner.request import REACH, Planned, PlanRequest
 from companion.world.clearance import terrain_surface
 
@@ -53,9 +54,10 @@ def reported(
     surroundings = pack_surroundings(
         request.known,
         task.limits,
-        task.radars,
-        task.zones,
-        task.margins,
+        task.envelope,
+        clearance_m=task.required_clearance_m,
+        zones=task.zones,
+        radars=task.radars,
         centre_ne_m=request.scan_nea_m[:2],
         reach_m=REACH * task.settings.scan_range_m,
     )
@@ -91,7 +93,9 @@ def scene_of(request: PlanRequest) -> Scene:
     reach_m = REACH * settings.scan_range_m
     return Scene(
         task=task,
-        start=request.start.facing(guide) if request.from_rest else request.start,
+        start=hover_pose(request.start.position_nea_m, guide)
+        if request.from_rest
+        else request.start,
         scan_ne_m=scan_ne,
         guide_rad=guide,
         final_ne_m=target if final else None,

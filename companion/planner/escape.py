@@ -161,13 +161,14 @@ def _kept(
     """What a way is to keep a distance from, the required one at most."""
     task = request.task
     keep_m = min(keep_m, task.required_clearance_m)
-    contact_m = min(task.margins.contact_m, keep_m)
     return pack_surroundings(
         known,
         task.limits,
-        task.radars,
-        zones,
-        replace(task.margins, clearance_m=keep_m, contact_m=contact_m),
+        task.envelope,
+        clearance_m=keep_m,
+        contact_m=min(task.envelope.contact_m, keep_m),
+        zones=zones,
+        radars=task.radars,
         centre_ne_m=request.start.point_nea_m[:2],
         reach_m=task.settings.scan_range_m,
     )

@@ -127,8 +127,7 @@ def _impossible(request: PlanRequest) -> Refusal | None:
     north, east, altitude = request.start.point_nea_m
     inside = limits.north_m[0] <= north <= limits.north_m[1]
     inside = inside and limits.east_m[0] <= east <= limits.east_m[1]
-    inset_m = task.margins.band_inset_m
-    low, high = limits.floor_amsl_m + inset_m, limits.ceiling_amsl_m - inset_m
+    low, high = limits.inner_band_amsl_m(task.error_m)
     if not inside or not low <= altitude <= high:
         return Refusal.START_OUTSIDE
     if not sees_anything(request.known, request.scan_nea_m[:2], task.settings.scan_range_m):
@@ -513,7 +512,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
         safety_distance_m=float(settings.safety_distance_m),
         clearance_m=float(task.zone_search_clearance_m),
         surface=surface,
-        contact=_surface(request, task.margins.contact_m) if limits.hovers else surface,
+        contact=_surface(request, task.envelope.contact_m) if limits.hovers else surface,
         band_amsl_m=task.band_amsl_m,
         north_m=limits.north_m,
         east_m=limits.east_m,
@@ -586,9 +585,10 @@ def _surroundings(request: PlanRequest, speed_m_s: float) -> Surroundings:
     return pack_surroundings(
         request.known,
         task.limits,
-        task.radars_near(scan_ne_m, _IN_REACH * task.settings.scan_range_m),
-        task.zones,
-        task.margins,
+        task.envelope,
+        clearance_m=task.required_clearance_m,
+        zones=task.zones,
+        radars=task.radars_near(scan_ne_m, _IN_REACH * task.settings.scan_range_m),
         centre_ne_m=scan_ne_m,
         reach_m=REACH * task.settings.scan_range_m,
     )

@@ -155,9 +155,10 @@ class Reference:
     speed_m_s: float = 0.0
 
 
-def hover_pose(position_nea_m: Vector) -> Pose:
-    """The start pose of a vehicle at rest; the plan chooses the tangent."""
-    return Pose(position_nea_m=np.asarray(position_nea_m), tangent_nea=np.array([1.0, 0.0, 0.0]))
+def hover_pose(position_nea_m: Vector | FloatArray, bearing_rad: float = 0.0) -> Pose:
+    """The start pose of a vehicle at rest, level; in `flight` the plan chooses the tangent."""
+    tangent = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
+    return Pose(position_nea_m=np.asarray(position_nea_m), tangent_nea=tangent)
 
 
 # --- of a copter

@@ -33,17 +33,13 @@ def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
         zones = tuple(zone for zone in zones if zone not in before.zones)
     lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
     heights = leg.subpath.points_nea_m(lengths)[:, 2]
-    low_m, high_m = _band_amsl_m(task)
-    was_low_m, was_high_m = (-np.inf, np.inf) if before is None else _band_amsl_m(before)
+    low_m, high_m = task.limits.inner_band_amsl_m(task.error_m)
+    was_low_m, was_high_m = -np.inf, np.inf
+    if before is not None:
+        was_low_m, was_high_m = before.limits.inner_band_amsl_m(before.error_m)
     too_low = low_m > was_low_m and heights.min() < low_m - _BAND_SLACK_M
     too_high = high_m < was_high_m and heights.max() > high_m + _BAND_SLACK_M
     return bool(too_low or too_high) or comes_too_near(leg, from_m, zones, task.zone_clearance_m)
-
-
-def _band_amsl_m(task: Task) -> tuple[float, float]:
-    """Between which altitudes a curve is proven."""
-    inset_m = task.margins.band_inset_m
-    return task.limits.floor_amsl_m + inset_m, task.limits.ceiling_amsl_m - inset_m
 
 
 def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m: float) -> bool:

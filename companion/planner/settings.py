@@ -8,7 +8,6 @@ from typing import Annotated, final
 
 from annotated_types import Ge, Le
 
-from companion.path.certificate import Margins
 from companion.path.envelope import (
     COPTER,
     PLANE,
@@ -136,17 +135,8 @@ class Task:
     @property
     def band_amsl_m(self) -> tuple[float, float]:
         """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
-        inset = _AIMS * self.error_m if self.settings.profile.verified else 0.0
-        return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
-
-    @property
-    def margins(self) -> Margins:
-        """The margins of a certificate, so that the vehicle on the curve keeps d_s."""
-        return Margins(
-            clearance_m=self.required_clearance_m,
-            contact_m=self.envelope.contact_m,
-            band_inset_m=self.error_m,
-            motion=self.envelope,
+        return self.limits.inner_band_amsl_m(
+            _AIMS * self.error_m if self.settings.profile.verified else 0.0
         )
 
     @cached_property

@@ -60,9 +60,10 @@ def proof(asked: PlanRequest, subpath: Subpath) -> Certificate:
     surroundings = pack_surroundings(
         asked.known,
         asked.task.limits,
-        asked.task.radars,
-        asked.task.zones,
-        asked.task.margins,
+        asked.task.envelope,
+        clearance_m=asked.task.required_clearance_m,
+        zones=asked.task.zones,
+        radars=asked.task.radars,
         centre_ne_m=asked.scan_nea_m[:2],
         reach_m=25_000.0,
     )

@@ -16,7 +16,7 @@ from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
-from companion.path.certificate import Margins, pack_surroundings
+from companion.path.certificate import pack_surroundings
 from companion.path.envelope import Envelope, envelope_of
 from companion.path.limits import Limits
 from companion.path.proof import Surroundings
@@ -37,7 +37,8 @@ class Case:
     known: KnownMap
     peaks: PeakTerrain | None
     limits: Limits
-    margins: Margins
+    motion: Envelope
+    clearance_m: float
     radars: tuple[Radar, ...]
     zones: tuple[Zone, ...]
 
@@ -47,9 +48,10 @@ class Case:
         return pack_surroundings(
             self.known,
             self.limits,
-            self.radars,
-            self.zones,
-            self.margins,
+            self.motion,
+            clearance_m=self.clearance_m,
+            zones=self.zones,
+            radars=self.radars,
             centre_ne_m=(float(centre[0]), float(centre[1])),
             reach_m=float(far),
         )
@@ -105,22 +107,20 @@ def random_case(rng: np.random.Generator) -> Case:
         north_m=(0.0, size),
         east_m=(0.0, size),
         dead_man_s=scale.dead_man_s,
+        tracking_error_m=scale.error_m,
+        navigation_error_m=0.0,
         overrun_m=float(rng.choice(scale.overruns_m)),
         loiter_radius_m=scale.distance_m * rng.uniform(0.3, 1.5) if rng.random() < 0.2 else 0.0,
     )
-    margins = Margins(
-        clearance_m=scale.distance_m + scale.error_m,
-        contact_m=scale.error_m,
-        band_inset_m=scale.error_m,
-        motion=envelope_of(limits, replace(ARDUCOPTER, settling_s=scale.settling_s)),
-    )
+    clearance_m = scale.distance_m + scale.error_m
     return Case(
-        control_nea_m=_control(rng, size, margins.clearance_m, known),
+        control_nea_m=_control(rng, size, clearance_m, known),
         from_rest=bool(rng.random() < 0.3),
         known=known,
         peaks=peaks,
         limits=limits,
-        margins=margins,
+        motion=envelope_of(limits, replace(ARDUCOPTER, settling_s=scale.settling_s)),
+        clearance_m=clearance_m,
         radars=tuple(
             Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
             for _ in range(rng.integers(0, 3))
@@ -346,7 +346,7 @@ def _least(of: Callable[..., FloatArray], u: FloatArray) -> tuple[float, float]:
 
 def truth(case: Case, samples: int = 200) -> Truth:
     """Everything about a curve, by search; distances up to four times the clearance."""
-    spline, far_m = curve(case.control_nea_m), 4.0 * case.margins.clearance_m
+    spline, far_m = curve(case.control_nea_m), 4.0 * case.clearance_m
     u = np.linspace(0.0, 1.0, samples + 1)
     clearance, where = _least(lambda at, far=far_m: terrain_m(case, spline(at), far), u)
     keep_out = np.inf
@@ -421,7 +421,8 @@ def violations(
         known=known,
         peaks=None,
         limits=limits,
-        margins=task.margins,
+        motion=task.envelope,
+        clearance_m=wanted,
         radars=(),
         zones=task.zones,
     )
@@ -459,10 +460,8 @@ def stretch_points_nea_m(
     """Points of the straight stretches that leave the curve at u.  (S,) x2 -> (S, 3)."""
     flown = np.interp(u, fine, lengths)
     left = np.maximum(lengths[-1] - flown, 0.0)
-    speed = fastest_m_s(case.margins.motion, left, flown if case.from_rest else None)
-    reach = speed * case.margins.motion.dead_man_s + speed**2 / (
-        2.0 * case.limits.acceleration_m_s2
-    )
+    speed = fastest_m_s(case.motion, left, flown if case.from_rest else None)
+    reach = speed * case.motion.dead_man_s + speed**2 / (2.0 * case.limits.acceleration_m_s2)
     velocity = spline(u, 1)
     size = np.linalg.norm(velocity, axis=-1)
     tangent = velocity / np.maximum(size, 1e-9)[..., None]
@@ -486,7 +485,7 @@ def _dead_man(
     def at(u: FloatArray, share: FloatArray) -> FloatArray:
         return stretch_points_nea_m(case, spline, fine, lengths, u, share)
 
-    def distance(points: FloatArray, far: float = 4.0 * case.margins.clearance_m) -> FloatArray:
+    def distance(points: FloatArray, far: float = 4.0 * case.clearance_m) -> FloatArray:
         result = column_distance_m(case.known, points, far)
         for zone in case.zones:
             result = np.minimum(result, planning.zone_distance_m(zone, *points.T[:2]))

@@ -113,7 +113,7 @@ def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
     seed: int, flown: float, left: float, overrun_m: float, settling_s: float
 ) -> None:
     case = a_case(seed)
-    motion = case.margins.motion._replace(overrun_m=overrun_m, settling_s=settling_s)
+    motion = case.motion._replace(overrun_m=overrun_m, settling_s=settling_s)
     here = case.surroundings()._replace(motion=motion)
     control = a_curve(seed)
     cubics = cubics_of(control)

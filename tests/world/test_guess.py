@@ -141,6 +141,10 @@ def read_by_proofs(known: KnownMap) -> list[FloatArray]:
     task = load_mission("environment-1").task
     safe = safe_surface(known, centre_ne_m=HERE, reach_m=R, clearance_m=500.0, unknown_m=5_000.0)
     around = pack_surroundings(
-        known, task.limits, (), (), task.margins, centre_ne_m=HERE, reach_m=R
+        *(known, task.limits, task.envelope),
+        clearance_m=task.required_clearance_m,
+        zones=(),
+        centre_ne_m=HERE,
+        reach_m=R,
     )
     return [safe.vertex_m, around.columns.heights_m, around.columns.blocks_m, known.surveyed]

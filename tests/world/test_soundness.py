@@ -175,7 +175,11 @@ def test_no_subpath_is_certified_over_ground_that_only_a_plane_would_hide() -> N
     for above_m, proven in ((required_m - 23.0, False), (required_m + 30.0, True)):
         curve = [[middle[0], middle[1] + o, plateau_m + above_m] for o in (-900, -300, 300, 900)]
         around = pack_surroundings(
-            after, limits, (), (), task.margins, centre_ne_m=middle, reach_m=4_000.0
+            *(after, limits, task.envelope),
+            clearance_m=required_m,
+            zones=(),
+            centre_ne_m=middle,
+            reach_m=4_000.0,
         )
         found = certify(Subpath(control_nea_m=np.array(curve)), around, from_rest=False)
         assert (found.proven, found.clearance_m <= above_m) == (proven, True)

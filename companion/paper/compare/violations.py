@@ -9,7 +9,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import climb_angle_rad, horizontal_curvature_1_m
 from companion.path.subpath import Subpath
 from companion.planner.settings import Task
 from companion.world.terrain import PeakTerrain
@@ -41,8 +40,10 @@ def violations(
         stands_for_m = np.diff(edges_m.clip(max=flown_m)) * (at_m <= flown_m + 1e-9)
         speed = np.linalg.norm(samples.first, axis=1)
         corner = speed < 1e-6 * speed.max()  # r2 = 0: the join is a corner, and has no direction
-        curvature = horizontal_curvature_1_m(samples.first, samples.second)
-        climb = np.where(corner, 0.0, climb_angle_rad(samples.first))
+        (north, east, up), (turn_n, turn_e, _) = samples.first.T, samples.second.T
+        level = np.hypot(north, east)
+        curvature = np.abs(north * turn_e - turn_n * east) / np.maximum(level, 1e-9) ** 3
+        climb = np.where(corner, 0.0, np.arctan2(up, level))
         seen = [radar.distance_m(points) < radar.range_m * less for radar in task.radars]
         broken = {
             "clearance": peak_distance_m(points, terrain) < task.settings.safety_distance_m * less,
