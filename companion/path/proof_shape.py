@@ -22,8 +22,6 @@ _LOOKS_BACK = 1e-9
 _STACK = 64  # halves that wait, two for each halving: 40 at most
 _BUDGET = 3_000  # pieces; what is not within the limit by then is not proven
 _CHOOSE_8 = np.array([1.0, 8.0, 28.0, 56.0, 70.0, 56.0, 28.0, 8.0, 1.0])
-Coefficients = tuple[float, float, float]
-"""Scaled Bernstein coefficients of degree 2."""
 
 
 def product(one: FloatArray, other: FloatArray) -> FloatArray:
@@ -35,19 +33,10 @@ def product(one: FloatArray, other: FloatArray) -> FloatArray:
     return result
 
 
-def length_squared(x: Coefficients, y: Coefficients) -> FloatArray:
-    """x^2 + y^2; (5,)."""
-    result = np.empty(5)
-    result[0] = x[0] * x[0] + y[0] * y[0]
-    result[1] = 2.0 * (x[0] * x[1] + y[0] * y[1])
-    result[2] = 2.0 * (x[0] * x[2] + y[0] * y[2]) + x[1] * x[1] + y[1] * y[1]
-    result[3] = 2.0 * (x[1] * x[2] + y[1] * y[2])
-    result[4] = x[2] * x[2] + y[2] * y[2]
-    return result
-
-
-def hodograph(cubics: FloatArray, span: int, axis: int, start: float, end: float) -> Coefficients:
-    """A coordinate's derivative over start <= t <= end."""
+def hodograph(
+    cubics: FloatArray, span: int, axis: int, start: float, end: float
+) -> tuple[float, float, float]:
+    """Scaled Bernstein coefficients of a coordinate's derivative over start <= t <= end."""
     c1, c2 = float(cubics[span, 1, axis]), 2.0 * float(cubics[span, 2, axis])
     c3 = 3.0 * float(cubics[span, 3, axis])
     first = c1 + (c2 + c3 * start) * start
@@ -62,9 +51,16 @@ def hodograph(cubics: FloatArray, span: int, axis: int, start: float, end: float
 
 
 def speed_squared(cubics: FloatArray, span: int, start: float, end: float) -> FloatArray:
-    """x'^2 + y'^2 over a piece; (5,)."""
-    x = hodograph(cubics, span, 0, start, end)
-    return length_squared(x, hodograph(cubics, span, 1, start, end))
+    """Scaled Bernstein coefficients of x'^2 + y'^2 over a piece; (5,)."""
+    x0, x1, x2 = hodograph(cubics, span, 0, start, end)
+    y0, y1, y2 = hodograph(cubics, span, 1, start, end)
+    result = np.empty(5)
+    result[0] = x0 * x0 + y0 * y0
+    result[1] = 2.0 * (x0 * x1 + y0 * y1)
+    result[2] = 2.0 * (x0 * x2 + y0 * y2) + x1 * x1 + y1 * y1
+    result[3] = 2.0 * (x1 * x2 + y1 * y2)
+    result[4] = x2 * x2 + y2 * y2
+    return result
 
 
 def quotient(above: FloatArray, below: FloatArray) -> tuple[float, float]:
@@ -129,17 +125,19 @@ def climb_tangent(
 
     From z'^2 over x'^2 + y'^2, both of degree 4.
     """
-    z = hodograph(cubics, span, 2, start, end)
+    z0, z1, z2 = hodograph(cubics, span, 2, start, end)
+    z0, z1, z2 = sign * z0, sign * z1, sign * z2
     speed = speed_squared(cubics, span, start, end)
-    least, most = quotient(length_squared(z, (0.0, 0.0, 0.0)), speed)
+    squared = np.array((z0 * z0, 2.0 * z0 * z1, 2.0 * z0 * z2 + z1 * z1, 2.0 * z1 * z2, z2 * z2))
+    least, most = quotient(squared, speed)
     bound = math.sqrt(most)
-    if max(sign * z[0], max(sign * z[1], sign * z[2])) <= 0.0:
+    if max(z0, max(z1, z2)) <= 0.0:
         bound = -math.sqrt(least) if least < math.inf else 0.0
     value = -math.inf
     if speed[0] > 0.0:
-        value = sign * z[0] / math.sqrt(speed[0])
+        value = z0 / math.sqrt(speed[0])
     if speed[4] > 0.0:
-        value = max(value, sign * z[2] / math.sqrt(speed[4]))
+        value = max(value, z2 / math.sqrt(speed[4]))
     return bound, value
 
 
