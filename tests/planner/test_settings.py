@@ -11,7 +11,7 @@ from planning import LARGE as LIMITS
 from companion.path.envelope import ending_m_s, slowing_m
 from companion.planner import kernels
 from companion.planner.settings import PlannerSettings, Task
-from companion.profiles import FLIGHT, PAPER, PROFILES, Weights
+from companion.profiles import FLIGHT, PAPER, PROFILES
 from companion.world import clearance
 from companion.world.known_map import empty_map
 
@@ -153,6 +153,3 @@ def test_the_paper_profile_is_the_papers() -> None:
     assert (PAPER.samples, PAPER.margin, PAPER.optimiser) == (10, 1.0, "improved-de")
     assert not PAPER.verified
     assert FLIGHT.verified
-    figure_3a = (0.1, 0.15, 0.15, 0.3, 0.3, 1.0)
-    names = ("length", "height", "guide", "crash", "radar", "constraints")
-    assert tuple(getattr(Weights(), name) for name in names) == figure_3a
