@@ -12,7 +12,7 @@ from companion.optimise.registry import OPTIMISERS
 from companion.paper import terms as objective
 from companion.paper.guide import tangent_guide_rad
 from companion.paper.terms import VARIABLES, Scene, control_points, cost_table
-from companion.path.certificate import Prover, certify, pack_surroundings
+from companion.path.certificate import Prover, certify
 from companion.path.subpath import Subpath
 from companion.planner.procedure import hover_pose
 from companion.planner.request import REACH, Planned, PlanRequest
@@ -51,15 +51,9 @@ def reported(
 ) -> Planned:
     """A subpath (K, 3) that is flown as it is; its certificate says what could be proven."""
     task, subpath = request.task, Subpath(control_nea_m=control_nea_m)
-    surroundings = pack_surroundings(
-        request.known,
-        task.limits,
-        task.envelope,
-        clearance_m=task.required_clearance_m,
-        zones=task.zones,
-        radars=task.radars,
-        centre_ne_m=request.scan_nea_m[:2],
-        reach_m=REACH * task.settings.scan_range_m,
+    reach_m = REACH * task.settings.scan_range_m
+    surroundings = task.surroundings(
+        request.known, request.scan_nea_m[:2], reach_m, radars=task.radars
     )
     return Planned(
         plan_id=request.plan_id,

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.bspline import cubics_of, samples_at
-from companion.path.certificate import Prover, certify, pack_surroundings
+from companion.path.certificate import Prover, certify
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
@@ -102,14 +102,7 @@ def _is_proven(
         steepest = max(motion.climb_angle_rad, motion.dive_angle_rad)
         motion = motion._replace(climb_angle_rad=steepest, dive_angle_rad=steepest)
     centre = 0.5 * (control.min(axis=0) + control.max(axis=0))
-    surroundings = pack_surroundings(
-        known,
-        task.limits,
-        motion,
-        clearance_m=task.required_clearance_m,
-        zones=task.zones,
-        centre_ne_m=(float(centre[0]), float(centre[1])),
-        reach_m=float(np.linalg.norm(control - centre, axis=-1).max()),
-        stops=stops,
-    )
+    reach_m = float(np.linalg.norm(control - centre, axis=-1).max())
+    place = float(centre[0]), float(centre[1])
+    surroundings = task.surroundings(known, place, reach_m, motion=motion, stops=stops)
     return certify(subpath, surroundings, from_rest=from_rest, prover=prover).proven

@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.certificate import Certificate, Prover, certify, pack_surroundings
+from companion.path.certificate import Certificate, Prover, certify
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import PlanRequest
@@ -161,16 +161,14 @@ def _kept(
     """What a way is to keep a distance from, the required one at most."""
     task = request.task
     keep_m = min(keep_m, task.required_clearance_m)
-    return pack_surroundings(
+    return task.surroundings(
         known,
-        task.limits,
-        task.envelope,
+        request.start.point_nea_m[:2],
+        task.settings.scan_range_m,
         clearance_m=keep_m,
         contact_m=min(task.envelope.contact_m, keep_m),
         zones=zones,
         radars=task.radars,
-        centre_ne_m=request.start.point_nea_m[:2],
-        reach_m=task.settings.scan_range_m,
     )
 
 

@@ -24,7 +24,7 @@ from companion.objective.scene import (
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
-from companion.path.certificate import Certificate, certify, pack_surroundings
+from companion.path.certificate import Certificate, certify
 from companion.path.envelope import Envelope, slowing_m
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath
@@ -582,13 +582,6 @@ def _surface(request: PlanRequest, clearance_m: float) -> Surface:
 
 def _surroundings(request: PlanRequest, speed_m_s: float) -> Surroundings:
     task, scan_ne_m = request.task.at_speed(speed_m_s), request.scan_nea_m[:2]
-    return pack_surroundings(
-        request.known,
-        task.limits,
-        task.envelope,
-        clearance_m=task.required_clearance_m,
-        zones=task.zones,
-        radars=task.radars_near(scan_ne_m, _IN_REACH * task.settings.scan_range_m),
-        centre_ne_m=scan_ne_m,
-        reach_m=REACH * task.settings.scan_range_m,
-    )
+    range_m = task.settings.scan_range_m
+    radars = task.radars_near(scan_ne_m, _IN_REACH * range_m)
+    return task.surroundings(request.known, scan_ne_m, REACH * range_m, radars=radars)

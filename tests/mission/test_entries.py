@@ -19,7 +19,7 @@ from companion.mission.events import (
     StopAsked,
     Tick,
 )
-from companion.path.certificate import Certificate, certify, pack_surroundings
+from companion.path.certificate import Certificate, certify
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import NotPlanned, PlanRequest, Refusal
 from companion.world.known_map import KnownMap
@@ -57,15 +57,9 @@ def request(**changes: Any) -> PlanRequest:
 
 
 def proof(asked: PlanRequest, subpath: Subpath) -> Certificate:
-    surroundings = pack_surroundings(
-        asked.known,
-        asked.task.limits,
-        asked.task.envelope,
-        clearance_m=asked.task.required_clearance_m,
-        zones=asked.task.zones,
-        radars=asked.task.radars,
-        centre_ne_m=asked.scan_nea_m[:2],
-        reach_m=25_000.0,
+    task = asked.task
+    surroundings = task.surroundings(
+        asked.known, asked.scan_nea_m[:2], 25_000.0, radars=task.radars
     )
     return certify(subpath, surroundings, from_rest=False)
 
