@@ -26,8 +26,7 @@ from companion.world.zones import Zone, packed
 Prover = Callable[[FloatArray, Surroundings, bool], Bounds]
 """`proof.prove`, or the same compiled."""
 
-_SANE_M = 1e8
-"""No control point is farther out than this: the arithmetic of the proof stays finite."""
+_SANE_M = 1e8  # no control point is farther out than this: the arithmetic of the proof stays finite
 _SETTINGS = {
     "terrain clearance": "planner.safety_distance_m",
     "keep-out zone": "planner.safety_distance_m",

@@ -11,12 +11,10 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 
-_GOOD = 1e-3
-"""A bound this near (relative) to a value that the curve does take is tight."""
+_GOOD = 1e-3  # a bound this near (relative) to a value that the curve does take is tight
 _FINEST = 2.0**-20  # of a span: a piece that is not tight by then ends in a cusp
 _NOTHING = 1e-14  # rounding of sums, relative
-_STRAIGHT = 1e-12
-"""A span whose curvature is this small, relative to what it could be, is straight."""
+_STRAIGHT = 1e-12  # a span whose curvature is this small, relative to what it could be, is straight
 _LOOKS_BACK = 1e-9
 """A leg against the track's direction, or a whole track, this short, relative, is rounding."""
 _STACK = 64  # halves that wait, two for each halving: 40 at most

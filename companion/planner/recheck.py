@@ -15,8 +15,7 @@ from companion.world.zones import Zone, gaps_m, packed
 
 _LEEWAY, _LEEWAY_M = 2e-3, 0.01
 """Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
-_BAND_SLACK_M = 0.5
-"""A ceiling above home moves that much with where the autopilot has its home."""
+_BAND_SLACK_M = 0.5  # a ceiling above home moves that much with where the autopilot has its home
 _BAND_SAMPLES = 100
 """A leg climbs by less than its climb angle over 1 % of its length between two of them."""
 
