@@ -235,11 +235,7 @@ def expected_to_go_m(control: FloatArray, scene: Scene) -> float:
 
 
 def expected_crash(
-    curve: Any,
-    u: list[float],
-    points: list[FloatArray],
-    chords: list[float],
-    scene: Scene,
+    curve: Any, u: list[float], points: list[FloatArray], chords: list[float], scene: Scene
 ) -> float:
     total = 0.0
     for a, b in pairwise(points):

@@ -327,24 +327,18 @@ def test_random_curves_keep_at_least_what_their_certificates_promise(cases: int)
     for seed in range(cases):
         case = random_case(np.random.default_rng([9, seed]))
         told = certify(
-            Subpath(control_nea_m=case.control_nea_m),
-            case.surroundings(),
-            from_rest=case.from_rest,
+            Subpath(control_nea_m=case.control_nea_m), case.surroundings(), from_rest=case.from_rest
         )
         assert broken_by(told, truth(case, samples=100)) == [], seed
 
 
-def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(
-    cases: int,
-) -> None:
+def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(cases: int) -> None:
     safe = 0
     for seed in range(cases):
         case = random_case(np.random.default_rng([10, seed]))
         spare = 0.02 * (case.clearance_m - case.motion.contact_m)
         told = certify(
-            Subpath(control_nea_m=case.control_nea_m),
-            case.surroundings(),
-            from_rest=case.from_rest,
+            Subpath(control_nea_m=case.control_nea_m), case.surroundings(), from_rest=case.from_rest
         )
         if case.limits.loiter_radius_m:
             continue  # the truth about a circle is that of some of its points only

@@ -14,14 +14,7 @@ from companion.path.envelope import flown_on_m, stopping_m
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
-from companion.planner.procedure import (
-    Leg,
-    Reference,
-    follow,
-    may_leave,
-    off_path_m,
-    sent_pose,
-)
+from companion.planner.procedure import Leg, Reference, follow, may_leave, off_path_m, sent_pose
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map

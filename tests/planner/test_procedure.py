@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from planning import leg_of, limits
 
 from companion.path.envelope import Envelope, slowing_m
-from companion.planner.procedure import (
-    Leg,
-    Reference,
-    advance,
-    ahead_m,
-    is_at_end,
-    off_path_m,
-)
+from companion.planner.procedure import Leg, Reference, advance, ahead_m, is_at_end, off_path_m
 from companion.planner.settings import PlannerSettings, Task
 
 FloatArray = NDArray[np.float64]
@@ -97,11 +90,7 @@ def test_a_leg_with_a_successor_is_flown_to_its_end_at_full_speed() -> None:
 
 
 @settings(max_examples=25)
-@given(
-    tick_s=ticks,
-    slope=st.floats(0.1, 2.0),
-    way=st.sampled_from([1.0, -1.0]),
-)
+@given(tick_s=ticks, slope=st.floats(0.1, 2.0), way=st.sampled_from([1.0, -1.0]))
 def test_it_climbs_and_dives_no_faster_than_the_climb_rate(
     tick_s: float, slope: float, way: float
 ) -> None:
