@@ -52,9 +52,7 @@ def reported(
     """A subpath (K, 3) that is flown as it is; its certificate says what could be proven."""
     task, subpath = request.task, Subpath(control_nea_m=control_nea_m)
     reach_m = REACH * task.settings.scan_range_m
-    surroundings = task.surroundings(
-        request.known, request.scan_nea_m[:2], reach_m, radars=task.radars
-    )
+    surroundings = task.surroundings(request.known, request.scan_nea_m[:2], reach_m)
     return Planned(
         plan_id=request.plan_id,
         kernel="numpy",

@@ -157,7 +157,6 @@ def _kept(
         clearance_m=keep_m,
         contact_m=min(task.envelope.contact_m, keep_m),
         zones=zones,
-        radars=task.radars,
     )
 
 

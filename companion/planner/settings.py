@@ -149,9 +149,11 @@ class Task:
         self, known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float, **otherwise: Any
     ) -> Surroundings:
         """What certificates of its paths are about; otherwise: as of `pack_surroundings`."""
-        asked: dict[str, Any] = {"clearance_m": self.required_clearance_m, "zones": self.zones}
-        asked |= {"motion": self.envelope, "centre_ne_m": centre_ne_m, "reach_m": reach_m}
-        return pack_surroundings(known, self.limits, **(asked | otherwise))
+        asked: dict[str, Any] = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
+        asked |= {"zones": self.zones, "radars": self.radars} | otherwise
+        return pack_surroundings(
+            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **asked
+        )
 
     @cached_property
     def take_off_amsl_m(self) -> float:

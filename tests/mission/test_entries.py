@@ -57,10 +57,7 @@ def request(**changes: Any) -> PlanRequest:
 
 
 def proof(asked: PlanRequest, subpath: Subpath) -> Certificate:
-    task = asked.task
-    surroundings = task.surroundings(
-        asked.known, asked.scan_nea_m[:2], 25_000.0, radars=task.radars
-    )
+    surroundings = asked.task.surroundings(asked.known, asked.scan_nea_m[:2], 25_000.0)
     return certify(subpath, surroundings, from_rest=False)
 
 

@@ -336,19 +336,19 @@ def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(
     safe = 0
     for seed in range(cases):
         case = random_case(np.random.default_rng([10, seed]))
-        spare = 0.02 * (case.clearance_m - case.motion.contact_m)
+        spare = 0.02 * (case.task.required_clearance_m - case.task.envelope.contact_m)
         told = certify(
             Subpath(control_nea_m=case.control_nea_m), case.surroundings(), from_rest=case.from_rest
         )
-        if case.limits.loiter_radius_m:
+        if case.task.limits.loiter_radius_m:
             continue  # the truth about a circle is that of some of its points only
         hopeless = {"keep-out zone", "turn radius"} & set(told.broken)
-        if hopeless or told.clearance_m < 0.5 * case.clearance_m:
+        if hopeless or told.clearance_m < 0.5 * case.task.required_clearance_m:
             continue  # spares the search for the truth; what is wrongly hopeless fails above
         real = truth(case, samples=100)
         if (
-            real.clearance_m >= case.clearance_m + spare
-            and real.dead_man_m >= case.motion.contact_m + spare
+            real.clearance_m >= case.task.required_clearance_m + spare
+            and real.dead_man_m >= case.task.envelope.contact_m + spare
         ):
             safe += 1
             assert not {"terrain clearance", "dead-man reach"} & set(told.broken), seed

@@ -96,7 +96,7 @@ def test_the_distance_from_the_terrain_is_that_of_the_nearest_column(
     limit *= here.clearance_m
     told = terrain_distance(columns_, segment, limit, 0.1, np.empty((maxima.size, 3)))
     points = np.array(segment[:3]) + np.linspace(0, 1, 200)[:, None] * np.array(segment[3:])
-    around = case.known.grown(case.limits.loiter_radius_m)
+    around = case.known.grown(case.task.limits.loiter_radius_m)
     brute = min(float(column_distance_m(around, points).min()), limit)
     assert told <= brute + 1e-6
     assert told >= brute - 0.1 - length / 200.0
@@ -113,7 +113,7 @@ def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
     seed: int, flown: float, left: float, overrun_m: float, settling_s: float
 ) -> None:
     case = a_case(seed)
-    motion = case.motion._replace(overrun_m=overrun_m, settling_s=settling_s)
+    motion = case.task.envelope._replace(overrun_m=overrun_m, settling_s=settling_s)
     here = case.surroundings()._replace(motion=motion)
     control = a_curve(seed)
     cubics = cubics_of(control)
