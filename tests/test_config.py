@@ -104,7 +104,7 @@ def test_the_take_off_ends_where_paths_may_begin(
     )
     mission = load(file, text)
     error_m = tracking_m + navigation_m
-    assert mission.task.margins.band_inset_m == pytest.approx(error_m)
+    assert mission.task.error_m == pytest.approx(error_m)
     low, high = mission.task.band_amsl_m
     assert 3000.0 + error_m <= low <= mission.task.take_off_amsl_m < high <= 5000.0 - error_m
 

@@ -42,8 +42,7 @@ BETWEEN = 3  # points a chord at which terrain and zones count: they are met at 
 _FAR = 1e12
 
 
-LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(7)
-"""Places of `TERMS`."""
+LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(7)  # places of `TERMS`
 
 
 def cost(x: FloatArray, bound: float, scene: Scene) -> float:

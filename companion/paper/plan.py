@@ -12,8 +12,9 @@ from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.paper.guide import tangent_guide_rad
 from companion.paper.terms import VARIABLES, Scene, control_points, cost, cost_table
-from companion.path.certificate import Prover, certify, pack_surroundings
+from companion.path.certificate import Prover, certify
 from companion.path.subpath import Subpath
+from companion.planner.procedure import hover_pose
 from companion.planner.request import REACH, Planned, PlanRequest
 from companion.world.clearance import terrain_surface
 
@@ -42,15 +43,8 @@ def reported(
 ) -> Planned:
     """A subpath (K, 3) that is flown as it is; its certificate says what could be proven."""
     task, subpath = request.task, Subpath(control_nea_m=control_nea_m)
-    surroundings = pack_surroundings(
-        request.known,
-        task.limits,
-        task.radars,
-        task.zones,
-        task.margins,
-        centre_ne_m=request.scan_nea_m[:2],
-        reach_m=REACH * task.settings.scan_range_m,
-    )
+    reach_m = REACH * task.settings.scan_range_m
+    surroundings = task.surroundings(request.known, request.scan_nea_m[:2], reach_m)
     return Planned(
         plan_id=request.plan_id,
         kernel="numpy",
@@ -83,7 +77,9 @@ def scene_of(request: PlanRequest) -> Scene:
     reach_m = REACH * settings.scan_range_m
     return Scene(
         task=task,
-        start=request.start.facing(guide) if request.from_rest else request.start,
+        start=hover_pose(request.start.position_nea_m, guide)
+        if request.from_rest
+        else request.start,
         scan_ne_m=scan_ne,
         guide_rad=guide,
         final_ne_m=target if final else None,

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import climb_angle_rad, uniform_basis
+from companion.path.bspline import uniform_basis
 from companion.path.subpath import Pose
 from companion.planner.settings import Task
 from companion.profiles import PAPER
@@ -130,7 +130,8 @@ def constraints(points: FloatArray, scene: Scene) -> FloatArray:
     chords = np.diff(points, axis=1)  # (P, S, 3)
     turn = np.abs(_wrapped(np.diff(np.arctan2(chords[..., 1], chords[..., 0]), axis=1)))
     alpha = np.maximum(turn - _CHORD_TURN_RAD, 0.0).sum(axis=1)
-    beta = _beyond(climb_angle_rad(chords), (-limits.dive_angle_rad, limits.climb_angle_rad))
+    climb_rad = np.arctan2(chords[..., 2], np.hypot(chords[..., 0], chords[..., 1]))
+    beta = _beyond(climb_rad, (-limits.dive_angle_rad, limits.climb_angle_rad))
     angles = _ANGLE_SCALE * (alpha + beta.sum(axis=1))
     # f_v: how far samples lie outside the altitude band or the map (row 22)
     north, east, altitude = np.moveaxis(points[:, 1:], -1, 0)

@@ -72,19 +72,3 @@ def _cubics_by_legs(points: int) -> FloatArray:
     moved = speed + second[:-1] / 2.0 + third / 6.0
     start = np.cumsum(moved, axis=0) - moved
     return np.stack([start, speed, second[:-1] / 2.0, third / 6.0], axis=1)
-
-
-def horizontal_curvature_1_m(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Curvature of the ground track, 1/m.  (..., 3) x2 -> (...).
-
-    |x' y'' - y' x''| / (x'^2 + y'^2)^(3/2): the inverse of the radius that a vehicle turns at.
-    first, second: derivatives of the curve by its parameter.
-    """
-    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-    speed = np.hypot(first[..., 0], first[..., 1])
-    return np.abs(cross) / np.maximum(speed, 1e-9) ** 3
-
-
-def climb_angle_rad(first: FloatArray) -> FloatArray:
-    """Climb (positive) or dive (negative) angle of the curve, radians.  (..., 3) -> (...)."""
-    return np.arctan2(first[..., 2], np.hypot(first[..., 0], first[..., 1]))

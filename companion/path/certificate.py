@@ -16,35 +16,17 @@ from companion.geodesy import FloatArray
 from companion.path.bspline import cubics_of
 from companion.path.envelope import Envelope, flown_on_m
 from companion.path.limits import Limits
-from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, Surroundings, prove
+from companion.path.proof import ROUNDING, ROUNDING_M, Bounds, Surroundings, prove
 from companion.path.subpath import Subpath
 from companion.world.columns import pack_columns
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import Zone, packed
 
-Prover = Callable[[FloatArray, Surroundings, bool], FloatArray]
+Prover = Callable[[FloatArray, Surroundings, bool], Bounds]
 """`proof.prove`, or the same compiled."""
 
-_SANE_M = 1e8
-"""No control point is farther out than this: the arithmetic of the proof stays finite."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Margins:
-    """What a subpath keeps from the known world, metres."""
-
-    clearance_m: float
-    """The curve keeps this from terrain and zones: d_s, tracking and navigation error."""
-    contact_m: float
-    """The dead-man stretches keep this: tracking and navigation error."""
-    band_inset_m: float
-    """The curve keeps this from the floor and the ceiling of the altitude band."""
-    motion: Envelope
-    """How the vehicle moves."""
-
-
+_SANE_M = 1e8  # no control point is farther out than this: the arithmetic of the proof stays finite
 _SETTINGS = {
     "terrain clearance": "planner.safety_distance_m",
     "keep-out zone": "planner.safety_distance_m",
@@ -128,38 +110,37 @@ def certify(
     from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
     finite is never proven, and no error.
     """
-    control, values = subpath.control_nea_m, [math.nan] * (RESULTS - 1) + [0.0]
+    control, told = subpath.control_nea_m, Bounds._make([math.nan] * 11 + [0.0])
     if np.all(np.abs(control) < _SANE_M):
-        values = prover(cubics_of(control), around, from_rest).tolist()
-    clearance, keep_out, dead_man, curvature, climb, dive = values[:6]
-    lowest, highest, off_map, radar, detection, pieces = values[6:]
+        told = Bounds._make(map(float, prover(cubics_of(control), around, from_rest)))
+    steeper = 1.0 + 2.0 * ROUNDING
     kept = {
-        "terrain clearance": clearance >= around.clearance_m - ROUNDING_M,
-        "keep-out zone": keep_out >= around.clearance_m - ROUNDING_M,
-        "dead-man reach": dead_man >= around.contact_m - ROUNDING_M,
-        "turn radius": curvature <= around.curvature_1_m * (1.0 + 2.0 * ROUNDING),
-        "climb angle": climb <= around.climb * (1.0 + 2.0 * ROUNDING),
-        "dive angle": dive <= around.dive * (1.0 + 2.0 * ROUNDING),
-        "floor of the band": lowest >= around.lowest_nea_m[2] - ROUNDING_M,
-        "ceiling of the band": highest <= around.highest_nea_m[2] + ROUNDING_M,
-        "edge of the map": off_map <= ROUNDING_M,
+        "terrain clearance": told.clearance_m >= around.clearance_m - ROUNDING_M,
+        "keep-out zone": told.keep_out_m >= around.clearance_m - ROUNDING_M,
+        "dead-man reach": told.dead_man_m >= around.contact_m - ROUNDING_M,
+        "turn radius": told.curvature_1_m <= around.curvature_1_m * steeper,
+        "climb angle": told.climb <= around.climb * steeper,
+        "dive angle": told.dive <= around.dive * steeper,
+        "floor of the band": told.lowest_m >= around.lowest_nea_m[2] - ROUNDING_M,
+        "ceiling of the band": told.highest_m <= around.highest_nea_m[2] + ROUNDING_M,
+        "edge of the map": told.off_map_m <= ROUNDING_M,
     }
     return Certificate(
-        clearance_m=clearance,
-        keep_out_m=keep_out,
-        dead_man_m=dead_man,
+        clearance_m=told.clearance_m,
+        keep_out_m=told.keep_out_m,
+        dead_man_m=told.dead_man_m,
         required_clearance_m=around.clearance_m,
         required_contact_m=around.contact_m,
         speed_m_s=around.motion.speed_m_s,
-        turn_radius_m=1.0 / curvature if curvature != 0.0 else math.inf,
-        climb_angle_rad=math.atan(climb),
-        dive_angle_rad=math.atan(dive),
-        lowest_amsl_m=lowest,
-        highest_amsl_m=highest,
-        off_map_m=off_map,
-        radar_m=radar,
-        detection=detection,
-        pieces=int(pieces),
+        turn_radius_m=1.0 / told.curvature_1_m if told.curvature_1_m != 0.0 else math.inf,
+        climb_angle_rad=math.atan(told.climb),
+        dive_angle_rad=math.atan(told.dive),
+        lowest_amsl_m=told.lowest_m,
+        highest_amsl_m=told.highest_m,
+        off_map_m=told.off_map_m,
+        radar_m=told.radar_m,
+        detection=told.detection,
+        pieces=int(told.pieces),
         broken=tuple(name for name, is_kept in kept.items() if not is_kept),
     )
 
@@ -167,44 +148,46 @@ def certify(
 def pack_surroundings(
     known: KnownMap,
     limits: Limits,
-    radars: tuple[Radar, ...],
-    zones: tuple[Zone, ...],
-    margins: Margins,
+    motion: Envelope,
     *,
+    clearance_m: float,
+    zones: tuple[Zone, ...],
     centre_ne_m: tuple[float, float],
     reach_m: float,
+    radars: tuple[Radar, ...] = (),
+    contact_m: float | None = None,
     stops: bool = True,
 ) -> Surroundings:
     """What certificates are about, as plain arrays; made once per plan.
 
+    The curves keep clearance_m from terrain and zones, and so much of the altitude band that the
+    vehicle stays in it; the dead-man stretches keep contact_m (None: what the vehicle may be off).
     centre_ne_m, reach_m: the curves stay within this of there (their straight dead-man stretches
     may leave it).  What lies farther out counts as terrain without a top.
     stops: the vehicle stops at the end of a curve; else it may go on from there at full speed.
     """
-    motion = margins.motion
-    farther_m = flown_on_m(motion, motion.speed_m_s) + 3.0 * margins.clearance_m
+    farther_m = flown_on_m(motion, motion.speed_m_s) + 3.0 * clearance_m
     registration_m = known.registration_m + motion.loiter_m
     (south_m, north_m), (west_m, east_m) = limits.north_m, limits.east_m
-    floor_m = limits.floor_amsl_m + margins.band_inset_m
-    ceiling_m = limits.ceiling_amsl_m - margins.band_inset_m
+    low_m, high_m = limits.inner_band_amsl_m(motion.error_m)
     circles = [(*radar.centre_nea_m, radar.range_m) for radar in radars]
     return Surroundings(
         columns=pack_columns(
             known,
             centre_ne_m=centre_ne_m,
             reach_m=reach_m + farther_m + registration_m,
-            block=max(2, min(16, round(0.75 * margins.clearance_m / known.cell_m))),
+            block=max(2, min(16, round(0.75 * clearance_m / known.cell_m))),
             registration_m=registration_m,
         ),
         zones=packed(zones),
         radars=np.array(circles, dtype=np.float64).reshape(-1, 4),
-        clearance_m=float(margins.clearance_m),
-        contact_m=float(margins.contact_m),
+        clearance_m=float(clearance_m),
+        contact_m=float(motion.contact_m if contact_m is None else contact_m),
         motion=motion,
         stops=stops,
-        curvature_1_m=1.0 / limits.turn_radius_m,
-        climb=math.tan(limits.climb_angle_rad),
-        dive=math.tan(limits.dive_angle_rad),
-        lowest_nea_m=(float(south_m), float(west_m), float(floor_m)),
-        highest_nea_m=(float(north_m), float(east_m), float(ceiling_m)),
+        curvature_1_m=1.0 / motion.turn_radius_m,
+        climb=math.tan(motion.climb_angle_rad),
+        dive=math.tan(motion.dive_angle_rad),
+        lowest_nea_m=(float(south_m), float(west_m), float(low_m)),
+        highest_nea_m=(float(north_m), float(east_m), float(high_m)),
     )

@@ -121,10 +121,6 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
         lateral = max(tube_m - handling.steady_m, 0.5 * tube_m) / handling.turning_s2
     if handling.leading_s2 > 0.0:
         lateral = min(lateral, tube_m / handling.leading_s2)
-    turn_m_s2 = min(lateral, limits.speed_m_s**2 / limits.turn_radius_m)
-    unwound_s = turn_m_s2 / (_JERKS_1_S * limits.acceleration_m_s2)
-    turned_rad = 0.5 * turn_m_s2 * unwound_s / limits.speed_m_s  # the acceleration falls evenly
-    turned_rad += convergence_rad * handling.turns_with_grid
     motion = Envelope(
         speed_m_s=float(limits.speed_m_s),
         braking_m_s2=float(limits.acceleration_m_s2),
@@ -146,6 +142,10 @@ def envelope_of(limits: Limits, handling: Handling, convergence_rad: float = 0.0
     )
     if not limits.hovers:
         return motion
+    turn_m_s2 = min(lateral, limits.speed_m_s**2 / limits.turn_radius_m)
+    unwound_s = turn_m_s2 / (_JERKS_1_S * limits.acceleration_m_s2)
+    turned_rad = 0.5 * turn_m_s2 * unwound_s / limits.speed_m_s  # the acceleration falls evenly
+    turned_rad += convergence_rad * handling.turns_with_grid
     return motion._replace(aside_m=turned_rad * flown_on_m(motion, motion.speed_m_s))
 
 
@@ -164,12 +164,9 @@ def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
 
 def ending_m_s(it: Envelope, left_m: float) -> float:
     """The fastest that the reference point is so far before the end of a leg, where it stops."""
-    speed = it.speed_m_s
-    for room_m, delay_s in ((left_m, it.settling_s), (left_m + it.overrun_m, it.dead_man_s)):
-        delay = it.braking_m_s2 * delay_s  # as in `slowed_m_s`: it is asked for with each position
-        eased = math.sqrt(delay * delay + 2.0 * it.braking_m_s2 * max(room_m, 0.0)) - delay
-        speed = min(speed, eased)
-    return speed
+    stopping = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
+    left_alone = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
+    return min(min(it.speed_m_s, stopping), left_alone)
 
 
 def rising_m_s(it: Envelope, flown_m: float) -> float:

@@ -51,3 +51,7 @@ class Limits:
     def hovers(self) -> bool:
         """Whether the vehicle can stand still in the air."""
         return self.kind == "copter"
+
+    def inner_band_amsl_m(self, inset_m: float) -> tuple[float, float]:
+        """Floor and ceiling of a path, so that a vehicle so far from it stays in the band."""
+        return self.floor_amsl_m + inset_m, self.ceiling_amsl_m - inset_m

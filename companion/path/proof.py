@@ -23,9 +23,6 @@ from companion.world.zones import ZoneTable, zone_distance
 ROUNDING = 1e-9
 """A bound missed by no more than this, relative, is missed by arithmetic and not by the curve."""
 ROUNDING_M = 1e-6
-RESULTS = 12
-"""Clearance, keep-outs, dead man, curvature, climb, dive, lowest, highest, off map, radar length,
-detection, pieces."""
 _PIECES = 24  # that a curve is cut into at first, about
 _BUDGET = 3_000  # pieces for each bound; what is not proven by then is not
 _FINEST = 2.0**-24  # of a span: 1 mm of 20 km, below which halving brings nothing
@@ -68,9 +65,34 @@ class Question(NamedTuple):
     """Scratch of `terrain_distance`."""
 
 
-Piece = tuple[Segment, float, float, float]
-"""Its chord; sag, how far it may be from the chord; turn, the cosine of the half-angle of the cone
-about the chord that holds its tangents; its length at most, metres."""
+class Piece(NamedTuple):
+    """A piece of a curve, as its chord and what surrounds that."""
+
+    chord: Segment
+    sag: float
+    """How far the piece may be from its chord, metres."""
+    cosine: float
+    """Of the half-angle of the cone about the chord that holds the tangents of the piece."""
+    length: float
+    """At most, metres."""
+
+
+class Bounds(NamedTuple):
+    """What a whole curve keeps and comes to, as `certificate.Certificate` tells it."""
+
+    clearance_m: float
+    keep_out_m: float
+    dead_man_m: float
+    curvature_1_m: float
+    climb: float
+    """As a tangent; `dive` likewise."""
+    dive: float
+    lowest_m: float
+    highest_m: float
+    off_map_m: float
+    radar_m: float
+    detection: float
+    pieces: float
 
 
 def part_of(
@@ -124,7 +146,7 @@ def piece_of(cubics: FloatArray, span: int, start: float, end: float) -> Piece:
         squared = 0.0
     one = across(bx + cx, by + cy, bz + cz, dx, dy, dz, squared)
     two = across(bx + 2.0 * cx, by + 2.0 * cy, bz + 2.0 * cz, dx, dy, dz, squared)
-    return (x, y, z, dx, dy, dz), 0.25 * max(one, two), least, length
+    return Piece((x, y, z, dx, dy, dz), 0.25 * max(one, two), least, length)
 
 
 def stretch_of(
@@ -158,7 +180,7 @@ def first_pieces(cubics: FloatArray) -> FloatArray:
     for k in range(spans * each):
         table[k, 0], table[k, 1], table[k, 2] = k // each, k % each / each, (k % each + 1) / each
         table[k, 3] = flown
-        flown += piece_of(cubics, k // each, float(table[k, 1]), float(table[k, 2]))[3]
+        flown += piece_of(cubics, k // each, float(table[k, 1]), float(table[k, 2])).length
     table[:-1, 4] = flown - table[1:, 3]
     return table
 
@@ -174,13 +196,13 @@ def part_distance(
     cubics, around, row = asked.cubics, asked.around, asked.rows[k]
     span = int(row[0])
     piece = piece_of(cubics, span, start, end)
-    segment, slack = piece[0], piece[1]
+    segment, slack = piece.chord, piece.sag
     if what == _DEAD_MAN:
         flown, left = math.inf, math.inf
         if around.stops:
-            left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
+            left = row[4] + piece_of(cubics, span, start, float(row[2])).length
         if asked.from_rest:
-            flown = row[3] + piece_of(cubics, span, float(row[1]), end)[3]
+            flown = row[3] + piece_of(cubics, span, float(row[1]), end).length
         segment, slack = stretch_of(around, piece, flown, left)
     if slack > max(limit, 0.0) + 2.0 * around.clearance_m:
         return (0.0 if what == _TERRAIN else -_NEVER), limit, slack  # too coarse to be worth it
@@ -274,18 +296,18 @@ def exposure(
             piece = piece_of(cubics, span, start, end)
             inside, perhaps, most = under_radars(around.radars, piece)
             count += 1
-            if perhaps and piece[3] > short and count < _BUDGET:
+            if perhaps and piece.length > short and count < _BUDGET:
                 middle = 0.5 * (start + end)
                 stack[depth, 0], stack[depth, 1] = middle, end
                 stack[depth + 1, 0], stack[depth + 1, 1] = start, middle
                 depth += 2
             elif inside or perhaps:
-                within, detection = within + piece[3], max(detection, most)
+                within, detection = within + piece.length, max(detection, most)
     return within, detection, count
 
 
-def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> FloatArray:
-    """Every bound over the whole curve.  -> (RESULTS,); finite input is the caller's duty.
+def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
+    """Every bound over the whole curve; finite input is the caller's duty.
 
     cubics (spans, 4, 3): coefficients of 1, t, t^2, t^3 over 0 <= t <= 1, span after span.
     from_rest: the vehicle hovers at the curve's start, and is the slower for it.  A plane has no
@@ -293,28 +315,27 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> FloatArr
     """
     rows, found = first_pieces(cubics), np.empty((around.columns.blocks_m.size, 3))
     asked = Question(cubics, around, rows, from_rest, found)
-    result = np.empty(RESULTS)
-    result[1], pieces = math.inf, 0
+    far, steep, pieces = np.full(3, math.inf), np.empty(3), 0
     for what in range(3):  # terrain, zones, dead man; in a loop, so that it is compiled once
         cap = 2.0 * around.clearance_m
         if what == _DEAD_MAN:
             cap = around.contact_m + 0.25 * around.clearance_m
         if what == _DEAD_MAN and around.motion.loiter_m > 0.0:
-            result[what] = min(cap, min(result[_TERRAIN], result[_ZONES]))
+            far[what] = min(cap, min(far[_TERRAIN], far[_ZONES]))
         elif what != _ZONES or around.zones.circles.size + around.zones.polygons.size > 0:
-            result[what], more = least_distance(asked, what, cap)
+            far[what], more = least_distance(asked, what, cap)
             pieces += more
     for what in range(3):  # squared curvature, climb, dive
         limit = (around.curvature_1_m**2, around.climb, around.dive)[what] * (1.0 + ROUNDING)
-        bound, more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
-        result[3 + what] = math.sqrt(bound) if what == 0 else bound
+        steep[what], more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
         pieces += more
-    result[6], result[7] = extremes(cubics, 2)
-    result[8] = 0.0
+    lowest, highest = extremes(cubics, 2)
+    off = 0.0
     for axis in range(2):
         low, high = extremes(cubics, axis)
-        off = max(around.lowest_nea_m[axis] - low, high - around.highest_nea_m[axis])
-        result[8] = max(result[8], off)
-    result[9], result[10], more = exposure(cubics, around, rows)
-    result[11] = pieces + more
-    return result
+        off = max(off, max(around.lowest_nea_m[axis] - low, high - around.highest_nea_m[axis]))
+    radar, detection, more = exposure(cubics, around, rows)
+    return Bounds(
+        *(far[_TERRAIN], far[_ZONES], far[_DEAD_MAN], math.sqrt(steep[0]), steep[1], steep[2]),
+        *(lowest, highest, off, radar, detection, pieces + more),
+    )

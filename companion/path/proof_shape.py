@@ -11,26 +11,24 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 
-_GOOD = 1e-3
-"""A bound this near (relative) to a value that the curve does take is tight."""
+_GOOD = 1e-3  # a bound this near (relative) to a value that the curve does take is tight
 _FINEST = 2.0**-20  # of a span: a piece that is not tight by then ends in a cusp
 _NOTHING = 1e-14  # rounding of sums, relative
-_STRAIGHT = 1e-12
-"""A span whose curvature is this small, relative to what it could be, is straight."""
+_STRAIGHT = 1e-12  # a span whose curvature is this small, relative to what it could be, is straight
 _LOOKS_BACK = 1e-9
 """A leg against the track's direction, or a whole track, this short, relative, is rounding."""
 _STACK = 64  # halves that wait, two for each halving: 40 at most
 _BUDGET = 3_000  # pieces; what is not within the limit by then is not proven
-_CHOOSE_8 = (1.0, 8.0, 28.0, 56.0, 70.0, 56.0, 28.0, 8.0, 1.0)
+_CHOOSE_8 = np.array([1.0, 8.0, 28.0, 56.0, 70.0, 56.0, 28.0, 8.0, 1.0])
 
 
-def times(one: FloatArray, m: int, other: FloatArray, n: int, product: FloatArray) -> None:
-    """Product of polynomials of degree m - 1 and n - 1, by their scaled coefficients."""
-    for k in range(m + n - 1):
-        product[k] = 0.0
-    for i in range(m):
-        for j in range(n):
-            product[i + j] += one[i] * other[j]
+def product(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Product of polynomials by their scaled coefficients.  (M,), (N,) -> (M + N - 1,)."""
+    result = np.zeros(len(one) + len(other) - 1)
+    for i in range(len(one)):
+        for j in range(len(other)):
+            result[i + j] += one[i] * other[j]
+    return result
 
 
 def hodograph(
@@ -63,13 +61,13 @@ def speed_squared(cubics: FloatArray, span: int, start: float, end: float) -> Fl
     return result
 
 
-def quotient(above: FloatArray, below: FloatArray, count: int) -> tuple[float, float]:
+def quotient(above: FloatArray, below: FloatArray) -> tuple[float, float]:
     """Least and largest quotient of coefficients; (0, inf) where a denominator is not positive.
 
     Where both are 0, at the end of a curve that starts or stops there, they say nothing.
     """
     least, most = math.inf, 0.0
-    for k in range(count):
+    for k in range(len(above)):
         if below[k] > 0.0:
             least = min(least, above[k] / below[k])
             most = max(most, above[k] / below[k])
@@ -90,7 +88,7 @@ def size_of(cubics: FloatArray, span: int) -> float:
 
 
 def curvature_squared(
-    cubics: FloatArray, span: int, start: float, end: float, forward: bool, scratch: FloatArray
+    cubics: FloatArray, span: int, start: float, end: float, forward: bool
 ) -> tuple[float, float]:
     """Upper bound of the squared horizontal curvature over a piece, and its value at an end.
 
@@ -101,29 +99,25 @@ def curvature_squared(
     x3, y3 = float(cubics[span, 3, 0]), float(cubics[span, 3, 1])
     k0, k1 = 2.0 * (x1 * y2 - y1 * x2), 6.0 * (x1 * y3 - y1 * x3)
     k2 = 6.0 * (x2 * y3 - y2 * x3)
-    cross, speed = scratch[0], speed_squared(cubics, span, start, end)
-    slowest = min(min(speed[0], speed[1]), min(min(speed[2], speed[3]), speed[4]))
+    speed = speed_squared(cubics, span, start, end)
     if max(abs(k0), max(abs(k1), abs(k2))) <= _STRAIGHT * size_of(cubics, span) ** 2:
-        return (0.0 if forward or slowest > 0.0 else math.inf), 0.0  # it may stop and turn back
+        may_stop = speed.min() <= 0.0  # and turn back
+        return (math.inf if may_stop and not forward else 0.0), 0.0
+    cross = np.empty(3)
     cross[0] = k0 + (k1 + k2 * start) * start
     cross[1] = 2.0 * k0 + k1 * (start + end) + 2.0 * k2 * start * end
     cross[2] = k0 + (k1 + k2 * end) * end
-    times(cross, 3, cross, 3, scratch[1])
-    for k in range(9):
-        scratch[2, k] = _CHOOSE_8[k]
-    times(scratch[1], 5, scratch[2], 9, scratch[3])
-    times(speed, 5, speed, 5, scratch[1])
-    times(scratch[1], 9, speed, 5, scratch[2])
-    _, most = quotient(scratch[3], scratch[2], 13)
+    above = product(product(cross, cross), _CHOOSE_8)
+    below = product(product(speed, speed), speed)
     value = 0.0
     for at in (0, 12):
-        if scratch[2, at] > 0.0:
-            value = max(value, scratch[3, at] / scratch[2, at])
-    return most, value
+        if below[at] > 0.0:
+            value = max(value, above[at] / below[at])
+    return quotient(above, below)[1], value
 
 
 def climb_tangent(
-    cubics: FloatArray, span: int, start: float, end: float, sign: float, scratch: FloatArray
+    cubics: FloatArray, span: int, start: float, end: float, sign: float
 ) -> tuple[float, float]:
     """Upper bound of the climb (sign 1) or dive (-1), as a tangent, over a piece; value at an end.
 
@@ -132,10 +126,8 @@ def climb_tangent(
     z0, z1, z2 = hodograph(cubics, span, 2, start, end)
     z0, z1, z2 = sign * z0, sign * z1, sign * z2
     speed = speed_squared(cubics, span, start, end)
-    squared = scratch[0]
-    squared[0], squared[1], squared[2] = z0 * z0, 2.0 * z0 * z1, 2.0 * z0 * z2 + z1 * z1
-    squared[3], squared[4] = 2.0 * z1 * z2, z2 * z2
-    least, most = quotient(squared, speed, 5)
+    squared = np.array((z0 * z0, 2.0 * z0 * z1, 2.0 * z0 * z2 + z1 * z1, 2.0 * z1 * z2, z2 * z2))
+    least, most = quotient(squared, speed)
     bound = math.sqrt(most)
     if max(z0, max(z1, z2)) <= 0.0:
         bound = -math.sqrt(least) if least < math.inf else 0.0
@@ -158,13 +150,11 @@ def runs_forward(cubics: FloatArray) -> bool:
             de += float(cubics[span, k, 1])
     chord, moves = math.sqrt(dn * dn + de * de), False
     for span in range(spans):
-        x0, x1, x2 = hodograph(cubics, span, 0, 0.0, 1.0)
-        y0, y1, y2 = hodograph(cubics, span, 1, 0.0, 1.0)
-        moves = moves or max(max(abs(x0), abs(x1)), abs(x2)) > 0.0
-        moves = moves or max(max(abs(y0), abs(y1)), abs(y2)) > 0.0
-        along = min(min(x0 * dn + y0 * de, x1 * dn + y1 * de), x2 * dn + y2 * de)
-        if along < -_LOOKS_BACK * size * chord:
-            return False
+        x, y = hodograph(cubics, span, 0, 0.0, 1.0), hodograph(cubics, span, 1, 0.0, 1.0)
+        for k in range(3):
+            moves = moves or x[k] != 0.0 or y[k] != 0.0
+            if x[k] * dn + y[k] * de < -_LOOKS_BACK * size * chord:
+                return False
     return not moves or chord > _LOOKS_BACK * size
 
 
@@ -174,7 +164,6 @@ def largest(cubics: FloatArray, what: int, limit: float, accuracy: float) -> tup
     what: 0 squared curvature, 1 climb, -1 dive (as tangents).  Refined until it is within
     `limit`, and until it is good to `accuracy` (absolute), unless a value beyond the limit is met.
     """
-    scratch = np.empty((4, 13))
     stack = np.empty((_STACK, 2))
     forward = runs_forward(cubics)
     bound, value, count = -math.inf, -math.inf, 0
@@ -185,9 +174,9 @@ def largest(cubics: FloatArray, what: int, limit: float, accuracy: float) -> tup
             depth -= 1
             start, end = float(stack[depth, 0]), float(stack[depth, 1])
             if what == 0:
-                most, here = curvature_squared(cubics, span, start, end, forward, scratch)
+                most, here = curvature_squared(cubics, span, start, end, forward)
             else:
-                most, here = climb_tangent(cubics, span, start, end, float(what), scratch)
+                most, here = climb_tangent(cubics, span, start, end, float(what))
             count += 1
             value = max(value, here)
             enough = max(value, 0.0) * (1.0 + 2.0 * accuracy) + accuracy * 0.1 * limit

@@ -1,8 +1,8 @@
 """A subpath: one B-spline curve, parametrised by the length flown along it."""
 
 import math
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from typing import final
 
 import numpy as np
@@ -30,20 +30,13 @@ class Pose:
         north, east, altitude = self.position_nea_m.tolist()
         return north, east, altitude
 
-    def facing(self, bearing_rad: float) -> "Pose":
-        """The pose of a vehicle at rest, turned to a bearing: level, and without a bend."""
-        tangent = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
-        return replace(self, tangent_nea=tangent, curvature_nea_1_m=np.zeros(3))
-
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)  # no slots: its length is found when asked for
 class Subpath:
-    """A clamped cubic B-spline and its arc length."""
+    """A clamped cubic B-spline and its arc length.  All lengths are clamped to its ends."""
 
     control_nea_m: FloatArray  # (points, 3)
-    _newest: list[tuple[float, Pose]] = field(init=False, repr=False, default_factory=list)
-    """The pose that was asked for last: in flight it is asked for again."""
 
     @cached_property
     def length_m(self) -> float:
@@ -74,31 +67,8 @@ class Subpath:
         return float(np.linalg.norm(legs, axis=-1).sum()) > length_m < self.length_m
 
     def pose(self, length_m: float) -> Pose:
-        """Where the curve is after a length flown, metres from its start (clamped to its ends)."""
-        if self._newest and self._newest[0][0] == length_m:
-            return self._newest[0][1]
-        u, spans = self.parameter_at(length_m), len(self._axes)
-        span = min(int(u * spans), spans - 1)
-        t, axes = u * spans - span, self._axes[span]
-        position, first, second = [], [], []
-        for a, b, c, d in axes:
-            position.append(a + t * (b + t * (c + t * d)))
-            first.append((b + t * (2.0 * c + t * 3.0 * d)) * spans)
-            second.append((2.0 * c + t * 6.0 * d) * spans**2)
-        speed, bend = math.hypot(*first), np.array(second)
-        if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
-            inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
-            first, bend = [inward * each for each in second], np.zeros(3)
-            speed = math.hypot(*first)
-        speed = max(speed, 1e-12)
-        tangent = np.array(first) / speed
-        pose = Pose(
-            position_nea_m=np.array(position),
-            tangent_nea=tangent,
-            curvature_nea_1_m=(bend - (bend @ tangent) * tangent) / speed**2,
-        )
-        self._newest[:] = [(length_m, pose)]
-        return pose
+        """Where the curve is after a length flown, metres from its start."""
+        return _pose(self, length_m)
 
     def parameter_at(self, length_m: float) -> float:
         """The parameter of the curve, 0 to 1, after a length flown, metres."""
@@ -114,17 +84,41 @@ class Subpath:
         return float(np.interp(u, _PARAMETERS, self._length_at_m))
 
     def samples_at(self, lengths_m: FloatArray) -> Samples:
-        """Points and derivatives after lengths flown (clamped to its ends).  (S,) -> (S, 3)."""
+        """Points and derivatives after lengths flown.  (S,) -> (S, 3)."""
         return samples_at(self._cubics, np.interp(lengths_m, self._length_at_m, _PARAMETERS))
 
     def points_nea_m(self, lengths_m: FloatArray) -> FloatArray:
-        """Points of the curve after lengths flown (clamped to its ends).  (S,) -> (S, 3)."""
+        """Points of the curve after lengths flown.  (S,) -> (S, 3)."""
         return self.samples_at(lengths_m).value
 
     def sampled(self, spacing_m: float) -> Samples:
         """The curve at points of about equal spacing, both ends included."""
         count = max(math.ceil(self.length_m / spacing_m), 2)
         return self.samples_at(np.linspace(0.0, self.length_m, count + 1))
+
+
+@lru_cache(maxsize=4)  # in flight the same ones are asked for again
+def _pose(subpath: Subpath, length_m: float) -> Pose:
+    u, spans = subpath.parameter_at(length_m), len(subpath._axes)
+    span = min(int(u * spans), spans - 1)
+    t, axes = u * spans - span, subpath._axes[span]
+    position, first, second = [], [], []
+    for a, b, c, d in axes:  # in one loop, which takes less time than three comprehensions
+        position.append(a + t * (b + t * (c + t * d)))
+        first.append((b + t * (2.0 * c + t * 3.0 * d)) * spans)
+        second.append((2.0 * c + t * 6.0 * d) * spans**2)
+    speed, bend = math.hypot(*first), np.array(second)
+    if speed < 1e-6 * subpath.length_m:  # control points coincide: the direction is a limit
+        inward = 1.0 if 2.0 * length_m < subpath.length_m else -1.0
+        first, bend = [inward * each for each in second], np.zeros(3)
+        speed = math.hypot(*first)
+    speed = max(speed, 1e-12)
+    tangent = np.array(first) / speed
+    return Pose(
+        position_nea_m=np.array(position),
+        tangent_nea=tangent,
+        curvature_nea_1_m=(bend - (bend @ tangent) * tangent) / speed**2,
+    )
 
 
 def straight(start_nea_m: FloatArray, end_nea_m: FloatArray) -> Subpath:

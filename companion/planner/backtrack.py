@@ -5,7 +5,6 @@ It must be proven again: map and zones may have changed, climbs become dives, an
 points in the other direction.
 """
 
-from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.bspline import cubics_of, samples_at
-from companion.path.certificate import Prover, certify, pack_surroundings
+from companion.path.certificate import Prover, certify
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
@@ -98,19 +97,12 @@ def _is_smooth(control: FloatArray, follows: FloatArray) -> bool:
 def _is_proven(
     subpath: Subpath, task: Task, known: KnownMap, prover: Prover, *, from_rest: bool, stops: bool
 ) -> bool:
-    limits, control = task.limits, subpath.control_nea_m[:, :2]
-    if limits.hovers:  # it climbs as steeply as it dives, only slower: `allowed_speed_m_s`
-        steepest = max(limits.climb_angle_rad, limits.dive_angle_rad)
-        limits = replace(limits, climb_angle_rad=steepest, dive_angle_rad=steepest)
+    motion, control = task.envelope, subpath.control_nea_m[:, :2]
+    if task.limits.hovers:  # it climbs as steeply as it dives, only slower: `allowed_speed_m_s`
+        steepest = max(motion.climb_angle_rad, motion.dive_angle_rad)
+        motion = motion._replace(climb_angle_rad=steepest, dive_angle_rad=steepest)
     centre = 0.5 * (control.min(axis=0) + control.max(axis=0))
-    surroundings = pack_surroundings(
-        known,
-        limits,
-        (),
-        task.zones,
-        task.margins,
-        centre_ne_m=(float(centre[0]), float(centre[1])),
-        reach_m=float(np.linalg.norm(control - centre, axis=-1).max()),
-        stops=stops,
-    )
+    reach_m = float(np.linalg.norm(control - centre, axis=-1).max())
+    place = float(centre[0]), float(centre[1])
+    surroundings = task.surroundings(known, place, reach_m, motion=motion, radars=(), stops=stops)
     return certify(subpath, surroundings, from_rest=from_rest, prover=prover).proven

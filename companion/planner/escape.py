@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.certificate import Certificate, Prover, certify, pack_surroundings
+from companion.path.certificate import Certificate, Prover, certify
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import PlanRequest
@@ -22,31 +22,20 @@ from companion.world.columns import distance_to_terrain_m, distances_to_terrain_
 from companion.world.known_map import KnownMap
 from companion.world.zones import Zone, gaps_m, packed
 
-_BEARINGS = 72
-"""Directions of ways: 5 degrees apart, which lengthens a way out of a circle by 0.1 %."""
+_BEARINGS = 72  # directions of ways, 5 degrees apart: a way out of a circle is 0.1 % too long
 _NEAR, _LENGTHS, _LONGER = 0.4, 24, 12
 """Of R, within which all ground is usually seen; lengths of ways up to there, and lengths beyond,
 up to where subpaths end: a zone may be as large."""
-_STEEP = (0.0, 0.95, -0.95)
-"""Of the climb or dive angle."""
-_CERTIFIED = 200
-"""Ways that are proven, the shortest first: 1 ms each."""
-_DEEPER = 3.0
-"""Metres of way that count as much as one metre deeper into a zone."""
-_SLACK_M = 0.5
-"""How much nearer than the vehicle is a way may come: a proof needs a little to spare."""
-_WORTH_M = 1.0
-"""A place that is less deep in a zone by less than this is no better."""
-_TOUCHING_M = 0.5
-"""Nearer to a zone than this counts as inside."""
-_ROUNDING_M = 1e-3
-"""A subpath may begin where another just keeps its distance."""
-_PROVABLE = 1.002
-"""Of the required clearance: what a proof needs more than the bound itself."""
-_SAMPLES = 64
-"""Points of a way at which its distance to the terrain is taken, to split it for the proof."""
-_NO_GROUND_M = -1e4
-"""Altitude AMSL of ground that no proof meets: no ground on earth is as low."""
+_STEEP = (0.0, 0.95, -0.95)  # of the climb or dive angle
+_CERTIFIED = 200  # ways that are proven, the shortest first: 1 ms each
+_DEEPER = 3.0  # metres of way that count as much as one metre deeper into a zone
+_SLACK_M = 0.5  # so much nearer than the vehicle is a way may come: a proof needs a little to spare
+_WORTH_M = 1.0  # a place that is less deep in a zone by less than this is no better
+_TOUCHING_M = 0.5  # nearer to a zone than this counts as inside
+_ROUNDING_M = 1e-3  # a subpath may begin where another just keeps its distance
+_PROVABLE = 1.002  # of the required clearance: what a proof needs more than the bound itself
+_SAMPLES = 64  # points of a way, to find where the terrain is far enough away
+_NO_GROUND_M = -1e4  # altitude AMSL of ground that no proof meets: no ground on earth is as low
 
 
 @final
@@ -161,15 +150,13 @@ def _kept(
     """What a way is to keep a distance from, the required one at most."""
     task = request.task
     keep_m = min(keep_m, task.required_clearance_m)
-    contact_m = min(task.margins.contact_m, keep_m)
-    return pack_surroundings(
+    return task.surroundings(
         known,
-        task.limits,
-        task.radars,
-        zones,
-        replace(task.margins, clearance_m=keep_m, contact_m=contact_m),
-        centre_ne_m=request.start.point_nea_m[:2],
-        reach_m=task.settings.scan_range_m,
+        request.start.point_nea_m[:2],
+        task.settings.scan_range_m,
+        clearance_m=keep_m,
+        contact_m=min(task.envelope.contact_m, keep_m),
+        zones=zones,
     )
 
 

@@ -20,16 +20,12 @@ _FARTHEST = 0.4
 """Of R: what lies farther out is often beyond what the last scan, up to half of R behind, saw."""
 _SAMPLES, _ROUGHLY = 64, 24
 """Points of a way that is proven, 1 % of R apart on the longest; and of one that is ranked."""
-_LOOKED_AT = 40
-"""Ways that are looked at closely, the best first; each takes 1 ms: the watchdog allows 0.2 s."""
-_SLACK_M = 1.0
-"""How much nearer than the vehicle is a way may come: its own position is no better known."""
+_LOOKED_AT = 40  # ways, the best first; each takes 1 ms: the watchdog allows 0.2 s
+_SLACK_M = 1.0  # so much nearer than the vehicle is a way may come: so well it knows where it is
 _TURNS = np.array([-0.5, -1.0, 0.5, 1.0])
 """Of the turn radius of paths, > 0 to the right: autopilots turn more tightly to a point."""
-_EITHER_SIDE_RAD = math.radians(135.0)
-"""So far behind that it may turn either way: within 45 degrees of straight behind."""
-_AHEAD_RAD = 1e-6
-"""A turn short of full by less is none: rounding, 0.1 mm on a turn of 100 m."""
+_EITHER_SIDE_RAD = math.radians(135.0)  # from there on, behind it, it may turn either way
+_AHEAD_RAD = 1e-6  # a turn short of full by less is none: rounding, 0.1 mm on a turn of 100 m
 _STILL_M_S, _ON_THE_SPOT = 1.0, 1e-6
 """Slower over ground no plane flies: its course means nothing, and it counts as turning at once."""
 

@@ -109,9 +109,8 @@ class OfflineFlight:
             else:
                 self.fly(math.inf)
             return
-        self.next = replace(
-            ask, attempt=0, route_ne_m=outcome.route_ne_m, progress=outcome.progress
-        )
+        route, progress = outcome.route_ne_m, outcome.progress
+        self.next = replace(ask, attempt=0, route_ne_m=route, progress=progress)
         if not (ask.from_rest or self.fly(self.legs[-1].successor_at_m(task), goes_on=True)):
             return
         leg = Leg.of(outcome, len(self.legs) + 1)
@@ -243,17 +242,11 @@ class OnBoard:
             self._reference = Reference(speed_m_s=self._reference.speed_m_s)
         task, step_s, began_s = self._task, 1.0 / self._scene.rate_hz, self._now_s
         kept_m = task.settings.safety_distance_m + task.limits.tracking_error_m
-        motion, slows_to_m_s = leg.motion(task), leg.slows_to_m_s(task)
+        motion, slow = leg.motion(task), leg.slows_to_m_s(task)
         while self._reference.length_m < until_m and not is_at_end(self._reference, leg):
             here = leg.subpath.pose(self._reference.length_m).position_nea_m
             self._reference = advance(
-                self._reference,
-                leg,
-                step_s,
-                here,
-                motion,
-                goes_on=goes_on,
-                slows_to_m_s=slows_to_m_s,
+                self._reference, leg, step_s, here, motion, goes_on=goes_on, slows_to_m_s=slow
             )
             at_m, speed_m_s = self._reference.length_m, self._reference.speed_m_s
             pose = leg.subpath.pose(at_m)

@@ -24,7 +24,7 @@ from companion.objective.scene import (
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
-from companion.path.certificate import Certificate, certify, pack_surroundings
+from companion.path.certificate import Certificate, certify
 from companion.path.envelope import Envelope, slowing_m
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath
@@ -127,8 +127,7 @@ def _impossible(request: PlanRequest) -> Refusal | None:
     north, east, altitude = request.start.point_nea_m
     inside = limits.north_m[0] <= north <= limits.north_m[1]
     inside = inside and limits.east_m[0] <= east <= limits.east_m[1]
-    inset_m = task.margins.band_inset_m
-    low, high = limits.floor_amsl_m + inset_m, limits.ceiling_amsl_m - inset_m
+    low, high = limits.inner_band_amsl_m(task.error_m)
     if not inside or not low <= altitude <= high:
         return Refusal.START_OUTSIDE
     if not sees_anything(request.known, request.scan_nea_m[:2], task.settings.scan_range_m):
@@ -513,7 +512,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
         safety_distance_m=float(settings.safety_distance_m),
         clearance_m=float(task.zone_search_clearance_m),
         surface=surface,
-        contact=_surface(request, task.margins.contact_m) if limits.hovers else surface,
+        contact=_surface(request, task.envelope.contact_m) if limits.hovers else surface,
         band_amsl_m=task.band_amsl_m,
         north_m=limits.north_m,
         east_m=limits.east_m,
@@ -583,12 +582,6 @@ def _surface(request: PlanRequest, clearance_m: float) -> Surface:
 
 def _surroundings(request: PlanRequest, speed_m_s: float) -> Surroundings:
     task, scan_ne_m = request.task.at_speed(speed_m_s), request.scan_nea_m[:2]
-    return pack_surroundings(
-        request.known,
-        task.limits,
-        task.radars_near(scan_ne_m, _IN_REACH * task.settings.scan_range_m),
-        task.zones,
-        task.margins,
-        centre_ne_m=scan_ne_m,
-        reach_m=REACH * task.settings.scan_range_m,
-    )
+    range_m = task.settings.scan_range_m
+    radars = task.radars_near(scan_ne_m, _IN_REACH * range_m)
+    return task.surroundings(request.known, scan_ne_m, REACH * range_m, radars=radars)

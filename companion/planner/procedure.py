@@ -127,8 +127,7 @@ class Leg:
 
     def rest(self, task: Task) -> Rest:
         """What is left of it beyond p_prog."""
-        length_m = self.subpath.length_m
-        at_m, speed_m_s = self.leaving(task)
+        length_m, (at_m, speed_m_s) = self.subpath.length_m, self.leaving(task)
         end_nea_m = self.subpath.pose(length_m).point_nea_m
         return Rest(length_m=length_m - at_m, end_nea_m=end_nea_m, speed_m_s=speed_m_s)
 
@@ -155,9 +154,10 @@ class Reference:
     speed_m_s: float = 0.0
 
 
-def hover_pose(position_nea_m: Vector) -> Pose:
-    """The start pose of a vehicle at rest; the plan chooses the tangent."""
-    return Pose(position_nea_m=np.asarray(position_nea_m), tangent_nea=np.array([1.0, 0.0, 0.0]))
+def hover_pose(position_nea_m: Vector | FloatArray, bearing_rad: float = 0.0) -> Pose:
+    """The start pose of a vehicle at rest, level; in `flight` the plan chooses the tangent."""
+    tangent = np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
+    return Pose(position_nea_m=np.asarray(position_nea_m), tangent_nea=tangent)
 
 
 # --- of a copter
@@ -182,8 +182,7 @@ def advance(
     all that the vehicle brakes with, if that is before the end.
     """
     at_m, speed = reference.length_m, reference.speed_m_s
-    pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
-    lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
+    lead, length_m = -ahead_m(reference, leg, vehicle_nea_m), leg.subpath.length_m
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
     slower, left_m = motion.braking_m_s2 * elapsed_s, max(min(length_m, until_m) - at_m, 0.0)
@@ -250,13 +249,13 @@ def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> flo
 
     Before its start the path is taken to come straight from behind: another leg does.
     """
-    at_m = reference.length_m
+    length_m = leg.subpath.length_m
     for _ in range(_PROJECTIONS):
-        along_m = ahead_m(Reference(length_m=at_m), leg, vehicle_nea_m)
-        at_m = min(max(at_m + along_m, 0.0), leg.subpath.length_m)
-    pose = leg.subpath.pose(at_m)
+        at_m = reference.length_m + ahead_m(reference, leg, vehicle_nea_m)
+        reference = Reference(length_m=min(max(at_m, 0.0), length_m))
+    pose = leg.subpath.pose(reference.length_m)
     off = vehicle_nea_m - pose.position_nea_m
-    if at_m < leg.subpath.length_m:
+    if reference.length_m < length_m:
         off = off - float(off @ pose.tangent_nea) * pose.tangent_nea
     return float(np.linalg.norm(off))
 

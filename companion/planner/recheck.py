@@ -15,8 +15,7 @@ from companion.world.zones import Zone, gaps_m, packed
 
 _LEEWAY, _LEEWAY_M = 2e-3, 0.01
 """Of the required distance, and metres besides: a certificate is not exact either (to 1 %)."""
-_BAND_SLACK_M = 0.5
-"""A ceiling above home moves that much with where the autopilot has its home."""
+_BAND_SLACK_M = 0.5  # a ceiling above home moves that much with where the autopilot has its home
 _BAND_SAMPLES = 100
 """A leg climbs by less than its climb angle over 1 % of its length between two of them."""
 
@@ -29,21 +28,17 @@ def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
     before, zones = leg.rules, task.zones
     if before == task:
         return False
-    if before is not None and task.zone_clearance_m <= before.zone_clearance_m:
-        zones = tuple(zone for zone in zones if zone not in before.zones)
+    was_low_m, was_high_m = -math.inf, math.inf
+    if before is not None:
+        was_low_m, was_high_m = before.limits.inner_band_amsl_m(before.error_m)
+        if task.zone_clearance_m <= before.zone_clearance_m:
+            zones = tuple(zone for zone in zones if zone not in before.zones)
+    low_m, high_m = task.limits.inner_band_amsl_m(task.error_m)
     lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
     heights = leg.subpath.points_nea_m(lengths)[:, 2]
-    low_m, high_m = _band_amsl_m(task)
-    was_low_m, was_high_m = (-np.inf, np.inf) if before is None else _band_amsl_m(before)
     too_low = low_m > was_low_m and heights.min() < low_m - _BAND_SLACK_M
     too_high = high_m < was_high_m and heights.max() > high_m + _BAND_SLACK_M
     return bool(too_low or too_high) or comes_too_near(leg, from_m, zones, task.zone_clearance_m)
-
-
-def _band_amsl_m(task: Task) -> tuple[float, float]:
-    """Between which altitudes a curve is proven."""
-    inset_m = task.margins.band_inset_m
-    return task.limits.floor_amsl_m + inset_m, task.limits.ceiling_amsl_m - inset_m
 
 
 def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m: float) -> bool:
@@ -73,6 +68,5 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     gaps_m = distances_to_cells_m(points, near.occupied(window), window, near.lattice)
     kept = gaps_m >= required_m
     left_at = int(np.argmax(kept)) if kept.any() else steps
-    if left_at and lengths[left_at] - from_m > required_m:
-        return True
-    return bool((gaps_m[:left_at] < gaps_m[0]).any() or not kept[left_at:].all())
+    leads_away = lengths[left_at] - from_m <= required_m and (gaps_m[:left_at] >= gaps_m[0]).all()
+    return not (leads_away and kept[left_at:].all())

@@ -1,9 +1,8 @@
 """The plan request and its possible answers, also as plain values."""
 
 import enum
-from dataclasses import dataclass, fields
-from functools import cache
-from typing import Any, Final, final, get_type_hints
+from dataclasses import dataclass
+from typing import Any, Final, final
 
 import msgspec
 import numpy as np
@@ -235,38 +234,35 @@ PlanOutcome = Planned | NotPlanned | Backtrack
 
 Values = dict[str, Any]
 _KINDS: Final = {"planned": Planned, "not planned": NotPlanned, "way back": Backtrack}
-_hints = cache(get_type_hints)
+_NAMES: Final[dict[type, str]] = {kind: name for name, kind in _KINDS.items()}
 
 
 def values_of(outcome: PlanOutcome) -> Values:
     """An answer as numbers, texts, lists and dictionaries."""
-    kind = next(name for name, each in _KINDS.items() if each is type(outcome))
-    values = {"kind": kind} | {each.name: getattr(outcome, each.name) for each in fields(outcome)}
+    values: Values = {"kind": _NAMES[type(outcome)]}
+    values |= msgspec.to_builtins(outcome, enc_hook=np.ndarray.tolist)
     match outcome:
         case Planned():
-            values["control_nea_m"] = values.pop("subpath").control_nea_m
+            values["control_nea_m"] = values.pop("subpath")["control_nea_m"]
         case NotPlanned():
             values["refusal"] = outcome.refusal.name
         case Backtrack():
-            values["control_nea_m"] = [each.control_nea_m for each in values.pop("subpaths")]
-    plain: Values = msgspec.to_builtins(values, enc_hook=np.ndarray.tolist)
-    return plain
+            values["control_nea_m"] = [each["control_nea_m"] for each in values.pop("subpaths")]
+    return values
 
 
 def outcome_of(values: Values) -> PlanOutcome:
     """Decode an answer.  KeyError, TypeError, ValueError: invalid values."""
-    made: Values = {}
-    for name, hint in _hints(_KINDS[values["kind"]]).items():
-        if name == "subpath":
-            made[name] = Subpath(control_nea_m=control_points(values["control_nea_m"]))
-        elif name == "subpaths":
-            rows = map(control_points, values["control_nea_m"])
-            made[name] = tuple(Subpath(control_nea_m=control) for control in rows)
-        elif name == "refusal":
-            made[name] = Refusal[values[name]]
-        elif name in values:
-            made[name] = msgspec.convert(values[name], hint, strict=False)
-    return _KINDS[values["kind"]](**made)
+    kind, values = _KINDS[values["kind"]], dict(values)
+    if kind is Planned:
+        values["subpath"] = {"control_nea_m": values.pop("control_nea_m")}
+    elif kind is NotPlanned:
+        values["refusal"] = Refusal[values["refusal"]].value
+    else:
+        values["subpaths"] = [{"control_nea_m": rows} for rows in values.pop("control_nea_m")]
+    return msgspec.convert(
+        values, kind, strict=False, dec_hook=lambda _, rows: control_points(rows)
+    )
 
 
 def control_points(rows: list[list[float]]) -> FloatArray:

@@ -17,14 +17,11 @@ Place = tuple[float, float]
 Broken = tuple[str, object, str, str]
 """A rule that is broken: the field, its value, the rule, and the remedy."""
 
-_GRAVITY_M_S2 = 9.81
-"""Standard gravity (ISO 80000-3), to 0.04 %."""
-MAX_CELLS = 2.5e7
-"""Of a map: 200 MB for each array of altitudes, and a plan holds several."""
+_GRAVITY_M_S2 = 9.81  # standard gravity (ISO 80000-3), to 0.04 %
+MAX_CELLS = 2.5e7  # of a map: 200 MB for each array of altitudes, and a plan holds several
 _MAX_LATERAL_M_S2 = 20.0
 """Of a copter: 2 g, a tilt of 64 degrees; more is a slip of the pen and no way to fly."""
-_MAX_BANK_DEG = 45.0
-"""Of a plane: ArduPlane's default roll limit; PX4's is 50 degrees."""
+_MAX_BANK_DEG = 45.0  # of a plane: ArduPlane's default roll limit; PX4's is 50 degrees
 _SCAN_REQUESTS = 33
 """A circle of R = 80 cells touches 31 to 38 rectangles of 28 x 32 cells, as each request covers
 (`mavlink.terrain_download`), 34 in the mean; the rectangles at its rim are mostly empty."""

@@ -4,11 +4,11 @@ import hashlib
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, final
+from typing import Annotated, Any, final
 
 from annotated_types import Ge, Le
 
-from companion.path.certificate import Margins
+from companion.path.certificate import pack_surroundings
 from companion.path.envelope import (
     COPTER,
     PLANE,
@@ -20,8 +20,10 @@ from companion.path.envelope import (
     stopping_m,
 )
 from companion.path.limits import Limits
+from companion.path.proof import Surroundings
 from companion.profiles import FLIGHT, Profile, Weights
 from companion.ranges import NotNegative, Positive
+from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import Zone
 
@@ -102,7 +104,13 @@ class Task:
         near = zip(self.radars, away_m, strict=True)
         return tuple(radar for radar, away in near if away <= radar.range_m + reach_m)
 
-    # --- what is kept: by what the search aims at, and, a little less, by what is proven
+    # --- what is kept
+    #
+    #              proven                  aimed at by the search (in `paper`, d_s itself)
+    #   terrain    required_clearance_m    search_clearance_m
+    #   zones      zone_clearance_m        zone_search_clearance_m
+    #
+    # The terrain is grown by the circle that a plane holds on, the zones are not.
 
     @property
     def error_m(self) -> float:
@@ -111,42 +119,40 @@ class Task:
 
     @property
     def required_clearance_m(self) -> float:
-        """The distance of the curve from terrain and keep-outs."""
+        """d_s and the vehicle's errors."""
         return self.settings.safety_distance_m + self.error_m
 
     @property
     def search_clearance_m(self) -> float:
-        """What the search aims at: more than the certificate asks for (in `paper`, d_s itself)."""
-        settings = self.settings
-        if not settings.profile.verified:
-            return settings.safety_distance_m
-        least = settings.safety_distance_m + _AIMS * self.error_m
-        return max(settings.safety_distance_m * settings.profile.margin, least)
+        """A little more."""
+        d_s, profile = self.settings.safety_distance_m, self.settings.profile
+        return max(d_s * profile.margin, d_s + _AIMS * self.error_m) if profile.verified else d_s
 
     @property
     def zone_clearance_m(self) -> float:
-        """The distance of the curve from zones; of a plane that of its circle about each point."""
+        """Of a plane, so that its circle keeps the required clearance."""
         return self.required_clearance_m + self.envelope.loiter_m
 
     @property
     def zone_search_clearance_m(self) -> float:
-        """What the search keeps from zones."""
+        """Likewise."""
         return self.search_clearance_m + self.envelope.loiter_m
 
     @property
     def band_amsl_m(self) -> tuple[float, float]:
         """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
-        inset = _AIMS * self.error_m if self.settings.profile.verified else 0.0
-        return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
+        return self.limits.inner_band_amsl_m(
+            _AIMS * self.error_m if self.settings.profile.verified else 0.0
+        )
 
-    @property
-    def margins(self) -> Margins:
-        """The margins of a certificate, so that the vehicle on the curve keeps d_s."""
-        return Margins(
-            clearance_m=self.required_clearance_m,
-            contact_m=self.envelope.contact_m,
-            band_inset_m=self.error_m,
-            motion=self.envelope,
+    def surroundings(
+        self, known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float, **otherwise: Any
+    ) -> Surroundings:
+        """What certificates of its paths are about; otherwise: as of `pack_surroundings`."""
+        asked: dict[str, Any] = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
+        asked |= {"zones": self.zones, "radars": self.radars} | otherwise
+        return pack_surroundings(
+            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **asked
         )
 
     @cached_property

@@ -45,8 +45,8 @@ def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
     if told.proven and not keeps(case, real, 0.0, 0.0, -2e-6):
         wrong.append("proven")
     if case.peaks is not None and told.proven:
-        near = 1.5 * case.margins.clearance_m
-        around_m = case.limits.loiter_radius_m
+        near = 1.5 * case.task.required_clearance_m
+        around_m = case.task.limits.loiter_radius_m
         far_m = brute.surface_distance_m(case.peaks, real.nearest_nea_m, near, around_m)
         if far_m < told.clearance_m - 1e-3:
             wrong.append("true surface")
@@ -55,17 +55,17 @@ def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
 
 def keeps(case: Case, real: Truth, terrain_m: float, dead_man_m: float, zone_m: float) -> bool:
     """Whether the truth keeps all bounds, by the margins given (and 1 % of turn and angles)."""
-    limits, margins = case.limits, case.margins
+    limits, inset_m = case.task.limits, case.task.envelope.error_m
     part = 0.0 if zone_m < 0.0 else 0.01
     return (
-        real.clearance_m >= margins.clearance_m + terrain_m - 2e-6
-        and real.keep_out_m >= margins.clearance_m + zone_m
-        and real.dead_man_m >= margins.contact_m + dead_man_m - 2e-6
+        real.clearance_m >= case.task.required_clearance_m + terrain_m - 2e-6
+        and real.keep_out_m >= case.task.required_clearance_m + zone_m
+        and real.dead_man_m >= case.task.envelope.contact_m + dead_man_m - 2e-6
         and real.turn_radius_m >= limits.turn_radius_m * (1.0 + part - 1e-6)
         and real.climb_angle_rad <= limits.climb_angle_rad * (1.0 - part + 1e-6)
         and real.dive_angle_rad <= limits.dive_angle_rad * (1.0 - part + 1e-6)
-        and real.lowest_amsl_m >= limits.floor_amsl_m + margins.band_inset_m - 2e-6
-        and real.highest_amsl_m <= limits.ceiling_amsl_m - margins.band_inset_m + 2e-6
+        and real.lowest_amsl_m >= limits.floor_amsl_m + inset_m - 2e-6
+        and real.highest_amsl_m <= limits.ceiling_amsl_m - inset_m + 2e-6
         and real.off_map_m <= 2e-6
     )
 
@@ -73,7 +73,7 @@ def keeps(case: Case, real: Truth, terrain_m: float, dead_man_m: float, zone_m: 
 def local_slope(case: Case, at_nea_m: FloatArray) -> float:
     """Steepest slope of the true surface within the clearance of a point, horizontally."""
     assert case.peaks is not None
-    reach = case.margins.clearance_m
+    reach = case.task.required_clearance_m
     steps = np.linspace(-reach, reach, 25)
     heights = case.peaks.height_m(at_nea_m[0] + steps[:, None], at_nea_m[1] + steps[None, :])
     slope_n, slope_e = np.gradient(heights, steps[1] - steps[0])
@@ -85,7 +85,7 @@ def safe_by_far(case: Case, told: Certificate, real: Truth) -> bool:
 
     Against the surface of the peaks where that may make a difference, else against the columns.
     """
-    margin = 0.02 * (case.margins.clearance_m - case.margins.contact_m)
+    margin = 0.02 * (case.task.required_clearance_m - case.task.envelope.contact_m)
     if case.peaks is None or told.proven:
         return keeps(case, real, margin, margin, margin)
     if not set(told.broken) <= {"terrain clearance", "dead-man reach"}:
@@ -94,13 +94,13 @@ def safe_by_far(case: Case, told: Certificate, real: Truth) -> bool:
     ahead_m = max(margin, case.known.cell_m * local_slope(case, real.dead_man_nea_m))
     # Of two points a cell apart (diagonally) on the surface one may be nearer than its column.
     apart = 1.5 * math.hypot(case.known.cell_m, curve_m) + case.known.registration_m
-    if real.clearance_m < case.margins.clearance_m + curve_m - apart:
+    if real.clearance_m < case.task.required_clearance_m + curve_m - apart:
         return False
     points = brute.curve(case.control_nea_m)(np.linspace(0.0, 1.0, 200))
     clearance_m = min(brute.surface_truth_m(case, points), _unknown_m(case, points))
-    if clearance_m < case.margins.clearance_m + curve_m:
+    if clearance_m < case.task.required_clearance_m + curve_m:
         return False
-    if case.limits.loiter_radius_m:
+    if case.task.limits.loiter_radius_m:
         dead_man_m = min(clearance_m, real.keep_out_m)
     else:
         ahead = brute.stretches_nea_m(case)
@@ -122,7 +122,7 @@ def _unknown_m(case: Case, points: FloatArray) -> float:
 
 def _zones_m(case: Case) -> float:
     n, e, _ = brute.stretches_nea_m(case).T
-    return min((float(zone.distance_m(n, e).min()) for zone in case.zones), default=np.inf)
+    return min((float(zone.distance_m(n, e).min()) for zone in case.task.zones), default=np.inf)
 
 
 def measure(case: Case, prover: Prover, tally: Tally) -> None:

@@ -117,7 +117,7 @@ def certificate(
 
 def within_band(subpath: Subpath, task: Task) -> bool:
     """Whether a planner could prove of a straight subpath that it keeps to the altitude band."""
-    heights, inset_m = subpath.control_nea_m[:, 2], task.margins.band_inset_m
+    heights, inset_m = subpath.control_nea_m[:, 2], task.error_m
     lowest_m, highest_m = heights.min() - inset_m, heights.max() + inset_m
     limits = task.limits
     return bool(limits.floor_amsl_m <= lowest_m and highest_m <= limits.ceiling_amsl_m)

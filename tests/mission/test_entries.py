@@ -19,7 +19,7 @@ from companion.mission.events import (
     StopAsked,
     Tick,
 )
-from companion.path.certificate import Certificate, certify, pack_surroundings
+from companion.path.certificate import Certificate, certify
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import NotPlanned, PlanRequest, Refusal
 from companion.world.known_map import KnownMap
@@ -57,15 +57,7 @@ def request(**changes: Any) -> PlanRequest:
 
 
 def proof(asked: PlanRequest, subpath: Subpath) -> Certificate:
-    surroundings = pack_surroundings(
-        asked.known,
-        asked.task.limits,
-        asked.task.radars,
-        asked.task.zones,
-        asked.task.margins,
-        centre_ne_m=asked.scan_nea_m[:2],
-        reach_m=25_000.0,
-    )
+    surroundings = asked.task.surroundings(asked.known, asked.scan_nea_m[:2], 25_000.0)
     return certify(subpath, surroundings, from_rest=False)
 
 

@@ -396,7 +396,7 @@ def test_a_subpath_that_begins_too_low_is_not_flown_and_no_made_up_planner_prove
     above_m: float, proven: bool
 ) -> None:
     task = MISSION.task
-    low_m = task.limits.floor_amsl_m + task.margins.band_inset_m + above_m
+    low_m = task.limits.floor_amsl_m + task.error_m + above_m
     craft = Craft(near_target())
     craft.plan = lambda request: planned(
         replace(request, start=hover_pose((0.0, 0.0, low_m))), climb_m=10.0

@@ -235,11 +235,7 @@ def expected_to_go_m(control: FloatArray, scene: Scene) -> float:
 
 
 def expected_crash(
-    curve: Any,
-    u: list[float],
-    points: list[FloatArray],
-    chords: list[float],
-    scene: Scene,
+    curve: Any, u: list[float], points: list[FloatArray], chords: list[float], scene: Scene
 ) -> float:
     total = 0.0
     for a, b in pairwise(points):
@@ -335,43 +331,6 @@ def test_no_term_is_negative_or_anything_but_a_number(seed: int) -> None:
         for name, value in terms(x, scene).items():
             assert math.isfinite(value), name
             assert value >= 0.0, name
-
-
-def test_a_candidate_between_what_it_must_keep_costs_only_its_way() -> None:
-    rng = np.random.default_rng(2)
-    flat = Surface(0.0, 0.0, 1e3, np.full((9, 9), 315.0))
-    scene = random_scene(rng, points=5, from_rest=True, is_final=False, samples=40)
-    scene = scene._replace(
-        start=np.array([[3_500.0, 3_500.0, 316.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
-        scan_ne_m=(3_500.0, 3_500.0),
-        surface=flat,
-        contact=flat,
-        radars=scene.radars[:0],
-        zones=scene.zones._replace(
-            circles=scene.zones.circles[:0], polygons=scene.zones.polygons[:0]
-        ),
-        at=scene.at._replace(gaps=np.zeros(0)),
-    )
-    level = (316.0 - 315.0) / (785.0 - 315.0)
-    table = terms(np.array([0.5, 0.5, 0.7, 0.5, level, level, 0.5, 0.5, 1.0]), scene)
-    for name in ("crash", "radar", "constraints"):
-        assert table[name] == pytest.approx(0.0), name
-    assert table["length"] == pytest.approx(100.0 * 1_700.0 / (2.4 * R_M))
-
-
-def test_what_stands_between_two_samples_is_met_at_the_points_of_the_chords() -> None:
-    rng = np.random.default_rng(3)
-    scene = random_scene(rng, points=5, from_rest=True, is_final=False, samples=40)
-    x = np.full((1, scene.variables), 0.5)
-    x[:, -1] = 1.0  # as far as it may
-    points = spline(control_points(x, scene)[0])(np.linspace(0.0, 1.0, 41))
-    n, e, _ = points[20] + (points[21] - points[20]) / 3.0
-    flat = Surface(n - 4.0, e - 4.0, 4.0, np.zeros((3, 3)))
-    mast = flat._replace(vertex_m=flat.vertex_m.copy())
-    mast.vertex_m[1, 1] = 5_000.0
-    assert np.linalg.norm(points - points[20], axis=-1)[21] > 6.0 * 4.0
-    without, with_it = (terms(x[0], scene._replace(surface=s))["crash"] for s in (flat, mast))
-    assert with_it > without + 100.0
 
 
 # --- how a candidate is looked at

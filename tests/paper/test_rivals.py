@@ -18,7 +18,7 @@ from companion.campaign.route_cost import Rates, cost_rate
 from companion.errors import InputError
 from companion.paper.rivals import roadmaps, routes
 from companion.paper.rivals.routes import PLANNERS, RouteProblem
-from companion.path.proof import RESULTS
+from companion.path.proof import Bounds
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.world.simulated_scan import true_map
 from companion.world.zones import CircleZone
@@ -182,7 +182,7 @@ def test_unseen_ground_is_free_in_the_plan_and_never_flown_over() -> None:
 
 def plan(request: PlanRequest) -> Planned | NotPlanned:
     """Of A*; nothing is proven."""
-    return routes.leg_by_leg(PLANNERS["a-star"], lambda *_: np.zeros(RESULTS))(request)
+    return routes.leg_by_leg(PLANNERS["a-star"], lambda *_: Bounds(*[0.0] * 12))(request)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -16,11 +16,10 @@ from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
-from companion.path.certificate import Margins, pack_surroundings
-from companion.path.envelope import Envelope, envelope_of
+from companion.path.envelope import Envelope
 from companion.path.limits import Limits
 from companion.path.proof import Surroundings
-from companion.planner.settings import Task
+from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
@@ -36,23 +35,13 @@ class Case:
     from_rest: bool
     known: KnownMap
     peaks: PeakTerrain | None
-    limits: Limits
-    margins: Margins
-    radars: tuple[Radar, ...]
-    zones: tuple[Zone, ...]
+    task: Task
 
     def surroundings(self) -> Surroundings:
         centre = self.control_nea_m.mean(axis=0)[:2]
         far = np.linalg.norm(self.control_nea_m[:, :2] - centre, axis=-1).max()
-        return pack_surroundings(
-            self.known,
-            self.limits,
-            self.radars,
-            self.zones,
-            self.margins,
-            centre_ne_m=(float(centre[0]), float(centre[1])),
-            reach_m=float(far),
-        )
+        place = float(centre[0]), float(centre[1])
+        return self.task.surroundings(self.known, place, float(far))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,27 +94,28 @@ def random_case(rng: np.random.Generator) -> Case:
         north_m=(0.0, size),
         east_m=(0.0, size),
         dead_man_s=scale.dead_man_s,
+        tracking_error_m=scale.error_m,
+        navigation_error_m=0.0,
         overrun_m=float(rng.choice(scale.overruns_m)),
         loiter_radius_m=scale.distance_m * rng.uniform(0.3, 1.5) if rng.random() < 0.2 else 0.0,
     )
-    margins = Margins(
-        clearance_m=scale.distance_m + scale.error_m,
-        contact_m=scale.error_m,
-        band_inset_m=scale.error_m,
-        motion=envelope_of(limits, replace(ARDUCOPTER, settling_s=scale.settling_s)),
-    )
     return Case(
-        control_nea_m=_control(rng, size, margins.clearance_m, known),
+        control_nea_m=_control(rng, size, scale.distance_m + scale.error_m, known),
         from_rest=bool(rng.random() < 0.3),
         known=known,
         peaks=peaks,
-        limits=limits,
-        margins=margins,
-        radars=tuple(
-            Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
-            for _ in range(rng.integers(0, 3))
+        task=Task(
+            limits=limits,
+            settings=PlannerSettings(
+                scan_range_m=size, safety_distance_m=scale.distance_m, planning_time_s=1.0
+            ),
+            handling=replace(ARDUCOPTER, settling_s=scale.settling_s),
+            radars=tuple(
+                Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
+                for _ in range(rng.integers(0, 3))
+            ),
+            zones=_zones(rng, size),
         ),
-        zones=_zones(rng, size),
     )
 
 
@@ -247,7 +237,7 @@ def circles_nea_m(case: Case, points_nea_m: FloatArray) -> FloatArray:
     """
     turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
-    loiter_m = case.limits.loiter_radius_m
+    loiter_m = case.task.limits.loiter_radius_m
     aside = loiter_m * np.concatenate([[[0.0, 0.0, 0.0]], ring, 0.5 * ring])
     return points_nea_m[:, None] + (aside if loiter_m else aside[:1])
 
@@ -290,7 +280,7 @@ def surface_truth_m(case: Case, where_nea_m: FloatArray) -> float:
     (S, 3) -> metres.  A tree of the surface's points finds where, scipy how near.
     """
     assert case.peaks is not None
-    size = case.limits.north_m[1]
+    size = case.task.limits.north_m[1]
     steps = np.linspace(-0.2 * size, 1.2 * size, 200)
     n, e = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
     tree = cKDTree(np.stack([n, e, case.peaks.height_m(n, e)], axis=-1))
@@ -300,7 +290,7 @@ def surface_truth_m(case: Case, where_nea_m: FloatArray) -> float:
     far = tree.query(discs)[0].min(axis=1)
     nearest = where_nea_m[np.argsort(far)[:3]]
     near_m = 2.0 * float(far.min()) + 2.0 * (steps[1] - steps[0])
-    around_m = case.limits.loiter_radius_m
+    around_m = case.task.limits.loiter_radius_m
     return min(surface_distance_m(case.peaks, point, near_m, around_m) for point in nearest)
 
 
@@ -346,16 +336,16 @@ def _least(of: Callable[..., FloatArray], u: FloatArray) -> tuple[float, float]:
 
 def truth(case: Case, samples: int = 200) -> Truth:
     """Everything about a curve, by search; distances up to four times the clearance."""
-    spline, far_m = curve(case.control_nea_m), 4.0 * case.margins.clearance_m
+    spline, far_m = curve(case.control_nea_m), 4.0 * case.task.required_clearance_m
     u = np.linspace(0.0, 1.0, samples + 1)
     clearance, where = _least(lambda at, far=far_m: terrain_m(case, spline(at), far), u)
     keep_out = np.inf
-    for zone in case.zones:
+    for zone in case.task.zones:
         keep_out = min(
             keep_out,
             _least(lambda at, _=0.0, z=zone: planning.zone_distance_m(z, *spline(at).T[:2]), u)[0],
         )  # type: ignore[misc]
-    keep_out -= case.limits.loiter_radius_m
+    keep_out -= case.task.limits.loiter_radius_m
     fine = np.linspace(0.0, 1.0, 3_001)
     points = spline(fine)
     ends = np.logspace(-9.0, -4.0, 20)
@@ -367,18 +357,18 @@ def truth(case: Case, samples: int = 200) -> Truth:
     slope = first[moving, 2] / speed[moving]
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
     n, e, z = points.T
-    limits = case.limits
+    limits = case.task.limits
     off = np.maximum(np.maximum(limits.north_m[0] - n, n - limits.north_m[1]),
                      np.maximum(limits.east_m[0] - e, e - limits.east_m[1]))  # fmt: skip
     inside = np.zeros(len(points), dtype=bool)
     detection = 0.0
-    for radar in case.radars:
+    for radar in case.task.radars:
         ratio = radar.distance_m(points) / radar.range_m
         inside |= ratio <= 1.0
         detection = max(detection, float(np.where(ratio <= 1, 1 / (1 + ratio**4), 0.0).max()))
     both = 0.5 * (inside[1:].astype(float) + inside[:-1])
     dead_man, at_nea = _dead_man(case, spline, fine, lengths)
-    if case.limits.loiter_radius_m:
+    if case.task.limits.loiter_radius_m:
         dead_man = min(clearance, keep_out)
     return Truth(
         clearance_m=clearance,
@@ -420,10 +410,7 @@ def violations(
         from_rest=from_rest,
         known=known,
         peaks=None,
-        limits=limits,
-        margins=task.margins,
-        radars=(),
-        zones=task.zones,
+        task=replace(task, radars=()),
     )
     real = truth(case, samples=400)
     broken = {
@@ -459,10 +446,9 @@ def stretch_points_nea_m(
     """Points of the straight stretches that leave the curve at u.  (S,) x2 -> (S, 3)."""
     flown = np.interp(u, fine, lengths)
     left = np.maximum(lengths[-1] - flown, 0.0)
-    speed = fastest_m_s(case.margins.motion, left, flown if case.from_rest else None)
-    reach = speed * case.margins.motion.dead_man_s + speed**2 / (
-        2.0 * case.limits.acceleration_m_s2
-    )
+    motion = case.task.envelope
+    speed = fastest_m_s(motion, left, flown if case.from_rest else None)
+    reach = speed * motion.dead_man_s + speed**2 / (2.0 * case.task.limits.acceleration_m_s2)
     velocity = spline(u, 1)
     size = np.linalg.norm(velocity, axis=-1)
     tangent = velocity / np.maximum(size, 1e-9)[..., None]
@@ -486,9 +472,11 @@ def _dead_man(
     def at(u: FloatArray, share: FloatArray) -> FloatArray:
         return stretch_points_nea_m(case, spline, fine, lengths, u, share)
 
-    def distance(points: FloatArray, far: float = 4.0 * case.margins.clearance_m) -> FloatArray:
+    def distance(
+        points: FloatArray, far: float = 4.0 * case.task.required_clearance_m
+    ) -> FloatArray:
         result = column_distance_m(case.known, points, far)
-        for zone in case.zones:
+        for zone in case.task.zones:
             result = np.minimum(result, planning.zone_distance_m(zone, *points.T[:2]))
         return result
 

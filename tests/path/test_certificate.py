@@ -8,7 +8,7 @@ import pytest
 from brute_force import FloatArray, broken_by, fastest_m_s, random_case, truth
 from planning import ARDUCOPTER, limits
 
-from companion.path.certificate import Certificate, Margins, certify, pack_surroundings
+from companion.path.certificate import Certificate, certify, pack_surroundings
 from companion.path.envelope import envelope_of, flown_on_m
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
@@ -23,9 +23,8 @@ LIMITS = limits(
     north_m=(0.0, 4_000.0),
     east_m=(0.0, 4_000.0),
 )
-MARGINS = Margins(
-    clearance_m=60.0, contact_m=12.0, band_inset_m=10.0, motion=envelope_of(LIMITS, ARDUCOPTER)
-)
+MOTION = envelope_of(LIMITS, ARDUCOPTER)
+CLEAR_M, CONTACT_M = 60.0, MOTION.contact_m
 CASES, NIGHTLY_CASES = 20, 80
 
 
@@ -43,16 +42,17 @@ def certified(
     zones: tuple[Zone, ...] = (),
     from_rest: bool = False,
     limits: Limits = LIMITS,
-    margins: Margins = MARGINS,
+    clearance_m: float = CLEAR_M,
     reach_m: float = 3_000.0,
     stops: bool = True,
 ) -> Certificate:
     surroundings = pack_surroundings(
         known or a_map(),
         limits,
-        radars,
-        zones,
-        replace(margins, motion=envelope_of(limits, ARDUCOPTER)),
+        envelope_of(limits, ARDUCOPTER),
+        clearance_m=clearance_m,
+        zones=zones,
+        radars=radars,
         centre_ne_m=(2_000.0, 2_000.0),
         reach_m=reach_m,
         stops=stops,
@@ -87,9 +87,8 @@ def test_level_flight_over_a_plain_is_proven_with_its_exact_numbers() -> None:
 
 
 PLANE = replace(LIMITS, loiter_radius_m=90.0)
-FLOOR_M = LIMITS.floor_amsl_m + MARGINS.band_inset_m
-CEILING_M = LIMITS.ceiling_amsl_m - MARGINS.band_inset_m
-CLEAR_M, CONTACT_M = MARGINS.clearance_m, MARGINS.contact_m
+FLOOR_M = LIMITS.floor_amsl_m + MOTION.error_m
+CEILING_M = LIMITS.ceiling_amsl_m - MOTION.error_m
 SLOWING = replace(LIMITS, overrun_m=15.0)
 LOW = replace(LIMITS, floor_amsl_m=0.0)
 SHORT = [(2_000.0 + 40.0 * k / 3, 2_000.0, 400.0) for k in range(4)]
@@ -98,7 +97,7 @@ SHORT = [(2_000.0 + 40.0 * k / 3, 2_000.0, 400.0) for k in range(4)]
 def beyond_m(length_m: float, *, from_rest: bool = False) -> float:
     """How far beyond the end of a straight path of this length its farthest stretch ends."""
     at = np.linspace(0.0, length_m, 40_001)
-    speed = fastest_m_s(MARGINS.motion, length_m - at, at if from_rest else None)
+    speed = fastest_m_s(MOTION, length_m - at, at if from_rest else None)
     return float((at + speed * 3.5 + speed**2 / 2 / LIMITS.acceleration_m_s2).max()) - length_m
 
 
@@ -123,15 +122,15 @@ def past_a_pillar(away_m: float, off_m: float = 0.0, **told: Any) -> Certificate
 
 def to_a_wall(end_m: float, *corners: tuple[float, float, float], **told: Any) -> Certificate:
     """Of a path towards a round wall that begins at `end_m`."""
-    zones, near = (disc(end_m + 50.0, 2_000.0, 50.0),), replace(MARGINS, clearance_m=20.0)
-    return certified(*(corners or level()), zones=zones, margins=near, **told)
+    zones = (disc(end_m + 50.0, 2_000.0, 50.0),)
+    return certified(*(corners or level()), zones=zones, clearance_m=20.0, **told)
 
 
 def to_a_ridge(end_m: float) -> Certificate:
     known = a_map()
     known.upper_m[36] = 600.0  # from 3,600 m north on
     corners = [(3_600.0 - end_m + north, 2_000.0, 400.0) for north, _, _ in level()]
-    return certified(*corners, known=known, margins=replace(MARGINS, clearance_m=30.0))
+    return certified(*corners, known=known, clearance_m=30.0)
 
 
 def triangle(aside_m: float) -> PolygonZone:
@@ -146,7 +145,7 @@ def box(half_m: float) -> PolygonZone:
 
 FAR, RING = disc(0.0, 9_000.0, 10.0), {"keep_in": True}
 AT_ONCE = replace(LIMITS, dead_man_s=0.0)
-REACH_M = flown_on_m(MARGINS.motion, LIMITS.speed_m_s)
+REACH_M = flown_on_m(MOTION, LIMITS.speed_m_s)
 # How near it must be told, and a certificate with so much room to spare, by the bound.
 EDGES: dict[str, list[tuple[float, Callable[[float], Certificate]]]] = {
     "floor of the band": [(0.01, lambda off: certified(*level(FLOOR_M + off)))],
@@ -223,15 +222,14 @@ def test_climb_and_dive_are_too_steep_just_beyond_their_angles(off: float) -> No
 
 
 def test_a_plane_has_no_stretch_ahead_only_its_circle() -> None:
-    margins = replace(MARGINS, clearance_m=14.0)
-    ahead = 10.0 + margins.clearance_m + 1.0
+    ahead = 10.0 + 14.0 + 1.0
     zone = CircleZone(name="w", north_m=3_500.0 + ahead + 50.0, east_m=2_000.0, radius_m=50.0)
     fast = replace(PLANE, speed_m_s=200.0, loiter_radius_m=10.0)
-    told = certified(*level(), zones=(zone,), limits=fast, margins=margins)
+    told = certified(*level(), zones=(zone,), limits=fast, clearance_m=14.0)
     assert told.proven
-    assert told.dead_man_m >= MARGINS.contact_m
+    assert told.dead_man_m >= CONTACT_M
     hovers = replace(fast, loiter_radius_m=0.0)
-    told = certified(*level(), zones=(zone,), limits=hovers, margins=margins)
+    told = certified(*level(), zones=(zone,), limits=hovers, clearance_m=14.0)
     assert "dead-man reach" in told.broken
 
 
@@ -260,12 +258,12 @@ def test_a_turn_away_from_a_wall_is_refused_if_going_straight_on_would_hit_it() 
     # From a circle of radius 200 m the tangents of 90 m (15 m/s) come 19 m out of it.
     out = (200.0 + 25.0 + 40.0) / math.sqrt(2.0)
     zone = CircleZone(name="w", north_m=1_500.0 + out, east_m=1_700.0 - out, radius_m=40.0)
-    limits, margins = replace(LIMITS, turn_radius_m=150.0), replace(MARGINS, clearance_m=14.0)
-    fast = certified(*arc(200.0), zones=(zone,), limits=limits, margins=margins)
+    limits = replace(LIMITS, turn_radius_m=150.0)
+    fast = certified(*arc(200.0), zones=(zone,), limits=limits, clearance_m=14.0)
     assert fast.broken == ("dead-man reach",)
     assert fast.dead_man_m == pytest.approx(25.0 - 19.3, abs=2.0)
     slow = replace(limits, speed_m_s=5.0)
-    assert certified(*arc(200.0), zones=(zone,), limits=slow, margins=margins).proven
+    assert certified(*arc(200.0), zones=(zone,), limits=slow, clearance_m=14.0).proven
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e12])
@@ -279,7 +277,7 @@ def test_a_curve_that_is_not_finite_is_never_proven_and_no_error(
     with np.errstate(all="ignore"):
         subpath = Subpath(control_nea_m=control)
     surroundings = pack_surroundings(
-        a_map(), LIMITS, (), (), MARGINS, centre_ne_m=(2_000.0, 2_000.0), reach_m=3_000.0
+        *(a_map(), LIMITS, MOTION), clearance_m=60.0, zones=(), centre_ne_m=(2e3, 2e3), reach_m=3e3
     )
     told = certify(subpath, surroundings, from_rest=False)
     assert told_before.proven
@@ -329,34 +327,28 @@ def test_random_curves_keep_at_least_what_their_certificates_promise(cases: int)
     for seed in range(cases):
         case = random_case(np.random.default_rng([9, seed]))
         told = certify(
-            Subpath(control_nea_m=case.control_nea_m),
-            case.surroundings(),
-            from_rest=case.from_rest,
+            Subpath(control_nea_m=case.control_nea_m), case.surroundings(), from_rest=case.from_rest
         )
         assert broken_by(told, truth(case, samples=100)) == [], seed
 
 
-def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(
-    cases: int,
-) -> None:
+def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(cases: int) -> None:
     safe = 0
     for seed in range(cases):
         case = random_case(np.random.default_rng([10, seed]))
-        spare = 0.02 * (case.margins.clearance_m - case.margins.contact_m)
+        spare = 0.02 * (case.task.required_clearance_m - case.task.envelope.contact_m)
         told = certify(
-            Subpath(control_nea_m=case.control_nea_m),
-            case.surroundings(),
-            from_rest=case.from_rest,
+            Subpath(control_nea_m=case.control_nea_m), case.surroundings(), from_rest=case.from_rest
         )
-        if case.limits.loiter_radius_m:
+        if case.task.limits.loiter_radius_m:
             continue  # the truth about a circle is that of some of its points only
         hopeless = {"keep-out zone", "turn radius"} & set(told.broken)
-        if hopeless or told.clearance_m < 0.5 * case.margins.clearance_m:
+        if hopeless or told.clearance_m < 0.5 * case.task.required_clearance_m:
             continue  # spares the search for the truth; what is wrongly hopeless fails above
         real = truth(case, samples=100)
         if (
-            real.clearance_m >= case.margins.clearance_m + spare
-            and real.dead_man_m >= case.margins.contact_m + spare
+            real.clearance_m >= case.task.required_clearance_m + spare
+            and real.dead_man_m >= case.task.envelope.contact_m + spare
         ):
             safe += 1
             assert not {"terrain clearance", "dead-man reach"} & set(told.broken), seed

@@ -98,6 +98,7 @@ def test_a_mission_widens_the_tube_that_was_measured_and_never_narrows_it(handli
     wide, narrow = (envelope_of(limits(tracking_error_m=m), handling) for m in (20.0, 0.01))
     assert wide.tube_m == 20.0
     assert narrow.tube_m == handling.steady_m
+    assert narrow.dead_man_s == limits().dead_man_s + handling.lag_s
     bend_s2 = max(handling.turning_s2, handling.leading_s2)
     assert narrow.lateral_m_s2 * bend_s2 <= narrow.tube_m
     assert wide.lateral_m_s2 * bend_s2 <= wide.tube_m * (1.0 + 1e-12)

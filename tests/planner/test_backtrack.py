@@ -139,7 +139,7 @@ def test_the_planner_answers_with_the_way_back_if_that_is_asked(
 def test_what_begins_below_what_is_asked_above_the_floor_is_not_proven_though_it_was_flown(
     task: Task, truth: KnownMap, above_m: float, parts: int
 ) -> None:
-    low_m = task.limits.floor_amsl_m + task.margins.band_inset_m + above_m
+    low_m = task.limits.floor_amsl_m + task.error_m + above_m
     control = np.linspace((1_000.0, 600.0, low_m), (1_600.0, 600.0, low_m + 20.0), 4)
     stretch = FlownSegment(control_nea_m=control, from_m=0.0, until_m=600.0)
     back = backtrack((stretch,), task, truth, proof.prove)

@@ -10,7 +10,6 @@ from scenes import cube, random_scene
 
 from companion.optimise import refined_de
 from companion.planner import kernels
-from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
 from companion.planner.request import Planned
 from companion.planner.settings import Task
@@ -28,28 +27,6 @@ def test_compiled_costs_and_terms_are_those_of_plain_python() -> None:
         x = cube(rng, scene, 10)
         np.testing.assert_allclose(compiled.costs(x, scene), PLAIN.costs(x, scene), rtol=1e-9)
         assert compiled.terms(x[0], scene) == pytest.approx(PLAIN.terms(x[0], scene), rel=1e-9)
-
-
-def searched(which: Kernel, seed: int, evaluations: int = 800) -> refined_de.State:
-    """Few enough that last bits, which grow in a search, turn no comparison."""
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng, samples=12)
-    state = refined_de.begin(
-        scene.variables, evaluations, cube(rng, scene, 5), refined_de.Settings(), rng
-    )
-    for until in range(400, evaluations + 1, 400):
-        which.search(state, scene, until)
-    return state
-
-
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("seed", range(8))
-def test_the_compiled_search_is_the_same_search(seed: int) -> None:
-    fast, slow = searched(kernels.compiled(), seed), searched(PLAIN, seed)
-    assert refined_de.spent(fast) == refined_de.spent(slow)
-    (x, costs), (x_slow, costs_slow) = refined_de.ranked(fast), refined_de.ranked(slow)
-    assert costs[0] == pytest.approx(costs_slow[0], rel=1e-9)
-    assert x[0] == pytest.approx(x_slow[0], abs=1e-6)
 
 
 @pytest.mark.sample(3)  # from rest here, in flight there

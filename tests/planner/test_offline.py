@@ -194,17 +194,6 @@ def test_attempts_are_counted_anew_once_a_plan_is_found(task: Task, truth: Known
     assert flight.holds >= 1
 
 
-def test_a_flight_that_is_stuck_on_its_way_keeps_what_it_has_flown(
-    task: Task, truth: KnownMap
-) -> None:
-    planner = Refusing(*range(3, 100))
-    flight = fly(task, truth, START, TARGET, seed=3, planner=planner)
-    assert isinstance(flight.failure, NotPlanned)
-    assert len(flight.legs) == 2
-    assert flight.flown_m[1] == flight.legs[1].subpath.length_m
-    assert len(planner.requests) == 2 + 1 + 4
-
-
 def test_the_flight_goes_round_the_radar(flight: OfflineFlight, task: Task) -> None:
     points, radar = flight.route_nea_m(5.0), task.radars[0]
     straight = np.linspace(START[:2], TARGET, 500)

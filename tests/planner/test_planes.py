@@ -14,14 +14,7 @@ from companion.path.envelope import flown_on_m, stopping_m
 from companion.planner.loiter_search import Motion, loiter_point
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
-from companion.planner.procedure import (
-    Leg,
-    Reference,
-    follow,
-    may_leave,
-    off_path_m,
-    sent_pose,
-)
+from companion.planner.procedure import Leg, Reference, follow, may_leave, off_path_m, sent_pose
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
@@ -282,9 +275,3 @@ def test_a_refuge_from_a_zone_that_appears_is_near_and_clear_of_it(truth: KnownM
         assert math.dist(point[:2], (1_300.0, 4_500.0)) >= 250.0 + LOITER + REQUIRED_M
         assert math.dist(point[:2], here[:2]) < 700.0
         assert circle_distance_m(truth, np.array(point)) >= REQUIRED_M
-
-
-def test_there_is_no_refuge_in_a_pit(blank: KnownMap) -> None:
-    pit = replace(blank, upper_m=np.full_like(blank.upper_m, 5_000.0), seen=~blank.seen)
-    here = (1_000.0, 4_500.0, 450.0)
-    assert loiter_point(pit, TASK, Motion(here, STILL), here) is None

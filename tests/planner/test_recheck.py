@@ -1,4 +1,3 @@
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -75,14 +74,6 @@ def test_what_is_behind_does_not_matter_and_what_is_around_matters_at_once() -> 
     assert comes_too_near(leg, 5_599.0, zone, 100.0)
     assert not comes_too_near(leg, 5_600.5, zone, 100.0)
     assert not comes_too_near(leg, 0.0, (), 100.0)
-
-
-def test_a_leg_that_leads_out_of_a_fence_is_too_near_to_its_edge() -> None:
-    turn = np.linspace(0.0, 2.0 * math.pi, 300, endpoint=False)
-    ring = zip((20_198.0 * np.cos(turn)).tolist(), (20_198.0 * np.sin(turn)).tolist(), strict=True)
-    fence = (PolygonZone(name="f", vertices_ne_m=tuple(ring), keep_in=True),)
-    assert not comes_too_near(straight_leg(), 0.0, fence, 190.0)
-    assert comes_too_near(straight_leg(), 0.0, fence, 200.0)
 
 
 @pytest.mark.parametrize("deep_m", [0.0, 3.0])

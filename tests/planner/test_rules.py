@@ -108,23 +108,6 @@ def test_a_target_must_lie_on_the_map_outside_keep_outs_and_inside_keep_ins() ->
 # --- polygons
 
 
-@given(
-    st.lists(st.floats(0.1, 6.2), min_size=3, max_size=12, unique=True),
-    st.floats(10.0, 1e4),
-    st.booleans(),
-)
-def test_a_polygon_round_a_point_never_crosses_itself(
-    angles: list[float], size_m: float, backwards: bool
-) -> None:
-    """Corners in order of their direction from a point: a star, whatever their distances."""
-    ring = sorted(angles, reverse=backwards)
-    radii = size_m * (1.0 + 0.5 * np.sin(7.0 * np.array(ring)))
-    corners = np.stack([radii * np.cos(ring), radii * np.sin(ring)], axis=-1)
-    gaps = np.diff([*sorted(angles), sorted(angles)[0] + 2 * math.pi])
-    if gaps.max() < 3.0:  # the point is inside, so the order of directions is that of the edges
-        assert rules.first_crossing(corners) is None
-
-
 @given(st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=4, max_size=9))
 def test_edges_that_cross_are_found_as_a_search_of_all_pairs_finds_them(
     places: list[tuple[int, int]],

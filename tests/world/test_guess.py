@@ -10,7 +10,6 @@ from scipy.interpolate import RBFInterpolator
 
 from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
-from companion.path.certificate import pack_surroundings
 from companion.planner import kernels
 from companion.world import clearance, guess
 from companion.world.guess import guessed_m
@@ -140,7 +139,5 @@ def test_no_proof_reads_a_guess() -> None:
 def read_by_proofs(known: KnownMap) -> list[FloatArray]:
     task = load_mission("environment-1").task
     safe = safe_surface(known, centre_ne_m=HERE, reach_m=R, clearance_m=500.0, unknown_m=5_000.0)
-    around = pack_surroundings(
-        known, task.limits, (), (), task.margins, centre_ne_m=HERE, reach_m=R
-    )
+    around = task.surroundings(known, HERE, R)
     return [safe.vertex_m, around.columns.heights_m, around.columns.blocks_m, known.surveyed]

@@ -25,7 +25,7 @@ from rough_ground import (
 )
 
 from companion.config import load_mission
-from companion.path.certificate import certify, pack_surroundings
+from companion.path.certificate import certify
 from companion.path.subpath import Subpath
 from companion.world.known_map import NO_ANSWER, KnownMap, Scan, empty_map
 from companion.world.simulated_scan import simulated_scan
@@ -174,9 +174,7 @@ def test_no_subpath_is_certified_over_ground_that_only_a_plane_would_hide() -> N
     required_m, middle = task.required_clearance_m, (radar[0] - 18_875.0, radar[1])
     for above_m, proven in ((required_m - 23.0, False), (required_m + 30.0, True)):
         curve = [[middle[0], middle[1] + o, plateau_m + above_m] for o in (-900, -300, 300, 900)]
-        around = pack_surroundings(
-            after, limits, (), (), task.margins, centre_ne_m=middle, reach_m=4_000.0
-        )
+        around = replace(task, limits=limits, zones=()).surroundings(after, middle, 4_000.0)
         found = certify(Subpath(control_nea_m=np.array(curve)), around, from_rest=False)
         assert (found.proven, found.clearance_m <= above_m) == (proven, True)
 

@@ -19,7 +19,6 @@ from companion.config import load_mission, load_world
 from companion.errors import CompanionError
 from companion.geodesy import FloatArray
 from companion.library import route_terms
-from companion.path.bspline import climb_angle_rad, horizontal_curvature_1_m
 from companion.path.subpath import Subpath
 from companion.planner.offline import fly_offline
 from companion.planner.settings import Task
@@ -146,8 +145,10 @@ def violations(
         stands_for_m = np.diff(edges_m.clip(max=flown_m)) * (at_m <= flown_m + 1e-9)
         speed = np.linalg.norm(first, axis=1)
         corner = speed < 1e-6 * speed.max()  # r2 = 0: the join is a corner, and has no direction
-        curvature, altitude = horizontal_curvature_1_m(first, second), points[:, 2]
-        climb = np.where(corner, 0.0, climb_angle_rad(first))
+        (north, east, up), (turn_n, turn_e, _) = first.T, second.T
+        level, altitude = np.hypot(north, east), points[:, 2]
+        curvature = np.abs(north * turn_e - turn_n * east) / np.maximum(level, 1e-9) ** 3
+        climb = np.where(corner, 0.0, np.arctan2(up, level))
         seen = np.zeros(len(points), dtype=bool)
         for radar in task.radars:
             seen |= radar.distance_m(points) < radar.range_m * less
