@@ -403,7 +403,7 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
     found = [fence.refusal] if fence.refusal else []
     for number, target in enumerate(targets_ne_m, start=1):
-        for zone in near(fence.zones, target, target, task.zone_clearance_m):
+        for zone in near(fence.zones, target, task.zone_clearance_m):
             short_m = task.zone_clearance_m - _distance_m(zone, target)
             if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"

@@ -21,7 +21,7 @@ from companion.planner.kernels import compiled
 from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.radars import Radar
-from companion.world.zones import NO_CELLS, CircleZone, PolygonZone, Zone, near_cells, packed
+from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells, packed
 
 FloatArray = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def random_scene(
         east_m=LIMITS.east_m,
         radars=radar_table(radars, RADAR_MARGIN_M),
         zones=table,
-        near_polygons=near if rng.random() < 0.5 else NO_CELLS,
+        near_polygons=near if rng.random() < 0.5 else near._replace(near=near.near[:0, :0]),
         at=Workspace.of(count, samples or int(rng.choice([12, 13, 40])), polygons),
     )
 
