@@ -43,7 +43,7 @@ def fly(
 ) -> AloneFlight:
     """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
     plan_s, blank, plan = list[float](), _known(world, knowledge), planner_of(planner)
-    truth = Truth.of(world.terrain, blank)
+    truth = Truth(world.terrain, blank)
 
     def timed(request: PlanRequest) -> PlanOutcome:
         began_s = time.process_time()

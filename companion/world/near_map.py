@@ -206,6 +206,19 @@ class NearMap:
         """(rows, columns), where nothing stands."""
         return (self.passes[window] >= SIGHTINGS) & ~self.occupied(window)
 
+    def gaps_m(self, points_ne_m: FloatArray, within_m: float) -> FloatArray:
+        """Distance of points, seen from above, to what stands nearest, metres.  (N, 2) -> (N,).
+
+        Beyond within_m it may be more than that: inf, if nothing stands near any of the points.
+        """
+        lattice, window = self.lattice, self.lattice.about(points_ne_m, within_m)
+        first = window[0].start, window[1].start
+        south_west = (np.argwhere(self.occupied(window)) + first) * lattice.cell_m
+        south_west += lattice.north_min_m, lattice.east_min_m
+        over_m = points_ne_m[:, None] - south_west
+        gaps_m = np.maximum(np.maximum(-over_m, over_m - lattice.cell_m), 0.0)  # (N, cells, 2)
+        return np.sqrt((gaps_m * gaps_m).sum(axis=2).min(axis=1, initial=math.inf))
+
     def closed(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or so near to it that no beam clears the cell.
 

@@ -1,14 +1,13 @@
 """A scan of a world that is known: what the radar would show, for planning without a vehicle."""
 
 import math
-from dataclasses import dataclass
-from typing import Self, final
+from typing import NamedTuple
 
 import numpy as np
 
-from companion.geodesy import LEAST_RADIUS_M, BoolArray
+from companion.geodesy import LEAST_RADIUS_M, BoolArray, FloatArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
-from companion.world.lattice import Lattice
+from companion.world.lattice import Lattice, Window
 from companion.world.sight_lines import rays_towards
 from companion.world.terrain import Terrain
 
@@ -16,48 +15,36 @@ _NEAR_CELLS = 2.0
 """What is so near is always seen: no ray has a step before it."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Truth(Lattice):
-    """The terrain on the lattice of a map, rasterised where it is looked at.
+def true_map(terrain: Terrain, like: Lattice) -> KnownMap:
+    """A map of which everything is known: the highest terrain of each cell, in whole metres."""
+    south = (like.north_min_m + np.arange(like.shape[0]) * like.cell_m)[:, None]
+    west = (like.east_min_m + np.arange(like.shape[1]) * like.cell_m)[None, :]
+    highest = terrain.highest_in_box_m(south, south + like.cell_m, west, west + like.cell_m)
+    return KnownMap(
+        cell_m=like.cell_m,
+        north_min_m=like.north_min_m,
+        east_min_m=like.east_min_m,
+        upper_m=np.ceil(highest),
+        seen=np.ones(highest.shape, dtype=bool),
+    )
 
-    So a scan takes as long in a big world as in a small one.
+
+class Truth(NamedTuple):
+    """The true map like another, made where it is looked at: a scan of a big world takes no longer.
+
+    As a `KnownMap` it tells what is about points, and a part of itself.
     """
 
     terrain: Terrain
+    like: KnownMap
 
-    @classmethod
-    def of(cls, terrain: Terrain, like: Lattice) -> Self:
-        """The truth behind a map."""
-        return cls(
-            terrain=terrain,
-            cell_m=like.cell_m,
-            north_min_m=like.north_min_m,
-            east_min_m=like.east_min_m,
-            shape=like.shape,
-        )
+    def about(self, points_ne_m: FloatArray, reach_m: float) -> Window:
+        """`Lattice.about`."""
+        return self.like.about(points_ne_m, reach_m)
 
     def part(self, rows: slice, columns: slice) -> KnownMap:
-        """A map of which everything is known: the highest terrain of each cell, in whole metres."""
-        south = self.north_min_m + rows.start * self.cell_m
-        west = self.east_min_m + columns.start * self.cell_m
-        north = (south + np.arange(rows.stop - rows.start) * self.cell_m)[:, None]
-        east = (west + np.arange(columns.stop - columns.start) * self.cell_m)[None, :]
-        highest = self.terrain.highest_in_box_m(
-            north, north + self.cell_m, east, east + self.cell_m
-        )
-        return KnownMap(
-            cell_m=self.cell_m,
-            north_min_m=south,
-            east_min_m=west,
-            upper_m=np.ceil(highest),
-            seen=np.ones(highest.shape, dtype=bool),
-        )
-
-
-def true_map(terrain: Terrain, like: Lattice) -> KnownMap:
-    """The truth of a whole map at once."""
-    return Truth.of(terrain, like).part(slice(0, like.shape[0]), slice(0, like.shape[1]))
+        """The true map of some of the rows and columns."""
+        return true_map(self.terrain, self.like.part(rows, columns))
 
 
 def simulated_scan(
