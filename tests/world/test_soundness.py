@@ -96,6 +96,7 @@ def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
             "with losses": with_losses(complete, rng, share),
             "one sample a cell, with losses": with_losses(sampled, rng, share),
             "in parts not answered": replace(complete, heights_m=in_parts),
+            "it moves": moving(place, complete, radar, rng),
             "not where it says, nor the cells": replace(
                 complete,
                 radar_nea_m=complete.radar_nea_m + off_m,
@@ -105,6 +106,21 @@ def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
         }
         for name, scan in scanners.items():
             check(scan, sight.met_m, f"terrain {number}, {name}")
+
+
+def moving(place: Ground, early: Scan, radar: Point, rng: np.random.Generator) -> Scan:
+    """A scan of which the second half of the answers, here and there, is given from elsewhere."""
+    turn, away_m = rng.uniform(0.0, 2.0 * np.pi), float(rng.choice([15.0, 300.0]))
+    n, e = radar[0] + away_m * np.cos(turn), radar[1] + away_m * np.sin(turn)
+    ground_m = float(place.height_m(np.array(n), np.array(e)))
+    there = n, e, max(radar[2] + float(rng.choice([0.0, 5.0])), ground_m + 5.0)
+    late = scan_of(place.tops_m(), sight_of(place, there).somewhere, there)
+    moved = np.kron(rng.random((ROWS // 4, COLUMNS // 4)) < 0.5, np.ones((4, 4))) > 0.0
+    return replace(
+        early,
+        heights_m=np.where(moved, late.heights_m, early.heights_m),
+        radar_nea_m=np.where(moved[..., None], there, radar),
+    )
 
 
 def test_what_the_simulators_radar_does_not_see_is_below_its_bound(first: int) -> None:
