@@ -128,26 +128,17 @@ def test_a_scan_beside_the_edge_of_the_map_stays_on_it() -> None:
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10**6))
-def test_a_part_of_the_truth_is_that_part_of_the_true_map(seed: int) -> None:
+def test_a_truth_that_is_made_where_it_is_looked_at_is_the_true_map(seed: int) -> None:
     rng = np.random.default_rng(seed)
     terrain = random_terrain(rng)
+    lazy, whole = Truth(terrain, blank()), true_map(terrain, blank())
     (south, north), (west, east) = np.sort(rng.integers(0, 41, (2, 2)), axis=1).tolist()
-    rows, columns = slice(south, north), slice(west, east)
-    part = Truth(terrain, blank()).part(rows, columns)
-    whole = true_map(terrain, blank())
-    assert (part.upper_m == whole.upper_m[rows, columns]).all()
+    part = lazy.part(slice(south, north), slice(west, east))
+    assert (part.upper_m == whole.upper_m[south:north, west:east]).all()
     assert (part.north_min_m, part.east_min_m) == (south * CELL_M, west * CELL_M)
     assert part.seen.all()
-
-
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10**6))
-def test_a_scan_of_the_truth_is_that_of_the_true_map(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    terrain = random_terrain(rng)
     n, e = rng.uniform(-500, 4_500, 2).tolist()
     radar, range_m = (n, e, float(rng.uniform(100, 1_500))), float(rng.uniform(300, 2_500))
-    lazy = simulated_scan(Truth(terrain, blank()), radar, range_m)
-    whole = simulated_scan(true_map(terrain, blank()), radar, range_m)
-    assert (lazy.row, lazy.column) == (whole.row, whole.column)
-    assert (lazy.heights_m == whole.heights_m).all()
+    one, other = (simulated_scan(truth, radar, range_m) for truth in (lazy, whole))
+    assert (one.row, one.column) == (other.row, other.column)
+    assert (one.heights_m == other.heights_m).all()
