@@ -540,7 +540,7 @@ def _strict(scene: Scene) -> Scene:
 def _near_polygons(task: Task) -> NearCells:
     polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
     area, clearance_m = (task.limits.north_m, task.limits.east_m), task.zone_search_clearance_m
-    return near_cells(polygons, *area, clearance_m, kernels.compiled().zone_gaps)
+    return near_cells(polygons, *area, clearance_m, kernels.compiled().near_zones)
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:

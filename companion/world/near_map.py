@@ -103,16 +103,14 @@ class Sweep:
         """
         left_rad = math.tau - len(self.clear_m) * self.width_rad
         ring = self.clear_m if left_rad < _NO_GAP_RAD else np.append(self.clear_m, 0.0)
-
-        def sector_of(turned_rad: FloatArray) -> IntArray:
-            turns = turned_rad - self.first_rad
+        ends = []
+        for turns in (bearing_rad - aside_rad, bearing_rad + aside_rad):
+            turns -= self.first_rad
             turns *= 1.0 / math.tau
             turns -= np.floor(turns)
             turns *= math.tau / self.width_rad
-            sector = turns.astype(np.intp)
-            return np.minimum(sector, len(ring) - 1, out=sector)
-
-        low, high = sector_of(bearing_rad - aside_rad), sector_of(bearing_rad + aside_rad)
+            ends.append(np.minimum(turns.astype(np.intp), len(ring) - 1))
+        low, high = ends
         span = high - low
         span += 1 + len(ring) * (span < 0)
         all_round = (low == high) & (2.0 * aside_rad > self.width_rad)

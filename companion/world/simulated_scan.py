@@ -1,6 +1,5 @@
 """A scan of a world that is known: what the radar would show, for planning without a vehicle."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from companion.geodesy import LEAST_RADIUS_M, BoolArray, FloatArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
 from companion.world.lattice import Lattice, Window
-from companion.world.sight_lines import rays_towards
+from companion.world.sight_lines import march
 from companion.world.terrain import Terrain
 
 _NEAR_CELLS = 2.0
@@ -17,8 +16,8 @@ _NEAR_CELLS = 2.0
 
 def true_map(terrain: Terrain, like: Lattice) -> KnownMap:
     """A map of which everything is known: the highest terrain of each cell, in whole metres."""
-    south = (like.north_min_m + np.arange(like.shape[0]) * like.cell_m)[:, None]
-    west = (like.east_min_m + np.arange(like.shape[1]) * like.cell_m)[None, :]
+    south = (like.north_min_m + np.arange(float(like.shape[0])) * like.cell_m)[:, None]
+    west = (like.east_min_m + np.arange(float(like.shape[1])) * like.cell_m)[None, :]
     highest = terrain.highest_in_box_m(south, south + like.cell_m, west, west + like.cell_m)
     return KnownMap(
         cell_m=like.cell_m,
@@ -86,8 +85,6 @@ def _in_sight(
     rows, columns = np.nonzero(wanted)
     north, east = here.middles_m(0, 0, wanted.shape)
     middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-    rays = rays_towards(middles, radar_nea_m[:2], here.cell_m)
-    steps = np.arange(1.0, math.ceil(rays.farthest_m / here.cell_m) + 2)
     top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
     wider = Lattice(
         cell_m=here.cell_m,
@@ -95,11 +92,11 @@ def _in_sight(
         east_min_m=here.east_min_m - here.cell_m,
         shape=top.shape,
     )
-    crossed = wider.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
-    slope = top.ravel().take(crossed)
+    cells, away, _, _ = march(wider, middles, radar_nea_m[:2], 2)
+    slope = top.ravel().take(cells)
     slope -= radar_nea_m[2]
-    slope /= (steps * here.cell_m)[:, None]
-    slope -= (steps * here.cell_m / (2.0 * LEAST_RADIUS_M))[:, None]
+    slope /= away[:, None]
+    slope -= (away / (2.0 * LEAST_RADIUS_M))[:, None]
     seen = np.zeros(top.shape, dtype=bool)
-    seen.ravel()[crossed[slope >= np.maximum.accumulate(slope, axis=0)]] = True
+    seen.ravel()[cells[slope >= np.maximum.accumulate(slope, axis=0)]] = True
     return seen[1:-1, 1:-1]

@@ -180,24 +180,13 @@ def _box_gaps_m(boxes: Box, others: Box) -> FloatArray:
     return np.hypot(gap_n, gap_e)
 
 
-def near(zones: tuple[Zone, ...], at_ne_m: tuple[float, float], within_m: float) -> list[Zone]:
-    """Zones that may be nearer to a point than that, or forbid it, by their boxes."""
-    table, (n, e) = packed(zones), at_ne_m
-    north, east, radius, _ = table.circles.T
-    boxes = np.stack([north - radius, north + radius, east - radius, east + radius])
-    boxes = np.hstack([boxes, table.polygons[:, 3:].T])
-    apart_m = _box_gaps_m(tuple(boxes), (n, n, e, e)).tolist()
-    in_order = sorted(zones, key=lambda zone: not isinstance(zone, CircleZone))  # as in the table
-    found = zip(in_order, apart_m, strict=True)
-    return [zone for zone, gap in found if gap < within_m or gap == 0.0 or zone.keep_in]
-
-
 def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zone | None, float]:
     """The zone that is the nearest to a point, or forbids it the most, and its distance, metres."""
-    at = np.asarray(north_m), np.asarray(east_m)
-    gap_m = float(gaps_m(packed(zones), *at))
-    rivals = near(zones, (north_m, east_m), max(gap_m, 0.0) + 1.0)
-    return min(rivals, key=lambda zone: float(zone.distance_m(*at)), default=None), gap_m
+    found, gap_m, at = None, math.inf, (np.asarray(north_m), np.asarray(east_m))
+    for zone in zones:
+        told_m = float(gaps_m(packed((zone,)), *at, gap_m))
+        found, gap_m = (zone, told_m) if told_m < gap_m else (found, gap_m)
+    return found, gap_m
 
 
 # --- one point or one segment: compiled with the planner's kernel
@@ -324,26 +313,24 @@ def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[flo
 
 # --- lattices, kept
 
-LatticeGaps = Callable[[ZoneTable, FloatArray, FloatArray, float], FloatArray]
-"""`lattice_gaps`, or the same compiled."""
 
+def near_on_lattice(
+    zones: ZoneTable, north_m: FloatArray, east_m: FloatArray, distance_m: float
+) -> BoolArray:
+    """Where a zone is nearer than a distance, or with one below 0 forbids so deep.
 
-def lattice_gaps(
-    zones: ZoneTable, north_m: FloatArray, east_m: FloatArray, within_m: float
-) -> FloatArray:
-    """`gaps_m` on a lattice; deeper in a zone than within_m counts as so deep.
-
-    North (rows,), east (columns,) -> (rows, columns).
+    North (rows,), east (columns,) -> (rows, columns).  Compiled, too.
     """
-    result = np.empty((len(north_m), len(east_m)))
+    result = np.empty((len(north_m), len(east_m)), dtype=np.bool_)
+    most = abs(distance_m) + 1.0
     for i, n in enumerate(north_m):
         for j, e in enumerate(east_m):
-            gap = within_m
+            gap = most
             for circle in range(len(zones.circles)):
                 gap = min(gap, circle_distance(zones, circle, n, e, n, e))
             for polygon in range(len(zones.polygons)):
-                gap = min(gap, polygon_at(zones, polygon, n, e, max(gap, 0.0), within_m))
-            result[i, j] = max(gap, -within_m)
+                gap = min(gap, polygon_at(zones, polygon, n, e, max(gap, 0.0), most))
+            result[i, j] = gap < distance_m
     return result
 
 
@@ -353,15 +340,13 @@ def too_near(
     north_m: tuple[float, ...],
     east_m: tuple[float, ...],
     distance_m: float,
-    gaps: LatticeGaps = lattice_gaps,
+    on_lattice: Callable[..., BoolArray] = near_on_lattice,
 ) -> BoolArray:
-    """Where on a lattice a zone is nearer than a distance, or with one below 0 forbids so deep.
+    """The same, kept, and not to be changed: zones and lattice are often those of the plan before.
 
-    (rows,), (columns,) -> (rows, columns).  Kept, and not to be changed: zones and lattice are
-    often those of the plan before.
+    on_lattice: `near_on_lattice`, or the same compiled.
     """
-    told_m = gaps(packed(zones), np.array(north_m), np.array(east_m), abs(distance_m) + 1.0)
-    found = np.asarray(told_m < distance_m)
+    found = on_lattice(packed(zones), np.array(north_m), np.array(east_m), float(distance_m))
     found.setflags(write=False)
     return found
 
@@ -380,7 +365,7 @@ def near_cells(
     north_m: tuple[float, float],
     east_m: tuple[float, float],
     distance_m: float,
-    gaps: LatticeGaps = lattice_gaps,
+    on_lattice: Callable[..., BoolArray] = near_on_lattice,
 ) -> NearCells:
     """The cells of an area with points nearer to a zone than a distance, or forbidden by it."""
     most_m = max(north_m[1] - north_m[0], east_m[1] - east_m[0])
@@ -390,5 +375,5 @@ def near_cells(
         for low, high in (north_m, east_m)
     )
     near_m = distance_m + math.sqrt(0.5) * cell_m
-    near = too_near(zones, north, east, near_m, gaps)
+    near = too_near(zones, north, east, near_m, on_lattice)
     return NearCells(float(north_m[0]), float(east_m[0]), float(cell_m), near)

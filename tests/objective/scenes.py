@@ -77,7 +77,7 @@ def random_scene(
         LIMITS.north_m,
         LIMITS.east_m,
         75.0,
-        compiled().zone_gaps,
+        compiled().near_zones,
     )
     drawn = Weights(**dict(zip(TERMS, weights, strict=False)))
     table = packed(zones)
