@@ -182,11 +182,12 @@ def _box_gaps_m(boxes: Box, others: Box) -> FloatArray:
 
 def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zone | None, float]:
     """The zone that is the nearest to a point, or forbids it the most, and its distance, metres."""
-    found, gap_m, at = None, math.inf, (np.asarray(north_m), np.asarray(east_m))
+    found: tuple[Zone | None, float] = None, math.inf
+    at = np.asarray(north_m), np.asarray(east_m)
     for zone in zones:
-        told_m = float(gaps_m(packed((zone,)), *at, gap_m))
-        found, gap_m = (zone, told_m) if told_m < gap_m else (found, gap_m)
-    return found, gap_m
+        gap_m = float(gaps_m(packed((zone,)), *at, found[1]))
+        found = (zone, gap_m) if gap_m < found[1] else found
+    return found
 
 
 # --- one point or one segment: compiled with the planner's kernel
