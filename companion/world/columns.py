@@ -50,10 +50,8 @@ def pack_columns(
 ) -> Columns:
     """The columns within reach of a point; without a top beyond."""
     south_m, west_m, heights_m = known.square_m(centre_ne_m, reach_m)
-    blocks = -(-len(heights_m) // block)
-    padded = np.full((blocks * block, blocks * block), -np.inf)
-    padded[: len(heights_m), : len(heights_m)] = heights_m
-    highest_m = padded.reshape(blocks, block, blocks, block).max(axis=(1, 3))
+    first = np.arange(0, len(heights_m), block)
+    highest_m = np.maximum.reduceat(np.maximum.reduceat(heights_m, first), first, axis=1)
     return Columns(
         heights_m=heights_m,
         blocks_m=np.ascontiguousarray(highest_m),

@@ -14,6 +14,8 @@ from rough_ground import (
     RANGE_M,
     ROWS,
     Ground,
+    Point,
+    answered,
     blank,
     elevation_tangent,
     ground,
@@ -34,7 +36,6 @@ from vehicle_sim.grid import GridTerrain
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 
 FloatArray = NDArray[np.float64]
-Point = tuple[float, float, float]
 
 BLOCK = 10
 BLOCKS, ALL_BLOCKS = 5, 1_000
@@ -225,17 +226,6 @@ def test_what_a_wall_beside_the_radar_hides_is_below_its_bound() -> None:
         bounded += int((np.isfinite(after.upper_m) & hidden).sum())
         assert (after.upper_m >= ground).all()
     assert bounded > 10_000
-
-
-def answered(heights_m: FloatArray, radar_nea_m: Point, range_m: float) -> Scan:
-    """Of a complete radar."""
-    return Scan(
-        row=0,
-        column=0,
-        heights_m=heights_m,
-        radar_nea_m=np.broadcast_to(np.array(radar_nea_m), (*heights_m.shape, 3)),
-        range_m=range_m,
-    )
 
 
 def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
