@@ -1,12 +1,10 @@
 """A scan of a world that is known: what the radar would show, for planning without a vehicle."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from companion.geodesy import LEAST_RADIUS_M, BoolArray, FloatArray
+from companion.geodesy import LEAST_RADIUS_M, BoolArray
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan
-from companion.world.lattice import Lattice, Window
+from companion.world.lattice import Lattice
 from companion.world.sight_lines import march
 from companion.world.terrain import Terrain
 
@@ -28,30 +26,20 @@ def true_map(terrain: Terrain, like: Lattice) -> KnownMap:
     )
 
 
-class Truth(NamedTuple):
-    """The true map like another, made where it is looked at: a scan of a big world takes no longer.
-
-    As a `KnownMap` it tells what is about points, and a part of itself.
-    """
-
-    terrain: Terrain
-    like: KnownMap
-
-    def about(self, points_ne_m: FloatArray, reach_m: float) -> Window:
-        """`Lattice.about`."""
-        return self.like.about(points_ne_m, reach_m)
-
-    def part(self, rows: slice, columns: slice) -> KnownMap:
-        """The true map of some of the rows and columns."""
-        return true_map(self.terrain, self.like.part(rows, columns))
-
-
 def simulated_scan(
-    truth: KnownMap | Truth, radar_nea_m: tuple[float, float, float], range_m: float
+    truth: KnownMap,
+    radar_nea_m: tuple[float, float, float],
+    range_m: float,
+    terrain: Terrain | None = None,
 ) -> Scan:
-    """What a complete radar at a point sees of the truth (design section 4)."""
+    """What a complete radar at a point sees of the truth (design section 4).
+
+    terrain: the truth is made from it where it is looked at, and the map only says where the cells
+    are: so a scan takes as long in a big world as in a small one.
+    """
     rows, columns = truth.about(np.array([radar_nea_m[:2]]), range_m)
     here = truth.part(rows, columns)
+    here = here if terrain is None else true_map(terrain, here)
     north_m, east_m = here.middles_m(0, 0, here.shape)
     away_m = np.hypot(north_m - radar_nea_m[0], east_m - radar_nea_m[1])
     in_range = away_m <= range_m
