@@ -403,9 +403,10 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
     found = [fence.refusal] if fence.refusal else []
     for number, target in enumerate(targets_ne_m, start=1):
-        gap_m = gaps_m(packed(fence.zones), *map(np.asarray, target), task.zone_clearance_m)
-        circles_first = sorted(fence.zones, key=lambda zone: isinstance(zone, PolygonZone))
-        for zone in circles_first if gap_m < task.zone_clearance_m else ():
+        north, east = (np.asarray(value) for value in target)
+        if gaps_m(packed(fence.zones), north, east, task.zone_clearance_m) >= task.zone_clearance_m:
+            continue
+        for zone in sorted(fence.zones, key=lambda zone: isinstance(zone, PolygonZone)):
             short_m = task.zone_clearance_m - _distance_m(zone, target)
             if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"
