@@ -185,11 +185,13 @@ def test_nothing_is_free_for_longer_without_any_sweep() -> None:
     for start_s, later_s in ((0.0, 8.5), (300.0, 20.0)):
         near = NearMap(LATTICE)
         looked(near, NOTHING, 5, start_s=start_s)
-        assert near.expire(start_s + near.free_for_s) is None
-        assert near.free().any()
-        assert near.expire(later_s) is not None
-        assert not near.free().any()
-        assert near.expire(1_000.0) is None
+        for at_s, is_free in ((start_s + near.free_for_s, True), (later_s, False)):
+            near.changed = None
+            near.expire(at_s)
+            assert (near.changed is None) == near.free().any() == is_free
+        near.changed = None
+        near.expire(1_000.0)
+        assert near.changed is None
 
 
 def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
