@@ -194,6 +194,28 @@ def test_nothing_is_free_for_longer_without_any_sweep() -> None:
         assert near.changed is None
 
 
+def test_a_scan_tells_all_that_is_known_where_something_may_have_changed_and_tells_it_once() -> (
+    None
+):
+    near, ground = NearMap(LATTICE), np.full(LATTICE.shape, 7.0)
+    for k in range(SIGHTINGS):
+        for at in ((-5.0, -6.0), (6.0, 5.0)):
+            near.add(sweep_of(np.full(72, np.inf), sensor_ne_m=at, time_s=k * PERIOD_S))
+    near.add(sweep_of(nearest_m(post(2.0, 3.0, 0.5), np.zeros(2), 0.0, math.tau / 72, 72)))
+    scan = near.scan(ground, 50.0)
+    assert scan.supersedes
+    heights = np.full(LATTICE.shape, np.nan)
+    rows, columns = scan.heights_m.shape
+    heights[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
+    free, closed = near.free(), near.closed()
+    assert free.any()
+    assert closed.any()
+    np.testing.assert_array_equal(heights, np.where(closed, 50.0, np.where(free, ground, np.nan)))
+    again = near.scan(ground, 50.0)
+    assert not again.supersedes
+    assert again.heights_m.size == 0
+
+
 def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
     """A wall was free up to, and something new stands before it, nearer than the error."""
     near, barrier = NearMap(LATTICE), wall((6.5, -30.0), (6.5, 30.0))

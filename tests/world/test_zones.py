@@ -81,6 +81,9 @@ def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
     truth, (north, east) = truth_m(zones, points), points.T
     told = gaps_m(packed(zones), north, east, within_m)
     assert told == pytest.approx(np.minimum(truth, within_m), abs=1e-6)
+    for k in range(0, 60, 4):  # of areas that zones lie outside of
+        two = gaps_m(packed(zones), north[k : k + 2], east[k : k + 2], within_m)
+        assert (two == told[k : k + 2]).all()
     each_m = rng.choice([0.0, 40.0, math.inf], len(points))
     told = gaps_m(packed(zones), north, east, each_m)
     assert told == pytest.approx(np.minimum(truth, each_m), abs=1e-6)
