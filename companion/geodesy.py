@@ -63,13 +63,10 @@ class LocalFrame:
 
     def convergence_rad(self, north_m: tuple[float, float], east_m: tuple[float, float]) -> float:
         """How far true north is from the north axis of any frame on a rectangle of this one."""
-        corners = [(north, east) for north in north_m for east in east_m]
-        frames = (
-            LocalFrame(latitude_deg=p, longitude_deg=q)
-            for p, q in (self.to_geodetic_deg(*corner) for corner in corners)
-        )
+        corners = [self.to_geodetic_deg(north, east) for north in north_m for east in east_m]
+        frames = [LocalFrame(latitude_deg=p, longitude_deg=q) for p, q in corners]
         return max(
-            abs(frame.grid_north_rad(*frame.to_local_m(*self.to_geodetic_deg(*corner))))
+            abs(frame.grid_north_rad(*frame.to_local_m(*corner)))
             for frame in frames
             for corner in corners
         )

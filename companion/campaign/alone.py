@@ -13,7 +13,7 @@ from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import OURS, planner_of
 from companion.world.known_map import KnownMap, Scan
-from companion.world.simulated_scan import Truth, simulated_scan, true_map
+from companion.world.simulated_scan import simulated_scan, true_map
 
 Knowledge = Literal["scans", "elevation", "full"]
 """Of the ground before the flight: none; a poor elevation file, for guidance; all of it."""
@@ -43,7 +43,6 @@ def fly(
 ) -> AloneFlight:
     """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
     plan_s, blank, plan = list[float](), _known(world, knowledge), planner_of(planner)
-    truth = Truth.of(world.terrain, blank)
 
     def timed(request: PlanRequest) -> PlanOutcome:
         began_s = time.process_time()
@@ -52,12 +51,12 @@ def fly(
         return outcome
 
     def scanned(_: KnownMap, at_nea_m: tuple[float, float, float], range_m: float) -> Scan:
-        return simulated_scan(truth, at_nea_m, range_m)
+        return simulated_scan(blank, at_nea_m, range_m, world.terrain)
 
     flight = fly_offline(
         world.task,
         blank=blank,
-        truth=blank,  # the scanner has its own, which is rasterised where it is looked at
+        truth=blank,  # the scanner makes it where it is looked at
         scanner=scanned,
         start_nea_m=world.start_nea_m,
         targets_ne_m=world.targets_ne_m,

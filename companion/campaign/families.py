@@ -21,7 +21,7 @@ from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
-from companion.world.simulated_scan import Truth
+from companion.world.simulated_scan import true_map
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone
 
@@ -93,9 +93,7 @@ def unseen_with_elevation(world: DrawnWorld, seed: int) -> KnownMap:
         south_m=blank.north_min_m,
         west_m=blank.east_min_m,
     )
-    rows, columns = blank.upper_m.shape
-    whole = Truth.of(told, blank).part(slice(0, rows), slice(0, columns))
-    return replace(blank, guess_m=whole.upper_m)
+    return replace(blank, guess_m=true_map(told, blank).upper_m)
 
 
 # --- 100 km x 100 km, the mission of environment-2

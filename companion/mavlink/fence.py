@@ -20,7 +20,7 @@ from companion.mavlink.polygons import Point, cleaned, crosses_itself, hull, off
 from companion.mission.events import FenceChanged, Vector
 from companion.mission.mission import EndAction
 from companion.planner.settings import Task
-from companion.world.zones import CircleZone, PolygonZone, Zone, near
+from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m, packed
 
 RETURN_POINT: Final = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
@@ -403,7 +403,10 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
     found = [fence.refusal] if fence.refusal else []
     for number, target in enumerate(targets_ne_m, start=1):
-        for zone in near(fence.zones, target, target, task.zone_clearance_m):
+        north, east = (np.asarray(value) for value in target)
+        if gaps_m(packed(fence.zones), north, east, task.zone_clearance_m) >= task.zone_clearance_m:
+            continue
+        for zone in sorted(fence.zones, key=lambda zone: isinstance(zone, PolygonZone)):
             short_m = task.zone_clearance_m - _distance_m(zone, target)
             if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"

@@ -16,7 +16,7 @@ from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.known_map import KnownMap
 from companion.world.lattice import Window
-from companion.world.near_map import NearMap, Sight, both, top_amsl_m
+from companion.world.near_map import NearMap, Sight, top_amsl_m
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
@@ -67,8 +67,6 @@ class NearScanner:
         self._top_m = top_amsl_m(limits.ceiling_amsl_m, settings.scan_range_m)
         self._scan_time_s = settings.scan_time_s
         self._began_s = self._swept_s = -math.inf
-        self._changed: Window | None = None
-        """Where sweeps may have changed something since the last scan."""
         self._told: Window | None = None
         """What the last scan has told."""
         self._before: KnownMap | None = None
@@ -110,7 +108,7 @@ class NearScanner:
         """What is new: sweeps, or what the silence means; None: nothing."""
         sweeps, sight = self._sensing.sweeps(), self._sensing.sight(now_s)
         for sweep in sweeps:
-            self._changed = both(self._changed, self._near.add(sweep))
+            self._near.add(sweep)
             self._swept_s = now_s
         if not sweeps and sight is self._sight:
             return None
@@ -124,7 +122,7 @@ class NearScanner:
     def begin(self, _centre_nea_m: Vector, state: State, now_s: float) -> int:
         """Begin a scan: the next sweep ends it.  -> 1, the blocks of it."""
         if self._told is not None and state.flight.known is self._before:
-            self._changed = both(self._changed, self._told)  # nobody has taken it
+            self._near.tell_again(self._told)  # nobody has taken it
         self._before, self._told = state.flight.known, None
         self._began_s, self.is_on = now_s, True
         return 1
@@ -141,13 +139,12 @@ class NearScanner:
 
         A sensor that is well and silent has answered: what it saw before is all that there is.
         """
-        if (expired := self._near.expire(now_s)) is not None:
-            self._changed = both(self._changed, expired)
+        self._near.expire(now_s)
         swept = self._swept_s > self._began_s
         if not self.is_on or not (swept or now_s - self._began_s >= self._scan_time_s):
             return None
         answered = swept or not self._sight.is_blind
         self.is_on = False
-        self._told, self._changed = self._changed, None
-        scan = self._near.scan(self._told, self._ground_m, self._top_m)
+        self._told = self._near.changed
+        scan = self._near.scan(self._ground_m, self._top_m)
         return ScanDone(time_s=now_s, scan=scan, asked=1, answered=int(answered))

@@ -18,7 +18,7 @@ from typing import Any, final
 import numpy as np
 
 from companion.caches import cache_folder, is_writable
-from companion.geodesy import FloatArray, LocalFrame
+from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.objective import kernel as objective
 from companion.objective.scene import TERMS, Scene
 from companion.optimise import refined_de
@@ -27,7 +27,6 @@ from companion.path import envelope, proof, proof_shape
 from companion.path.certificate import Prover
 from companion.planner import cheapest_ways, cost_samples
 from companion.world import clearance, columns, zones
-from companion.world.zones import LatticeGaps
 
 
 @final
@@ -46,7 +45,8 @@ class Kernel:
     """Of `world.clearance`."""
     guidance: Any
     """What guidance calls of `cheapest_ways` and `cost_samples`, by name."""
-    zone_gaps: LatticeGaps
+    near_zones: Callable[..., BoolArray]
+    """Of `world.zones`."""
 
 
 @cache
@@ -104,7 +104,7 @@ def kernel_by(jit: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Kernel
         guidance=SimpleNamespace(
             **{each.__name__: jit(each) for each in cheapest_ways.ENTRIES + cost_samples.ENTRIES}
         ),
-        zone_gaps=jit(zones.lattice_gaps),
+        near_zones=jit(zones.near_on_lattice),
     )
 
 

@@ -34,8 +34,7 @@ from companion.planner.request import (
 )
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, Scan
-from companion.world.lattice import Window
-from companion.world.near_map import NearMap, NearSensor, both, top_amsl_m
+from companion.world.near_map import NearMap, NearSensor, top_amsl_m
 from companion.world.simulated_scan import simulated_scan
 from companion.world.simulated_sweep import NearScene
 
@@ -222,14 +221,12 @@ class OnBoard:
         self._sensor, self._scene, self._task, self._ground_m = sensor, scene, task, blank.guess_m
         self._top_m = top_amsl_m(task.limits.ceiling_amsl_m, sensor.range_m)
         self._now_s = self._heading_rad = 0.0
-        self._changed: Window | None = None
         self._reference = Reference()
 
     def scan(self, at_nea_m: Vector, looks_s: float) -> Scan:
         """What it has come to know since the last time; at rest it looks about first, so long."""
         self.look((at_nea_m[0], at_nea_m[1]), self._heading_rad, 0.0, seconds=looks_s)
-        changed, self._changed = self._changed, None
-        return self.near.scan(changed, self._ground_m, self._top_m)
+        return self.near.scan(self._ground_m, self._top_m)
 
     def flies(
         self, leg: Leg, from_m: float, until_m: float, *, goes_on: bool
@@ -274,4 +271,4 @@ class OnBoard:
         for _ in range(math.ceil(seconds / period_s - _ROUNDING)):
             self._now_s += period_s
             sweep = self._scene.sweep(self._sensor, self._now_s, place_ne_m, heading_rad, speed_m_s)
-            self._changed = both(self._changed, self.near.add(sweep))
+            self.near.add(sweep)

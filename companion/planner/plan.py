@@ -43,7 +43,7 @@ from companion.planner.settings import Task
 from companion.planner.way_out import way_out
 from companion.world.clearance import Surface, safe_surface, sees_anything
 from companion.world.columns import distance_to_terrain_m
-from companion.world.zones import NO_CELLS, NearCells, PolygonZone, near_cells, packed
+from companion.world.zones import NearCells, PolygonZone, near_cells, packed
 
 _POINTS = (5, 6)  # control points: six where five find nothing good
 _CHUNK = 300  # evaluations between two looks at the clock
@@ -538,10 +538,8 @@ def _strict(scene: Scene) -> Scene:
 
 def _near_polygons(task: Task) -> NearCells:
     polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
-    if not polygons:
-        return NO_CELLS
     area, clearance_m = (task.limits.north_m, task.limits.east_m), task.zone_search_clearance_m
-    return near_cells(polygons, *area, clearance_m, kernels.compiled().zone_gaps)
+    return near_cells(polygons, *area, clearance_m, kernels.compiled().near_zones)
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:

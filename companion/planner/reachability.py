@@ -73,5 +73,5 @@ def _barred(known: KnownMap, task: Task, across: int) -> BoolArray:
         north_m = known.north_min_m + (np.arange(rows) + 0.5) * part_m
         east_m = known.east_min_m + (np.arange(columns) + 0.5) * part_m
         lattice, deep_m = (tuple(north_m), tuple(east_m)), task.zone_clearance_m - half_m
-        barred |= too_near(task.zones, *lattice, deep_m, compiled().zone_gaps)
+        barred |= too_near(task.zones, *lattice, deep_m, compiled().near_zones)
     return np.asarray(barred)

@@ -9,7 +9,6 @@ import numpy as np
 
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
-from companion.world.columns import distances_to_cells_m
 from companion.world.near_map import NearMap
 from companion.world.zones import Zone, gaps_m, packed
 
@@ -64,8 +63,7 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     steps = max(round(2.0 * (leg.subpath.length_m - from_m) / near.lattice.cell_m), 1)
     lengths = np.linspace(from_m, leg.subpath.length_m, steps + 1)
     points = leg.subpath.points_nea_m(lengths)[:, :2]
-    window = near.lattice.about(points, required_m)
-    gaps_m = distances_to_cells_m(points, near.occupied(window), window, near.lattice)
+    gaps_m = near.gaps_m(points, required_m)
     kept = gaps_m >= required_m
     left_at = int(np.argmax(kept)) if kept.any() else steps
     leads_away = lengths[left_at] - from_m <= required_m and (gaps_m[:left_at] >= gaps_m[0]).all()

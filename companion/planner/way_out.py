@@ -194,7 +194,7 @@ class _Search:
         if task.zones:
             lattice = tuple(north), tuple(east)
             kept_m = task.zone_clearance_m + 0.5 * surface.cell_m
-            free &= ~too_near(task.zones, *lattice, kept_m, compiled().zone_gaps)
+            free &= ~too_near(task.zones, *lattice, kept_m, compiled().near_zones)
         offset_m = np.hypot((north - here[0])[:, None], (east - here[1])[None, :])
         begin = int(np.argmin(np.where(free, offset_m, math.inf)))
         if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * cell_m:

@@ -21,7 +21,7 @@ from companion.errors import InputError
 from companion.geodesy import FloatArray, LocalFrame
 from companion.sources.files import answer, told_path
 from companion.world.known_map import KnownMap
-from companion.world.simulated_scan import Truth
+from companion.world.simulated_scan import true_map
 from companion.world.terrain import GridTerrain
 
 VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]
@@ -226,13 +226,12 @@ def _read_where_it_is(
 
 def _highest_m(terrain: GridTerrain, blank: KnownMap) -> FloatArray:
     """The highest of each cell of a map, in strips: a big map would not fit into memory at once."""
-    truth = Truth.of(terrain, blank)
-    rows, columns = truth.shape
+    rows, columns = blank.shape
     strip = max(_STRIP_CELLS // columns, 1)
-    result = np.empty(truth.shape)
+    result = np.empty(blank.shape)
     for first in range(0, rows, strip):
         part = slice(first, min(first + strip, rows))
-        result[part] = truth.part(part, slice(0, columns)).upper_m
+        result[part] = true_map(terrain, blank.part(part, slice(0, columns))).upper_m
     return result
 
 

@@ -1,8 +1,8 @@
 """Columns of terrain: each cell of the known map is as high, all over its square, as its highest.
 
 Unknown ground, and what lies off the map, has no top.  Every distance between the vehicle and
-known ground is a distance to columns: of many points at once (`distances_to_terrain_m`), of a
-segment for the proof, and, seen from above, of points to cells.
+known ground is a distance to columns: of many points at once (`distances_to_terrain_m`), and of a
+segment for the proof.
 
 What is about a segment is plain scalar code that numba can compile as it is (`planner.kernels`).
 A column is convex, so the distance to one is a convex function along the segment.
@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
-from companion.world.lattice import IntArray, Lattice, Window
+from companion.world.lattice import IntArray
 
 _FAR_M = 1e12
 """Farther than anything on earth, and small enough to calculate with."""
@@ -50,10 +50,8 @@ def pack_columns(
 ) -> Columns:
     """The columns within reach of a point; without a top beyond."""
     south_m, west_m, heights_m = known.square_m(centre_ne_m, reach_m)
-    blocks = -(-len(heights_m) // block)
-    padded = np.full((blocks * block, blocks * block), -np.inf)
-    padded[: len(heights_m), : len(heights_m)] = heights_m
-    highest_m = padded.reshape(blocks, block, blocks, block).max(axis=(1, 3))
+    first = np.arange(0, len(heights_m), block)
+    highest_m = np.maximum.reduceat(np.maximum.reduceat(heights_m, first), first, axis=1)
     return Columns(
         heights_m=heights_m,
         blocks_m=np.ascontiguousarray(highest_m),
@@ -109,21 +107,6 @@ def distances_to_terrain_m(
     return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)
 
 
-def distances_to_cells_m(
-    points_ne_m: FloatArray, cells: BoolArray, window: Window, lattice: Lattice
-) -> FloatArray:
-    """Distance of points, seen from above, to the nearest of some cells, metres; inf without any.
-
-    (N, 2) -> (N,).  cells (rows, columns): those of a window of the lattice that count.
-    """
-    first = np.array([window[0].start, window[1].start])
-    south_west = (np.argwhere(cells) + first) * lattice.cell_m
-    south_west += lattice.north_min_m, lattice.east_min_m
-    over_m = points_ne_m[:, None] - south_west  # (N, cells, 2)
-    gaps_m = np.maximum(np.maximum(-over_m, over_m - lattice.cell_m), 0.0)
-    return np.sqrt((gaps_m * gaps_m).sum(axis=2).min(axis=1, initial=math.inf))
-
-
 # --- a segment: compiled with the planner's kernel
 
 
@@ -132,16 +115,8 @@ def column_gap(at: float, segment: Segment, box: Box) -> tuple[float, float]:
     n0, e0, z0, dn, de, dz = segment
     south, north, west, east, top, registration = box
     n, e, z = n0 + at * dn, e0 + at * de, z0 + at * dz
-    gap_n, rate_n = 0.0, 0.0
-    if n < south:
-        gap_n, rate_n = south - n, -dn
-    elif n > north:
-        gap_n, rate_n = n - north, dn
-    gap_e, rate_e = 0.0, 0.0
-    if e < west:
-        gap_e, rate_e = west - e, -de
-    elif e > east:
-        gap_e, rate_e = e - east, de
+    gap_n, rate_n = max(max(south - n, n - north), 0.0), -dn if n < south else dn
+    gap_e, rate_e = max(max(west - e, e - east), 0.0), -de if e < west else de
     flat = math.sqrt(gap_n * gap_n + gap_e * gap_e)
     gap, rate = 0.0, 0.0
     if flat > registration:

@@ -68,20 +68,3 @@ class Lattice:
             np.clip(each, 0, self.shape).tolist() for each in (first, last)
         )
         return slice(row, row_end), slice(column, column_end)
-
-    def crossed(
-        self, radar_ne_m: tuple[float, float], azimuth_rad: FloatArray, steps: FloatArray
-    ) -> IntArray:
-        """Cells under points steps x cell_m away from a radar, as indices of the ravelled array.
-
-        (rays,), (steps,) -> (steps, rays).  Beyond the edge it is the nearest cell.
-        """
-        rows, columns = self.shape
-        row = np.multiply.outer(steps, np.cos(azimuth_rad))  # in place from here on
-        row += (radar_ne_m[0] - self.north_min_m) / self.cell_m
-        column = np.multiply.outer(steps, np.sin(azimuth_rad))
-        column += (radar_ne_m[1] - self.east_min_m) / self.cell_m
-        flat = np.clip(row, 0, rows - 1, out=row).astype(np.intp)
-        flat *= columns
-        flat += np.clip(column, 0, columns - 1, out=column).astype(np.intp)
-        return flat

@@ -103,16 +103,14 @@ class Sweep:
         """
         left_rad = math.tau - len(self.clear_m) * self.width_rad
         ring = self.clear_m if left_rad < _NO_GAP_RAD else np.append(self.clear_m, 0.0)
-
-        def sector_of(turned_rad: FloatArray) -> IntArray:
-            turns = turned_rad - self.first_rad
+        ends = []
+        for turns in (bearing_rad - aside_rad, bearing_rad + aside_rad):
+            turns -= self.first_rad
             turns *= 1.0 / math.tau
             turns -= np.floor(turns)
             turns *= math.tau / self.width_rad
-            sector = turns.astype(np.intp)
-            return np.minimum(sector, len(ring) - 1, out=sector)
-
-        low, high = sector_of(bearing_rad - aside_rad), sector_of(bearing_rad + aside_rad)
+            ends.append(np.minimum(turns.astype(np.intp), len(ring) - 1))
+        low, high = ends
         span = high - low
         span += 1 + len(ring) * (span < 0)
         all_round = (low == high) & (2.0 * aside_rad > self.width_rad)
@@ -195,6 +193,8 @@ class NearMap:
         """How many sweeps from near by had the cell, or what is before it, in sight."""
         self.inside = np.zeros(shape, dtype=np.uint8)
         """How many sweeps in a row had an echo from here, and here no cell that is not free."""
+        self.changed: Window | None = None
+        """Where something may have changed since the last scan; None: nowhere."""
         self._swept: collections.deque[tuple[float, Window]] = collections.deque()
         """When and where sweeps were that may have passed a cell last."""
 
@@ -206,6 +206,19 @@ class NearMap:
         """(rows, columns), where nothing stands."""
         return (self.passes[window] >= SIGHTINGS) & ~self.occupied(window)
 
+    def gaps_m(self, points_ne_m: FloatArray, within_m: float) -> FloatArray:
+        """Distance of points, seen from above, to what stands nearest, metres.  (N, 2) -> (N,).
+
+        Beyond within_m it may be more than that: inf, if nothing stands near any of the points.
+        """
+        lattice, window = self.lattice, self.lattice.about(points_ne_m, within_m)
+        first = window[0].start, window[1].start
+        south_west = (np.argwhere(self.occupied(window)) + first) * lattice.cell_m
+        south_west += lattice.north_min_m, lattice.east_min_m
+        over_m = points_ne_m[:, None] - south_west
+        gaps_m = np.maximum(np.maximum(-over_m, over_m - lattice.cell_m), 0.0)  # (N, cells, 2)
+        return np.sqrt((gaps_m * gaps_m).sum(axis=2).min(axis=1, initial=math.inf))
+
     def closed(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or so near to it that no beam clears the cell.
 
@@ -216,14 +229,14 @@ class NearMap:
         stands = self.occupied(window) & self.sharp[window]
         return stands | (looked & ~self.free(window))
 
-    def scan(self, window: Window | None, ground_m: FloatArray, top_m: float) -> Scan:
-        """All that is known of a window, as a scan of a known map; None: nothing is new.
+    def scan(self, ground_m: FloatArray, top_m: float) -> Scan:
+        """All that is known where something may have changed, as a scan of a known map.
 
         ground_m: of all cells (rows, columns), what is free is as high; what is closed is as high
         as top_m.
         """
-        supersedes = window is not None
-        window = window or (slice(0, 0), slice(0, 0))
+        window, supersedes = self.changed or (slice(0, 0), slice(0, 0)), self.changed is not None
+        self.changed = None
         heights = np.where(self.free(window), ground_m[window], NO_ANSWER)
         heights[self.closed(window)] = top_m
         return Scan(
@@ -236,23 +249,27 @@ class NearMap:
             supersedes=supersedes,
         )
 
-    def expire(self, now_s: float) -> Window | None:
-        """Cells that no sweep has passed for too long are unknown.  -> where that may be so.
+    def tell_again(self, window: Window) -> None:
+        """Make these cells part of the next scan."""
+        pairs = zip(window, self.changed or window, strict=True)
+        rows, columns = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in pairs)
+        self.changed = rows, columns
+
+    def expire(self, now_s: float) -> None:
+        """Cells that no sweep has passed for too long are unknown.
 
         So are those that one has passed so much later than now: the clock has begun anew.
         """
-        changed = None
         while self._swept and abs(now_s - self._swept[0][0]) > self.free_for_s:
             _, window = self._swept.popleft()
             passes, looks = self.passes[window], self.looks[window]  # views
             old = (passes > 0) & (np.abs(now_s - self.passed_s[window]) > self.free_for_s)
             looks[old & ~self.occupied(window)] = 0  # nor is it closed for that
             passes[old] = 0
-            changed = both(changed, window)
-        return changed
+            self.tell_again(window)
 
-    def add(self, sweep: Sweep) -> Window:
-        """One more sweep.  -> the rows and columns that it may have changed.
+    def add(self, sweep: Sweep) -> None:
+        """One more sweep.
 
         What it says of a cell        what becomes of the cell
         passed over                   a pass more; after SIGHTINGS of them in a row it is free
@@ -263,10 +280,11 @@ class NearMap:
         not met for FORGOTTEN_AFTER_S, and never for _STANDING_AFTER_S together: unknown
         """
         now_s = sweep.time_s
-        expired = self.expire(now_s)
+        self.expire(now_s)
         place = np.array([sweep.sensor_ne_m])
         window = self.lattice.about(place, sweep.range_m + sweep.error_m)
         self._swept.append((now_s, window))
+        self.tell_again(window)
         (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
         looks, passes = self.looks[window], self.passes[window]  # views, as all of these
         passed_since_s, passed_s = self.passed_since_s[window], self.passed_s[window]
@@ -286,7 +304,6 @@ class NearMap:
         passes[gone & ~wiped & self.occupied(window)] = 0
         met_since_s[wiped | gone] = np.inf
         self.sharp[window] = (self.sharp[window] | sharp) & ~(wiped | gone)
-        return both(expired, window)
 
     def _passed(self, sweep: Sweep, window: Window) -> tuple[BoolArray, BoolArray]:
         """The cells of a window that beams have passed all over, and those that were near by.
@@ -374,14 +391,3 @@ def cell_for_m(range_m: float, north_m: tuple[float, float], east_m: tuple[float
 def top_amsl_m(ceiling_amsl_m: float, range_m: float) -> float:
     """How high closed cells are: R above the ceiling, so that no path leads over them."""
     return ceiling_amsl_m + range_m
-
-
-def both(a: Window | None, b: Window) -> Window:
-    """The least window that holds both."""
-    if a is None:
-        return b
-    rows, columns = (
-        slice(min(one.start, other.start), max(one.stop, other.stop))
-        for one, other in zip(a, b, strict=True)
-    )
-    return rows, columns

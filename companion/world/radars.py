@@ -23,9 +23,7 @@ class Radar:
         return np.sqrt(np.einsum("...k,...k->...", offset, offset))
 
 
-def detection_probability(
-    distance_m: FloatArray, range_m: float | FloatArray, margin_m: float = 0.0
-) -> FloatArray:
-    """Eq. 3: R^4 / (R^4 + d^4) within the range (and a margin), 0 beyond it.  (...) -> (...)."""
+def detection_probability(distance_m: FloatArray, range_m: float | FloatArray) -> FloatArray:
+    """Eq. 3: R^4 / (R^4 + d^4) within the range, 0 beyond it.  (...) -> (...)."""
     ratio = (distance_m / range_m) ** 4
-    return np.where(distance_m <= range_m + margin_m, 1.0 / (1.0 + ratio), 0.0)
+    return np.where(distance_m <= range_m, 1.0 / (1.0 + ratio), 0.0)

@@ -21,26 +21,40 @@ _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1
 radar, and costs slack and height (`sight_line_m`)."""
 
 
-class Rays(NamedTuple):
-    """Rays towards points: each point has one that passes within RAY_CELLS / 2 of it."""
+class March(NamedTuple):
+    """Rays towards points, a step of a cell at a time, from the first one on."""
 
-    azimuth_rad: FloatArray  # (rays,)
+    cells: IntArray  # (steps, rays)
+    """What lies under each step, as indices of the ravelled array; off the map the nearest cell."""
+    away_m: FloatArray  # (steps,)
     distance_m: FloatArray  # (points,)
     ray_of: IntArray  # (points,)
-    farthest_m: float
 
 
-def rays_towards(points_ne_m: FloatArray, radar_ne_m: tuple[float, float], cell_m: float) -> Rays:
-    """The rays from a radar that are needed for these points.  (K, 2)."""
-    away = points_ne_m - np.asarray(radar_ne_m)
+def march(
+    lattice: Lattice, points_ne_m: FloatArray, radar_ne_m: tuple[float, float], beyond: int
+) -> March:
+    """Go out from a radar to so many cells beyond the farthest of some points, (K, 2).
+
+    Each point has a ray that passes within RAY_CELLS / 2 of it.
+    """
+    away, cell_m = points_ne_m - np.asarray(radar_ne_m), lattice.cell_m
     distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
     farthest = max(float(distance.max()), cell_m)
     apart_rad = RAY_CELLS * cell_m / farthest
     index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
     first = int(index.min())
     used = np.bincount(index - first) > 0
-    azimuth = np.asarray((np.flatnonzero(used) + first) * apart_rad, dtype=np.float64)
-    return Rays(azimuth, distance, (np.cumsum(used) - 1)[index - first], farthest)
+    azimuth = (np.flatnonzero(used) + first) * apart_rad
+    steps = np.arange(1.0, max(math.ceil(farthest / cell_m) + beyond, 2))
+    (rows, columns), flat = lattice.shape, np.zeros((len(steps), len(azimuth)), dtype=np.intp)
+    sides = (np.cos, lattice.north_min_m, rows), (np.sin, lattice.east_min_m, columns)
+    for at_m, (along, least_m, count) in zip(radar_ne_m, sides, strict=True):
+        at = np.multiply.outer(steps, along(azimuth))  # in place from here on
+        at += (at_m - least_m) / cell_m
+        flat *= count
+        flat += np.clip(at, 0, count - 1, out=at).astype(np.intp)
+    return March(flat, steps * cell_m, distance, (np.cumsum(used) - 1)[index - first])
 
 
 def sight_line_m(
@@ -106,20 +120,17 @@ def _line_from_one_m(
     over R_e: z / (1 - z / R_e) is not below it.
     """
     cell = lattice.cell_m
-    rays = rays_towards(points_ne_m, radar_nea_m[:2], cell)
-    distance = rays.distance_m
-    steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
-    flat = lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
-    rise = highest_m.ravel().take(flat)
+    cells, away, distance, ray_of = march(lattice, points_ne_m, radar_nea_m[:2], 0)
+    rise = highest_m.ravel().take(cells)
     rise -= radar_nea_m[2]
-    nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)  # nearer ones: one by one
-    steepest = rise / (steps * cell + slack_m)[:, None]
+    nearest = np.maximum(away - slack_m, 0.5 * cell)  # nearer ones: one by one
+    steepest = rise / (away + slack_m)[:, None]
     rise /= nearest[:, None]
     np.maximum(steepest, rise, out=steepest)
-    steepest -= (np.maximum(steps * cell - slack_m, 0.0) / (2.0 * LEAST_RADIUS_M))[:, None]
+    steepest -= (np.maximum(away - slack_m, 0.0) / (2.0 * LEAST_RADIUS_M))[:, None]
     np.maximum.accumulate(steepest, axis=0, out=steepest)
     before = np.ceil(distance / cell).astype(np.intp) - 1
-    slope = steepest[np.clip(before, 1, len(steps)) - 1, rays.ray_of]
+    slope = steepest[np.clip(before, 1, len(away)) - 1, ray_of]
     slope = np.where(before > 0, np.maximum(slope, near_slope), -np.inf)
     finite = np.isfinite(slope)
     runs = np.maximum(distance - slack_m, 0.0), distance + slack_m

@@ -1,23 +1,25 @@
 """What stands in a world that is known, and what a near sensor shows of it.
 
 For planning without a vehicle.  All that stands is as tall as the sensor speaks for: a plan view
-says everything.
+says everything.  Places and directions are complex numbers here: north + i east.
 """
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from companion.geodesy import FloatArray
-from companion.world.lattice import IntArray
+from companion.geodesy import BoolArray, FloatArray
 from companion.world.near_map import Kind, NearSensor, Sweep
 
 SECTORS: dict[Kind, int] = {"obstacle_distance": 72, "distance_sensor": 8}
 """All round, of each kind: what their MAVLink messages have room for."""
-_TINY = 1e-12  # m/m: what is less is parallel
+_TINY = 1e-12  # m, or m/m: what is less is a point, or parallel
+Places = NDArray[np.complex128]
 
 
 @final
@@ -39,14 +41,19 @@ class NearScene:
     def __init__(self, things: Sequence[Thing], *, rate_hz: float = 10.0) -> None:
         """rate_hz: how often a sensor looks around: 10 is what small spinning lidars do."""
         self.things, self.rate_hz = tuple(things), rate_hz
-        rows = [row for thing in things for row in _pieces(thing)]
-        columns = np.array(rows, dtype=np.float64).reshape(-1, 5)
-        self._from, self._along = columns[:, :2], columns[:, 2:4] - columns[:, :2]
-        self._half_width_m = columns[:, 4]
+        pieces = list[tuple[complex, complex, float]]()
+        for thing in things:
+            line = [complex(*corner) for corner in thing.corners_ne_m]
+            ends = line[1:] + line[:1] if thing.closed else line[1:] or line
+            pieces += [(a, b, thing.half_width_m) for a, b in zip(line, ends, strict=False)]
+        begin, end, half = np.array(pieces, dtype=np.complex128).reshape(-1, 3).T
+        self._begin, self._length_m, self._half_width_m = begin, np.abs(end - begin), half.real
+        self._ahead = (end - begin) / np.maximum(self._length_m, _TINY)
+        """Directions of the pieces."""
 
     def gaps_m(self, points_ne_m: FloatArray) -> FloatArray:
         """From points to the nearest thing, 0 where they touch.  (P, 2) -> (P,)."""
-        gaps = [self._to_pieces(point)[1].min(initial=math.inf) for point in points_ne_m]
+        gaps = [self._to_pieces(complex(*point))[1].min(initial=math.inf) for point in points_ne_m]
         return np.maximum(np.array(gaps, dtype=np.float64), 0.0)
 
     def sweep(
@@ -62,25 +69,21 @@ class NearScene:
         The distance to a convex thing has one least value over the bearings that it takes up.  So
         what is nearest in a sector is on one of its sides, or is the nearest point of a piece.
         """
-        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
-        north_m = place_ne_m[0] + cos * sensor.forward_m - sin * sensor.right_m
-        east_m = place_ne_m[1] + sin * sensor.forward_m + cos * sensor.right_m
-        eye: FloatArray = np.array([north_m, east_m])
-        count = SECTORS[sensor.kind]
+        mounted = cmath.rect(1.0, heading_rad) * complex(sensor.forward_m, sensor.right_m)
+        eye, count = complex(*place_ne_m) + mounted, SECTORS[sensor.kind]
         width_rad = math.tau / count
         first_rad = heading_rad + sensor.yaw_rad - 0.5 * width_rad
         nearest, gap_m = self._to_pieces(eye)
-        near = np.flatnonzero(gap_m <= sensor.range_m)
+        near = gap_m <= sensor.range_m
         sides_m = self._met_m(eye, first_rad + np.arange(float(count)) * width_rad, near)
         least_m = np.minimum(sides_m, np.roll(sides_m, -1))
-        away = nearest[near] - eye
-        turned_rad = np.arctan2(away[:, 1], away[:, 0]) - first_rad
-        sector = np.remainder(turned_rad, math.tau) / width_rad
-        np.minimum.at(least_m, np.minimum(sector.astype(np.intp), count - 1), gap_m[near])
+        turned_rad = np.remainder(np.angle(nearest[near] - eye) - first_rad, math.tau)
+        sector = (turned_rad / width_rad).astype(np.intp)
+        np.minimum.at(least_m, np.minimum(sector, count - 1), gap_m[near])
         met = (least_m <= sensor.range_m) & (least_m >= sensor.blind_m)
         return Sweep(
             time_s=time_s,
-            sensor_ne_m=(north_m, east_m),
+            sensor_ne_m=(eye.real, eye.imag),
             first_rad=first_rad,
             width_rad=width_rad,
             clear_m=np.minimum(np.maximum(least_m, 0.0), sensor.range_m),
@@ -91,39 +94,27 @@ class NearScene:
             bearing_error_rad=sensor.bearing_error_rad,
         )
 
-    def _to_pieces(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The nearest place of the line of each piece, and how far its side is.  (K, 2), (K,)."""
-        length2 = np.maximum((self._along**2).sum(axis=1), _TINY)
-        share = np.clip(((point - self._from) * self._along).sum(axis=1) / length2, 0.0, 1.0)
-        nearest = self._from + share[:, None] * self._along
-        return nearest, np.hypot(*(nearest - point).T) - self._half_width_m
+    def _to_pieces(self, point: complex) -> tuple[Places, FloatArray]:
+        """The nearest place of the line of each piece, and how far its side is.  (K,) x2."""
+        along_m = np.clip(((point - self._begin) * self._ahead.conj()).real, 0.0, self._length_m)
+        nearest = self._begin + along_m * self._ahead
+        return nearest, np.abs(nearest - point) - self._half_width_m
 
-    def _met_m(self, eye: FloatArray, bearing_rad: FloatArray, near: IntArray) -> FloatArray:
+    def _met_m(self, eye: complex, bearing_rad: FloatArray, near: BoolArray) -> FloatArray:
         """How far rays get to the first of some pieces; inf: past all.  (R,) -> (R,)."""
-        start, along, half = self._from[near], self._along[near], self._half_width_m[near]
-        ways = np.stack([np.cos(bearing_rad), np.sin(bearing_rad)], axis=-1)[:, None, :]  # (R,1,2)
-        met = [np.full((len(bearing_rad), 1), np.inf)]
-        for end in (start, start + along):  # the circles about the ends
-            away = end - eye
-            ahead = (ways * away).sum(axis=-1)
-            root = half**2 - ((away**2).sum(axis=-1) - ahead**2)
-            at = ahead - np.sqrt(np.maximum(root, 0.0))
+        begin, ahead, half = self._begin[near], self._ahead[near], self._half_width_m[near]
+        length_m, rays = self._length_m[near], np.exp(1j * bearing_rad)[:, None]  # (R, 1)
+        met = [np.full((len(rays), 1), np.inf)]
+        for end in (begin, begin + length_m * ahead):  # the circles about the ends
+            seen = (end - eye) * rays.conj()  # ahead of the eye, and to the right
+            root = half**2 - seen.imag**2
+            at = seen.real - np.sqrt(np.maximum(root, 0.0))
             met.append(np.where((root >= 0.0) & (at >= 0.0), at, np.inf))
-        length_m = np.maximum(np.hypot(*along.T), _TINY)
-        unit = along / length_m[:, None]
-        left = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
-        aside, aside_s = ((eye - start) * left).sum(axis=-1), (ways * left).sum(axis=-1)
-        aside_s = np.where(np.abs(aside_s) < _TINY, _TINY, aside_s)
+        eyes, turned = (eye - begin) * ahead.conj(), rays * ahead.conj()  # as the pieces have it
+        aside = np.where(np.abs(turned.imag) < _TINY, _TINY, turned.imag)
         for side in (-half, half):
-            at = (side - aside) / aside_s
-            ahead = ((eye - start) * unit).sum(axis=-1) + at * (ways * unit).sum(axis=-1)
-            inside = (at >= 0.0) & (ahead >= 0.0) & (ahead <= length_m)
+            at = (side - eyes.imag) / aside
+            along = eyes.real + at * turned.real
+            inside = (at >= 0.0) & (along >= 0.0) & (along <= length_m)
             met.append(np.where(inside, at, np.inf))
         return np.concatenate(met, axis=1).min(axis=1)
-
-
-def _pieces(thing: Thing) -> list[tuple[float, ...]]:
-    """From north and east, to north and east, and the half-width of each."""
-    corners = list(thing.corners_ne_m)
-    ends = corners[1:] + corners[:1] if thing.closed else corners[1:] or corners
-    return [(*a, *b, thing.half_width_m) for a, b in zip(corners, ends, strict=False)]

@@ -6,7 +6,7 @@ point is, and how high a box is at most.  `companion.sources.elevation` reads el
 
 import abc
 import math
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from typing import Any, Protocol, final
 
 import numpy as np
@@ -65,12 +65,8 @@ class PeakTerrain:
     """(5, peaks), as the fields of `Peak`."""
 
     def __post_init__(self) -> None:
-        rows = [
-            (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
-            for p in self.peaks
-        ]
-        columns = np.array(rows, dtype=np.float64).reshape(-1, 5).T.copy()
-        object.__setattr__(self, "_columns", columns)
+        rows = np.array([astuple(peak) for peak in self.peaks], dtype=np.float64)
+        object.__setattr__(self, "_columns", rows.reshape(-1, 5).T.copy())
 
     def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Terrain height, metres AMSL.  (...) x2 -> (...)."""
@@ -189,17 +185,14 @@ class GridTerrain(_Nodes):
         sides = np.subtract(north, south), np.subtract(east, west)
         side = float(max(np.max(each, initial=0.0) for each in sides))
         edge_deg = abs(self.south_deg) + self.step_north_deg * self.heights_m.shape[0]
-        steep = 1.0 + math.tan(math.radians(min(edge_deg, 89.0)))
-        slack_deg = math.degrees((side**2 / 4.0 * steep / _EARTH_M + 1e-3) / _EARTH_M)
-        slack_row = slack_deg / self.step_north_deg
-        slack_column = slack_deg / math.cos(math.radians(min(edge_deg, 89.0))) / self.step_east_deg
-        if side == 0.0:
-            slack_row = slack_column = 0.0
-        rows, columns = (np.stack([corner[axis] for corner in corners]) for axis in (0, 1))
-        return (
-            (rows.min(axis=0) - slack_row, columns.min(axis=0) - slack_column),
-            (rows.max(axis=0) + slack_row, columns.max(axis=0) + slack_column),
-        )
+        edge_rad = math.radians(min(edge_deg, 89.0))
+        bend = side**2 / 4.0 * (1.0 + math.tan(edge_rad)) / _EARTH_M + 1e-3
+        slack_deg = math.degrees(bend / _EARTH_M) if side > 0.0 else 0.0
+        row, column = slack_deg / self.step_north_deg, slack_deg / math.cos(edge_rad)
+        slack = row, column / self.step_east_deg
+        rows, columns = zip(*corners, strict=True)
+        low = np.min(rows, axis=0) - slack[0], np.min(columns, axis=0) - slack[1]
+        return low, (np.max(rows, axis=0) + slack[0], np.max(columns, axis=0) + slack[1])
 
 
 @final
@@ -257,14 +250,12 @@ def _highest_node_m(heights_m: npt.NDArray[Any], low: _Places, high: _Places) ->
 
     Maxima over squares as wide as the narrowest box, once for all, then a few squares a box.
     """
-    first, last, count = [], [], []
-    for a, b, size in zip(low, high, heights_m.shape, strict=True):
-        first.append(np.clip(np.floor(a).astype(np.intp), 0, size - 1))
-        last.append(np.clip(np.ceil(b).astype(np.intp), 0, size - 1))
-        count.append(last[-1] - first[-1] + 1)
-    start = [int(index.min()) for index in first]
+    most = np.reshape(heights_m.shape, (2, *(1 for _ in low[0].shape))) - 1
+    first = np.clip(np.floor(low), 0, most).astype(np.intp)  # (2, ...)
+    last = np.clip(np.ceil(high), 0, most).astype(np.intp)
+    count = last - first + 1
+    start, width = ([int(each.min()) for each in parts] for parts in (first, count))
     window = heights_m[start[0] : last[0].max() + 1, start[1] : last[1].max() + 1]
-    width = [int(c.min()) for c in count]
     # of squares as wide as the narrowest box, from each node on to the north and east
     window = scipy.ndimage.maximum_filter(window, size=width, origin=[-(w // 2) for w in width])
     result = np.full(first[0].shape, -np.inf)

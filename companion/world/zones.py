@@ -6,15 +6,15 @@ edge, and negative where it forbids to be; that from several zones is the least 
 It is written down twice, over the same `ZoneTable`, and tests hold the two against each other:
 `gaps_m` for arrays of points, in numpy, for the part that decides; and for a point or a segment
 plain scalar code that the planner compiles (`planner.kernels`), for search, guidance and proof.
-Edges of polygons lie in groups with a box about each: a fence of hundreds of edges costs little
-more than one of ten.
+There edges of polygons lie in groups with a box about each: a fence of hundreds of edges costs
+little more than one of ten.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from companion.world.columns import Segment
 _GROUP = 16
 """Edges to a box: 16 is faster than 8, with 50 x 100 corners and with 2,000 (measured)."""
 _AT_ONCE = 60_000
-"""Pairs of a point and a group: arrays of 0.5 MB, twice as fast as of 3 MB (measured)."""
+"""Pairs of a point and an edge: arrays of 0.5 MB, twice as fast as of 3 MB (measured)."""
 _MOST_CELLS = 512
 """Cells of `near_cells` across: 0.25 MB, made in some 0.1 s."""
 _NO_LENGTH_M2 = 1e-12
@@ -33,6 +33,9 @@ _FAR_M = 1e12
 """Farther than anything on earth, and small enough to calculate with."""
 _TOUCHING_M = 1e-9
 """Looked for at least so far from a segment, so that edges that touch it are seen (rounding)."""
+Row = tuple[float, ...]
+Box = tuple[Any, Any, Any, Any]
+"""Edges to the south, north, west and east."""
 
 
 @final
@@ -77,7 +80,7 @@ Zone = CircleZone | PolygonZone
 
 
 class ZoneTable(NamedTuple):
-    """Zones as plain arrays.  Boxes are edges to the south, north, west and east."""
+    """Zones as plain arrays."""
 
     circles: FloatArray  # (K, 4): north, east, radius; 1 to stay out, -1 to stay inside
     polygons: FloatArray  # (Z, 7): first group, and the one after the last; 1 or -1; box
@@ -88,32 +91,32 @@ class ZoneTable(NamedTuple):
 @lru_cache(maxsize=256)
 def packed(zones: tuple[Zone, ...]) -> ZoneTable:
     """Zones as plain arrays; kept, and not to be changed."""
-    circles, polygons = list[tuple[float, ...]](), list[tuple[float, ...]]()
-    groups, edges = [np.empty((0, 5))], [np.empty((0, _GROUP, 4))]
-    first = 0
+    circles, polygons, groups = list[Row](), list[Row](), list[Row]()
+    edges = list[FloatArray]()
     for zone in zones:
         sign = -1.0 if zone.keep_in else 1.0
         if isinstance(zone, CircleZone):
             circles.append((zone.north_m, zone.east_m, zone.radius_m, sign))
             continue
         corners = np.array(zone.vertices_ne_m, dtype=np.float64).reshape(-1, 2)
-        count = -(-len(corners) // _GROUP)
-        mine = np.tile(corners[0], (count * _GROUP, 2))  # the first corner ends the last edge
-        mine[: len(corners)] = np.hstack([corners, np.roll(corners, -1, axis=0)])
-        ends = mine.reshape(count, 2 * _GROUP, 2)
-        low, high = ends.min(axis=1), ends.max(axis=1)
-        own = np.minimum(len(corners) - _GROUP * np.arange(count), _GROUP)
-        groups.append(np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1], own], axis=1))
-        edges.append(mine.reshape(count, _GROUP, 4))
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        polygons.append((first, first + count, sign, low[0], high[0], low[1], high[1]))
-        first += count
+        sides, first = np.hstack([corners, np.roll(corners, -1, axis=0)]), len(groups)
+        for k in range(0, len(sides), _GROUP):
+            own = sides[k : k + _GROUP]
+            edges.append(np.tile(corners[0], (_GROUP, 2)))
+            edges[-1][: len(own)] = own
+            groups.append((*_box_of(own.reshape(-1, 2)), len(own)))
+        polygons.append((first, len(groups), sign, *_box_of(corners)))
     return ZoneTable(
         circles=np.array(circles, dtype=np.float64).reshape(-1, 4),
         polygons=np.array(polygons, dtype=np.float64).reshape(-1, 7),
-        groups=np.concatenate(groups),
-        edges=np.concatenate(edges),
+        groups=np.array(groups, dtype=np.float64).reshape(-1, 5),
+        edges=np.array(edges, dtype=np.float64).reshape(-1, _GROUP, 4),
     )
+
+
+def _box_of(points_ne_m: FloatArray) -> Box:
+    (south, west), (north, east) = points_ne_m.min(axis=0), points_ne_m.max(axis=0)
+    return south, north, west, east
 
 
 # --- many points at once
@@ -137,112 +140,66 @@ def gaps_m(
     for middle_n, middle_e, radius_m, sign in zones.circles.tolist():
         away_m = np.hypot(north - middle_n, east - middle_e)
         np.minimum(result, sign * (away_m - radius_m), out=result)
-    if len(result) and len(zones.polygons):
-        low, high = (north.min(), east.min()), (north.max(), east.max())
-        may_matter = _may_matter(zones.polygons[:, 2:], low, high, result.max())
-        for polygon in zones.polygons[may_matter]:
-            apart_m2 = _box_gaps_m2(polygon[3:], north, east)
-            some = np.flatnonzero((apart_m2 <= np.maximum(result, 0.0) ** 2) | (polygon[2] < 0.0))
-            step = max(int(_AT_ONCE / (polygon[1] - polygon[0])), 1)
-            for part in (some[k : k + step] for k in range(0, len(some), step)):
-                here = north[part], east[part]
-                result[part] = _from_polygon_m(zones, polygon, *here, result[part])
+    if not len(result):
+        return result.reshape(shape)
+    signs, boxes = zones.polygons[:, 2], tuple(zones.polygons[:, 3:].T)
+    area = (north.min(), north.max(), east.min(), east.max())
+    apart_m = _box_gaps_m(boxes, area) * (signs > 0.0)  # what keeps in may matter anywhere
+    for k in np.argsort(apart_m, kind="stable"):
+        if apart_m[k] > max(result.max(), 0.0):
+            break  # so are all others
+        first, last, sign, *box = zones.polygons[k].tolist()
+        edges = zones.edges[int(first) : int(last)].reshape(-1, 4)
+        away_m = _box_gaps_m(tuple(box), (north, north, east, east)) * (sign > 0.0)
+        some, step = np.flatnonzero(away_m <= np.maximum(result, 0.0)), _AT_ONCE // len(edges) + 1
+        for part in (some[j : j + step] for j in range(0, len(some), step)):
+            told_m = sign * _outside_m(edges, north[part], east[part])
+            result[part] = np.minimum(result[part], told_m)
     return result.reshape(shape)
 
 
-def near(
-    zones: tuple[Zone, ...],
-    low_ne_m: tuple[float, float],
-    high_ne_m: tuple[float, float],
-    within_m: float,
-) -> list[Zone]:
-    """Zones that may be nearer than that to some point of an area, or forbid it, by their boxes.
+def _outside_m(edges: FloatArray, north: FloatArray, east: FloatArray) -> FloatArray:
+    """Distances to a polygon of these edges, negative inside.  (E, 4), (P,) x2 -> (P,)."""
+    n, e, (an, ae, bn, be) = north[:, None], east[:, None], edges.T
+    dn, de, n_of, e_of = bn - an, be - ae, n - an, e - ae
+    slope = dn / np.where(de == 0.0, 1.0, de)  # an edge that runs north crosses no line
+    crosses = ((ae > e) != (be > e)) & (n_of < e_of * slope)
+    along = (n_of * dn + e_of * de) / np.maximum(dn * dn + de * de, _NO_LENGTH_M2)
+    np.clip(along, 0.0, 1.0, out=along)
+    n_of -= along * dn
+    e_of -= along * de
+    nearest_m = np.sqrt((n_of * n_of + e_of * e_of).min(axis=1))
+    return np.where(np.count_nonzero(crosses, axis=1) % 2 == 1, -nearest_m, nearest_m)
 
-    low_ne_m, high_ne_m: its south-western and north-eastern corner.
-    """
-    table = packed(zones)
-    n, e, radius, sign = table.circles.T
-    circles = np.stack([sign, n - radius, n + radius, e - radius, e + radius], axis=1)
-    boxes = np.concatenate([circles, table.polygons[:, 2:]])
-    in_order = sorted(zones, key=lambda zone: not isinstance(zone, CircleZone))  # as in the table
-    found = np.flatnonzero(_may_matter(boxes, low_ne_m, high_ne_m, within_m))
-    return [in_order[k] for k in found]
+
+def _box_gaps_m(boxes: Box, others: Box) -> FloatArray:
+    """How far boxes, or points, are from others; 0 where they meet.  (...) -> (...)."""
+    south, north, west, east = boxes
+    gap_n = np.maximum(np.maximum(south - others[1], others[0] - north), 0.0)
+    gap_e = np.maximum(np.maximum(west - others[3], others[2] - east), 0.0)
+    return np.hypot(gap_n, gap_e)
 
 
 def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zone | None, float]:
     """The zone that is the nearest to a point, or forbids it the most, and its distance, metres."""
-    here, at = (north_m, east_m), (np.asarray(north_m), np.asarray(east_m))
-    gap_m = float(gaps_m(packed(zones), *at))
-    rivals = near(zones, here, here, max(gap_m, 0.0) + 1.0)
-    return min(rivals, key=lambda zone: float(zone.distance_m(*at)), default=None), gap_m
-
-
-def _may_matter(
-    boxes: FloatArray, low: tuple[float, float], high: tuple[float, float], within_m: float
-) -> BoolArray:
-    """Which zones may be nearer than that to some point of an area, or forbid it.
-
-    (Z, 5): 1 or -1 as in the table, and the box -> (Z,).
-    """
-    sign, south, north, west, east = boxes.T
-    gap_n = np.maximum(np.maximum(south - high[0], low[0] - north), 0.0)
-    gap_e = np.maximum(np.maximum(west - high[1], low[1] - east), 0.0)
-    apart_m = np.hypot(gap_n, gap_e)
-    return np.asarray((apart_m < within_m) | (apart_m == 0.0) | (sign < 0.0))
-
-
-def _from_polygon_m(
-    table: ZoneTable, polygon: FloatArray, north: FloatArray, east: FloatArray, enough_m: FloatArray
-) -> FloatArray:
-    """Distances to a polygon, a row of the table; `enough_m` at most.  (P,) x3 -> (P,)."""
-    which = slice(int(polygon[0]), int(polygon[1]))
-    edges, boxes = table.edges[which], table.groups[which, :4].T
-    n, e = north[:, None], east[:, None]
-    _, top, west, east_most = boxes
-    point, group = np.nonzero((west <= e) & (e <= east_most) & (n <= top))
-    an, ae, bn, be = np.moveaxis(edges[group], -1, 0)  # (X, 16)
-    dn, de = bn - an, be - ae
-    n_on, e_on = north[point, None], east[point, None]
-    divisor = np.where(de == 0.0, 1.0, de)  # an edge that runs north crosses no line
-    crosses = ((ae > e_on) != (be > e_on)) & (n_on < an + (e_on - ae) * dn / divisor)
-    count = np.bincount(point, np.count_nonzero(crosses, axis=1), minlength=len(north))
-    forbidden = (count % 2.0 == 1.0) == (polygon[2] > 0.0)
-
-    apart_m2 = _box_gaps_m2(boxes, n, e)  # (P, groups)
-    corner = edges[apart_m2.argmin(axis=1), 0]  # no edge need be looked for beyond it
-    nearest_m2 = (north - corner[:, 0]) ** 2 + (east - corner[:, 1]) ** 2
-    most_m2 = np.where(forbidden, math.inf, np.maximum(enough_m, 0.0) ** 2)
-    nearest_m2 = np.minimum(nearest_m2, most_m2)
-    point, group = np.nonzero(apart_m2 <= nearest_m2[:, None])
-    an, ae, bn, be = np.moveaxis(edges[group], -1, 0)  # (Y, 16)
-    dn, de, n_of, e_of = bn - an, be - ae, north[point, None] - an, east[point, None] - ae
-    along = (n_of * dn + e_of * de) / np.maximum(dn * dn + de * de, _NO_LENGTH_M2)
-    along = np.clip(along, 0.0, 1.0)
-    off_n, off_e = n_of - along * dn, e_of - along * de
-    np.minimum.at(nearest_m2, point, (off_n * off_n + off_e * off_e).min(axis=1))
-    return np.minimum(np.where(forbidden, -1.0, 1.0) * np.sqrt(nearest_m2), enough_m)
-
-
-def _box_gaps_m2(boxes: FloatArray, north: FloatArray, east: FloatArray) -> FloatArray:
-    """Squared distance of points from boxes, 0 within.  (4, ...), (...) x2 -> (...)."""
-    south, top, west, east_most = boxes
-    gap_n = np.maximum(np.maximum(south - north, north - top), 0.0)
-    gap_e = np.maximum(np.maximum(west - east, east - east_most), 0.0)
-    return np.asarray(gap_n * gap_n + gap_e * gap_e)
+    found: tuple[Zone | None, float] = None, math.inf
+    at = np.asarray(north_m), np.asarray(east_m)
+    for zone in zones:
+        gap_m = float(gaps_m(packed((zone,)), *at, found[1]))
+        found = (zone, gap_m) if gap_m < found[1] else found
+    return found
 
 
 # --- one point or one segment: compiled with the planner's kernel
 
 
-def point_to_segment(
-    n: float, e: float, n0: float, e0: float, dn: float, de: float
-) -> tuple[float, float]:
-    """Horizontal distance of a point from a segment, and where along it the nearest point is."""
+def point_gap(n: float, e: float, n0: float, e0: float, dn: float, de: float) -> float:
+    """Horizontal distance of a point from a segment."""
     squared = dn * dn + de * de
     at = 0.0
     if squared > 0.0:
         at = min(max(((n - n0) * dn + (e - e0) * de) / squared, 0.0), 1.0)
-    return math.hypot(n - n0 - at * dn, e - e0 - at * de), at
+    return math.hypot(n - n0 - at * dn, e - e0 - at * de)
 
 
 def edge_distance(
@@ -250,7 +207,7 @@ def edge_distance(
 ) -> float:
     """Horizontal distance between two segments; 0 where they cross or touch."""
     dn, de, fn, fe = n1 - n0, e1 - e0, bn - an, be - ae
-    three, _ = point_to_segment(n0, e0, an, ae, fn, fe)
+    three = point_gap(n0, e0, an, ae, fn, fe)
     if dn == 0.0 and de == 0.0:
         return three
     side_a = dn * (ae - e0) - de * (an - n0)
@@ -261,15 +218,13 @@ def edge_distance(
         min(side_0, side_1) < 0.0 < max(side_0, side_1)
     ):
         return 0.0
-    one, _ = point_to_segment(an, ae, n0, e0, dn, de)
-    two, _ = point_to_segment(bn, be, n0, e0, dn, de)
-    four, _ = point_to_segment(n1, e1, an, ae, fn, fe)
+    one = point_gap(an, ae, n0, e0, dn, de)
+    two = point_gap(bn, be, n0, e0, dn, de)
+    four = point_gap(n1, e1, an, ae, fn, fe)
     return min(min(one, two), min(three, four))
 
 
-def box_gap(
-    box: tuple[float, float, float, float], n0: float, e0: float, n1: float, e1: float
-) -> float:
+def box_gap(box: Box, n0: float, e0: float, n1: float, e1: float) -> float:
     """A lower bound of the distance of a segment from what lies in a box: that of the boxes."""
     south, north, west, east = box
     gap_n = max(max(south - max(n0, n1), min(n0, n1) - north), 0.0)
@@ -327,8 +282,7 @@ def circle_distance(
     """Least signed horizontal distance of a segment from a circle, negative where forbidden."""
     n, e, radius, sign = zones.circles[circle]
     if sign > 0.0:
-        away, _ = point_to_segment(n, e, n0, e0, n1 - n0, e1 - e0)
-        return float(away - radius)
+        return float(point_gap(n, e, n0, e0, n1 - n0, e1 - e0) - radius)
     return float(radius - max(math.hypot(n0 - n, e0 - e), math.hypot(n1 - n, e1 - e)))
 
 
@@ -341,10 +295,10 @@ def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[flo
     n0, e0, _, dn, de, _ = segment
     n1, e1 = n0 + dn, e0 + de
     lower, upper = limit, limit
-    for k in range(zones.circles.shape[0]):
-        far = circle_distance(zones, k, n0, e0, n1, e1)
+    for circle in range(len(zones.circles)):
+        far = circle_distance(zones, circle, n0, e0, n1, e1)
         lower, upper = min(lower, far), min(upper, far)
-    for polygon in range(zones.polygons.shape[0]):
+    for polygon in range(len(zones.polygons)):
         nearest = edges_distance(zones, polygon, n0, e0, n1, e1, max(limit, _TOUCHING_M))
         if nearest > 0.0 and not forbids(zones, polygon, n0, e0):
             lower, upper = min(lower, nearest), min(upper, nearest)
@@ -358,29 +312,27 @@ def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[flo
     return lower, upper
 
 
-def lattice_gaps(
-    zones: ZoneTable, north_m: FloatArray, east_m: FloatArray, within_m: float
-) -> FloatArray:
-    """`gaps_m` on a lattice; deeper in a zone than within_m counts as so deep.
-
-    North (rows,), east (columns,) -> (rows, columns).
-    """
-    result = np.empty((len(north_m), len(east_m)))
-    for i in range(len(north_m)):
-        for j in range(len(east_m)):
-            n, e, gap = float(north_m[i]), float(east_m[j]), within_m
-            for circle in range(zones.circles.shape[0]):
-                gap = min(gap, circle_distance(zones, circle, n, e, n, e))
-            for polygon in range(zones.polygons.shape[0]):
-                gap = min(gap, polygon_at(zones, polygon, n, e, max(gap, 0.0), within_m))
-            result[i, j] = max(gap, -within_m)
-    return result
-
-
 # --- lattices, kept
 
-LatticeGaps = Callable[[ZoneTable, FloatArray, FloatArray, float], FloatArray]
-"""`lattice_gaps`, or the same compiled."""
+
+def near_on_lattice(
+    zones: ZoneTable, north_m: FloatArray, east_m: FloatArray, distance_m: float
+) -> BoolArray:
+    """Where a zone is nearer than a distance, or with one below 0 forbids so deep.
+
+    North (rows,), east (columns,) -> (rows, columns).  Compiled, too.
+    """
+    result = np.empty((len(north_m), len(east_m)), dtype=np.bool_)
+    most = abs(distance_m) + 1.0
+    for i, n in enumerate(north_m):
+        for j, e in enumerate(east_m):
+            gap = most
+            for circle in range(len(zones.circles)):
+                gap = min(gap, circle_distance(zones, circle, n, e, n, e))
+            for polygon in range(len(zones.polygons)):
+                gap = min(gap, polygon_at(zones, polygon, n, e, max(gap, 0.0), most))
+            result[i, j] = gap < distance_m
+    return result
 
 
 @lru_cache(maxsize=8)
@@ -389,15 +341,13 @@ def too_near(
     north_m: tuple[float, ...],
     east_m: tuple[float, ...],
     distance_m: float,
-    gaps: LatticeGaps = lattice_gaps,
+    on_lattice: Callable[..., BoolArray] = near_on_lattice,
 ) -> BoolArray:
-    """Where on a lattice a zone is nearer than a distance, or with one below 0 forbids so deep.
+    """The same, kept, and not to be changed: zones and lattice are often those of the plan before.
 
-    (rows,), (columns,) -> (rows, columns).  Kept, and not to be changed: zones and lattice are
-    often those of the plan before.
+    on_lattice: `near_on_lattice`, or the same compiled.
     """
-    told_m = gaps(packed(zones), np.array(north_m), np.array(east_m), abs(distance_m) + 1.0)
-    found = np.asarray(told_m < distance_m)
+    found = on_lattice(packed(zones), np.array(north_m), np.array(east_m), float(distance_m))
     found.setflags(write=False)
     return found
 
@@ -408,11 +358,7 @@ class NearCells(NamedTuple):
     north_min_m: float
     east_min_m: float
     cell_m: float
-    near: BoolArray  # (rows, columns)
-
-
-NO_CELLS = NearCells(0.0, 0.0, 1.0, np.frombuffer(b"", dtype=bool).reshape(0, 0))
-"""Of no area: zones are looked at everywhere.  Read-only as all are, for numba."""
+    near: BoolArray  # (rows, columns), read-only
 
 
 def near_cells(
@@ -420,7 +366,7 @@ def near_cells(
     north_m: tuple[float, float],
     east_m: tuple[float, float],
     distance_m: float,
-    gaps: LatticeGaps = lattice_gaps,
+    on_lattice: Callable[..., BoolArray] = near_on_lattice,
 ) -> NearCells:
     """The cells of an area with points nearer to a zone than a distance, or forbidden by it."""
     most_m = max(north_m[1] - north_m[0], east_m[1] - east_m[0])
@@ -430,5 +376,5 @@ def near_cells(
         for low, high in (north_m, east_m)
     )
     near_m = distance_m + math.sqrt(0.5) * cell_m
-    near = too_near(zones, north, east, near_m, gaps)
+    near = too_near(zones, north, east, near_m, on_lattice)
     return NearCells(float(north_m[0]), float(east_m[0]), float(cell_m), near)

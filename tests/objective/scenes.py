@@ -14,7 +14,7 @@ from companion.planner.kernels import compiled
 from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.radars import Radar
-from companion.world.zones import NO_CELLS, CircleZone, PolygonZone, Zone, near_cells, packed
+from companion.world.zones import CircleZone, PolygonZone, Zone, near_cells, packed
 
 FloatArray = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def random_scene(
         LIMITS.north_m,
         LIMITS.east_m,
         75.0,
-        compiled().zone_gaps,
+        compiled().near_zones,
     )
     drawn = Weights(**dict(zip(TERMS, weights, strict=False)))
     table = packed(zones)
@@ -105,7 +105,7 @@ def random_scene(
         east_m=LIMITS.east_m,
         radars=radar_table(radars, RADAR_MARGIN_M),
         zones=table,
-        near_polygons=near if rng.random() < 0.5 else NO_CELLS,
+        near_polygons=near if rng.random() < 0.5 else near._replace(near=near.near[:0, :0]),
         at=Workspace.of(count, samples or int(rng.choice([12, 13, 40])), polygons),
     )
 

@@ -15,6 +15,7 @@ from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+Point = tuple[float, float, float]
 
 CELL_M = 100.0
 ROWS, COLUMNS = 56, 64  # as many as 2 x 2 requests to the simulator's radar have
@@ -147,7 +148,7 @@ def ground(number: int) -> tuple[Ground, np.random.Generator]:
     return Ground(nodes + 50.0), rng
 
 
-def radar_over(tops_m: FloatArray, rng: np.random.Generator) -> tuple[float, float, float]:
+def radar_over(tops_m: FloatArray, rng: np.random.Generator) -> Point:
     """A place on the map that no ground within a cell of its own rises above."""
     n, e = (float(x) for x in rng.uniform(0.1, 0.9, 2) * (ROWS * CELL_M, COLUMNS * CELL_M))
     row, column = int(n / CELL_M), int(e / CELL_M)
@@ -155,7 +156,7 @@ def radar_over(tops_m: FloatArray, rng: np.random.Generator) -> tuple[float, flo
     return n, e, float(near.max() + rng.choice([5.0, 60.0, 300.0, 1_500.0]))
 
 
-def radar_at_a_wall(place: Ground, rng: np.random.Generator) -> tuple[float, float, float]:
+def radar_at_a_wall(place: Ground, rng: np.random.Generator) -> Point:
     """A place hardly above the ground, that ground within a cell rises above if any does."""
     places = rng.uniform(0.1, 0.9, (300, 2)) * (ROWS * CELL_M, COLUMNS * CELL_M)
     aside = rng.uniform(-CELL_M, CELL_M, places.shape)
@@ -190,7 +191,7 @@ class Sight:
     """The highest of its samples; -inf: none."""
 
 
-def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
+def sight_of(place: Ground, radar_nea_m: Point) -> Sight:
     """By marching over the ground."""
     far = RANGE_M + CELL_M
     count = math.ceil(2.0 * math.pi * far / (_BETWEEN_RAYS * CELL_M))
@@ -226,19 +227,17 @@ def blank() -> KnownMap:
     return empty_map(CELL_M, (0.0, ROWS * CELL_M), (0.0, COLUMNS * CELL_M))
 
 
-def scan_of(tops_m: FloatArray, seen: BoolArray, radar_nea_m: tuple[float, float, float]) -> Scan:
+def answered(heights_m: FloatArray, radar_nea_m: Point, range_m: float) -> Scan:
+    """Of a complete radar."""
+    radars = np.broadcast_to(np.array(radar_nea_m), (*heights_m.shape, 3))
+    return Scan(row=0, column=0, heights_m=heights_m, radar_nea_m=radars, range_m=range_m)
+
+
+def scan_of(tops_m: FloatArray, seen: BoolArray, radar_nea_m: Point) -> Scan:
     """The answers of a radar that saw these cells, within range."""
     north, east = blank().middles_m(0, 0, (ROWS, COLUMNS))
     near = np.hypot(north - radar_nea_m[0], east - radar_nea_m[1]) <= RANGE_M
-    return Scan(
-        row=0,
-        column=0,
-        heights_m=np.where(seen & near, np.ceil(tops_m), NOT_SEEN),
-        radar_nea_m=np.broadcast_to(np.array(radar_nea_m), (ROWS, COLUMNS, 3)),
-        range_m=RANGE_M,
-        drift_m=0.0,
-        registration_m=0.0,
-    )
+    return answered(np.where(seen & near, np.ceil(tops_m), NOT_SEEN), radar_nea_m, RANGE_M)
 
 
 def with_losses(scan: Scan, rng: np.random.Generator, share: float) -> Scan:

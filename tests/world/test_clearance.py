@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 from companion.planner import kernels
 from companion.world import clearance
 from companion.world.clearance import Surface, terrain_surface
-from companion.world.columns import distance_to_terrain_m
+from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
 
 safe_surface = partial(clearance.safe_surface, dilated=kernels.compiled().dilated_m)
@@ -171,27 +171,21 @@ def endless(known: KnownMap) -> KnownMap:
     most_m=st.floats(10.0, 400.0),
     registration_m=st.sampled_from([0.0, 12.0, 130.0]),
 )
-def test_the_distance_of_a_point_is_that_to_the_nearest_column_and_unknown_ground_has_no_top(
+def test_the_distance_of_a_point_is_that_to_the_nearest_column_that_counts(
     seed: int, most_m: float, registration_m: float
 ) -> None:
+    """Unknown ground has no top; where only what was seen counts, the rest is not there."""
     rng = np.random.default_rng(seed)
     known = random_map(rng, registration_m)
+    known.seen[rng.random(known.seen.shape) < 0.3] = False
     points = rng.uniform((-300.0, -300.0, 0.0), (2_700.0, 2_700.0, 900.0), (10, 3))
-    away = column_distance_m(endless(known), points)
-    found = [distance_to_terrain_m(known, point, most_m) for point in points]
-    assert found == pytest.approx(np.minimum(away, most_m))
-
-
-def test_what_no_scan_has_seen_need_not_count() -> None:
-    known = empty_map(CELL_M, (0.0, 2_000.0), (0.0, 2_000.0))
-    known.upper_m[:] = 500.0
-    known.upper_m[:, 12:] = np.inf
-    known.upper_m[2, 10], known.seen[2, 10] = 100.0, True
-    point = np.array([1_050.0, 1_050.0, 350.0])
-    assert distance_to_terrain_m(known, point, 900.0) == 0.0
-    expected = np.hypot(1_050.0 - 300.0, 350.0 - 100.0)
-    assert distance_to_terrain_m(known, point, 900.0, seen_only=True) == pytest.approx(expected)
-    assert distance_to_terrain_m(known, point, 700.0, seen_only=True) == 700.0
+    seen = replace(known, upper_m=np.where(known.seen, known.upper_m, -np.inf))
+    for seen_only, map_ in ((False, endless(known)), (True, seen)):
+        away = np.minimum(column_distance_m(map_, points), most_m)
+        found = distances_to_terrain_m(known, points, most_m, seen_only=seen_only)
+        assert found == pytest.approx(away)
+        one = distance_to_terrain_m(known, points[0], most_m, seen_only=seen_only)
+        assert one == pytest.approx(away[0])
 
 
 # --- the surface itself
@@ -207,13 +201,16 @@ def random_surface(rng: np.random.Generator) -> Surface:
 
 
 @given(seed=seeds)
-def test_a_surface_is_bilinear_between_its_vertices(seed: int) -> None:
+def test_a_surface_is_bilinear_between_its_vertices_and_goes_on_as_at_its_edges(seed: int) -> None:
     rng = np.random.default_rng(seed)
     surface = random_surface(rng)
     axes = (-200.0 + 50.0 * np.arange(9), 300.0 + 50.0 * np.arange(7))
-    north, east = rng.uniform(-200.0, 199.0, (4, 5)), rng.uniform(300.0, 599.0, (4, 5))
-    expected = RegularGridInterpolator(axes, surface.vertex_m)(np.stack([north, east], axis=-1))
-    assert surface.altitude_m(north, east) == pytest.approx(expected)
+    for far_m in (0.0, 100.0, 1e4):
+        north = rng.uniform(-200.0 - far_m, 200.0 + far_m, (4, 5))
+        east = rng.uniform(300.0 - far_m, 600.0 + far_m, (4, 5))
+        inside = np.stack([np.clip(north, -200.0, 200.0), np.clip(east, 300.0, 600.0)], axis=-1)
+        expected = RegularGridInterpolator(axes, surface.vertex_m)(inside)
+        assert surface.altitude_m(north, east) == pytest.approx(expected, abs=1e-3)
 
 
 @given(seed=seeds)
@@ -229,15 +226,6 @@ def test_the_slope_of_a_surface_is_its_finite_difference(seed: int) -> None:
     altitude, slope2 = surface.altitude_and_slope(north, east)
     assert slope2 == pytest.approx((rise_n**2 + rise_e**2) / (2 * h) ** 2, rel=1e-6, abs=1e-9)
     assert (altitude == surface.altitude_m(north, east)).all()
-
-
-@given(seed=seeds, n=st.floats(-1e4, 1e4), e=st.floats(-1e4, 1e4))
-def test_beyond_its_edges_a_surface_goes_on_as_at_its_edge(seed: int, n: float, e: float) -> None:
-    surface = random_surface(np.random.default_rng(seed))
-    inside = np.array(np.clip(n, -200.0, 200.0)), np.array(np.clip(e, 300.0, 600.0))
-    found = surface.altitude_m(np.array(n), np.array(e))
-    assert found == pytest.approx(surface.altitude_m(*inside), abs=1e-3)
-    assert surface.vertex_m.min() <= found <= surface.vertex_m.max()
 
 
 @settings(max_examples=20)

@@ -13,6 +13,8 @@ FloatArray = NDArray[np.float64]
 LATTICE = Lattice(cell_m=0.25, north_min_m=-25.0, east_min_m=-25.0, shape=(200, 200))
 REACH_M = 16.0
 PERIOD_S = 0.1
+NOTHING: FloatArray = np.full((1, 2), 100.0)
+"""No thing near by."""
 
 
 def post(north_m: float, east_m: float, radius_m: float) -> FloatArray:
@@ -37,7 +39,7 @@ def scene(random: np.random.Generator) -> FloatArray:
         start = random.uniform(-20.0, 20.0, 2)
         end = start + random.uniform(-15.0, 15.0, 2)
         things.append(wall(tuple(start), tuple(end)))
-    points = np.concatenate([*things, np.full((1, 2), 100.0)])
+    points = np.concatenate([*things, NOTHING])
     return points[np.hypot(*points.T) > 3.0]
 
 
@@ -80,13 +82,6 @@ def looked(near: NearMap, points: FloatArray, count: int, start_s: float = 0.0) 
     distance = nearest_m(points, at, 0.0, math.tau / 72, 72)
     for k in range(count):
         near.add(sweep_of(distance, time_s=start_s + k * PERIOD_S))
-
-
-def cell_of(north_m: float, east_m: float) -> tuple[int, int]:
-    return (
-        math.floor((north_m - LATTICE.north_min_m) / LATTICE.cell_m),
-        math.floor((east_m - LATTICE.east_min_m) / LATTICE.cell_m),
-    )
 
 
 def wrongly_free(near: NearMap, points: FloatArray) -> int:
@@ -166,8 +161,8 @@ def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells
 
 
 def test_what_is_looked_at_stays_free_and_what_is_not_is_unknown_in_time() -> None:
-    near, clear = NearMap(LATTICE), np.full((1, 2), 100.0)
-    looked(near, clear, 5)
+    near = NearMap(LATTICE)
+    looked(near, NOTHING, 5)
     at_first = near.free()
     ahead = np.full(72, np.inf)
     half = np.where(np.arange(72) % 71 < 17, REACH_M, 0.0)  # looks to the north-east only
@@ -175,34 +170,50 @@ def test_what_is_looked_at_stays_free_and_what_is_not_is_unknown_in_time() -> No
     while later_s < near.free_for_s + 2.0:
         near.add(sweep_of(ahead, clear_m=half, time_s=later_s))
         later_s += 0.5
-    row, column = cell_of(5.0, 5.0)
+    row, column = LATTICE.cell_of(5.0, 5.0)
     assert near.free()[row, column]
-    behind = cell_of(-5.0, -5.0)
+    behind = LATTICE.cell_of(-5.0, -5.0)
     assert at_first[behind]
     assert not near.free()[behind]
     assert not near.closed()[behind]
-    looked(near, clear, SIGHTINGS, start_s=later_s)
+    looked(near, NOTHING, SIGHTINGS, start_s=later_s)
     np.testing.assert_array_equal(near.free(), at_first)
 
 
 def test_nothing_is_free_for_longer_without_any_sweep() -> None:
-    near = NearMap(LATTICE)
-    looked(near, np.full((1, 2), 100.0), 5)
-    assert near.expire(near.free_for_s) is None
-    assert near.free().any()
-    window = near.expire(near.free_for_s + 1.0)
-    assert window is not None
-    assert not near.free().any()
-    assert near.expire(1_000.0) is None
+    """Nor if the clock begins anew: in the meantime the position may have drifted, too."""
+    for start_s, later_s in ((0.0, 8.5), (300.0, 20.0)):
+        near = NearMap(LATTICE)
+        looked(near, NOTHING, 5, start_s=start_s)
+        for at_s, is_free in ((start_s + near.free_for_s, True), (later_s, False)):
+            near.changed = None
+            near.expire(at_s)
+            assert (near.changed is None) == near.free().any() == is_free
+        near.changed = None
+        near.expire(1_000.0)
+        assert near.changed is None
 
 
-def test_nothing_is_free_of_what_was_seen_before_the_clock_began_anew() -> None:
-    """The autopilot has rebooted: in the meantime the position may have drifted, too."""
-    near = NearMap(LATTICE)
-    looked(near, np.full((1, 2), 100.0), 5, start_s=300.0)
-    assert near.free().any()
-    assert near.expire(20.0) is not None
-    assert not near.free().any()
+def test_a_scan_tells_all_that_is_known_where_something_may_have_changed_and_tells_it_once() -> (
+    None
+):
+    near, ground = NearMap(LATTICE), np.full(LATTICE.shape, 7.0)
+    for k in range(SIGHTINGS):
+        for at in ((-5.0, -6.0), (6.0, 5.0)):
+            near.add(sweep_of(np.full(72, np.inf), sensor_ne_m=at, time_s=k * PERIOD_S))
+    near.add(sweep_of(nearest_m(post(2.0, 3.0, 0.5), np.zeros(2), 0.0, math.tau / 72, 72)))
+    scan = near.scan(ground, 50.0)
+    assert scan.supersedes
+    heights = np.full(LATTICE.shape, np.nan)
+    rows, columns = scan.heights_m.shape
+    heights[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
+    free, closed = near.free(), near.closed()
+    assert free.any()
+    assert closed.any()
+    np.testing.assert_array_equal(heights, np.where(closed, 50.0, np.where(free, ground, np.nan)))
+    again = near.scan(ground, 50.0)
+    assert not again.supersedes
+    assert again.heights_m.size == 0
 
 
 def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it() -> None:
@@ -223,7 +234,7 @@ def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it()
 
 def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
     near = NearMap(LATTICE)
-    looked(near, np.full((1, 2), 100.0), SIGHTINGS)
+    looked(near, NOTHING, SIGHTINGS)
     north, east = np.meshgrid(*(np.arange(200) * 0.25 - 25.0 + 0.125,) * 2, indexing="ij")
     away = np.hypot(north, east)
     assert near.free()[away < REACH_M - 0.3].all()
@@ -234,78 +245,58 @@ def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
 def test_behind_a_wall_nothing_is_known_and_the_wall_is_occupied() -> None:
     near = NearMap(LATTICE)
     looked(near, wall((5.0, -30.0), (5.0, 30.0)), SIGHTINGS)
-    rows, columns = cell_of(4.5, 0.0)[0], slice(90, 110)
+    rows, columns = LATTICE.cell_of(4.5, 0.0)[0], slice(90, 110)
     assert near.free()[100:rows, columns].all()
-    assert near.occupied()[cell_of(5.0, 0.0)[0], columns].all()
-    behind = near.free()[cell_of(5.5, 0.0)[0] :, columns]
+    assert near.occupied()[LATTICE.cell_of(5.0, 0.0)[0], columns].all()
+    behind = near.free()[LATTICE.cell_of(5.5, 0.0)[0] :, columns]
     assert not behind.any()
 
 
-def test_a_thing_survives_the_longest_row_of_wrong_empty_sweeps() -> None:
-    near, points = NearMap(LATTICE), post(6.0, 0.0, 0.5)
-    looked(near, points, 10)
-    looked(near, np.full((1, 2), 100.0), 9, start_s=1.0)
-    assert near.occupied()[cell_of(5.5, 0.0)]
-    assert not near.free()[cell_of(5.5, 0.0)]
-
-
-def test_what_has_gone_leaves_free_cells_once_beams_pass_them_long_enough() -> None:
-    near, points = NearMap(LATTICE), post(6.0, 0.0, 0.5)
-    looked(near, points, 100)
-    looked(near, np.full((1, 2), 100.0), 12, start_s=10.0)
+def test_what_has_gone_leaves_free_cells_after_more_empty_sweeps_than_sensors_send_wrongly() -> (
+    None
+):
+    near, cell = NearMap(LATTICE), LATTICE.cell_of(5.5, 0.0)
+    looked(near, post(6.0, 0.0, 0.5), 100)
+    looked(near, NOTHING, 9, start_s=10.0)
+    assert near.occupied()[cell]
+    assert not near.free()[cell]
+    looked(near, NOTHING, 3, start_s=10.9)
     assert not near.occupied().any()
-    assert near.free()[cell_of(5.5, 0.0)]
+    assert near.free()[cell]
 
 
-def passer_by(standing_s: float) -> NearMap:
-    """It was met for so long, then not looked at until what moves is forgotten."""
-    near = NearMap(LATTICE)
+@pytest.mark.parametrize(("standing_s", "is_remembered"), [(1.0, False), (4.0, True)])
+def test_what_was_met_for_a_moment_only_is_forgotten_and_unknown(
+    standing_s: float, *, is_remembered: bool
+) -> None:
+    near, cell = NearMap(LATTICE), LATTICE.cell_of(5.5, 0.0)
     looked(near, post(6.0, 0.0, 0.5), round(standing_s / PERIOD_S) + 1)
     later_s = standing_s + FORGOTTEN_AFTER_S + 1.0
-    says_nothing = sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=later_s)
-    near.add(says_nothing)
-    return near
-
-
-def test_what_was_met_for_a_moment_only_is_forgotten_and_unknown() -> None:
-    near = passer_by(standing_s=1.0)
-    assert not near.occupied()[cell_of(5.5, 0.0)]
-    assert not near.free()[cell_of(5.5, 0.0)]
-
-
-def test_what_stood_for_long_is_remembered() -> None:
-    assert passer_by(standing_s=4.0).occupied()[cell_of(5.5, 0.0)]
+    near.add(sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=later_s))  # says nothing
+    assert near.occupied()[cell] == is_remembered
+    assert not near.free()[cell]
 
 
 def test_one_echo_of_a_wide_sector_blocks_its_arc_but_not_what_is_known_to_be_free() -> None:
-    """Eight sectors of 45 degrees, as ArduPilot passes them on (proximity.md 1)."""
-    near, distance = NearMap(LATTICE), np.full(8, np.inf)
+    """Eight sectors of 45 degrees, as ArduPilot passes them on (proximity.md 1).
+
+    Where all of the arc was free, it is something new, and blocks all of it.
+    """
+    turns = np.radians([-20.0, 0.0, 20.0])
+    arc = [LATTICE.cell_of(8.0 * math.cos(turn), 8.0 * math.sin(turn)) for turn in turns]
+    first_rad, distance = -math.radians(22.5), np.full(8, np.inf)
     distance[0] = 8.0
-    near.add(sweep_of(distance, first_rad=-math.radians(22.5)))
-    for bearing in (-20.0, 0.0, 20.0):
-        turned = math.radians(bearing)
-        assert near.occupied()[cell_of(8.0 * math.cos(turned), 8.0 * math.sin(turned))]
+    for was_looked_at in (False, True):
+        near = NearMap(LATTICE)
+        looked(near, NOTHING, 5 if was_looked_at else 0)
+        near.add(sweep_of(distance, first_rad=first_rad, time_s=1.0))
+        assert all(near.occupied()[cell] and not near.free()[cell] for cell in arc)
 
-    free_before = NearMap(LATTICE)
-    points = post(8.5, 0.0, 0.5)
-    looked(free_before, points, 5)
-    wide = nearest_m(points, np.zeros(2), -math.radians(22.5), math.radians(45.0), 8)
-    free_before.add(sweep_of(wide, first_rad=-math.radians(22.5), time_s=1.0))
-    aside = math.radians(20.0)
-    assert free_before.free()[cell_of(8.0 * math.cos(aside), 8.0 * math.sin(aside))]
-
-
-def test_an_echo_where_all_was_free_is_something_new_and_blocks_all_of_its_arc() -> None:
-    near = NearMap(LATTICE)
-    looked(near, np.full((1, 2), 100.0), 5)
-    distance = np.full(8, np.inf)
-    distance[0] = 8.0
-    near.add(sweep_of(distance, first_rad=-math.radians(22.5), time_s=1.0))
-    for bearing in (-20.0, 0.0, 20.0):
-        turned = math.radians(bearing)
-        cell = cell_of(8.0 * math.cos(turned), 8.0 * math.sin(turned))
-        assert near.occupied()[cell]
-        assert not near.free()[cell]
+    near, points = NearMap(LATTICE), post(8.5, 0.0, 0.5)
+    looked(near, points, 5)
+    wide = nearest_m(points, np.zeros(2), first_rad, math.radians(45.0), 8)
+    near.add(sweep_of(wide, first_rad=first_rad, time_s=1.0))
+    assert near.free()[arc[2]]
 
 
 def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> None:
@@ -318,11 +309,11 @@ def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> N
     np.testing.assert_array_equal(early, near.occupied())
     looked(near, posts, 1, start_s=5.0)
     closed = near.closed()
-    assert closed[cell_of(4.0, -0.2)]
-    assert closed[cell_of(4.0, 0.2)]
-    assert closed[cell_of(3.8, 0.0)]  # no sector clears it
-    assert not closed[cell_of(2.0, 0.0)]  # free
-    assert not closed[cell_of(12.0, 0.0)]  # behind: unknown, and far
+    assert closed[LATTICE.cell_of(4.0, -0.2)]
+    assert closed[LATTICE.cell_of(4.0, 0.2)]
+    assert closed[LATTICE.cell_of(3.8, 0.0)]  # no sector clears it
+    assert not closed[LATTICE.cell_of(2.0, 0.0)]  # free
+    assert not closed[LATTICE.cell_of(12.0, 0.0)]  # behind: unknown, and far
     assert not (closed & near.free()).any()
     assert (closed | ~near.occupied()).all()
 

@@ -8,11 +8,6 @@ from hypothesis import strategies as st
 from companion.world.radars import Radar, detection_probability
 
 
-def test_a_radar_sees_with_certainty_at_its_place_and_half_at_its_range() -> None:
-    seen = detection_probability(np.array([0.0, 5_000.0, 10_000.0]), 10_000.0)
-    assert seen == pytest.approx([1.0, 1.0 / (1.0 + 1.0 / 16.0), 0.5])
-
-
 @given(range_m=st.floats(1.0, 1e5), fraction=st.floats(0.0, 1.0))
 def test_detection_within_the_range_is_equation_3(range_m: float, fraction: float) -> None:
     d = fraction * range_m

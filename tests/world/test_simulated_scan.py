@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.simulated_scan import Truth, simulated_scan, true_map
+from companion.world.simulated_scan import simulated_scan, true_map
 from companion.world.terrain import Peak, PeakTerrain
 
 CELL_M = 100.0
@@ -128,26 +128,12 @@ def test_a_scan_beside_the_edge_of_the_map_stays_on_it() -> None:
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10**6))
-def test_a_part_of_the_truth_is_that_part_of_the_true_map(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    terrain = random_terrain(rng)
-    (south, north), (west, east) = np.sort(rng.integers(0, 41, (2, 2)), axis=1).tolist()
-    rows, columns = slice(south, north), slice(west, east)
-    part = Truth.of(terrain, blank()).part(rows, columns)
-    whole = true_map(terrain, blank())
-    assert (part.upper_m == whole.upper_m[rows, columns]).all()
-    assert (part.north_min_m, part.east_min_m) == (south * CELL_M, west * CELL_M)
-    assert part.seen.all()
-
-
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10**6))
-def test_a_scan_of_the_truth_is_that_of_the_true_map(seed: int) -> None:
+def test_a_truth_that_is_made_where_it_is_looked_at_is_the_true_map(seed: int) -> None:
     rng = np.random.default_rng(seed)
     terrain = random_terrain(rng)
     n, e = rng.uniform(-500, 4_500, 2).tolist()
     radar, range_m = (n, e, float(rng.uniform(100, 1_500))), float(rng.uniform(300, 2_500))
-    lazy = simulated_scan(Truth.of(terrain, blank()), radar, range_m)
-    whole = simulated_scan(true_map(terrain, blank()), radar, range_m)
-    assert (lazy.row, lazy.column) == (whole.row, whole.column)
-    assert (lazy.heights_m == whole.heights_m).all()
+    one = simulated_scan(blank(), radar, range_m, terrain)
+    other = simulated_scan(true_map(terrain, blank()), radar, range_m)
+    assert (one.row, one.column) == (other.row, other.column)
+    assert (one.heights_m == other.heights_m).all()

@@ -14,6 +14,8 @@ from rough_ground import (
     RANGE_M,
     ROWS,
     Ground,
+    Point,
+    answered,
     blank,
     elevation_tangent,
     ground,
@@ -34,7 +36,6 @@ from vehicle_sim.grid import GridTerrain
 from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 
 FloatArray = NDArray[np.float64]
-Point = tuple[float, float, float]
 
 BLOCK = 10
 BLOCKS, ALL_BLOCKS = 5, 1_000
@@ -96,6 +97,7 @@ def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
             "with losses": with_losses(complete, rng, share),
             "one sample a cell, with losses": with_losses(sampled, rng, share),
             "in parts not answered": replace(complete, heights_m=in_parts),
+            "it moves": moving(place, complete, radar, rng),
             "not where it says, nor the cells": replace(
                 complete,
                 radar_nea_m=complete.radar_nea_m + off_m,
@@ -105,6 +107,21 @@ def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
         }
         for name, scan in scanners.items():
             check(scan, sight.met_m, f"terrain {number}, {name}")
+
+
+def moving(place: Ground, early: Scan, radar: Point, rng: np.random.Generator) -> Scan:
+    """A scan of which the second half of the answers, here and there, is given from elsewhere."""
+    turn, away_m = rng.uniform(0.0, 2.0 * np.pi), float(rng.choice([15.0, 300.0]))
+    n, e = radar[0] + away_m * np.cos(turn), radar[1] + away_m * np.sin(turn)
+    ground_m = float(place.height_m(np.array(n), np.array(e)))
+    there = n, e, max(radar[2] + float(rng.choice([0.0, 5.0])), ground_m + 5.0)
+    late = scan_of(place.tops_m(), sight_of(place, there).somewhere, there)
+    moved = np.kron(rng.random((ROWS // 4, COLUMNS // 4)) < 0.5, np.ones((4, 4))) > 0.0
+    return replace(
+        early,
+        heights_m=np.where(moved, late.heights_m, early.heights_m),
+        radar_nea_m=np.where(moved[..., None], there, radar),
+    )
 
 
 def test_what_the_simulators_radar_does_not_see_is_below_its_bound(first: int) -> None:
@@ -207,17 +224,6 @@ def test_what_a_wall_beside_the_radar_hides_is_below_its_bound() -> None:
         bounded += int((np.isfinite(after.upper_m) & hidden).sum())
         assert (after.upper_m >= ground).all()
     assert bounded > 10_000
-
-
-def answered(heights_m: FloatArray, radar_nea_m: Point, range_m: float) -> Scan:
-    """Of a complete radar."""
-    return Scan(
-        row=0,
-        column=0,
-        heights_m=heights_m,
-        radar_nea_m=np.broadcast_to(np.array(radar_nea_m), (*heights_m.shape, 3)),
-        range_m=range_m,
-    )
 
 
 def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
