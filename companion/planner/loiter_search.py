@@ -26,6 +26,7 @@ _TURNS = np.array([-0.5, -1.0, 0.5, 1.0])
 """Of the turn radius of paths, > 0 to the right: autopilots turn more tightly to a point."""
 _EITHER_SIDE_RAD = math.radians(135.0)  # from there on, behind it, it may turn either way
 _AHEAD_RAD = 1e-6  # a turn short of full by less is none: rounding, 0.1 mm on a turn of 100 m
+_HERE_M = 1e-3  # a place so near is on both turns, whatever rounding says
 _STILL_M_S, _ON_THE_SPOT = 1.0, 1e-6
 """Slower over ground no plane flies: its course means nothing, and it counts as turning at once."""
 
@@ -113,7 +114,7 @@ def _ways_ne_m(
 ) -> tuple[FloatArray, FloatArray, IndexArray]:
     """Ways to N places: a turn until the nose points there, then straight.
 
-    A place within the turn is never pointed at: the whole turn.
+    A place within the turn is never pointed at: the whole turn.  Where it is, it turns either way.
     -> (M, S, 2), lengths (M,), and to which of the places (M,).
     """
     here, (north, east, _) = np.array(motion.here_nea_m[:2]), motion.velocity_nea_m_s
@@ -121,7 +122,8 @@ def _ways_ne_m(
     away = places_ne_m - here
     bearing = np.arctan2(away[:, 1], away[:, 0]) - course
     bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
-    flown = (_TURNS[:, None] * bearing >= 0.0) | (np.abs(bearing) > _EITHER_SIDE_RAD)
+    is_here = np.hypot(away[:, 0], away[:, 1]) < _HERE_M
+    flown = (_TURNS[:, None] * bearing >= 0.0) | (np.abs(bearing) > _EITHER_SIDE_RAD) | is_here
     turn, which = np.nonzero(flown)
     side, size_m = np.sign(_TURNS)[turn], (np.abs(_TURNS) * task.limits.turn_radius_m)[turn]
     size_m = size_m if moves else np.full(len(size_m), _ON_THE_SPOT)
@@ -132,7 +134,7 @@ def _ways_ne_m(
     then = np.arctan2(away[:, 1], away[:, 0]) + np.arctan2(side * size_m, straight_m)
     turned = np.mod(side * (then - course), 2.0 * math.pi)
     turned = np.where(turned > 2.0 * math.pi - _AHEAD_RAD, 0.0, turned)
-    turned = np.where(apart_m <= size_m, 2.0 * math.pi, turned)
+    turned = np.where((apart_m <= size_m) | is_here[which], 2.0 * math.pi, turned)
     lengths_m = size_m * turned + straight_m
     along_m = np.linspace(0.0, 1.0, samples + 1)[1:] * lengths_m[:, None]
     side, size_m, turned = side[:, None], size_m[:, None], turned[:, None]

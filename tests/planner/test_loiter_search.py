@@ -137,6 +137,19 @@ def test_the_way_out_goes_on_rather_than_back_through_the_zone() -> None:
         assert min(flown_m((zone,), circler, point, TURN_M)) >= 32.0
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("course_deg", range(0, 360, 17))
+def test_it_stays_only_where_it_can_turn_to_either_side(course_deg: int, side: float) -> None:
+    """The circle about where it is would be clear; the turn that brings it there is not."""
+    course = math.radians(course_deg)
+    north, east = (2.0 * TURN_M * side * x for x in (-math.sin(course), math.cos(course)))
+    zone = CircleZone(name="zone", north_m=north, east_m=east, radius_m=20.0)
+    velocity = V * math.cos(course), V * math.sin(course), 0.0
+    circler = Motion((0.0, 0.0, HEIGHT_M), velocity)
+    assert gap_m((zone,), 0.0, 0.0) - LOITER_M > REQUIRED_M
+    assert sent_to(flat(), replace(TASK, zones=(zone,)), circler) != circler.here_nea_m
+
+
 def test_nothing_is_clear_where_the_ground_is_not_known() -> None:
     blank = empty_map(20.0, LIMITS.north_m, LIMITS.east_m)
     zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=70.0)
