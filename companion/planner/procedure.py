@@ -76,9 +76,15 @@ class Leg:
         """Length flown at p_scan: L before the end, or at once on a short leg (paper 2.3)."""
         return max(self.subpath.length_m - task.at_speed(self.speed_m_s).scan_distance_m, 0.0)
 
-    def wants_successor(self, at_m: float, task: Task) -> bool:
-        """Whether to scan and plan for the next leg, at this length flown: from p_scan on."""
-        is_past_scan = at_m >= self.scan_at_m(task)
+    def wants_successor(self, at_m: float, task: Task, speed_m_s: float = 0.0) -> bool:
+        """Whether to scan and plan for the next leg, at this length flown: from p_scan on.
+
+        speed_m_s: over ground.  A plane that the wind makes faster than V begins sooner: until the
+        plan is there it comes the farther.
+        """
+        gains = max(speed_m_s / task.limits.speed_m_s - 1.0, 0.0)
+        sooner_m = gains * (task.shortest_scan_distance_m - task.tail_m)
+        is_past_scan = at_m + sooner_m >= self.scan_at_m(task)
         return is_past_scan and not self.reaches_target and self.can_be_left(task)
 
     def leaving(self, task: Task) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from brute_force import fastest_m_s
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import leg_of, limits
+from planning import PLANE_TASK, leg_of, limits
 
 from companion.path.envelope import Envelope, slowing_m
 from companion.planner.procedure import Leg, Reference, advance, ahead_m, is_at_end, off_path_m
@@ -218,6 +218,22 @@ def test_p_scan_and_p_prog_lie_in_order_on_the_leg(length_m: float, longer_m: fl
     if length_m >= 345.0:
         seconds = task.settings.planning_time_s + task.settings.scan_time_s
         assert (prog - scan) / V >= seconds - 1e-9
+
+
+@given(speed_m_s=st.floats(10.0, 30.0), longer_m=st.floats(0.0, 900.0))
+def test_with_the_wind_a_plane_asks_so_soon_that_its_point_is_not_yet_at_p_prog(
+    speed_m_s: float, longer_m: float
+) -> None:
+    task, v = PLANE_TASK, PLANE_TASK.limits.speed_m_s
+    settled, length_m = task.settings, 2.0 * task.shortest_scan_distance_m + longer_m
+    leg = leg_of([[i * length_m / 3.0, 0.0, 100.0] for i in range(4)])
+    asks = np.linspace(0.0, length_m, 2_001)
+    at_m = next(float(at) for at in asks if leg.wants_successor(float(at), task, speed_m_s))
+    answers_s = settled.scan_time_s + settled.planning_time_s + 3.0 * settled.position_period_s
+    point_m = at_m + speed_m_s * (answers_s + task.limits.lead_s)
+    assert point_m <= leg.successor_at_m(task) + length_m / 2_000
+    if speed_m_s <= v:
+        assert at_m == pytest.approx(leg.scan_at_m(task), abs=length_m / 2_000)
 
 
 @given(at=st.floats(0.2, 1.2), tick_s=ticks)
