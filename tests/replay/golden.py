@@ -31,6 +31,8 @@ GOLDENS: Final = Path(__file__).parent / "goldens"
 NAMES: Final = tuple(sorted(path.parent.name for path in GOLDENS.glob("*/why.md")))
 TOLERANCE: Final = 1e-5
 """Metres, and metres a second: ten times the nudge (tests/nudge.py)."""
+_STEP: Final = 2.0**-23
+"""From one number of 32 bits to the next, as the wire has them: of either, at most."""
 _SETPOINTS = ("SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED")
 _LEFT_OUT = ("HEARTBEAT", "TIMESYNC", "TERRAIN_REQUEST", "SYS_STATUS")
 """Frames that say nothing of what was decided, or (the radar's) stand in the journal."""
@@ -117,7 +119,7 @@ def _is_close(was: Any, now: Any, *, rounded: bool = False) -> bool:
         return abs(was - now) <= 1
     if isinstance(was, float) or isinstance(now, float):
         numbers = isinstance(was, int | float) and isinstance(now, int | float)
-        return numbers and math.isclose(was, now, rel_tol=1e-7, abs_tol=TOLERANCE)
+        return numbers and math.isclose(was, now, rel_tol=_STEP, abs_tol=TOLERANCE)
     if isinstance(was, list) and isinstance(now, list):
         return len(was) == len(now) and all(map(_is_close, was, now))
     if isinstance(was, dict) and isinstance(now, dict):
