@@ -165,6 +165,23 @@ def test_the_sight_line_over_unknown_ground_is_infinitely_high() -> None:
     assert math.isfinite(found[1])
 
 
+@given(seed=st.integers(0, 10**6))
+def test_radars_that_count_as_one_bound_no_less_than_the_same_one_by_one(seed: int) -> None:
+    """A radar that moves a little, level and up: the terrain between is the same for all."""
+    rng = np.random.default_rng(seed)
+    known, cell = blank(), blank().cell_m
+    known.upper_m[:] = rng.uniform(0.0, 3.0, known.shape) * cell
+    middle = np.array([known.north_min_m, known.east_min_m]) + 0.5 * cell * np.array(known.shape)
+    moved = rng.uniform(-1.0, 1.0, (5, 3)) * (0.2 * cell, 0.2 * cell, 0.1 * cell)
+    radars = np.append(middle, rng.uniform(1.0, 4.0) * cell) + moved
+    points = middle + rng.uniform(-0.4, 0.4, (5, 2)) * cell * known.shape
+    together = sight_line_m(known, known.upper_m, radars, points, 1.5 * cell)
+    for k in range(5):
+        one = slice(k, k + 1)
+        alone_m = sight_line_m(known, known.upper_m, radars[one], points[one], 1.5 * cell)[0]
+        assert together[k] >= alone_m - 1e-9 * cell
+
+
 def test_there_is_no_sight_line_where_nothing_lies_between() -> None:
     radar, point = np.array([[50.0, 50.0, 100.0]]), np.array([[120.0, 50.0]])
     assert np.isneginf(sight_line_m(blank(), blank().upper_m, radar, point, 150.0)).all()
