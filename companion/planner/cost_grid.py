@@ -16,8 +16,7 @@ a wall of every shadow.  Unseen ground that has to be flown over costs the altit
 asks for, the ceiling where it has none: what is behind a saddle is proven only from above it, so
 ways over it are flown high and in short legs, and a way round is rarely dearer.
 
-Among near things, what stands is taken to go on: unseen ground beside it costs up to three times as
-much, the less the farther away it is.
+Among near things, what stands is taken to go on: unseen ground beside it costs three times as much.
 """
 
 import math
@@ -44,10 +43,10 @@ cells; with 48 directions the error is that of directions, not of cells, and a g
 cells stays open (both by test)."""
 _MOST_CELLS = 640
 """Lattice cells across a map, 32 R; those of a larger map are wider: to solve it takes a second."""
-_GOES_ON, _GOES_ON_RANGES = 2.0, 0.5
-"""What a metre of unseen ground costs more right beside a near thing, and how far, in R, it counts.
-Else the way is believed to lead round the end of what was seen of a wall, wherever that is, and
-legs end there."""
+_GOES_ON, _GOES_ON_RANGES = 2.0, 0.25
+"""What a metre of unseen ground costs more beside a near thing, and how far from it, in R.  Else
+the way is believed to lead round the end of what was seen of a wall, wherever that is, and legs end
+there (decision 0021)."""
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _TERMS = 2.4  # f1 is 100 for a way of 2.4 R, f2 for one of R at the ceiling (eq. 6, 7)
 _RADAR = 3.0  # f5 is 300 for a way of R at a radar (`scene.RADAR_SCALE` for each of ten samples)
@@ -157,22 +156,24 @@ class CostGrid:
             return box
         far = _GOES_ON_RANGES * self.task.settings.scan_range_m / self.step_m
         by, (rows, columns) = math.ceil(far), self.shape
-        (changed, asked) = (
-            (slice(max(box[0] - k, 0), min(box[1] + k, rows)),
-             slice(max(box[2] - k, 0), min(box[3] + k, columns)))
-            for k in (by, 2 * by)
-        )  # fmt: skip
-        stands = self._ground.seen_m[asked] > self._scale.highest_m
-        if not stands.any():
-            self._ground.beside[changed] = 0.0
-        else:
-            away = scipy.ndimage.distance_transform_edt(~stands)
-            inside = tuple(
-                slice(part.start - wide.start, part.stop - wide.start)
-                for part, wide in zip(changed, asked, strict=True)
+        changed, looked = (
+            (
+                max(box[0] - k, 0),
+                min(box[1] + k, rows),
+                max(box[2] - k, 0),
+                min(box[3] + k, columns),
             )
-            self._ground.beside[changed] = _GOES_ON * np.maximum(1.0 - away[inside] / far, 0.0)
-        return changed[0].start, changed[0].stop, changed[1].start, changed[1].stop
+            for k in (by, 2 * by)
+        )
+        stands = self._ground.seen_m[looked[0] : looked[1], looked[2] : looked[3]]
+        away = scipy.ndimage.distance_transform_edt(stands <= self._scale.highest_m)
+        inside = away[
+            changed[0] - looked[0] : changed[1] - looked[0],
+            changed[2] - looked[2] : changed[3] - looked[2],
+        ]
+        beside = (inside < far) & (stands > self._scale.highest_m).any()
+        self._ground.beside[changed[0] : changed[1], changed[2] : changed[3]] = _GOES_ON * beside
+        return changed
 
     def _continued_m(self, known: KnownMap, here_ne_m: Place) -> FloatArray | None:
         """`Ground.guess_m`: linear between the points of the lattice.  None: nothing is guessed."""
