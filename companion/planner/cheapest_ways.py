@@ -3,11 +3,12 @@
 Plain Python that numba compiles as it is (`kernels`).
 
 Lattice points are every second sample of the costs, and edges lead from each to 48 others: a way
-is at most 0.75 % too long in any direction, 0.25 % in the mean.  `repair` is LPA* without a
-heuristic (Koenig, Likhachev and Furcy 2004; Ramalingam and Reps 1996): it looks at points only
-whose cost may have changed.  What it leaves is the only solution of cost = min(seed, min(cost of a
-neighbour + edge)), to the last digit, whatever was there before: edges cost the same from both of
-their ends, and of ways that cost the same the first direction is taken.
+is at most 0.75 % too long in any direction, 0.25 % in the mean.  `repair` is LPA* (Koenig,
+Likhachev and Furcy 2004; Ramalingam and Reps 1996): it looks at points only whose cost may have
+changed, those first over which the cheapest ways from a window may lead.  What it leaves is the
+only solution of cost = min(seed, min(cost of a neighbour + edge)), to the last digit, whatever was
+there before: edges cost the same from both of their ends, and of ways that cost the same the first
+direction is taken.
 """
 
 import heapq
