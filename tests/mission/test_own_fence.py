@@ -8,6 +8,7 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_FIXED_WING, PX4_MULTICOPTER
+from companion.mission.decisions import takeover_reason
 from companion.mission.events import (
     End,
     FenceBreach,
@@ -71,6 +72,14 @@ def test_what_the_autopilot_does_after_it_has_said_that_its_fence_is_breached(
     assert [c.text for c in commands if isinstance(c, StatusText)] == [
         f"hold: {Reason.FENCE_BREACHED.text}"
     ]
+
+
+@pytest.mark.parametrize(("ago_s", "is_why"), [(2.0, True), (6.0, False), (-1.0, False)])
+def test_only_what_it_has_just_said_of_its_fence_is_why(ago_s: float, is_why: bool) -> None:
+    state = aloft(ALL[0].traits).state
+    vehicle = replace(state.vehicle, mode=Mode.RETURN, fence_breached_at_s=1_000.0 - ago_s)
+    found = takeover_reason(replace(state, now_s=1_000.0, vehicle=vehicle))
+    assert found is (Reason.FENCE_BREACHED if is_why else Reason.MODE_TAKEN)
 
 
 @ALL_FOUR
