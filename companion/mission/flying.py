@@ -176,7 +176,7 @@ def _follow(state: State, event: Position, context: Context) -> Step:
     if following.is_stopped(state, flight):
         return _at_its_end(replace(state, flight=flight), leg, commands)
     at_m = flight.reference.length_m
-    speed = 0.0 if task.limits.hovers else math.hypot(*event.velocity_nea_m_s[:2])
+    speed = 0.0 if state.vehicle.traits.hovers else math.hypot(*event.velocity_nea_m_s[:2])
     if flight.search is None and flight.stop is None and leg.wants_successor(at_m, task, speed):
         flight, scan = start_scan(flight, leg.subpath.pose(at_m).point_nea_m)
         commands += scan

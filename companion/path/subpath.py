@@ -66,9 +66,29 @@ class Subpath:
             return True
         return float(np.linalg.norm(legs, axis=-1).sum()) > length_m < self.length_m
 
+    @lru_cache(maxsize=4)  # noqa: B019 - in flight the same ones are asked for again
     def pose(self, length_m: float) -> Pose:
         """Where the curve is after a length flown, metres from its start."""
-        return _pose(self, length_m)
+        u, spans = self.parameter_at(length_m), len(self._axes)
+        span = min(int(u * spans), spans - 1)
+        t, axes = u * spans - span, self._axes[span]
+        position, first, second = [], [], []
+        for a, b, c, d in axes:  # in one loop, which takes less time than three comprehensions
+            position.append(a + t * (b + t * (c + t * d)))
+            first.append((b + t * (2.0 * c + t * 3.0 * d)) * spans)
+            second.append((2.0 * c + t * 6.0 * d) * spans**2)
+        speed, bend = math.hypot(*first), np.array(second)
+        if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
+            inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
+            first, bend = [inward * each for each in second], np.zeros(3)
+            speed = math.hypot(*first)
+        speed = max(speed, 1e-12)
+        tangent = np.array(first) / speed
+        return Pose(
+            position_nea_m=np.array(position),
+            tangent_nea=tangent,
+            curvature_nea_1_m=(bend - (bend @ tangent) * tangent) / speed**2,
+        )
 
     def parameter_at(self, length_m: float) -> float:
         """The parameter of the curve, 0 to 1, after a length flown, metres."""
@@ -95,30 +115,6 @@ class Subpath:
         """The curve at points of about equal spacing, both ends included."""
         count = max(math.ceil(self.length_m / spacing_m), 2)
         return self.samples_at(np.linspace(0.0, self.length_m, count + 1))
-
-
-@lru_cache(maxsize=4)  # in flight the same ones are asked for again
-def _pose(subpath: Subpath, length_m: float) -> Pose:
-    u, spans = subpath.parameter_at(length_m), len(subpath._axes)
-    span = min(int(u * spans), spans - 1)
-    t, axes = u * spans - span, subpath._axes[span]
-    position, first, second = [], [], []
-    for a, b, c, d in axes:  # in one loop, which takes less time than three comprehensions
-        position.append(a + t * (b + t * (c + t * d)))
-        first.append((b + t * (2.0 * c + t * 3.0 * d)) * spans)
-        second.append((2.0 * c + t * 6.0 * d) * spans**2)
-    speed, bend = math.hypot(*first), np.array(second)
-    if speed < 1e-6 * subpath.length_m:  # control points coincide: the direction is a limit
-        inward = 1.0 if 2.0 * length_m < subpath.length_m else -1.0
-        first, bend = [inward * each for each in second], np.zeros(3)
-        speed = math.hypot(*first)
-    speed = max(speed, 1e-12)
-    tangent = np.array(first) / speed
-    return Pose(
-        position_nea_m=np.array(position),
-        tangent_nea=tangent,
-        curvature_nea_1_m=(bend - (bend @ tangent) * tangent) / speed**2,
-    )
 
 
 def straight(start_nea_m: FloatArray, end_nea_m: FloatArray) -> Subpath:

@@ -188,7 +188,8 @@ def advance(
     all that the vehicle brakes with, if that is before the end.
     """
     at_m, speed = reference.length_m, reference.speed_m_s
-    lead, length_m = -ahead_m(reference, leg, vehicle_nea_m), leg.subpath.length_m
+    pose, length_m = leg.subpath.pose(at_m), leg.subpath.length_m
+    lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
     if lead > motion.lag_m:
         return Reference(length_m=at_m, speed_m_s=0.0)
     slower, left_m = motion.braking_m_s2 * elapsed_s, max(min(length_m, until_m) - at_m, 0.0)
