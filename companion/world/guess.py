@@ -79,14 +79,14 @@ def continued(known: KnownMap, size: int, here_ne_m: tuple[float, float]) -> Con
 
     size: of blocks (`block_cells`).
     """
-    reach, here = (
-        round(_REACH * _BLOCKS_PER_RANGE),
-        [at // size for at in known.cell_of(*here_ne_m)],
-    )
+    reach = round(_REACH * _BLOCKS_PER_RANGE)
+    here = [at // size for at in known.cell_of(*here_ne_m)]
     rows, columns = (
         slice(max(at - reach, 0), min(max(at + reach, 0), -(-count // size)))
         for at, count in zip(here, known.shape, strict=True)
     )
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        return None  # it is too far off the map
     mean_m, seen = _averaged(known, size, (rows, columns))
     if not seen.any() or seen.all():
         return None

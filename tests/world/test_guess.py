@@ -49,6 +49,13 @@ def test_of_nothing_nothing_is_guessed() -> None:
     assert np.isneginf(guessed_m(BLANK, HERE, R)).all()
 
 
+@pytest.mark.parametrize("here", [(10.0 * R, 0.0), (0.0, 10.0 * R), (-10.0 * R, -10.0 * R)])
+def test_far_off_the_map_nothing_is_guessed(here: tuple[float, float]) -> None:
+    known = seen_where(peak(20e3, 22e3, 4e3, 5e3), disc(9e3))
+    believed = guessed_m(known, (HERE[0] + here[0], HERE[1] + here[1]), R)
+    assert np.array_equal(believed > -np.inf, known.seen)
+
+
 @pytest.mark.parametrize("spread", [4e3, 5.5e3, 7e3])
 def test_a_mountain_seen_to_its_crest_has_another_side(spread: float) -> None:
     """Guessed to within a fifth of its height, where a plain would be wrong by nearly all of it."""
