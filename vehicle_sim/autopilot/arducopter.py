@@ -1,0 +1,954 @@
+"""ArduCopter 4.7 as measured: GUIDED, take-off, landing, returning, AUTO, failsafes.
+
+Source: ardupilot.md 2 to 5 and the recorded flights; submodes and their changes as mode_guided.cpp.
+"""
+
+import enum
+import math
+from collections.abc import Mapping
+from typing import ClassVar, Final
+
+import numpy as np
+
+from vehicle_sim.autopilot.ardupilot import ArduFlight, ArduPilot, profile
+from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
+from vehicle_sim.autopilot.core import Firmware, Handler, Mode
+from vehicle_sim.autopilot.earth import FlatEarth, way_m
+from vehicle_sim.autopilot.estimator import State as Estimates
+from vehicle_sim.autopilot.estimator import Timing
+from vehicle_sim.autopilot.ideal import Ideal, Spatial
+from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back, leg_of
+from vehicle_sim.autopilot.setpoints import (
+    IGNORE_ACCELERATION,
+    IGNORE_POSITION,
+    IGNORE_VELOCITY,
+    IGNORE_YAW,
+    IGNORE_YAW_RATE,
+    Stop,
+    Target,
+    given,
+    read_by_arducopter,
+)
+from vehicle_sim.autopilots import (
+    Command,
+    Landed,
+    Place,
+    Result,
+    Setpoint,
+    State,
+    TargetEcho,
+    Waypoint,
+    height_amsl_m,
+)
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.faults.conditions import SIM_PARAMETERS
+from vehicle_sim.geodesy import around, metres_per_degree
+from vehicle_sim.parameters import table
+from vehicle_sim.plans import PlanItem, PlanKind, Plans
+
+_HOLDS: Final = 0x59
+"""Custom mode and manual input enabled, stabilised, and "guided" while it holds a position."""
+_BY_HAND: Final = 0x51
+MODES: Final = (
+    Mode("STABILIZE", 0, "fall", needs_position=False, base=_BY_HAND),
+    Mode("ACRO", 1, "fall", needs_position=False, base=_BY_HAND),
+    Mode("ALT_HOLD", 2, "sink", needs_position=False, base=_BY_HAND),
+    Mode("AUTO", 3, "fly_mission", armable=False, base=_HOLDS),
+    Mode("GUIDED", 4, "fly_target", base=_HOLDS),
+    Mode("LOITER", 5, "sink", base=_HOLDS),
+    Mode("RTL", 6, "fly_back", armable=False, base=_BY_HAND),
+    Mode("CIRCLE", 7, "sink", armable=False, base=_HOLDS),
+    Mode("LAND", 9, "land", needs_position=False, armable=False, base=_BY_HAND),
+    Mode("POSHOLD", 16, "sink", base=_HOLDS),
+    Mode("BRAKE", 17, "brake", armable=False, base=_HOLDS),
+    Mode("SMARTRTL", 21, "fly_back", armable=False, base=_BY_HAND),
+)
+_RETURNS: Final = ("RTL", "SMARTRTL")
+
+FIRMWARE: Final = Firmware(
+    profile=profile(vehicle_type=2, capabilities=64495, rates_hz={0: 1.0, 111: 0.1}),
+    table=(*table("ardupilot/shared", "ardupilot/copter"), *SIM_PARAMETERS),
+    modes=MODES,
+    holds="LOITER",
+    lands="LAND",
+    returns="RTL",
+    pilot="LOITER",
+    timing=Timing(
+        # arducopter-gps-loss.tlog, ardupilot.md 5
+        stages=((0.0, 0x400), (4.46, 0x000), (5.9, 0x0A7)),
+        flags={
+            Estimates.GOOD: 0x33F,
+            Estimates.GLITCH: 0x833F,
+            Estimates.YIELDS: 0x8027,
+            Estimates.LOST: 0x025,
+            Estimates.STOPPED: 0x0A7,
+        },
+        origin_s=10.0,
+        good_s=31.62,
+        gate_m=3.75,  # a variance ratio of 13.33 for 50 m at once, 10.53 after 9.5 s
+        gate_growth_m_s=0.106,
+        glitch_s=0.9,
+        yields_s=10.29,
+        calm_s=9.85,
+        lost_s=7.15,
+        stopped_s=15.05,
+        back_s=0.09,
+        lag_s=0.1,
+        follows=0.02,
+        drift_m_s2=0.01,
+    ),
+    frame=FlatEarth,
+    ready_s=2.45,
+    prearm_s=23.3,
+    believes_landing_s=1.57,
+    refused=Result.FAILED,
+    first_item=1,
+)
+
+_EKF_CHECKS: Final = 10
+"""In a row, ten a second, before the failsafe acts."""
+_LIFTS_AFTER_ARMING_S: Final = 3.43
+_LIFTS_AFTER_COMMAND_S: Final = 1.45
+"""Spooling up: from arming and from the take-off's command to leaving the ground."""
+_REACHED_M, _REACHED_S = 0.3, 0.7
+"""The take-off is over so long after coming so near to its height."""
+_DISARMS_S: Final = 0.505
+"""From believing that it has landed to disarming."""
+_FAILSAFE_PAUSE_S: Final = 4.0
+"""LAND_WITH_DELAY_MS: a failsafe's landing waits before it goes down."""
+_RETURN_STAGE_S: Final = 1.55
+"""The least that each of climbing and going home takes (stream-faults, 286.2 to 294.7 s)."""
+_CLIMBED_M: Final = 2.0
+_OVER_LANDING_M: Final = 1.0
+_BRAKE_M_S2: Final = 7.5
+_FALL_1_S: Final = 4.0
+_SLEW_RAD_S: Final = math.radians(60.0)
+"""ATC_SLEW_YAW."""
+_TURN_1_S: Final = 4.5
+"""ATC_ANG_YAW_P."""
+_MOVING_SHARE: Final = 0.05
+"""Of WPNAV_SPEED: slower, the way has no direction."""
+_MIN_TIMEOUT_S: Final = 0.1
+_TAKE_OFF_FRAME: Final = 3
+
+
+class Kind(enum.Enum):
+    """What GUIDED steers for: its submodes; the type_mask of the echo."""
+
+    TAKEOFF = enum.auto()
+    POSITION = enum.auto()
+    PATH = enum.auto()
+    """A position that moves."""
+    VELOCITY = enum.auto()
+    """Also standing still: what every setpoint that is not liked leads to."""
+    PUSH = enum.auto()
+    """An acceleration alone."""
+
+
+_YAWS: Final = IGNORE_YAW | IGNORE_YAW_RATE
+_ECHO_MASKS: Final = {
+    Kind.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _YAWS,
+    Kind.POSITION: IGNORE_VELOCITY | IGNORE_ACCELERATION | _YAWS,
+    Kind.PATH: _YAWS,
+    Kind.VELOCITY: IGNORE_POSITION | _YAWS,
+    Kind.PUSH: IGNORE_POSITION | IGNORE_VELOCITY | _YAWS,
+}
+Order = Spatial
+"""Acceleration of the thrust."""
+
+
+class CopterFlight(ArduFlight):
+    """An ArduCopter: its modes, on the position controller."""
+
+    GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    CRASH_TEXT: ClassVar[str] = "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0"
+
+    def __init__(self, autopilot: ArduPilot, copter: Copter) -> None:
+        super().__init__(autopilot)
+        self.copter = copter
+        self._ideal = None if copter.drag_1_s else Ideal(copter.limits)
+        """Of one without drag, which no autopilot was tuned for."""
+        self._flown_in = {mode.name: getattr(self, mode.flies) for mode in MODES}
+        self.kind = Kind.VELOCITY
+        self.paused = False
+        self._place_deg, self._altitude_m = 0j, 0.0
+        self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
+        """What GUIDED was told, as it has run on since."""
+        self._heard_s = 0.0
+        self._takeoff_s: float | None = None
+        """When the take-off that is going on was commanded."""
+        self._reached_s: float | None = None
+        self._yaw_rad: float | None = None
+        """Where the nose is told to point to, or how fast to turn; None: along the way."""
+        self._yaw_rate_rad_s: float | None = None
+        self._refused_text = ""
+        self._lands_with_position = True
+        self._pauses_until_s = 0.0
+        self._ekf_failures = 0
+        self._was_glitching = False
+        self.read_parameters()
+        self.level, self.up = Horizontal(self.tuning), Vertical(self.tuning)
+        self._restart(Kind.VELOCITY)
+
+    def read_parameters(self) -> None:
+        """They are read live; the speeds of a submode when it begins."""
+        p, limits = self.autopilot.parameters, self.copter.limits
+        lean_rad = math.radians(bounded(p["ANGLE_MAX"] / 100.0, 10.0, 85.0))
+        most_up, lift = limits.speed_vertical_m_s, limits.acceleration_vertical_m_s2
+        self.tuning = Tuning(
+            speed_m_s=max(p["WPNAV_SPEED"], 10.0) / 100.0,
+            acceleration_m_s2=min(max(p["WPNAV_ACCEL"], 10.0) / 100.0, limits.acceleration_m_s2),
+            jerk_m_s3=max(p["PSC_JERK_XY"], 1.0),
+            speed_up_m_s=min(max(p["WPNAV_SPEED_UP"], 10.0) / 100.0, most_up),
+            speed_down_m_s=min(max(p["WPNAV_SPEED_DN"], 10.0) / 100.0, most_up),
+            acceleration_up_m_s2=min(max(p["WPNAV_ACCEL_Z"], 10.0) / 100.0, lift),
+            jerk_up_m_s3=max(p["PSC_JERK_Z"], 1.0),
+            lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
+        )
+        if hasattr(self, "level"):
+            self.level.tuning = self.up.tuning = self.tuning
+        self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
+        self._set_looks_ahead()
+
+    # --- modes --------------------------------------------------------------------------------
+
+    @property
+    def _mode(self) -> str:
+        return self.autopilot.mode.name
+
+    def refusal(self, name: str) -> str | None:
+        """Checks are only made in flight, as the real one does."""
+        autopilot = self.autopilot
+        if not autopilot.armed:
+            return None
+        if autopilot.modes[name].needs_position and not autopilot.estimator.ok:
+            return "requires position"
+        no_mission = name == "AUTO" and len(autopilot.plans[PlanKind.MISSION]) < 2
+        nowhere = name in _RETURNS and autopilot.home is None
+        return "init failed" if no_mission or nowhere else None
+
+    def begin(self, before: Mode) -> None:
+        """Fly the autopilot's mode from now on."""
+        del before
+        autopilot, route, name = self.autopilot, self.autopilot.route, self._mode
+        self._abandon_takeoff()
+        self.paused = route.paused = False
+        self._set_looks_ahead()
+        self._look_ahead()
+        self._stand_still()
+        route.stop()
+        if name == "LAND":
+            self._lands_with_position = autopilot.estimator.ok
+        elif name in _RETURNS:
+            self._begin_return(climb=name == "RTL")
+        elif name == "AUTO":
+            count = len(autopilot.plans[PlanKind.MISSION])
+            again = autopilot.parameters["MIS_RESTART"] or not 1 <= route.current < count
+            route.forget_jumps()
+            self._seek(1 if again else route.current)
+
+    def _stand_still(self) -> None:
+        """Reset to zero velocity: mode_guided.init."""
+        self._restart(Kind.VELOCITY)
+        self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
+
+    def _restart(self, kind: Kind) -> None:
+        """Another submode: from what the vehicle does now, with the parameters' speeds."""
+        self.kind, tuning = kind, self.tuning
+        self.speed_m_s = tuning.speed_m_s
+        self._speeds_up_down = (tuning.speed_up_m_s, tuning.speed_down_m_s)
+        estimate = self.autopilot.estimate
+        self.level.start(self._here_deg, self._flown)
+        self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+        if self._ideal is not None:
+            self._ideal.forget()
+            self._ideal.tracks = False
+            self.level.follow(self._here_deg, self._flown, self._felt)
+
+    @property
+    def _felt(self) -> complex:
+        """The acceleration that there is."""
+        return complex(self.copter.acceleration_north_m_s2, self.copter.acceleration_east_m_s2)
+
+    @property
+    def _here_deg(self) -> complex:
+        estimate = self.autopilot.estimate
+        return complex(estimate.latitude_deg, estimate.longitude_deg)
+
+    @property
+    def _flown(self) -> complex:
+        """Velocity over the ground."""
+        estimate = self.autopilot.estimate
+        return complex(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+
+    @property
+    def lands(self) -> bool:
+        """In LAND, at the end of RTL, and where AUTO lands."""
+        leg = self.autopilot.route.leg
+        if leg is None or leg.does is not Does.LAND:
+            return self._mode == "LAND"
+        return leg.command == RETURN or self.autopilot.route.arrived_s is not None
+
+    @property
+    def flying(self) -> bool:
+        """Whether it may not be disarmed."""
+        return not self.autopilot.landed
+
+    # --- arming -------------------------------------------------------------------------------
+
+    def arming_refusal(self) -> str | None:
+        """Why it may not be armed now."""
+        autopilot = self.autopilot
+        if not autopilot.mode.armable:
+            return f"{self._mode} mode not armable"
+        if autopilot.mode.needs_position and not autopilot.estimator.ok:
+            return "Need Position Estimate"
+        if autopilot.now_s < autopilot.firmware.prearm_s:
+            return "AHRS: waiting for home"
+        return autopilot.common_refusal()
+
+    def on_armed(self) -> None:
+        """It idles until a take-off, or until DISARM_DELAY is over."""
+
+    def on_disarmed(self) -> None:
+        """A take-off that was going on is over."""
+        self._abandon_takeoff()
+
+    def disarms_after_s(self) -> float | None:
+        """Soon after a landing, or after DISARM_DELAY."""
+        if self.lands and self.autopilot.landed_s is not None:
+            return _DISARMS_S
+        return self.autopilot.parameters["DISARM_DELAY"] or None
+
+    # --- failsafes ----------------------------------------------------------------------------
+
+    def check(self) -> None:
+        """Ten times a second: it cannot fly without a position."""
+        autopilot, estimator = self.autopilot, self.autopilot.estimator
+        if estimator.glitching is not self._was_glitching:
+            self._was_glitching = estimator.glitching
+            autopilot.say(
+                2, "GPS Glitch or Compass error" if estimator.glitching else "Glitch cleared"
+            )
+        bad = autopilot.armed and estimator.origin is not None and not estimator.ok
+        before, self._ekf_failures = self._ekf_failures, self._ekf_failures + (1 if bad else -1)
+        self._ekf_failures = min(max(self._ekf_failures, 0), _EKF_CHECKS)
+        if self._ekf_failures == _EKF_CHECKS > before:
+            autopilot.say(2, "EKF variance")
+            autopilot.failsafe = True
+            needy = autopilot.mode.needs_position or self._mode == "LAND"
+            if needy and autopilot.parameters["FS_EKF_ACTION"]:
+                autopilot.set_mode("LAND")
+                self._lands_with_position = False
+                self._pauses_until_s = autopilot.now_s + _FAILSAFE_PAUSE_S
+                autopilot.say(2, "EKF Failsafe: changed to LAND Mode")
+        elif self._ekf_failures == 0 and autopilot.failsafe:
+            autopilot.failsafe = False
+            autopilot.say(2, "EKF Failsafe Cleared")
+
+    def on_gcs_failsafe(self) -> None:
+        """FS_GCS_ENABLE 1: return; 5: land."""
+        self.autopilot.say(4, "GCS Failsafe")
+        self._go_home_or_land(land=self.autopilot.parameters["FS_GCS_ENABLE"] == 5)
+
+    def on_battery_failsafe(self, action: int) -> None:
+        """1: land; 2: return; 3: return; 4: land; 5: stop the motors."""
+        if action == 0:
+            return
+        self.autopilot.say(4, "Battery Failsafe")
+        if action == 5:
+            self.autopilot.disarm()
+        else:
+            self._go_home_or_land(land=action in (1, 4))
+
+    def on_fence_breach(self, action: int) -> None:
+        """1: return, or land; 2: land; 4: brake, or land; 3 and 5 try SMARTRTL first, as RTL."""
+        brakes = action == 4 and not self.autopilot.landed
+        if action != 0 and not (brakes and self.autopilot.set_mode("BRAKE")):
+            self._go_home_or_land(land=action in (2, 4))
+
+    def _go_home_or_land(self, *, land: bool) -> None:
+        autopilot = self.autopilot
+        if autopilot.landed:
+            autopilot.disarm()
+        elif land or not autopilot.set_mode("RTL"):
+            autopilot.set_mode("LAND")
+            self._pauses_until_s = autopilot.now_s + _FAILSAFE_PAUSE_S
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def handlers(self) -> dict[int, Handler]:
+        """CONDITION_YAW, DO_PAUSE_CONTINUE, MISSION_START, NAV_LAND."""
+        lands = self.autopilot.to_mode(self.autopilot.firmware.lands)
+        return {21: lands, 115: self._turn, 193: self._pause_or_continue, 300: self._start_mission}
+
+    def take_off(self, command: Command) -> Result:
+        """Straight up, in GUIDED."""
+        autopilot, home = self.autopilot, self.autopilot.home
+        if command.frame not in (None, _TAKE_OFF_FRAME):
+            return Result.DENIED
+        ready = autopilot.armed and autopilot.landed and self._mode == "GUIDED"
+        if not ready or home is None or self._takeoff_s is not None or not autopilot.estimator.ok:
+            return Result.FAILED
+        altitude_m = home.altitude_amsl_m + command.parameters[6]
+        if not autopilot.estimate.altitude_amsl_m < altitude_m < math.inf:
+            return Result.FAILED
+        self._stand_still()
+        self.kind = Kind.TAKEOFF
+        self._place_deg, self._altitude_m = self._here_deg, altitude_m
+        self._takeoff_s, self._reached_s = autopilot.now_s, None
+        return Result.ACCEPTED
+
+    def _abandon_takeoff(self) -> None:
+        self._takeoff_s = self._reached_s = None
+
+    def _turn(self, command: Command) -> Result:
+        angle_deg, _, direction, relative = command.parameters[:4]
+        if not 0.0 <= angle_deg <= 360.0 or relative not in (0.0, 1.0):
+            return Result.FAILED
+        angle_rad = math.radians(angle_deg)
+        if relative == 1.0:
+            angle_rad = self.copter.heading_rad + (angle_rad if direction >= 0.0 else -angle_rad)
+        self._yaw_rad, self._yaw_rate_rad_s = angle_rad, None
+        return Result.ACCEPTED
+
+    def change_speed(self, command: Command) -> Result:
+        """Of the present submode only: beginning another one reads the parameters again."""
+        kind, speed_m_s = command.parameters[:2]
+        if not 0.0 < speed_m_s < math.inf:
+            return Result.FAILED
+        up_m_s, down_m_s = self._speeds_up_down
+        if kind > 2.9:
+            self._speeds_up_down = (up_m_s, speed_m_s)
+        elif kind > 1.9:
+            self._speeds_up_down = (speed_m_s, down_m_s)
+        else:
+            self.speed_m_s = speed_m_s
+        return Result.ACCEPTED
+
+    def reposition(self, command: Command) -> Result:
+        """COMMAND_INT only; p2 bit 0 changes to GUIDED first."""
+        if command.frame is None:
+            return Result.UNSUPPORTED
+        flags = command.parameters[1]
+        changes = math.isfinite(flags) and bool(int(flags) & 1)
+        place = self.autopilot.place_of(command)
+        if (self._mode != "GUIDED" and not changes) or isinstance(place, Result):
+            return Result.DENIED
+        if not self.autopilot.set_mode("GUIDED"):
+            return Result.FAILED
+        return Result.ACCEPTED if self._take(Target(), place) else Result.FAILED
+
+    def _pause_or_continue(self, command: Command) -> Result:
+        """In GUIDED and AUTO: stop and ignore setpoints, or go on."""
+        wanted = command.parameters[0]
+        if wanted not in (0.0, 1.0):
+            return Result.DENIED
+        if self._mode == "GUIDED":
+            self._stand_still()
+            self.paused = wanted == 0.0
+        elif self._mode == "AUTO":
+            self.autopilot.route.paused = wanted == 0.0
+        else:
+            return Result.FAILED
+        return Result.ACCEPTED
+
+    def _start_mission(self, command: Command) -> Result:
+        del command
+        if not self.autopilot.armed:
+            return Result.FAILED
+        if self._mode == "AUTO":
+            self.autopilot.route.paused = False
+            return Result.ACCEPTED
+        return Result.ACCEPTED if self.autopilot.set_mode("AUTO") else Result.FAILED
+
+    # --- setpoints ----------------------------------------------------------------------------
+
+    def on_setpoint(self, setpoint: Setpoint) -> None:
+        """Steer for this from now on; outside GUIDED it is not even read."""
+        autopilot, home = self.autopilot, self.autopilot.home
+        if self._mode != "GUIDED" or home is None or self.paused:
+            return
+        target = read_by_arducopter(setpoint, self.copter.heading_rad)
+        if isinstance(target, Stop):
+            self._abandon_takeoff()
+            self._stand_still()
+            self._look_ahead()
+            told, self._refused_text = self._refused_text, target.text
+            if target.text and target.text != told:
+                autopilot.say(2, target.text)
+            return
+        place: Place | None = None
+        if given(target.position):
+            x, y, z = target.position
+            if target.is_global:
+                height_m = height_amsl_m(target.frame, z, home.altitude_amsl_m)
+                assert height_m is not None
+                place = Place(x, y, height_m)
+            elif target.is_offset:
+                place = FlatEarth(autopilot.estimate.place).place(x, y, z)
+            else:
+                place = autopilot.frame.place(x, y, z)
+        if self._take(target, place):
+            self._refused_text = ""
+
+    def _take(self, target: Target, place: Place | None) -> bool:
+        """Steer for it, unless it lies where the fence forbids: that is dropped in silence."""
+        if place is not None and self.autopilot.outside_fence(place):
+            return False
+        self._abandon_takeoff()
+        moves = given(target.velocity)
+        if place is None:
+            kind = Kind.VELOCITY if moves else Kind.PUSH
+        else:
+            kind = Kind.PATH if moves else Kind.POSITION
+            self._place_deg = complex(place.latitude_deg, place.longitude_deg)
+            self._altitude_m = place.altitude_amsl_m
+        north, east, down = target.velocity if moves else (0.0, 0.0, 0.0)
+        a_n, a_e, a_d = target.acceleration if given(target.acceleration) else (0.0, 0.0, 0.0)
+        velocity, feed, now_s = (
+            (complex(north, east), -down),
+            (complex(a_n, a_e), -a_d),
+            self.autopilot.now_s,
+        )
+        if self._ideal is not None:
+            streams = kind is self.kind is Kind.PATH and not any(feed)
+            before, gap_s = (self._velocity, self._climb_m_s), now_s - self._heard_s
+            self._ideal.learn(before, velocity, gap_s, streams=streams)
+        if kind is not self.kind:
+            self._restart(kind)
+        (self._velocity, self._climb_m_s), (self._feed, self._feed_up) = velocity, feed
+        self._heard_s = now_s
+        yaw_rad, rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
+        self._yaw_rad = None if yaw_rad != yaw_rad else yaw_rad
+        turns = self._yaw_rad is None and rate_rad_s == rate_rad_s
+        self._yaw_rate_rad_s = rate_rad_s if turns else None
+        return True
+
+    def _run_on(self, dt_s: float) -> None:
+        """The target goes on with its velocity, until GUID_TIMEOUT."""
+        if self.kind in (Kind.TAKEOFF, Kind.POSITION):
+            return
+        if self._age_s > self._timeout_s:
+            self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
+            self.kind = Kind.VELOCITY if self.kind is Kind.PUSH else self.kind
+            return
+        if self.kind is Kind.PATH:
+            half = 0.5 * dt_s * dt_s
+            step = self._velocity * dt_s + self._feed * half
+            north_m, east_m = metres_per_degree(self._place_deg.real)
+            self._place_deg += complex(step.real / north_m, step.imag / east_m)
+            self._altitude_m += self._climb_m_s * dt_s + self._feed_up * half
+        if self.kind is not Kind.PUSH:
+            self._velocity += self._feed * dt_s
+            self._climb_m_s += self._feed_up * dt_s
+
+    # --- on the ground ------------------------------------------------------------------------
+
+    def lifts_off(self) -> bool:
+        """When a take-off has spooled up."""
+        autopilot, now_s = self.autopilot, self.autopilot.now_s
+        if self._mode == "AUTO" and self._takeoff_s is None and self._climbs_out:
+            self._takeoff_s = now_s
+        if self._takeoff_s is None or now_s - autopilot.armed_s < _LIFTS_AFTER_ARMING_S:
+            return False
+        if now_s - self._takeoff_s < _LIFTS_AFTER_COMMAND_S:
+            return False
+        autopilot.take_to_the_air()
+        self.level.rest()
+        self._restart(self.kind)
+        return True
+
+    @property
+    def _climbs_out(self) -> bool:
+        """AUTO's item is a take-off."""
+        leg = self.autopilot.route.leg
+        return leg is not None and leg.does is Does.CLIMB
+
+    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+        """It stands."""
+        del dt_s
+        self.copter.altitude_amsl_m = ground_amsl_m
+
+    def touch_down(self, ground_amsl_m: float) -> None:
+        """Come to rest on the terrain, or in it."""
+        self.copter.stand(ground_amsl_m)
+        self._abandon_takeoff()
+        self.level.rest()
+        self.level.start(self._here_deg, 0j)
+        self.up.start(ground_amsl_m, 0.0)
+
+    def on_landed(self) -> None:
+        """The landing is believed."""
+        self._stand_still()
+
+    # --- flying -------------------------------------------------------------------------------
+
+    def steer(self, dt_s: float) -> None:
+        """The target of GUIDED runs on, also on the ground."""
+        if self._mode == "GUIDED" and not self.paused:
+            self._run_on(dt_s)
+
+    def move(self, dt_s: float) -> None:
+        """Thrust, and turn the nose."""
+        level, up = self._flown_in[self._mode](dt_s)
+        self.copter.advance(level.real, level.imag, up, dt_s)
+        self.copter.heading_rad = self._heading_rad(dt_s)
+
+    def _follow(self, dt_s: float) -> Order:
+        """The second half of the controller."""
+        return self.level.lean(self._here_deg, self._flown, dt_s), self._lift()
+
+    def _lift(self) -> float:
+        estimate = self.autopilot.estimate
+        return self.up.lift(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+
+    def _move_desired(self, dt_s: float) -> None:
+        here_deg = self._here_deg
+        self.level.scale = metres_per_degree(here_deg.real)
+        self.level.move(here_deg, dt_s)
+
+    def _stop(self, climb_m_s: float, dt_s: float) -> Order:
+        """Come to a standstill, climbing at this rate."""
+        self._move_desired(dt_s)
+        self.level.towards_velocity(0j, 0j, dt_s)
+        self.up.towards_climb(climb_m_s, 0.0, dt_s)
+        return self._follow(dt_s)
+
+    def _level_out(self, climb_m_s: float, dt_s: float) -> Order:
+        """Without a position there is nothing to hold: only the lean goes."""
+        self.up.towards_climb(climb_m_s, 0.0, dt_s)
+        return self.level.levelled(dt_s), self._lift()
+
+    def _go(self, place_deg: complex, altitude_m: float, dt_s: float) -> Order:
+        """To a place that does not move: the climb and the way there in proportion."""
+        self._move_desired(dt_s)
+        away_m = abs(self.level.metres(self.level.place_deg, place_deg))
+        rise_m = altitude_m - self.up.altitude_amsl_m
+        up_m_s, down_m_s = self._speeds_up_down
+        speed_m_s, most_up = self.speed_m_s, up_m_s if rise_m >= 0.0 else down_m_s
+        rise_m = abs(rise_m)
+        # the slower of the two sets the pace, as kinematic_limit does
+        if away_m * most_up < rise_m * speed_m_s:
+            speed_m_s = away_m * most_up / rise_m
+        elif away_m > 1e-6:
+            most_up = max(rise_m * speed_m_s / away_m, 1e-3)
+        self.level.towards_place(place_deg, 0j, 0j, speed_m_s, dt_s)
+        speeds = (min(up_m_s, most_up), min(down_m_s, most_up))
+        self.up.towards_altitude(altitude_m, 0.0, 0.0, speeds, dt_s)
+        return self._follow(dt_s)
+
+    def fly_target(self, dt_s: float) -> Order:
+        """GUIDED."""
+        if self._takeoff_s is not None:
+            self._watch_takeoff()
+        if not self.autopilot.estimator.aiding:
+            return self._level_out(0.0, dt_s)
+        if self._ideal is not None:
+            if self.kind is Kind.PATH and not self.paused and self._age_s <= self._timeout_s:
+                return self._track(self._ideal)
+            if self._ideal.tracks:
+                self._ideal.tracks = False
+                estimate = self.autopilot.estimate
+                self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+                self.level.follow(self._here_deg, self._flown, self._felt)
+        if self.paused:
+            return self._stop(0.0, dt_s)
+        if self.kind in (Kind.TAKEOFF, Kind.POSITION):
+            return self._go(self._place_deg, self._altitude_m, dt_s)
+        self._move_desired(dt_s)
+        if self.kind is Kind.PUSH:
+            self.level.push(self._feed, dt_s)
+            self.up.towards_climb(self.up.climb_m_s, self._feed_up, dt_s)
+        elif self.kind is Kind.VELOCITY:
+            self.level.towards_velocity(self._velocity, self._feed, dt_s)
+            self.up.towards_climb(self._climb_m_s, self._feed_up, dt_s)
+        else:
+            self.level.towards_place(
+                self._place_deg, self._velocity, self._feed, self.speed_m_s, dt_s
+            )
+            climb, speeds = self._climb_m_s, self._speeds_up_down
+            self.up.towards_altitude(self._altitude_m, climb, self._feed_up, speeds, dt_s)
+        return self._follow(dt_s)
+
+    @property
+    def _age_s(self) -> float:
+        """Since the last setpoint."""
+        return self.autopilot.now_s - self._heard_s
+
+    def _track(self, ideal: Ideal) -> Order:
+        """The law without drag."""
+        estimate, here_deg = self.autopilot.estimate, self._here_deg
+        self.level.scale = metres_per_degree(here_deg.real)
+        off_m = self.level.metres(here_deg, self._place_deg)
+        rise_m = self._altitude_m - estimate.altitude_amsl_m
+        late = (self._velocity - self._flown, self._climb_m_s - estimate.velocity_up_m_s)
+        ideal.tracks, feed = True, (self._feed, self._feed_up)
+        return ideal.order((off_m, rise_m), late, feed, self._age_s, self.tuning)
+
+    def _watch_takeoff(self) -> None:
+        """The take-off is over some time after the height was nearly reached."""
+        autopilot = self.autopilot
+        if self._reached_s is None:
+            if autopilot.estimate.altitude_amsl_m > self._altitude_m - _REACHED_M:
+                self._reached_s = autopilot.now_s
+        elif autopilot.now_s - self._reached_s >= _REACHED_S:
+            self._abandon_takeoff()
+            autopilot.took_off()
+
+    def brake(self, dt_s: float) -> Order:
+        """BRAKE."""
+        speed = abs(self._flown)
+        if speed < 0.5:
+            return self._stop(0.0, dt_s)
+        most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
+        asked = self._flown * (self.copter.drag_1_s - most / speed)
+        self.up.towards_climb(0.0, 0.0, dt_s)
+        self.level.follow(self._here_deg, self._flown, asked)
+        return asked, self._lift()
+
+    def sink(self, dt_s: float) -> Order:
+        """The modes that a pilot holds it in: the stick is at its lower end."""
+        p = self.autopilot.parameters
+        climb_m_s = -(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0
+        holds = self.autopilot.mode.needs_position
+        return self._stop(climb_m_s, dt_s) if holds else self._level_out(climb_m_s, dt_s)
+
+    def fall(self, dt_s: float) -> Order:
+        """STABILIZE, ACRO: no stick input, the motors idle."""
+        fastest = self.copter.limits.speed_vertical_m_s
+        return self.level.levelled(dt_s), _FALL_1_S * (-fastest - self.copter.velocity_up_m_s)
+
+    def land(self, dt_s: float) -> Order:
+        """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
+        p, tuning = self.autopilot.parameters, self.tuning
+        height_m = self.copter.altitude_amsl_m - self.autopilot.ground_m  # by a rangefinder
+        slow = max(p["LAND_SPEED"], 20.0) / 100.0
+        low_m = max(p["LAND_ALT_LOW"], 100.0) / 100.0
+        rate = rate_for(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, dt_s)
+        rate = bounded(rate, -max(tuning.speed_down_m_s, slow), -slow)
+        if self.autopilot.now_s < self._pauses_until_s:
+            rate = 0.0
+        self._lands_with_position &= self.autopilot.estimator.aiding
+        return self._stop(rate, dt_s) if self._lands_with_position else self._level_out(rate, dt_s)
+
+    # --- legs ---------------------------------------------------------------------------------
+
+    def _begin_return(self, *, climb: bool) -> None:
+        """Home, first up to RTL_ALT."""
+        autopilot = self.autopilot
+        here, home = autopilot.estimate.place, autopilot.home or autopilot.estimate.place
+        above_m = autopilot.parameters["RTL_ALT"] / 100.0 if climb else -math.inf
+        height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + above_m)
+        wait_s = autopilot.parameters["RTL_LOIT_TIME"] / 1000.0
+        number = autopilot.route.number
+        autopilot.route.fly(back(here, home, height_m, wait_s), autopilot.now_s)
+        autopilot.route.number = number
+        self._lands_with_position = True
+
+    def _seek(self, number: int) -> None:
+        """The mission from this item on."""
+        autopilot, route = self.autopilot, self.autopilot.route
+        items = autopilot.plans[PlanKind.MISSION]
+        speed_m_s = route.seek(items, number, self._leg_of, autopilot.now_s)
+        self.speed_m_s = speed_m_s or self.speed_m_s
+        estimate = autopilot.estimate
+        self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+        if route.leg is None:
+            self._stand_still()
+        elif route.leg.does is Does.RETURN:
+            self._begin_return(climb=True)
+        elif route.leg.does is Does.CLIMB:
+            self._takeoff_s = autopilot.now_s
+
+    def _leg_of(self, item: PlanItem) -> Leg | None:
+        here, home = self.autopilot.estimate.place, self.autopilot.home
+        leg = leg_of(item, here, home or here, 0.0)  # the ground is at sea level without its data
+        if leg is not None and leg.does is Does.CLIMB:
+            height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
+            return leg._replace(place=here.at(height_m))
+        if leg is not None and leg.does is Does.LAND:
+            return leg._replace(place=leg.place.at(here.altitude_amsl_m))
+        return leg
+
+    def fly_item(self, number: int) -> None:
+        """Of the mission, in AUTO."""
+        if self._mode == "AUTO" and number > 0:
+            self.autopilot.route.forget_jumps()
+            self._seek(number)
+
+    def flies_mission(self) -> bool:
+        """Whether the mission is under way."""
+        return self._mode == "AUTO"
+
+    def fly_mission(self, dt_s: float) -> Order:
+        """AUTO: item by item."""
+        autopilot, route = self.autopilot, self.autopilot.route
+        leg, now_s = route.leg, autopilot.now_s
+        if leg is None or route.paused or not autopilot.estimator.aiding:
+            return self._stop(0.0, dt_s)
+        if leg.command == RETURN:
+            return self.fly_back(dt_s)
+        if leg.does is Does.LAND and route.arrived_s is not None:
+            return self.land(dt_s)
+        order = self._go_to(leg.place, dt_s)
+        here = autopilot.estimate.place
+        rise_m = leg.place.altitude_amsl_m - here.altitude_amsl_m
+        away_m = abs(way_m(here, leg.place))
+        done = False
+        if leg.does is Does.LAND:
+            if away_m < _OVER_LANDING_M:
+                route.arrived_s, self._lands_with_position = now_s, True
+        elif leg.does is Does.CLIMB:
+            done = rise_m < _REACHED_M and route.has_waited(now_s, _REACHED_S)
+            if done:
+                self._abandon_takeoff()
+                autopilot.took_off()
+        else:
+            near = math.hypot(away_m, rise_m) < autopilot.parameters["WPNAV_RADIUS"] / 100.0
+            near = near or route.arrived_s is not None
+            done = near and route.has_waited(now_s, leg.hold_s)
+        if done and route.number is not None:
+            autopilot.reached(route.number)
+            self._seek(route.number + 1)
+        return order
+
+    def _go_to(self, place: Place, dt_s: float) -> Order:
+        return self._go(
+            complex(place.latitude_deg, place.longitude_deg), place.altitude_amsl_m, dt_s
+        )
+
+    def fly_back(self, dt_s: float) -> Order:
+        """RTL: climb, go, wait above home, land."""
+        autopilot, route = self.autopilot, self.autopilot.route
+        leg, now_s = route.leg, autopilot.now_s
+        if leg is None or not autopilot.estimator.aiding:
+            return self._level_out(0.0, dt_s)
+        if leg.does is Does.LAND:
+            return self.land(dt_s)
+        here, order = autopilot.estimate.place, self._go_to(leg.place, dt_s)
+        if leg.does is Does.CLIMB:
+            there = abs(here.altitude_amsl_m - leg.place.altitude_amsl_m) < _CLIMBED_M
+        else:
+            there = abs(way_m(here, leg.place)) < autopilot.parameters["WPNAV_RADIUS"] / 100.0
+        waits_s = leg.hold_s or _RETURN_STAGE_S
+        if (there or leg.hold_s) and now_s - route.began_s >= waits_s:
+            route.go_on(now_s)
+        return order
+
+    # --- the nose -----------------------------------------------------------------------------
+
+    def _look_ahead(self) -> None:
+        """Forget what was commanded."""
+        self._yaw_rad = self._yaw_rate_rad_s = None
+
+    def _set_looks_ahead(self) -> None:
+        """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
+        behaviour = int(self.autopilot.parameters["WP_YAW_BEHAVIOR"])
+        self._looks_ahead = behaviour != 0 and self._mode in ("GUIDED", "AUTO")
+        if self._mode in _RETURNS:
+            self._looks_ahead = behaviour in (1, 3)
+
+    @property
+    def _way_m_s(self) -> complex:
+        """The velocity that the nose looks along."""
+        return (
+            self.level.velocity
+            if self._ideal is None
+            else complex(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)
+        )
+
+    def _heading_rad(self, dt_s: float) -> float:
+        """One step on, from 0 to 2 pi."""
+        now_rad, wanted_rad = self.copter.heading_rad, self._yaw_rad
+        if wanted_rad is None and self._yaw_rate_rad_s is not None:
+            return (now_rad + self._yaw_rate_rad_s * dt_s) % math.tau
+        if wanted_rad is None:
+            way = self._way_m_s
+            if not self._looks_ahead or abs(way) < _MOVING_SHARE * self.tuning.speed_m_s:
+                return now_rad
+            wanted_rad = math.atan2(way.imag, way.real)
+        rate = _TURN_1_S * math.remainder(wanted_rad - now_rad, math.tau)
+        return (now_rad + bounded(rate, -_SLEW_RAD_S, _SLEW_RAD_S) * dt_s) % math.tau
+
+    # --- telling ------------------------------------------------------------------------------
+
+    def base_mode(self) -> int:
+        """Whether it holds a position depends on more than the mode."""
+        autopilot, holds = self.autopilot, False
+        if autopilot.now_s < autopilot.firmware.ready_s:
+            holds = True
+        elif self._mode == "LAND":
+            holds = self._lands_with_position
+        elif self._mode in _RETURNS:
+            holds = autopilot.armed
+        return autopilot.mode.base | (_HOLDS if holds else 0)
+
+    def system_status(self) -> State:
+        """Of a copter that has ended its landing: STANDBY, also while armed."""
+        autopilot = self.autopilot
+        if autopilot.now_s < autopilot.firmware.ready_s:
+            return State.BOOT
+        if autopilot.failsafe:
+            return State.CRITICAL
+        return State.STANDBY if autopilot.landed else State.ACTIVE
+
+    def landed_state(self) -> Landed:
+        """What EXTENDED_SYS_STATE says."""
+        if self.autopilot.landed:
+            return Landed.ON_GROUND
+        if self.lands:
+            return Landed.LANDING
+        climbs = self._takeoff_s is not None or (self._mode == "AUTO" and self._climbs_out)
+        return Landed.TAKEOFF if climbs else Landed.IN_AIR
+
+    @property
+    def _target_place(self) -> Place:
+        longitude_deg = around(self._place_deg.imag)
+        return Place(self._place_deg.real, longitude_deg, self._altitude_m)
+
+    def echo(self) -> TargetEcho | None:
+        """What GUIDED steers for; in other modes nothing is sent."""
+        autopilot = self.autopilot
+        if self._mode != "GUIDED" or autopilot.estimator.origin is None:
+            return None
+        position = None
+        if self.kind is Kind.TAKEOFF:
+            position = (0.0, 0.0, 0.0)  # the take-off's height is not told
+        elif self.kind in (Kind.POSITION, Kind.PATH):
+            position = autopilot.frame.ned_m(self._target_place)
+        return TargetEcho(
+            position_ned_m=position,
+            velocity_ned_m_s=(self._velocity.real, self._velocity.imag, -self._climb_m_s),
+            acceleration_ned_m_s2=(self._feed.real, self._feed.imag, -self._feed_up),
+            yaw_rad=0.0,
+            type_mask=_ECHO_MASKS[self.kind],
+        )
+
+    def waypoint(self) -> Waypoint | None:
+        """While it flies to a place that does not move."""
+        leg, place = self.autopilot.route.leg, None
+        if self._mode == "GUIDED" and self.kind is Kind.POSITION:
+            place = self._target_place
+        elif leg is not None and (leg.does is not Does.LAND or leg.command != RETURN):
+            place = leg.place
+        if place is None:
+            return None
+        here = self.autopilot.estimate.place
+        way = way_m(here, place)
+        return Waypoint(
+            place=place,
+            distance_m=abs(way),
+            bearing_rad=math.atan2(way.imag, way.real) % math.tau,
+            altitude_error_m=place.altitude_amsl_m - here.altitude_amsl_m,
+        )
+
+
+def make(
+    vehicle: Copter, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
+) -> ArduPilot:
+    """An ArduCopter that boots."""
+    return ArduPilot(
+        FIRMWARE, lambda it: CopterFlight(it, vehicle), vehicle, parameters, plans, rng
+    )

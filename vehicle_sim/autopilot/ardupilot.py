@@ -1,0 +1,522 @@
+"""What ArduCopter and ArduPlane share: arming, modes, commands, failsafes, what there is to tell.
+
+Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights (4.7).
+"""
+
+import abc
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar, Final, final
+
+import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilot.core import (
+    AUTOPILOT_VERSION,
+    FORCE,
+    GPS_GLOBAL_ORIGIN,
+    HEARTBEAT,
+    HOME_POSITION,
+    Autopilot,
+    Firmware,
+    Flight,
+    Handler,
+)
+from vehicle_sim.autopilot.earth import Vector
+from vehicle_sim.autopilot.guards import Fence, named
+from vehicle_sim.autopilots import (
+    Command,
+    FirmwareProfile,
+    Place,
+    Reply,
+    Result,
+    Sender,
+    SendMessage,
+    Setpoint,
+    State,
+    Status,
+    height_amsl_m,
+)
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
+
+TOLD: Final = frozenset(
+    {0, 1, 2, 24, 30, 31, 32, 33, 42, 49, 62, 74, 85, 87, 132, 147, 148, 162, 164, 168, 173, 193}
+    | {242, 245}
+)
+STREAMABLE: Final = TOLD | {
+    *(26, 27, 29, 35, 36, 65, 116, 124, 125, 127, 129, 133, 136, 137, 143, 152, 163, 165, 178, 194),
+    *(226, 235, 241, 246, 291, 295, 376, 435, 11020, 11030, 11039),
+}
+"""The others are taken, as the real one takes them, and not told here."""
+_DATA_STREAMS: Final = {
+    2: (1, 42, 24, 62, 162, 87),
+    6: (33, 32),
+    10: (30, 164),
+    11: (74,),
+    12: (168, 2, 147, 193, 132, 173),
+}
+"""MAV_DATA_STREAM: EXTENDED_STATUS, POSITION, EXTRA1, EXTRA2, EXTRA3."""
+
+
+def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float]) -> FirmwareProfile:
+    """MAVLink as ArduPilot 4.7 speaks it: ardupilot.md 1 and the recorded flights."""
+    return FirmwareProfile(
+        firmware="ardupilot",
+        vehicle_type=vehicle_type,
+        autopilot=3,
+        capabilities=capabilities,
+        software_version=67567616,
+        custom_version=b"2598e9d4",
+        first_heartbeat_us=900_000,  # ardupilot.md 1
+        rates_hz=rates_hz,
+        streamable=STREAMABLE,
+        requestable=TOLD,
+        data_streams=_DATA_STREAMS,
+    )
+
+
+_FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
+"""FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
+_FORCE_ARM: Final = 2989.0
+_RECOVERY_S: Final = 10.0
+"""How long a breached fence is left alone after a mode was chosen inside the breach."""
+_GCS_EARLY_S: Final = 0.1
+"""The failsafe comes after 4.9 s where 5 is set (measured)."""
+_NO_RC_S: Final = 3.0
+
+
+class ArduFlight(Flight):
+    """How an ArduPilot flies, and what it does where the two kinds differ."""
+
+    GCS_FAILSAFE: ClassVar[tuple[str, str]]
+    """The parameters that say whether a lost ground station matters, and after how long."""
+    CRASH_TEXT: ClassVar[str]
+    ARMS, DISARMS = "Arming motors", "Disarming motors"
+
+    @property
+    @abc.abstractmethod
+    def lands(self) -> bool:
+        """Whether it comes down to land: the fence has no floor then."""
+
+    @property
+    @abc.abstractmethod
+    def flying(self) -> bool:
+        """Whether it may not be disarmed."""
+
+    @abc.abstractmethod
+    def handlers(self) -> dict[int, Handler]:
+        """The answers to commands that only this kind knows."""
+
+    @abc.abstractmethod
+    def refusal(self, name: str) -> str | None:
+        """Why it cannot fly in this mode now."""
+
+    @abc.abstractmethod
+    def arming_refusal(self) -> str | None:
+        """Why it may not be armed now."""
+
+    @abc.abstractmethod
+    def check(self) -> None:
+        """Ten times a second: what only this kind looks at."""
+
+    @abc.abstractmethod
+    def on_gcs_failsafe(self) -> None:
+        """The ground station has gone."""
+
+    @abc.abstractmethod
+    def on_battery_failsafe(self, action: int) -> None:
+        """BATT_FS_LOW_ACT or BATT_FS_CRT_ACT."""
+
+    @abc.abstractmethod
+    def on_fence_breach(self, action: int) -> None:
+        """FENCE_ACTION: 0 only says it."""
+
+    @abc.abstractmethod
+    def on_setpoint(self, setpoint: Setpoint) -> None:
+        """Take a setpoint."""
+
+    @abc.abstractmethod
+    def fly_item(self, number: int) -> None:
+        """Another item of the mission is the current one: in AUTO it goes there at once."""
+
+    @abc.abstractmethod
+    def base_mode(self) -> int:
+        """Of the heartbeat, but for the bit that says whether it is armed."""
+
+    @abc.abstractmethod
+    def system_status(self) -> State:
+        """Of the heartbeat."""
+
+    @abc.abstractmethod
+    def flies_mission(self) -> bool:
+        """Whether the mission is under way."""
+
+    def airspeed_m_s(self) -> float | None:
+        """Indicated; None: there is no pitot tube."""
+        return None
+
+    def on_origin(self, origin: Place) -> None:
+        """The estimator's origin is set, and home with it."""
+        self.autopilot.home = origin
+        self.autopilot.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
+
+    def look(self, fix: Fix) -> None:
+        """In every step, before the checks."""
+
+    def __init__(self, autopilot: "ArduPilot") -> None:
+        self.autopilot = autopilot
+
+
+@final
+class ArduPilot(Autopilot):
+    """One vehicle's autopilot."""
+
+    flight: ArduFlight
+
+    def __init__(
+        self,
+        firmware: Firmware,
+        make_flight: Callable[["ArduPilot"], ArduFlight],
+        vehicle: Vehicle,
+        parameters: Mapping[str, float],
+        plans: Plans,
+        rng: np.random.Generator,
+    ) -> None:
+        super().__init__(firmware, vehicle, parameters, plans, rng)
+        self.fence = Fence(self.parameters, plans)
+        self.failsafe = False
+        """For which the heartbeat says CRITICAL."""
+        self.gcs_lost = False
+        self.battery_acted = 0
+        """1: of a low battery, 2: of a critical one."""
+        self._was_armed = self._was_aiding = False
+        self._gcs_s: float | None = None
+        self._battery_low_s: float | None = None
+        self._fence_left_alone_s = 0.0
+        self.flight = flight = make_flight(self)
+        self.handlers = {
+            17: self.to_mode(firmware.holds),
+            20: self.to_mode(firmware.returns),
+            22: flight.take_off,
+            176: self._do_set_mode,
+            178: flight.change_speed,
+            179: self._do_set_home,
+            192: flight.reposition,
+            207: self._do_fence_enable,
+            224: self._do_set_mission_current,
+            246: self.reboot,
+            400: self._arm_or_disarm,
+            401: self._run_prearm_checks,
+            410: self._get_home,
+            520: self._capabilities,
+        } | flight.handlers()
+
+    # --- each step ----------------------------------------------------------------------------
+
+    def on_origin(self, origin: Place) -> None:
+        """The estimator's origin is set."""
+        self.flight.on_origin(origin)
+
+    def look(self, fix: Fix) -> None:
+        """In every step, before the checks."""
+        self.flight.look(fix)
+
+    def check(self) -> None:
+        """Ten times a second: failsafes, fence."""
+        aiding = self.estimator.aiding
+        if aiding is not self._was_aiding:
+            self._was_aiding = aiding
+            self.say(6, f"EKF3 IMU0 {'is using GPS' if aiding else 'stopped aiding'}")
+        self._check_fence()
+        self._check_gcs()
+        self._check_battery()
+        self.flight.check()
+
+    def _check_gcs(self) -> None:
+        enabled, timeout_s = (self.parameters[name] for name in self.flight.GCS_FAILSAFE)
+        if self._gcs_s is None or self.gcs_lost or not enabled or not self.armed:
+            return
+        if self.now_s - self._gcs_s >= timeout_s - _GCS_EARLY_S:
+            self.gcs_lost = True
+            self.flight.on_gcs_failsafe()
+
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """Only those of MAV_GCS_SYSID count."""
+        del vehicle_type
+        if sender.system == self.parameters["MAV_GCS_SYSID"]:
+            self._gcs_s = self.now_s
+            if self.gcs_lost:
+                self.gcs_lost = False
+                self.say(4, "GCS Failsafe Cleared")
+        return self.taken()
+
+    def _check_battery(self) -> None:
+        battery, parameters = self.battery, self.parameters
+        if not parameters["BATT_MONITOR"] or self.battery_acted == 2:
+            return
+        left_mah = parameters["BATT_CAPACITY"] - battery.consumed_mah
+        for level, name, action in ((2, "CRT", "BATT_FS_CRT_ACT"), (1, "LOW", "BATT_FS_LOW_ACT")):
+            volts, mah = parameters[f"BATT_{name}_VOLT"], parameters[f"BATT_{name}_MAH"]
+            low = (volts > 0.0 and battery.voltage_v < volts) or (mah > 0.0 and left_mah < mah)
+            if not low or level <= self.battery_acted:
+                continue
+            if self._battery_low_s is None:
+                self._battery_low_s = self.now_s
+            if self.now_s - self._battery_low_s >= parameters["BATT_LOW_TIMER"]:
+                self.battery_acted = level
+                how = "critical" if level == 2 else "low"
+                used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
+                self.say(4, f"Battery 1 is {how} {used}")
+                if self.armed:
+                    self.flight.on_battery_failsafe(int(parameters[action]))
+            return
+        self._battery_low_s = None
+
+    def took_off(self) -> None:
+        """An automatic take-off is over (AC_Fence::auto_enable_fence_after_takeoff)."""
+        if self.parameters["FENCE_AUTOENABLE"] in (_FOR_THE_FLIGHT, _FROM_TAKE_OFF):
+            self.fence.enabled = True
+            self.fence.has_floor = True  # whatever its height; not if there is none
+
+    def _check_fence(self) -> None:
+        fence, home, lands = self.fence, self.home, self.flight.lands
+        down = not self.armed or self.landed
+        if self.parameters["FENCE_AUTOENABLE"] == _FOR_THE_FLIGHT and (down or lands):
+            fence.enabled = False
+        if not fence.enabled or home is None or down:
+            fence.forget()
+            return
+        if not self.estimator.ok:
+            fence.breached = 0
+            return
+        here = self.estimate.place
+        if fence.raises_floor(here.altitude_amsl_m - home.altitude_amsl_m, lands=lands):
+            self.say(5, "Min Alt fence enabled (auto enable)")
+        new = fence.check(here, home, self.frame, self.now_s)
+        if new and self.now_s >= self._fence_left_alone_s:
+            *first, last = named(new)
+            joined = f"{', '.join(first)} and {last} fences" if first else f"{last} fence"
+            self.say(5, f"{joined} breached")
+            self.flight.on_fence_breach(int(self.parameters["FENCE_ACTION"]))
+
+    def outside_fence(self, place: Place) -> int:
+        """Which kinds of fence this place would breach."""
+        return self.fence.outside(place, self.home, self.frame)
+
+    # --- modes --------------------------------------------------------------------------------
+
+    def set_mode(self, name: str) -> bool:
+        """Fly in this mode from now on, if it can be."""
+        mode, before = self.modes[name], self.mode
+        if mode is before:
+            return True
+        refusal = self.flight.refusal(name)
+        if refusal is not None:
+            self.say(4, f"Mode change to {name} failed: {refusal}")
+            return False
+        self.mode = mode
+        self.flight.begin(before)
+        self.send(HEARTBEAT)
+        return True
+
+    def _do_set_mode(self, command: Command) -> Result:
+        flags, number = command.parameters[:2]
+        if not (math.isfinite(flags) and int(flags) & 1):
+            return Result.DENIED
+        name = next((each.name for each in self.firmware.modes if each.number == number), None)
+        was_breached = self.fence.breached
+        if name is None or not self.set_mode(name):
+            return Result.FAILED
+        if was_breached and self.fence.enabled:
+            self._fence_left_alone_s = self.now_s + _RECOVERY_S
+            self.fence.breached = was_breached
+        return Result.ACCEPTED
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def place_of(self, command: Command) -> Place | Result:
+        """Where p5 to p7 are; of a COMMAND_LONG above sea level as in frame 0."""
+        latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
+        known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
+        if not known or not math.isfinite(altitude_m):
+            return Result.DENIED
+        home_m = None if self.home is None else self.home.altitude_amsl_m
+        height_m = height_amsl_m(command.frame or 0, altitude_m, home_m)
+        if height_m is None:
+            return Result.UNSUPPORTED_FRAME
+        return Place(latitude_deg, longitude_deg, height_m)
+
+    def _do_set_home(self, command: Command) -> Result:
+        if self.estimator.origin is None:
+            return Result.FAILED
+        p = command.parameters
+        place: Place | Result = self.estimate.place if self.estimator.ok else Result.FAILED
+        if not (p[0] == 1.0 or (p[4] == 0.0 and p[5] == 0.0 and p[6] == 0.0)):
+            place = self.place_of(command)
+        if isinstance(place, Result):
+            return Result.FAILED if place is Result.DENIED else place
+        return self.set_home(place)
+
+    def _do_fence_enable(self, command: Command) -> Result:
+        if command.parameters[0] not in (0.0, 1.0):
+            return Result.FAILED
+        self.fence.enabled = command.parameters[0] == 1.0
+        return Result.ACCEPTED
+
+    def _do_set_mission_current(self, command: Command) -> Result:
+        """MISSION_SET_CURRENT comes here too."""
+        number = command.parameters[0]
+        if not math.isfinite(number):
+            return Result.DENIED
+        if not 0 <= int(number) < max(len(self.plans[PlanKind.MISSION]), 1):
+            return Result.FAILED
+        self.route.current = int(number)
+        self.flight.fly_item(int(number))
+        return Result.ACCEPTED
+
+    def _get_home(self, command: Command) -> Result:
+        del command
+        if self.home is None:
+            return Result.FAILED
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
+        return Result.ACCEPTED
+
+    def _capabilities(self, command: Command) -> Result:
+        if command.parameters[0] == 1.0:
+            self.answer(AUTOPILOT_VERSION)(command)
+        return Result.ACCEPTED
+
+    def _run_prearm_checks(self, command: Command) -> Result:
+        del command
+        if self.armed:
+            return Result.TEMPORARILY_REJECTED
+        refusal = self.flight.arming_refusal()
+        if refusal is not None:
+            self.say(2, f"PreArm: {refusal}")
+        return Result.ACCEPTED
+
+    # --- arming -------------------------------------------------------------------------------
+
+    def _arm_or_disarm(self, command: Command) -> Result:
+        arm, force = command.parameters[:2]
+        if arm not in (0.0, 1.0):
+            return Result.UNSUPPORTED
+        if arm == 0.0:
+            if self.flight.flying and self.armed and force != FORCE:
+                return Result.FAILED
+            self.disarm()
+            return Result.ACCEPTED
+        if self.armed:
+            return Result.ACCEPTED
+        refusal = None if force in (_FORCE_ARM, FORCE) else self.flight.arming_refusal()
+        if refusal is not None:
+            self.say(2, f"Arm: {refusal}")
+            return Result.FAILED
+        self.start_motors()
+        self._was_armed = True
+        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+            self.fence.enabled = True
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
+        self.say(6, self.flight.ARMS)
+        self.flight.on_armed()
+        return Result.ACCEPTED
+
+    def common_refusal(self) -> str | None:
+        """Why neither kind may be armed now."""
+        if self.now_s < self.firmware.prearm_s:
+            return "Waiting for RC" if self.now_s < _NO_RC_S else "EKF attitude is bad"
+        if self.home is not None and self.estimator.ok:
+            outside = self.outside_fence(self.estimate.place)
+            if outside:
+                return "Vehicle breaching " + ", ".join(named(outside))
+        return None
+
+    def disarm(self) -> None:
+        """Stop the motors, wherever it is."""
+        if self.armed:
+            self.armed = False
+            self.say(6, self.flight.DISARMS)
+            if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+                self.fence.enabled = False
+            self.flight.on_disarmed()
+
+    def disarm_by_itself(self) -> None:
+        """It has stood on the ground for long enough."""
+        self.disarm()
+
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something; who lies on the ground need not wait to believe it."""
+        self.landed = self.landed or self.standing
+        if self.armed:
+            self.say(0, self.flight.CRASH_TEXT)
+            self.disarm()
+        return self.taken()
+
+    # --- the rest of the protocol -------------------------------------------------------------
+
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+        """Take a setpoint."""
+        self.flight.on_setpoint(setpoint)
+        return self.taken() if self._said else ()
+
+    def on_parameter(self, name: str) -> Sequence[Reply]:
+        """A parameter has been set from outside."""
+        if name == "FENCE_ENABLE":
+            self.fence.enabled = bool(self.parameters[name])
+        return ()
+
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
+        """A mission, fence or rally list was replaced by a client."""
+        names = {PlanKind.MISSION: "MIS_TOTAL", PlanKind.FENCE: "FENCE_TOTAL"}
+        if kind is PlanKind.FENCE:
+            self.fence.load(self.now_s)
+        self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
+        return ()
+
+    def reached(self, number: int) -> None:
+        """Send MISSION_ITEM_REACHED to all links."""
+        self.reply(SendMessage(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
+
+    # --- telling ------------------------------------------------------------------------------
+
+    def local_ned_m(self) -> Vector | None:
+        """Position in the estimator's frame, while it has one."""
+        if self.estimator.origin is None or not self.estimator.aiding:
+            return None
+        return self.frame.ned_m(self.estimate.place)
+
+    def mission_state(self) -> int:
+        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
+        if len(self.plans[PlanKind.MISSION]) < 2:
+            return 1
+        if self.route.complete:
+            return 5
+        if not self.flight.flies_mission():
+            return 2
+        return 4 if self.route.paused else 3
+
+    def status(self) -> Status:
+        """The status for telemetry."""
+        fence, flight = self.fence, self.flight
+        return Status(
+            mode=self.mode.number,
+            base_mode=flight.base_mode() | (0x80 if self.armed else 0),
+            system_status=flight.system_status(),
+            landed_state=flight.landed_state(),
+            prearm_ok=self.now_s >= self.firmware.prearm_s,
+            origin=self.estimator.origin,
+            waypoint=flight.waypoint(),
+            mission_current=self.route.current,
+            mission_state=self.mission_state(),
+            mission_total=max(len(self.plans[PlanKind.MISSION]) - 1, 0),
+            fence_breached=bool(fence.breached),
+            fence_breaches=fence.breaches,
+            fence_present=fence.present,
+            fence_breach_type=fence.breach_type,
+            fence_breach_ms=round(fence.breach_s * 1e3),
+            failsafe=self.failsafe,
+            logging=self._was_armed,
+            airspeed_m_s=flight.airspeed_m_s(),
+        )

@@ -1,0 +1,437 @@
+"""The engine: what every autopilot does, from step to step and from message to message.
+
+A `Firmware` is a value: all that differs as data.  An `Autopilot` of a family (ardupilot.py,
+px4.py) answers and decides; its `Flight`, a class for each way to fly, steers the vehicle.
+"""
+
+import abc
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from vehicle_sim.autopilot.earth import Frame, Vector
+from vehicle_sim.autopilot.estimator import Estimator, Timing
+from vehicle_sim.autopilot.legs import Route
+from vehicle_sim.autopilots import (
+    HIGHEST_HOME_M,
+    Ack,
+    Command,
+    FirmwareProfile,
+    Landed,
+    Place,
+    Reboot,
+    Reply,
+    Result,
+    Sender,
+    SendTelemetry,
+    Setpoint,
+    Status,
+    TargetEcho,
+    Text,
+    Waypoint,
+)
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.parameters import Parameter, Parameters
+from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
+
+HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
+FORCE: Final = 21196.0
+"""Second parameter of COMPONENT_ARM_DISARM: without asking."""
+_CHECK_US: Final = 100_000
+"""What need not be looked at in every step is looked at so often."""
+_MAX_RAD_S: Final = 10.0
+Handler = Callable[[Command], Result]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A flight mode."""
+
+    name: str
+    number: int
+    """custom_mode of the heartbeat."""
+    flies: str
+    """The method of the Flight that flies it."""
+    needs_position: bool = True
+    armable: bool = True
+    base: int = 0
+    """base_mode of the heartbeat, but for the bit that says whether it is armed."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Firmware:
+    """All that differs between autopilots as data; times in seconds since boot."""
+
+    profile: FirmwareProfile
+    table: tuple[Parameter, ...]
+    modes: tuple[Mode, ...]
+    """The first one of them is that which it boots in."""
+    holds: str
+    """Mode that LOITER_UNLIM asks for; the next ones: LAND, RETURN_TO_LAUNCH, and the pilot."""
+    lands: str
+    returns: str
+    pilot: str
+    timing: Timing
+    frame: Callable[[Place], Frame]
+    ready_s: float
+    """It has booted: heartbeats say so."""
+    prearm_s: float
+    """From here on it may be armed."""
+    first_check_s: float = 0.1
+    believes_landing_s: float
+    """From touching the ground to believing it."""
+    refused: Result
+    """The answer to what cannot be done now."""
+    first_item: int
+    """Of a mission: ArduPilot keeps home as item 0."""
+
+
+class Flight(abc.ABC):
+    """How a kind of vehicle is flown.  It steers by the estimate; only the ground is true."""
+
+    @abc.abstractmethod
+    def begin(self, before: Mode) -> None:
+        """Fly the autopilot's mode from now on; the same one again if it was commanded again."""
+
+    @abc.abstractmethod
+    def read_parameters(self) -> None:
+        """Some parameter has changed; also called before the first step."""
+
+    @abc.abstractmethod
+    def take_off(self, command: Command) -> Result:
+        """NAV_TAKEOFF."""
+
+    @abc.abstractmethod
+    def reposition(self, command: Command) -> Result:
+        """DO_REPOSITION."""
+
+    @abc.abstractmethod
+    def change_speed(self, command: Command) -> Result:
+        """DO_CHANGE_SPEED."""
+
+    @abc.abstractmethod
+    def steer(self, dt_s: float) -> None:
+        """While armed, in each step, on the ground too: look where to go."""
+
+    @abc.abstractmethod
+    def lifts_off(self) -> bool:
+        """On the ground, armed, after `steer`: whether it leaves the ground with this step."""
+
+    @abc.abstractmethod
+    def move(self, dt_s: float) -> None:
+        """In the air, armed, after `steer`: move the vehicle."""
+
+    @abc.abstractmethod
+    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+        """One step on the ground; a plane may roll."""
+
+    def touch_down(self, ground_amsl_m: float) -> None:
+        """It comes to the ground with this step."""
+        self.stand(ground_amsl_m, 0.0)
+
+    def lies(self) -> bool:
+        """Whether what touches the ground may be taken to have landed."""
+        return True
+
+    @abc.abstractmethod
+    def on_landed(self) -> None:
+        """The landing is believed."""
+
+    @abc.abstractmethod
+    def disarms_after_s(self) -> float | None:
+        """On the ground, armed: seconds since it landed or was armed; None: never."""
+
+    @abc.abstractmethod
+    def on_armed(self) -> None:
+        """The motors turn."""
+
+    @abc.abstractmethod
+    def on_disarmed(self) -> None:
+        """The motors have stopped."""
+
+    @abc.abstractmethod
+    def landed_state(self) -> Landed:
+        """What EXTENDED_SYS_STATE says."""
+
+    @abc.abstractmethod
+    def echo(self) -> TargetEcho | None:
+        """What it steers for."""
+
+    @abc.abstractmethod
+    def waypoint(self) -> Waypoint | None:
+        """The place that it goes to."""
+
+
+class Autopilot(abc.ABC):
+    """One vehicle's autopilot (vehicle_sim.autopilots.Autopilot)."""
+
+    flight: Flight
+    """Of the subclass, which makes it last."""
+
+    def __init__(
+        self,
+        firmware: Firmware,
+        vehicle: Vehicle,
+        parameters: Mapping[str, float],
+        plans: Plans,
+        rng: np.random.Generator,
+    ) -> None:
+        self.firmware, self.profile = firmware, firmware.profile
+        self.vehicle, self.plans = vehicle, plans
+        self.parameters = Parameters(firmware.table, parameters)
+        self.battery = Battery()
+        """The power module's measurements; the simulation puts its own here."""
+        self.estimator = Estimator(vehicle, firmware.timing, rng)
+        self.estimate = self.estimator.estimate
+        self.frame = firmware.frame(self.estimate.place)
+        """Its local frame: about the origin, once there is one."""
+        self.modes = {mode.name: mode for mode in firmware.modes}
+        self.mode = firmware.modes[0]
+        self.route = Route(firmware.first_item)
+        self.home: Place | None = None
+        self.now_s, self.ground_m = 0.0, vehicle.altitude_amsl_m
+        self.armed = False
+        self.landed = self.standing = True
+        """It believes to be on the ground; it is."""
+        self.armed_s = 0.0
+        self.touched_s: float | None = None
+        self.landed_s: float | None = None
+        self._said: list[Reply] = []
+        self._version = -1
+        self._check_us = round(firmware.first_check_s * 1e6)
+        self._attitude_rad = (0.0, 0.0, vehicle.heading_rad)
+        self._turned_rad, self._turned_s = (0.0, 0.0, 0.0), 0.01
+        self.handlers: dict[int, Handler] = {}
+        """What answers which MAV_CMD."""
+
+    # --- saying -------------------------------------------------------------------------------
+
+    def say(self, severity: int, text: str) -> None:
+        """A STATUSTEXT."""
+        self._said.append(Text(severity=severity, text=text))
+
+    def send(self, *messages: int) -> None:
+        """Send these telemetry messages once, to all links."""
+        self._said.extend(SendTelemetry(message=message) for message in messages)
+
+    def reply(self, reply: Reply) -> None:
+        """Anything else."""
+        self._said.append(reply)
+
+    def taken(self) -> list[Reply]:
+        """What there is to say, once."""
+        said, self._said = self._said, []
+        return said
+
+    # --- each step ----------------------------------------------------------------------------
+
+    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
+        """Fly on to now_us, over ground of this height, with the newest GPS fix."""
+        self.now_s, self.ground_m = now_us * 1e-6, ground_amsl_m
+        estimator = self.estimator
+        origin = estimator.origin
+        estimator.step(self.now_s, dt_s, fix)
+        if estimator.origin is not None and estimator.origin is not origin:
+            self.frame = self.firmware.frame(estimator.origin)
+            self.on_origin(estimator.origin)
+        if self.parameters.version != self._version:
+            self._version = self.parameters.version
+            self.flight.read_parameters()
+        self.look(fix)
+        if now_us >= self._check_us:
+            self._check_us = now_us + _CHECK_US - (now_us - self._check_us) % _CHECK_US
+            self.check()
+        self._fly(dt_s)
+        estimator.follow()
+        self._feel(dt_s)
+        return self.taken() if self._said else ()
+
+    @abc.abstractmethod
+    def on_origin(self, origin: Place) -> None:
+        """The estimator's origin is set."""
+
+    @abc.abstractmethod
+    def look(self, fix: Fix) -> None:
+        """In every step, before the checks."""
+
+    @abc.abstractmethod
+    def check(self) -> None:
+        """Ten times a second: whatever may end the flight."""
+
+    def check_now(self) -> None:
+        """Do not wait for the next check, but have it with the next step."""
+        self._check_us = round(self.now_s * 1e6)
+
+    def _fly(self, dt_s: float) -> None:
+        """Steer and move the vehicle, or let it stand; the simulation judges its contacts."""
+        vehicle, flight = self.vehicle, self.flight
+        if self.armed:
+            flight.steer(dt_s)
+        if self.standing and self.armed and flight.lifts_off():
+            self.standing, self.touched_s = False, None
+        if self.standing:
+            flight.stand(self.ground_m, dt_s)
+            self._wait_on_ground()
+            return
+        if self.armed:
+            flight.move(dt_s)
+        else:
+            vehicle.fall(dt_s)
+        if vehicle.altitude_amsl_m <= self.ground_m:
+            self.standing, self.touched_s = True, self.now_s
+            flight.touch_down(self.ground_m)
+
+    def take_to_the_air(self) -> None:
+        """It believes to fly."""
+        self.landed, self.landed_s = False, None
+
+    def _wait_on_ground(self) -> None:
+        """Believe the landing after a while, and disarm."""
+        if not self.landed:
+            if not self.flight.lies():
+                self.touched_s = None
+            elif self.touched_s is None:
+                self.touched_s = self.now_s
+            elif self.now_s - self.touched_s >= self.firmware.believes_landing_s:
+                self.landed, self.landed_s = True, self.now_s
+                self.flight.on_landed()
+        if self.armed and self.landed:
+            wait_s = self.flight.disarms_after_s()
+            since_s = self.armed_s if self.landed_s is None else self.landed_s
+            if wait_s is not None and self.now_s - since_s >= wait_s:
+                self.disarm_by_itself()
+
+    def _feel(self, dt_s: float) -> None:
+        """Rates of turn, as gyroscopes feel them: a point mass has none."""
+        vehicle, (roll_rad, pitch_rad, yaw_rad) = self.vehicle, self._attitude_rad
+        now = self._attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
+        self._turned_rad = (now[0] - roll_rad, now[1] - pitch_rad, now[2] - yaw_rad)
+        self._turned_s = dt_s
+
+    @property
+    def rates_rad_s(self) -> tuple[float, float, float]:
+        """Of roll, pitch and heading."""
+        roll, pitch, yaw = (
+            min(max(math.remainder(turned, math.tau) / self._turned_s, -_MAX_RAD_S), _MAX_RAD_S)
+            for turned in self._turned_rad
+        )
+        return roll, pitch, yaw
+
+    # --- modes and arming ---------------------------------------------------------------------
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the flight mode."""
+        return self.mode.name
+
+    @abc.abstractmethod
+    def set_mode(self, name: str) -> bool:
+        """Fly in this mode from now on, if it can be."""
+
+    def to_mode(self, name: str) -> Handler:
+        """The answer to a command that asks for a mode."""
+        return lambda _: Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
+
+    def start_motors(self) -> None:
+        """Arm, whatever there is against it; home is here then."""
+        self.armed, self.armed_s, self.landed_s = True, self.now_s, None
+        if self.estimator.ok:
+            self.home = self.estimate.place
+
+    @abc.abstractmethod
+    def disarm_by_itself(self) -> None:
+        """It has stood on the ground for long enough."""
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def on_command(self, command: Command) -> Sequence[Reply]:
+        """Handle a command; returns the replies."""
+        handler, result = self.handlers.get(command.number), Result.UNSUPPORTED
+        if handler is not None and command.target_component in (0, 1):
+            result = handler(command)
+        return [Ack(to=command.sender, command=command.number, result=result), *self.taken()]
+
+    def set_home(self, place: Place) -> Result:
+        """DO_SET_HOME, once it is known where to."""
+        if not abs(place.altitude_amsl_m) <= HIGHEST_HOME_M:
+            return self.firmware.refused
+        self.home = place
+        self.send(HOME_POSITION)
+        return Result.ACCEPTED
+
+    def answer(self, message: int) -> Handler:
+        """An old command that asks for one message."""
+
+        def send(command: Command) -> Result:
+            self.reply(SendTelemetry(message=message, to=command.sender))
+            return Result.ACCEPTED
+
+        return send
+
+    def reboot(self, command: Command) -> Result:
+        """PREFLIGHT_REBOOT_SHUTDOWN: only while disarmed."""
+        if self.armed:
+            return self.firmware.refused
+        if command.parameters[0] not in (1.0, 3.0):
+            return Result.UNSUPPORTED
+        self.reply(Reboot())
+        return Result.ACCEPTED
+
+    # --- the rest of the protocol -------------------------------------------------------------
+
+    @abc.abstractmethod
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+        """Take a setpoint."""
+
+    @abc.abstractmethod
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """A heartbeat of another component."""
+
+    @abc.abstractmethod
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
+        """A mission, fence or rally list was replaced by a client."""
+
+    @abc.abstractmethod
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something: the motors stop, wherever it is."""
+
+    @abc.abstractmethod
+    def status(self) -> Status:
+        """What else there is to tell."""
+
+    def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
+        """A parameter was set by a client."""
+        return ()
+
+    def pilot_takes(self) -> Sequence[Reply]:
+        """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""
+        self.set_mode(self.firmware.pilot)
+        return self.taken()
+
+    def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
+        """Fault: the estimator resets and its position jumps by this much."""
+        self.estimator.shift(north_m, east_m)
+        return ()
+
+    def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
+        """Fault: the origin moves: local positions change, global ones do not."""
+        if self.estimator.origin is not None:
+            self.estimator.origin = origin = self.frame.place(north_m, east_m, -up_m)
+            self.frame = self.firmware.frame(origin)
+            self.send(GPS_GLOBAL_ORIGIN)
+        return self.taken()
+
+    def local_ned_m(self) -> Vector | None:
+        """Position in the estimator's frame."""
+        return self.frame.ned_m(self.estimate.place)
+
+    def target_echo(self) -> TargetEcho | None:
+        """Its target, if that is told."""
+        return self.flight.echo()

@@ -1,0 +1,341 @@
+"""Where an autopilot believes to be: the truth plus an error, from boot to GPS loss and back.
+
+An inertial filter follows the truth closely for seconds whatever GPS does.  What is modelled is the
+error on top: almost none while GPS is good; a glitch is refused, then believed; without GPS the
+error drifts, the position is given up, and jumps when GPS is back.  How long each takes, and the
+flags that tell of it, are the firmware's `Timing`.
+"""
+
+import enum
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from vehicle_sim.autopilots import Estimate, Place
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
+from vehicle_sim.sensors.gps import Fix
+
+_OUTAGE_S: Final = 1.0
+"""After a gap of this length the first fix is believed, wherever it is (both firmwares have wide
+gates by then)."""
+_DRIFTS_S: Final = 0.5
+"""Fixes come every 0.125 or 0.2 s: so long after the last one, they do not."""
+_GIVES_UP_S: Final = 0.69
+"""EKF3's flags drop the position for so long before it yields to GPS (arducopter-gps-loss.tlog)."""
+_KEEPS, _KEEPS_UP = math.exp(-0.125 / 0.8), math.exp(-0.125 / 1.5)
+"""Of the velocity's error, from one fix of PX4 to the next: it wanders within 0.8 s, upwards 1.5 s
+(hover of px4-offboard-8mps.tlog)."""
+_NOISE_ON_GROUND: Final = 0.15
+_BLOCK: Final = 256
+
+
+class State(enum.Enum):
+    """What the estimator is up to."""
+
+    START = enum.auto()
+    """It has not had a position yet."""
+    GOOD = enum.auto()
+    GLITCH = enum.auto()
+    """GPS is refused, or was until a moment ago."""
+    YIELDS = enum.auto()
+    """It is about to believe GPS that it has refused."""
+    LOST = enum.auto()
+    """Without GPS for too long to fly by its position."""
+    STOPPED = enum.auto()
+    """For so long that it has none."""
+
+
+_FLYING: Final = frozenset({State.GOOD, State.GLITCH, State.YIELDS})
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Timing:
+    """Of one firmware's estimator; times in seconds."""
+
+    stages: tuple[tuple[float, int], ...]
+    """Flags from these times since boot on, until there is a position."""
+    flags: Mapping[State, int]
+    origin_s: float
+    good_s: float
+    """From the first fix to the origin, and to a position."""
+    gate_m: float
+    gate_growth_m_s: float = 0.0
+    """A fix that is farther off is refused; the gate grows meanwhile."""
+    glitch_s: float = math.inf
+    """Refused for so long, a glitch is told."""
+    yields_s: float
+    """Refused for so long, GPS is believed."""
+    calm_s: float = 0.0
+    """Believed for so long, the glitch is over."""
+    lost_s: float
+    stopped_s: float
+    """Without GPS for so long."""
+    back_s: float
+    """From the first fix after that to its use."""
+    trusted_s: float = 0.0
+    precise_s: float = 0.0
+    """From there to a position that suffices to land by, and to one that suffices for all."""
+    lag_s: float = 0.0
+    """Latency that it takes the receiver to have."""
+    follows: float
+    """Share of a fix's error that is taken over."""
+    first_share: float = 1.0
+    """The same, of the first one."""
+    drift_m_s: float = 0.0
+    drift_m_s2: float = 0.0
+    """Without GPS the horizontal error begins with this velocity and acceleration."""
+    sink_m_s: float = 0.0
+    """The same of the height: upwards."""
+    jump_s: float = 0.0
+    """Time constant with which the output follows a jump of the state."""
+    noise_m_s: float = 0.0
+    """Standard deviation of the velocity's error on each axis; with it the height errs as well."""
+    stays: bool = True
+    """A reset that a fault brings about stays: GPS counts as off by it."""
+    freezes: bool = True
+    """Without GPS the position stands still, and at first there is none."""
+
+
+@final
+class Estimator:
+    """Steps an Estimate along with the truth; horizontal errors are north + east j in metres."""
+
+    def __init__(self, vehicle: Vehicle, timing: Timing, rng: np.random.Generator) -> None:
+        self.timing, self.lag_s = timing, timing.lag_s
+        self.state = State.START
+        self.origin: Place | None = None
+        self.aiding = False
+        """It uses GPS, or did so not long ago."""
+        self.still = False
+        """Disarmed for a while: hardly any noise."""
+        self.returned_s: float | None = None
+        """When GPS was used again after it had been lost."""
+        self.used_s = 0.0
+        """When it was used last."""
+        self._vehicle, self._rng = vehicle, rng
+        knows = not timing.freezes
+        self.estimate = Estimate(
+            latitude_deg=vehicle.latitude_deg if knows else 0.0,
+            longitude_deg=vehicle.longitude_deg if knows else 0.0,
+            altitude_amsl_m=vehicle.altitude_amsl_m if knows else 0.0,
+            flags=timing.stages[0][1],
+        )
+        self._fix: Fix | None = None
+        self._now_s = self._trusted_s = self._precise_s = 0.0
+        self._seen_s: float | None = None
+        """Since when there are fixes that are not used yet."""
+        self._refused_s: float | None = None
+        self._calm_s = 0.0
+        self._error, self._held, self._bias, self._rate = 0j, 0j, 0j, 0j
+        """Of the position; what the output has still to make of a jump; by how much GPS counts as
+        off; of the velocity."""
+        self._up_m = self._climb_m_s = 0.0
+        turn_rad = rng.uniform(0.0, math.tau)
+        self._drift = complex(math.cos(turn_rad), math.sin(turn_rad))
+        self._drifts = False
+        self._noise: list[float] = []
+        self._scale = metres_per_degree(vehicle.latitude_deg)
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is a position to fly by."""
+        return self.estimate.position_ok
+
+    @property
+    def precise(self) -> bool:
+        """Whether it is good enough for all modes, and not for landing only."""
+        return self.estimate.position_ok and self._now_s >= self._precise_s
+
+    @property
+    def glitching(self) -> bool:
+        """Whether GPS is refused, or was until a moment ago."""
+        return self.state in (State.GLITCH, State.YIELDS)
+
+    # --- each step ----------------------------------------------------------------------------
+
+    def step(self, now_s: float, dt_s: float, fix: Fix) -> None:
+        """One step on, with the receiver's newest fix."""
+        self._now_s = now_s
+        if fix is not self._fix:
+            self._fix = fix
+            if fix.usable:
+                self._take(fix)
+            elif self.state not in _FLYING:
+                self._seen_s = None
+        silent_s = now_s - self.used_s
+        if silent_s > _DRIFTS_S or self.state is not State.GOOD or self._refused_s is not None:
+            self._watch(silent_s, fix, dt_s)
+        if self._rate or self._climb_m_s:
+            self._error += self._rate * dt_s
+            self._up_m += self._climb_m_s * dt_s
+        if self._held:
+            self._held *= math.exp(-dt_s / self.timing.jump_s)
+            self._held = 0j if abs(self._held) < 1e-3 else self._held
+        if not self.estimate.position_ok:
+            self.estimate.position_ok = self.state in _FLYING and now_s >= self._trusted_s
+        self.follow()
+
+    def follow(self) -> None:
+        """The estimate once the vehicle has moved."""
+        e, vehicle = self.estimate, self._vehicle
+        e.altitude_amsl_m = vehicle.altitude_amsl_m + self._up_m
+        e.velocity_up_m_s = vehicle.velocity_up_m_s + self._climb_m_s
+        if self.aiding or not self.timing.freezes:
+            off, rate = self._error + self._held, self._rate
+            e.latitude_deg = vehicle.latitude_deg + off.real / self._scale[0]
+            e.longitude_deg = around(vehicle.longitude_deg + off.imag / self._scale[1])
+            e.velocity_north_m_s = vehicle.velocity_north_m_s + rate.real
+            e.velocity_east_m_s = vehicle.velocity_east_m_s + rate.imag
+        elif self.state is State.START and self._seen_s is None:
+            e.altitude_amsl_m = 0.0
+
+    # --- GPS ----------------------------------------------------------------------------------
+
+    def _take(self, fix: Fix) -> None:
+        """A new fix with a position."""
+        timing, estimate, now_s = self.timing, self.estimate, self._now_s
+        self._scale = metres_per_degree(self._vehicle.latitude_deg)
+        if self.state not in _FLYING:
+            self._seen_s = now_s if self._seen_s is None else self._seen_s
+            if self.state is State.START and timing.freezes:
+                estimate.latitude_deg, estimate.longitude_deg = fix.latitude_deg, fix.longitude_deg
+            return
+        gap_s, self.used_s = now_s - self.used_s, now_s
+        off, refused_s = self._innovation(fix), self._refused_s
+        grown_m = 0.0 if refused_s is None else timing.gate_growth_m_s * (now_s - refused_s)
+        gate_m = timing.gate_m + grown_m
+        self._tell(abs(off) / gate_m)
+        if self._drifts:
+            self._drifts, self._rate, self._climb_m_s = False, 0j, 0.0
+        if gap_s > _OUTAGE_S:
+            self._jump(off)
+        elif abs(off) > gate_m:
+            self._refused_s = now_s if refused_s is None else refused_s
+        else:
+            self._accept(timing.follows * off)
+            if timing.noise_m_s:
+                up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * self.lag_s
+                up_m -= self._vehicle.altitude_amsl_m
+                self._up_m += timing.follows * (up_m - self._up_m)
+        if timing.noise_m_s:
+            self._stir()
+
+    def _innovation(self, fix: Fix) -> complex:
+        """What the fix says beyond what is believed, allowing for its age."""
+        vehicle, lag_s = self._vehicle, self.lag_s
+        north_m = (fix.latitude_deg - vehicle.latitude_deg) * self._scale[0]
+        east_m = degrees_east(vehicle.longitude_deg, fix.longitude_deg) * self._scale[1]
+        # half of what the velocity changed by since
+        half_s = 0.5 * lag_s
+        north_m += lag_s * (vehicle.velocity_north_m_s - half_s * vehicle.acceleration_north_m_s2)
+        east_m += lag_s * (vehicle.velocity_east_m_s - half_s * vehicle.acceleration_east_m_s2)
+        return complex(north_m, east_m) + self._bias - self._error
+
+    def _accept(self, shift: complex) -> None:
+        """Believe it, and move by this much."""
+        self._error += shift
+        if self._refused_s is not None:
+            self._refused_s, self._calm_s = None, self._now_s + self.timing.calm_s
+            if self.state is State.YIELDS:
+                self._be(State.GLITCH)
+
+    def _jump(self, off: complex) -> None:
+        """Believe it wholly: the state jumps, and the output after it."""
+        self._accept(off)
+        self._held -= off if self.timing.jump_s else 0j
+        self._rate, self._climb_m_s = 0j, 0.0
+
+    def _tell(self, ratio: float) -> None:
+        """The test ratios; what noise would make of the velocity's is drawn."""
+        self.estimate.velocity_variance = 0.004 + 0.016 * self._rng.random()
+        self.estimate.horizontal_variance = ratio
+
+    def _stir(self) -> None:
+        """The errors that are always there: velocities wander, and the position with them."""
+        if len(self._noise) < 3:
+            self._noise = self._rng.standard_normal(3 * _BLOCK).tolist()
+        draw, size = self._noise.pop, self.timing.noise_m_s
+        size *= _NOISE_ON_GROUND if self.still else 1.0
+        fresh = size * math.sqrt(1.0 - _KEEPS * _KEEPS)
+        self._rate = _KEEPS * self._rate + fresh * complex(draw(), draw())
+        fresh = size * math.sqrt(1.0 - _KEEPS_UP * _KEEPS_UP)
+        self._climb_m_s = _KEEPS_UP * self._climb_m_s + fresh * draw()
+
+    # --- what time brings ---------------------------------------------------------------------
+
+    def _watch(self, silent_s: float, fix: Fix, dt_s: float) -> None:
+        """Starting, refusing GPS, or without it."""
+        timing, state, now_s = self.timing, self.state, self._now_s
+        if state is State.START:
+            self.estimate.flags = next(f for at_s, f in reversed(timing.stages) if now_s >= at_s)
+        if state not in _FLYING:
+            if self._seen_s is not None:
+                self._wait(now_s - self._seen_s, fix)
+            elif state is State.LOST and silent_s >= timing.stopped_s:
+                self._be(State.STOPPED)
+                self.aiding = False
+                if timing.freezes:
+                    self.estimate.frozen_altitude_amsl_m = self.estimate.altitude_amsl_m
+                    self.estimate.velocity_north_m_s = self.estimate.velocity_east_m_s = 0.0
+        elif silent_s >= timing.lost_s:
+            self._be(State.LOST)
+            self._refused_s = self.returned_s = None
+            self.estimate.position_ok = False
+        elif self._refused_s is not None:
+            self._judge(now_s - self._refused_s, fix)
+        elif state is State.GLITCH and now_s >= self._calm_s:
+            self._be(State.GOOD)
+        if silent_s > _DRIFTS_S and self.state is not State.START:
+            if not self._drifts:
+                self._drifts, self._climb_m_s = True, timing.sink_m_s
+                self._rate = self._drift * (timing.drift_m_s + timing.drift_m_s2 * silent_s)
+            self._rate += self._drift * timing.drift_m_s2 * dt_s
+
+    def _wait(self, since_s: float, fix: Fix) -> None:
+        """There are fixes again, for so long: some are wanted before one is believed."""
+        timing, now_s, first = self.timing, self._now_s, self.state is State.START
+        if self.origin is None and since_s >= timing.origin_s:
+            self.origin = self.estimate.place
+        if self.origin is None or since_s < (timing.good_s if first else timing.back_s):
+            return
+        off = self._innovation(fix)
+        if first:
+            self._error += timing.first_share * off
+        else:
+            self._jump(off)
+            self.returned_s = now_s
+            self._trusted_s = now_s + timing.trusted_s
+            self._precise_s = now_s + timing.precise_s
+        self.aiding, self._drifts, self.used_s, self._seen_s = True, False, now_s, None
+        self._be(State.GOOD)
+        self._tell(0.0001)
+
+    def _judge(self, refused_s: float, fix: Fix) -> None:
+        """GPS has been refused for so long."""
+        timing = self.timing
+        if refused_s >= timing.yields_s:
+            self._jump(self._innovation(fix))
+            self._be(State.GLITCH if timing.calm_s else State.GOOD)
+            self._tell(0.017)
+        elif refused_s >= timing.yields_s - _GIVES_UP_S and timing.calm_s:
+            self._be(State.YIELDS)
+        elif refused_s >= timing.glitch_s and self.state is State.GOOD:
+            self._be(State.GLITCH)
+
+    def _be(self, state: State) -> None:
+        self.state = state
+        self.estimate.flags = self.timing.flags[state]
+        self.estimate.frozen_altitude_amsl_m = None
+
+    # --- faults -------------------------------------------------------------------------------
+
+    def shift(self, north_m: float, east_m: float) -> None:
+        """The position jumps by this much at once."""
+        self._error += complex(north_m, east_m)
+        if self.timing.stays:
+            self._bias += complex(north_m, east_m)

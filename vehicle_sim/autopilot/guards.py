@@ -1,0 +1,128 @@
+"""What both firmwares keep an eye on: the zones of a fence; and ArduPilot's fence as a whole."""
+
+import math
+from typing import Final, final
+
+from vehicle_sim.autopilot.earth import Frame, way_m
+from vehicle_sim.autopilots import Place
+from vehicle_sim.parameters import Readable
+from vehicle_sim.plans import PlanKind, Plans, Zone, forbidden, zones_of
+
+
+@final
+class Zones:
+    """Polygons and circles of the uploaded fence, in the metres of a frame."""
+
+    def __init__(self, plans: Plans) -> None:
+        self._plans, self._version = plans, -1
+        self._frame: Frame | None = None
+        self._zones: tuple[Zone, ...] = ()
+
+    def forbid(self, frame: Frame, place: Place, *, union: bool) -> bool:
+        """Whether it is in a zone to keep out of, or not in those to keep in; union: in none."""
+        if self._version != self._plans.version or self._frame is not frame:
+            self._version, self._frame = self._plans.version, frame
+            self._zones = zones_of(
+                self._plans[PlanKind.FENCE], lambda lat, lon: frame.ned_m(Place(lat, lon, 0.0))[:2]
+            )
+        north_m, east_m, _ = frame.ned_m(place)
+
+        def inside(zone: Zone) -> bool:
+            if zone.radius_m > 0.0:
+                centre_n, centre_e = zone.corners[0]
+                return math.hypot(north_m - centre_n, east_m - centre_e) <= zone.radius_m
+            return zone.surrounds((north_m, east_m))
+
+        return forbidden(self._zones, inside, union=union)
+
+
+ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
+NAMES: Final = {
+    ALTITUDE_MAX: "Max Alt",
+    CIRCLE: "Circle",
+    POLYGON: "Polygon",
+    ALTITUDE_MIN: "Min Alt",
+}
+"""By the bits of FENCE_TYPE, as the texts call them."""
+_LOADING_S: Final = 0.45
+"""A fence uploaded around the vehicle is breached after half a second (ardupilot.md 4)."""
+
+
+def named(kinds: int) -> list[str]:
+    """The kinds of fence of these bits."""
+    return [name for bit, name in NAMES.items() if kinds & bit]
+
+
+@final
+class Fence:
+    """ArduPilot's fence: height, circle about home, polygons and circles (ardupilot.md 4).
+
+    Margins only affect when the floor is switched on: a breach means being outside.
+    """
+
+    def __init__(self, parameters: Readable, plans: Plans) -> None:
+        self._parameters, self._plans, self._zones = parameters, plans, Zones(plans)
+        self.enabled = bool(parameters["FENCE_ENABLE"])
+        self.breached = 0
+        """Bits of FENCE_TYPE."""
+        self.breaches = 0
+        self.breach_type = 0
+        """FENCE_BREACH: 1 too low, 2 too high, 3 over the edge."""
+        self.breach_s = 0.0
+        self.has_floor = False
+        """FENCE_ALT_MIN counts: it has been above it by the margin since it took off, and does not
+        land (AC_Fence::auto_enable_fence_floor, get_auto_disable_fences)."""
+        self._looks_s = 0.0
+
+    def load(self, now_s: float) -> None:
+        """Another list: checks pause for a moment."""
+        self._looks_s = now_s + _LOADING_S
+
+    @property
+    def present(self) -> bool:
+        """Whether there is anything that FENCE_STATUS could tell of."""
+        return self.enabled or bool(self._plans[PlanKind.FENCE])
+
+    def outside(self, place: Place, home: Place | None, frame: Frame) -> int:
+        """Which kinds of fence this place would breach: bits of FENCE_TYPE."""
+        if not self.enabled or home is None:
+            return 0
+        parameters = self._parameters
+        kinds, found = int(parameters["FENCE_TYPE"]), 0
+        above_m = place.altitude_amsl_m - home.altitude_amsl_m
+        if kinds & ALTITUDE_MAX and above_m >= parameters["FENCE_ALT_MAX"]:
+            found |= ALTITUDE_MAX
+        if kinds & ALTITUDE_MIN and self.has_floor and above_m <= parameters["FENCE_ALT_MIN"]:
+            found |= ALTITUDE_MIN
+        if kinds & CIRCLE and abs(way_m(home, place)) >= parameters["FENCE_RADIUS"]:
+            found |= CIRCLE
+        if kinds & POLYGON and self._plans[PlanKind.FENCE]:
+            union = bool(int(parameters["FENCE_OPTIONS"]) & 2)
+            found |= POLYGON if self._zones.forbid(frame, place, union=union) else 0
+        return found
+
+    def forget(self) -> None:
+        """It is not in the air, or the fence is off."""
+        self.breached, self.has_floor = 0, False
+
+    def raises_floor(self, above_home_m: float, *, lands: bool) -> bool:
+        """Whether FENCE_ALT_MIN counts from now on; of one that lands it does not."""
+        parameters, had = self._parameters, self.has_floor
+        safe_m = parameters["FENCE_ALT_MIN"] + parameters["FENCE_MARGIN"]
+        configured = bool(int(parameters["FENCE_TYPE"]) & ALTITUDE_MIN)
+        self.has_floor = configured and not lands and (had or above_home_m >= safe_m)
+        return self.has_floor and not had
+
+    def check(self, place: Place, home: Place, frame: Frame, now_s: float) -> int:
+        """Look where the vehicle is; returns the kinds that are breached since just now."""
+        if now_s < self._looks_s:
+            return 0
+        found = self.outside(place, home, frame)
+        new = found & ~self.breached
+        if new:
+            self.breaches += not self.breached
+            over_the_edge = new & (CIRCLE | POLYGON)
+            self.breach_type = 3 if over_the_edge else 2 if new & ALTITUDE_MAX else 1
+            self.breach_s = now_s
+        self.breached = found
+        return new

@@ -1,0 +1,143 @@
+"""What automatic modes fly: legs, one after the other.
+
+A return is some of them; a mission gives them item by item, and does what is no leg on the way.
+"""
+
+import enum
+import math
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple, final
+
+from vehicle_sim.autopilots import Place, height_amsl_m
+from vehicle_sim.plans import Jumps, PlanItem
+
+WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
+_CHANGE_SPEED: Final = 178
+_WALKS_MOST: Final = 1000
+"""Items at once, so that a mission of jumps alone ends."""
+_HIGHEST_M: Final = 1e5
+_E7_MOST: Final = 900_000_000
+
+
+class Does(enum.Enum):
+    """What there is to do at a leg's place."""
+
+    CLIMB = enum.auto()
+    """Up or down to its height, without going there."""
+    GO = enum.auto()
+    LAND = enum.auto()
+    RETURN = enum.auto()
+    """Whatever the vehicle does to come home."""
+
+
+@final
+class Leg(NamedTuple):
+    """A place to fly to, and what to do there."""
+
+    does: Does
+    place: Place
+    hold_s: float = 0.0
+    """To stay; infinite: for good."""
+    command: int = WAYPOINT
+    """Of the item that it is made of."""
+    acceptance_m: float = math.nan
+    """How near is there; NaN: by the vehicle's own parameter."""
+    yaw_rad: float = math.nan
+    """NaN: along the way."""
+
+
+def back(here: Place, home: Place, altitude_amsl_m: float, hold_s: float) -> list[Leg]:
+    """Up to this height, over home, wait there and land."""
+    above, climb = home.at(altitude_amsl_m), here.at(altitude_amsl_m)
+    legs = ((Does.CLIMB, climb, 0.0), (Does.GO, above, 0.0), (Does.GO, above, hold_s))
+    return [Leg(*each, command=RETURN) for each in (*legs, (Does.LAND, home, 0.0))]
+
+
+def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Leg | None:
+    """What an item is to fly; None: nothing.  Without coordinates it is here."""
+    kinds = {TAKEOFF: Does.CLIMB, LAND: Does.LAND, RETURN: Does.RETURN}
+    does = kinds.get(item.command, Does.GO)
+    if does is Does.GO and item.command not in (WAYPOINT, LOITER_UNLIM, LOITER_TIME):
+        return None
+    first, second, _, yaw_deg = item.parameters
+    z_m = item.z_m if abs(item.z_m) <= _HIGHEST_M else math.nan
+    height_m = height_amsl_m(item.frame, z_m, home.altitude_amsl_m, ground_amsl_m)
+    if height_m is None or height_m != height_m:
+        height_m = here.altitude_amsl_m
+    place = here.at(height_m)
+    if (item.x or item.y) and abs(item.x) <= _E7_MOST:
+        place = Place(item.x * 1e-7, item.y * 1e-7, height_m)
+    is_waypoint = item.command == WAYPOINT
+    hold_s = first if (is_waypoint or item.command == LOITER_TIME) and first > 0.0 else 0.0
+    return Leg(
+        does,
+        place,
+        math.inf if item.command == LOITER_UNLIM else hold_s,
+        item.command,
+        second if is_waypoint and second > 0.0 else math.nan,
+        math.radians(yaw_deg) if math.isfinite(yaw_deg) else math.nan,
+    )
+
+
+@final
+class Route:
+    """The legs that are flown now.  Mutable."""
+
+    def __init__(self, jumps_from: int) -> None:
+        self.leg: Leg | None = None
+        """None: nothing; hold."""
+        self.number: int | None = None
+        """Item of the mission that it belongs to; None: it is no mission's."""
+        self.current = 0
+        """Item of the mission that is flown, or would be."""
+        self.complete = self.paused = False
+        self.began_s = 0.0
+        """When the leg did."""
+        self.arrived_s: float | None = None
+        self._next: list[Leg] = []
+        self._jumps = Jumps(jumps_from)
+
+    def fly(self, legs: Iterable[Leg], now_s: float) -> None:
+        """These, and no mission."""
+        self._next, self.number = list(legs), None
+        self.go_on(now_s)
+
+    def stop(self) -> None:
+        """Nothing any more."""
+        self.leg, self.number, self._next = None, None, []
+
+    def go_on(self, now_s: float) -> None:
+        """The next leg of those begins."""
+        self.leg = self._next.pop(0) if self._next else None
+        self.began_s, self.arrived_s = now_s, None
+
+    def forget_jumps(self) -> None:
+        """They count from 0 again."""
+        self._jumps.forget()
+
+    def seek(
+        self,
+        items: tuple[PlanItem, ...],
+        number: int,
+        leg_at: Callable[[PlanItem], Leg | None],
+        now_s: float,
+    ) -> float | None:
+        """Fly the mission from this item on; returns the speed that was asked for on the way."""
+        speed_m_s: float | None = None
+        self.stop()
+        self.began_s, self.arrived_s, self.complete = now_s, None, False
+        for at, item in self._jumps.walk(items, number, _WALKS_MOST):
+            if item.command == _CHANGE_SPEED and 0.0 < item.parameters[1] < math.inf:
+                speed_m_s = item.parameters[1]
+            self.leg = leg_at(item)
+            if self.leg is not None:
+                self.current = self.number = at
+                return speed_m_s
+        self.complete = True
+        return speed_m_s
+
+    def has_waited(self, now_s: float, seconds: float) -> bool:
+        """Call it in every step at the leg's place: whether it has been there for so long."""
+        if self.arrived_s is None:
+            self.arrived_s = now_s
+        return now_s - self.arrived_s >= seconds

@@ -1,0 +1,166 @@
+"""SET_POSITION_TARGET as the two firmwares read it (ardupilot.md 3, px4.md 4).
+
+ArduCopter takes groups: one ignored axis drops position, velocity or acceleration as a whole, bits
+above 11 are not read, and what it does not like means "stop", without an answer.  PX4 takes each
+axis by itself, and what it does not like counts as no setpoint at all.
+"""
+
+import math
+from typing import Final, NamedTuple, final
+
+from vehicle_sim.autopilot.earth import Vector
+from vehicle_sim.autopilots import (
+    FRAMES_ABOVE_HOME,
+    FRAMES_ABOVE_TERRAIN,
+    FRAMES_AMSL,
+    Setpoint,
+    height_amsl_m,
+)
+
+IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
+IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
+_FORCE: Final = 0x200
+_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
+_NAN: Final = math.nan
+NOTHING: Final = (_NAN, _NAN, _NAN)
+_FARTHEST_M: Final = 1e6
+_FASTEST_M_S: Final = 1000.0
+"""Of ArduCopter: positions beyond abort its process, velocities beyond stop it."""
+
+
+@final
+class Target(NamedTuple):
+    """What is to be flown: north, east, down; NaN: not given."""
+
+    position: Vector = NOTHING
+    """Of a global one latitude, longitude and z as its frame measures it."""
+    velocity: Vector = NOTHING
+    acceleration: Vector = NOTHING
+    yaw_rad: float = _NAN
+    yaw_rate_rad_s: float = _NAN
+    is_global: bool = False
+    frame: int = _LOCAL_NED
+
+    @property
+    def is_offset(self) -> bool:
+        """Its position is measured from the vehicle."""
+        return not self.is_global and self.frame != _LOCAL_NED
+
+
+@final
+class Stop(NamedTuple):
+    """What ArduCopter makes of a setpoint that it does not like."""
+
+    text: str = ""
+    """About one that the real one does not survive."""
+
+
+def given(vector: Vector) -> bool:
+    """Whether it is there; either all of it is, or nothing."""
+    return vector[0] == vector[0]
+
+
+def turned(vector: Vector, heading_rad: float) -> Vector:
+    """From the body's heading to north and east; one axis that is not given leaves neither."""
+    x, y, z = vector
+    sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
+    return x * cosine - y * sine, x * sine + y * cosine, z
+
+
+def read_by_arducopter(setpoint: Setpoint, heading_rad: float) -> Target | Stop:
+    """Decode a setpoint as ArduCopter does in GUIDED."""
+    mask, is_global, frame = setpoint.type_mask, setpoint.is_global, setpoint.frame
+    position, velocity = not mask & IGNORE_POSITION, not mask & IGNORE_VELOCITY
+    asked = not mask & IGNORE_ACCELERATION
+    acceleration = asked and not (is_global and position and velocity)  # which has none
+    if (
+        (asked and (mask & _FORCE or (position and not velocity)))
+        or (velocity and not all(abs(v) <= _FASTEST_M_S for v in setpoint.velocity_ned_m_s))
+        or not (position or velocity or acceleration)
+        or not (is_global or frame in (_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED))
+    ):
+        return Stop()
+    yaw_rad = _NAN if mask & IGNORE_YAW else setpoint.yaw_rad
+    yaw_rate_rad_s = _NAN if mask & IGNORE_YAW_RATE else setpoint.yaw_rate_rad_s
+    used = [*(setpoint.position if position else ())]
+    used += [*(setpoint.acceleration_ned_m_s2 if acceleration else ())]
+    used += [] if mask & IGNORE_YAW else [yaw_rad]
+    used += [] if mask & IGNORE_YAW_RATE else [yaw_rate_rad_s]
+    if not all(map(math.isfinite, used)):
+        return Stop("SIM: setpoint not finite refused: aborts ArduPilot")
+    if position and max(map(abs, setpoint.position)) > _FARTHEST_M:
+        return Stop("SIM: setpoint too far refused: aborts ArduPilot")
+    if is_global and position:
+        latitude_deg, longitude_deg, _ = setpoint.position
+        unknown = height_amsl_m(frame, 0.0, 0.0) is None
+        wild = abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0
+        if unknown or wild or (frame in FRAMES_ABOVE_TERRAIN and velocity):
+            return Stop()
+    vectors: tuple[Vector, ...] = (
+        setpoint.position,
+        setpoint.velocity_ned_m_s,
+        setpoint.acceleration_ned_m_s2,
+    )
+    if not is_global and frame in (_BODY_NED, _BODY_OFFSET_NED):
+        vectors = tuple(turned(each, heading_rad) for each in vectors)
+        yaw_rad += heading_rad
+    return Target(
+        vectors[0] if position else NOTHING,
+        vectors[1] if velocity else NOTHING,
+        vectors[2] if acceleration else NOTHING,
+        yaw_rad,
+        yaw_rate_rad_s,
+        is_global,
+        frame,
+    )
+
+
+def read_by_px4(setpoint: Setpoint, heading_rad: float) -> Target | None:
+    """Decode a setpoint as PX4 does; None: it is dropped and does not count."""
+    mask, frame = setpoint.type_mask, setpoint.frame
+    position = _axes(setpoint.position, mask)
+    velocity = _axes(setpoint.velocity_ned_m_s, mask >> 3)
+    acceleration = _axes(setpoint.acceleration_ned_m_s2, mask >> 6)
+    if mask & _FORCE and any(map(math.isfinite, acceleration)):
+        return None
+    if setpoint.is_global:
+        if mask & IGNORE_POSITION:  # any ignored axis drops the position, whatever the frame
+            position = NOTHING
+        elif frame not in (FRAMES_AMSL[1], FRAMES_ABOVE_HOME[1], FRAMES_ABOVE_TERRAIN[1]):
+            return None
+        elif not all(map(math.isfinite, position[:2])):
+            position = NOTHING
+    elif frame == _BODY_NED and not any(map(math.isfinite, position)):
+        velocity, acceleration = turned(velocity, heading_rad), turned(acceleration, heading_rad)
+    elif frame != _LOCAL_NED:
+        return None
+    if not any(map(math.isfinite, position + velocity + acceleration)):
+        return None
+    yaw_rad = _NAN if mask & IGNORE_YAW else _finite(setpoint.yaw_rad)
+    rate_rad_s = _NAN if mask & IGNORE_YAW_RATE else _finite(setpoint.yaw_rate_rad_s)
+    return Target(position, velocity, acceleration, yaw_rad, rate_rad_s, setpoint.is_global, frame)
+
+
+def is_flyable(target: Target) -> bool:
+    """Whether PX4's position controller can fly it: all axes have something, north and east alike.
+
+    Otherwise it stays in OFFBOARD and brakes to a standstill ("Failsafe: stop and wait").
+    """
+    vectors = target[:3]
+    return all((v[0] == v[0]) == (v[1] == v[1]) for v in vectors) and all(
+        any(v[axis] == v[axis] for v in vectors) for axis in range(3)
+    )
+
+
+def _axes(vector: Vector, ignored: int) -> Vector:
+    """NaN for the axes whose bit is set, and for those that are not finite."""
+    x, y, z = vector
+    return (
+        _NAN if ignored & 1 else _finite(x),
+        _NAN if ignored & 2 else _finite(y),
+        _NAN if ignored & 4 else _finite(z),
+    )
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else _NAN
