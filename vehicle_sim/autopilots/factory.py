@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
+from vehicle_sim.autopilot import arduplane
+from vehicle_sim.autopilot.core import Autopilot
 from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
-from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
 from vehicle_sim.dynamics.battery import Model
@@ -36,7 +37,7 @@ _STEEPEST_CDEG = 8000.0
 class AutopilotVariant:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    autopilot: Callable[..., ArduCopter | ArduPlane | Px4Multicopter | Px4FixedWing]
+    autopilot: Callable[..., Autopilot | ArduCopter | Px4Multicopter | Px4FixedWing]
     """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
     does not have."""
     system_id: str
@@ -54,7 +55,7 @@ PERSONALITIES: Final = {
         ArduCopter, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
     ),
     ("ardupilot", "plane"): AutopilotVariant(
-        ArduPlane, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
+        arduplane.make, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
     ),
     ("px4", "copter"): AutopilotVariant(
         Px4Multicopter, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
