@@ -11,8 +11,8 @@ from vehicle_sim.autopilot.plane_control import (
     L1,
     HeightControl,
     eas_to_tas,
-    held_m_s,
-    indicated_m_s,
+    indicated_airspeed_m_s,
+    true_airspeed_m_s,
 )
 
 SPEED_M_S, STEP_S = 20.0, 0.02
@@ -158,5 +158,6 @@ def test_a_height_is_reached_as_a_limited_demand_through_a_lag() -> None:
 def test_airspeeds_are_those_measured_in_the_standard_atmosphere() -> None:
     for altitude_m, density_ratio in ((0.0, 1.0), (1000.0, 0.9075), (3000.0, 0.7423)):
         assert eas_to_tas(altitude_m) == pytest.approx(1.0 / math.sqrt(density_ratio), rel=1e-3)
-    for asked_m_s in (8.0, 18.0, 22.0, 29.0, 40.0):
-        assert indicated_m_s(held_m_s(asked_m_s)) == pytest.approx(asked_m_s)
+        for asked_m_s in (8.0, 18.0, 22.0, 29.0, 40.0):
+            true_m_s = true_airspeed_m_s(asked_m_s, altitude_m)
+            assert indicated_airspeed_m_s(true_m_s, altitude_m) == pytest.approx(asked_m_s)

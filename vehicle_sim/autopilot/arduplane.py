@@ -29,8 +29,8 @@ from vehicle_sim.autopilot.plane_control import (
     Way,
     bounded,
     eas_to_tas,
-    held_m_s,
-    indicated_m_s,
+    indicated_airspeed_m_s,
+    true_airspeed_m_s,
 )
 from vehicle_sim.autopilots import (
     Command,
@@ -358,29 +358,28 @@ class ArduPlaneFlight(ArduFlight):
         return self.autopilot.to_mode("AUTO")(command)
 
     def change_speed(self, command: Command) -> Result:
-        """DO_CHANGE_SPEED: airspeed within the limits; -2 restores the cruising speed."""
+        """DO_CHANGE_SPEED, in missions too; of speeds over the ground it takes no notice."""
         kind, speed_m_s = command.parameters[:2]
-        if self.autopilot.mode_name not in ("GUIDED", "AUTO") or kind not in (0.0, 1.0):
+        known = kind == 1.0 or self._may_fly(kind, speed_m_s)
+        if self.autopilot.mode_name not in ("GUIDED", "AUTO") or not known:
             return Result.FAILED
-        if kind == 0.0:
-            if speed_m_s != -2.0 and not self._may_fly(speed_m_s):
-                return Result.FAILED
-            self._cruise_m_s = None if speed_m_s == -2.0 else speed_m_s
+        self._cruise_m_s = speed_m_s if kind == 0.0 else self._cruise_m_s
         return Result.ACCEPTED
-
-    def _may_fly(self, airspeed_m_s: float) -> bool:
-        least, most = (self.autopilot.parameters[f"AIRSPEED_{of}"] for of in ("MIN", "MAX"))
-        return least <= airspeed_m_s <= most
 
     def _change_airspeed(self, command: Command) -> Result:
         """GUIDED_CHANGE_SPEED."""
         kind, speed_m_s = command.parameters[:2]
         if self.autopilot.mode_name != "GUIDED":
             return Result.FAILED
-        if kind != 0.0 or not self._may_fly(speed_m_s):
+        if not self._may_fly(kind, speed_m_s):
             return Result.DENIED
         self._airspeed_m_s = speed_m_s
         return Result.ACCEPTED
+
+    def _may_fly(self, kind: float, speed_m_s: float) -> bool:
+        """Whether it is an airspeed, and within the limits."""
+        least_m_s, most_m_s = (self.autopilot.parameters[f"AIRSPEED_{of}"] for of in ("MIN", "MAX"))
+        return kind == 0.0 and least_m_s <= speed_m_s <= most_m_s
 
     def _change_heading(self, command: Command) -> Result:
         """GUIDED_CHANGE_HEADING: a course over the ground, until there is a new point."""
@@ -460,13 +459,12 @@ class ArduPlaneFlight(ArduFlight):
         self._origin_due_s = self.autopilot.now_s + _ORIGIN_SAID_S
 
     def check(self) -> None:
-        """Where to, how high, how fast, and how to bank for it."""
+        """How fast and how high, where to, and how to bank for it."""
         autopilot, control = self.autopilot, self._control
         if autopilot.now_s >= self._origin_due_s:
             self._origin_due_s = math.inf
             autopilot.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
         self._choose_speed()
-        control.aim = None
         if not autopilot.estimator.ok or self._flies in ("glides", "cruises"):
             control.bank_rad = 0.0
         elif self._flies == "banks":
@@ -475,13 +473,23 @@ class ArduPlaneFlight(ArduFlight):
             self._navigate()
 
     def _choose_speed(self) -> None:
-        parameters = self.autopilot.parameters
+        """Airspeed, and the climb where that is no matter of height."""
+        parameters, control = self.autopilot.parameters, self._control
         slow = self._flies in ("glides", "cruises")
         wanted_m_s = parameters["AIRSPEED_MIN" if slow else "AIRSPEED_CRUISE"]
-        least, most = parameters["AIRSPEED_MIN"], parameters["AIRSPEED_MAX"]
-        self._demand_m_s = bounded(
-            self._airspeed_m_s or self._cruise_m_s or wanted_m_s, least, most
-        )
+        wanted_m_s = self._airspeed_m_s or self._cruise_m_s or wanted_m_s
+        least_m_s, most_m_s = parameters["AIRSPEED_MIN"], parameters["AIRSPEED_MAX"]
+        self._demand_m_s = bounded(wanted_m_s, least_m_s, most_m_s)
+        altitude_m = self.autopilot.estimate.altitude_amsl_m
+        control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
+        control.climb_m_s = None
+        if self._flies == "glides":
+            control.climb_m_s = -_GLIDE_M_S
+        elif self._climbing:
+            control.airspeed_m_s *= _CLIMB_AIRSPEED
+            control.climb_m_s = _CLIMB_M_S
+        elif self.lands and self._along() >= 1.0:
+            control.climb_m_s = -_LANDING_SINK_M_S
 
     def _navigate(self) -> None:
         """By itself: to its point, along the way or around it."""
@@ -492,12 +500,8 @@ class ArduPlaneFlight(ArduFlight):
                 self._aim_ahead(parameters["TKOFF_DIST"], parameters["TKOFF_ALT"])
         elif self._flies == "flies_mission":
             self._follow_mission()
-        if self._straight:
-            control.aim = Way(self._start, self._place)
-        else:
-            control.aim = Circle(self._place, self._circle_m())
-        control.steer()
-        control.aim = None
+        circle = Circle(self._place, self._circle_m())
+        control.steer(Way(self._start, self._place) if self._straight else circle)
         along = self._along()
         if not self._arrived and not self._straight and (control.l1.circling or along > 1.0):
             self._arrived = True
@@ -506,8 +510,15 @@ class ArduPlaneFlight(ArduFlight):
         control.height_amsl_m = self._place.altitude_amsl_m
         if not self._arrived and along < 1.0:
             control.height_amsl_m -= self._slope_m * (1.0 - max(along, 0.0))
+        if self._course_rad is not None:
+            velocity, most_rad = control.velocity, self._course_bank_rad
+            error_rad = self._course_rad - math.atan2(velocity.imag, velocity.real)
+            bank_rad = _HEADING_GAIN * math.remainder(error_rad, math.tau)
+            control.bank_rad = bounded(bank_rad, -most_rad, most_rad)
         if self._climbing:
             self._watch_climb()
+        elif control.climb_m_s is not None:
+            control.bank_rad = 0.0  # it lands
 
     def _along(self) -> float:
         """Share of the way from where it came from to where it goes; may be over 1."""
@@ -545,6 +556,7 @@ class ArduPlaneFlight(ArduFlight):
 
     def _end_climb(self) -> None:
         self._climbing, self._settling = False, True
+        self._choose_speed()
 
     # --- in each step -------------------------------------------------------------------------
 
@@ -558,37 +570,18 @@ class ArduPlaneFlight(ArduFlight):
         control.bank_most_rad = math.radians(min(abs(parameters["ROLL_LIMIT_DEG"]), 80.0))
 
     def steer(self, dt_s: float) -> None:
-        """The airspeed to aim at."""
-        del dt_s
-        thin = eas_to_tas(self.autopilot.estimate.altitude_amsl_m)
-        self._control.airspeed_m_s = held_m_s(self._demand_m_s) * thin
+        """It is steered ten times a second."""
 
     def move(self, dt_s: float) -> None:
         """In the air."""
-        plane, control = self._plane, self._control
+        plane, control, least_m_s = self._plane, self._control, -math.inf
         if plane.broken:
             plane.fall(dt_s)
             return
-        control.climb_m_s, least_m_s, throttle = None, -math.inf, 0.0
-        excess_m_s = plane.airspeed_m_s - control.airspeed_m_s - 1.0
-        self._settling = self._settling and excess_m_s > 0.0
-        if self._flies == "glides":
-            control.climb_m_s = -_GLIDE_M_S
-        elif self._climbing:
-            control.airspeed_m_s *= _CLIMB_AIRSPEED
-            control.climb_m_s, throttle = _CLIMB_M_S, 1.0
-        elif self.lands and self._along() >= 1.0:
-            control.bank_rad, control.climb_m_s = 0.0, -_LANDING_SINK_M_S
-        elif self._settling:
-            least_m_s = _EXCESS_CLIMB * excess_m_s
-        if self._course_rad is not None:
-            velocity, most_rad = control.velocity, self._course_bank_rad
-            error_rad = self._course_rad - math.atan2(velocity.imag, velocity.real)
-            bank_rad = _HEADING_GAIN * math.remainder(error_rad, math.tau)
-            control.bank_rad = bounded(bank_rad, -most_rad, most_rad)
+        if self._settling:
+            excess_m_s = plane.airspeed_m_s - control.airspeed_m_s - 1.0
+            self._settling, least_m_s = excess_m_s > 0.0, _EXCESS_CLIMB * excess_m_s
         control.advance(dt_s, at_least_m_s=least_m_s)
-        if control.climb_m_s is not None:
-            plane.throttle = throttle
 
     # --- on the ground ------------------------------------------------------------------------
 
@@ -596,7 +589,9 @@ class ArduPlaneFlight(ArduFlight):
         """Fast enough on the runway."""
         lift_off_m_s = _LIFT_OFF_SHARE * self._control.airspeed_m_s
         self._climbing = self._throttle > 0.0 and self._plane.airspeed_m_s >= lift_off_m_s
-        self._throttle = 0.0 if self._climbing else self._throttle
+        if self._climbing:
+            self._throttle = 0.0
+            self._choose_speed()
         return self._climbing
 
     def stand(self, ground_amsl_m: float, dt_s: float) -> None:
@@ -659,8 +654,8 @@ class ArduPlaneFlight(ArduFlight):
 
     def airspeed_m_s(self) -> float:
         """What the pitot tube measures: less than the true airspeed, as it is calibrated."""
-        thin = eas_to_tas(self.autopilot.estimate.altitude_amsl_m)
-        return indicated_m_s(self._plane.airspeed_m_s / thin)
+        altitude_m = self.autopilot.estimate.altitude_amsl_m
+        return indicated_airspeed_m_s(self._plane.airspeed_m_s, altitude_m)
 
     def unaided_ned_m(self) -> Vector | None:
         """About home, by another estimator, until this one flies for the first time."""

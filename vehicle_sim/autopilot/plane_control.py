@@ -32,14 +32,14 @@ def eas_to_tas(altitude_amsl_m: float) -> float:
     return ratio
 
 
-def held_m_s(demanded_m_s: float) -> float:
-    """ArduPlane's equivalent airspeed when it is asked for this one."""
-    return _interpolated(demanded_m_s, _DEMANDED_M_S, _HELD_M_S)
+def true_airspeed_m_s(demanded_m_s: float, altitude_amsl_m: float) -> float:
+    """What ArduPlane flies when it is asked for this airspeed."""
+    return _interpolated(demanded_m_s, _DEMANDED_M_S, _HELD_M_S) * eas_to_tas(altitude_amsl_m)
 
 
-def indicated_m_s(equivalent_m_s: float) -> float:
+def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
     """What its pitot tube says then: the inverse."""
-    return _interpolated(equivalent_m_s, _HELD_M_S, _DEMANDED_M_S)
+    return _interpolated(true_m_s / eas_to_tas(altitude_amsl_m), _HELD_M_S, _DEMANDED_M_S)
 
 
 def _interpolated(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> float:
@@ -200,8 +200,6 @@ class PlaneControl:
     def __init__(self, plane: Plane, estimate: Estimate) -> None:
         self._plane, self._estimate = plane, estimate
         self.l1, self.heights = L1(), HeightControl()
-        self.aim: Circle | Way | Line | None = None
-        """None: the bank stays."""
         self.height_amsl_m = 0.0
         self.climb_m_s: float | None = None
         """Instead of going to the height."""
@@ -223,12 +221,10 @@ class PlaneControl:
         """How far it is from a place."""
         return way_m(place, self._estimate.place)
 
-    def steer(self) -> None:
+    def steer(self, aim: Circle | Way | Line) -> None:
         """Bank for where it is to go."""
-        aim, l1, velocity = self.aim, self.l1, self.velocity
+        l1, velocity = self.l1, self.velocity
         match aim:
-            case None:
-                return
             case Circle():
                 lateral = l1.circle(self.off_m(aim.centre), aim.radius_m, velocity)
             case Way():
@@ -250,3 +246,5 @@ class PlaneControl:
         self._speed_m_s = max(self.airspeed_m_s, slower_m_s)
         bank_rad = bounded(self.bank_rad, -self.bank_most_rad, self.bank_most_rad)
         plane.advance(bank_rad, max(climb, at_least_m_s), self._speed_m_s, dt_s)
+        if self.climb_m_s is not None:
+            plane.throttle = 1.0 if self.climb_m_s > 0.0 else 0.0
