@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
+from vehicle_sim.autopilot import arducopter
+from vehicle_sim.autopilot.core import Autopilot
 from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
@@ -36,7 +37,7 @@ _STEEPEST_CDEG = 8000.0
 class AutopilotVariant:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    autopilot: Callable[..., ArduCopter | ArduPlane | Px4Multicopter | Px4FixedWing]
+    autopilot: Callable[..., Autopilot | ArduPlane | Px4Multicopter | Px4FixedWing]
     """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
     does not have."""
     system_id: str
@@ -51,7 +52,7 @@ class AutopilotVariant:
 
 PERSONALITIES: Final = {
     ("ardupilot", "copter"): AutopilotVariant(
-        ArduCopter, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
+        arducopter.make, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
     ),
     ("ardupilot", "plane"): AutopilotVariant(
         ArduPlane, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
