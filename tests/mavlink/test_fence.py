@@ -27,10 +27,10 @@ from companion.mission.mission import EndAction
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.zones import CircleZone, PolygonZone
+from vehicle_sim.autopilot.earth import FlatEarth, Projection
+from vehicle_sim.autopilot.guards import Fence as ArduPilotFence
+from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.fence import Fence as ArduPilotFence
-from vehicle_sim.autopilots.px4.mission import Fence as Px4Fence
-from vehicle_sim.autopilots.px4.setpoints import Projection
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.plans import PlanKind, Plans
 
@@ -93,13 +93,12 @@ def allowed_by_ardupilot(items: list[PlanItem], parameters: dict[str, float], at
     latitude, longitude = FRAME.to_geodetic_deg(*at)
     place = Place(latitude_deg=latitude, longitude_deg=longitude, altitude_amsl_m=HOME_M)
     home = Place(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1], altitude_amsl_m=HOME_M)
-    return fence.outside(place, home) == 0
+    return fence.outside(place, home, FlatEarth(home)) == 0
 
 
 def allowed_by_px4(items: list[PlanItem], at: tuple[float, float]) -> bool:
-    projection = Projection(*HOME_DEG)
-    fence = Px4Fence(as_stored(items))
-    return fence.allows(projection, *projection.to_local(*FRAME.to_geodetic_deg(*at)))
+    home, there = Place(*HOME_DEG, HOME_M), Place(*FRAME.to_geodetic_deg(*at), HOME_M)
+    return not Zones(as_stored(items)).forbid(Projection(home), there, union=True)
 
 
 def room_m(fence: Any, at: tuple[float, float]) -> float:

@@ -890,13 +890,6 @@ def beyond_an_exclusion() -> None:
     assert wire.mode == 6
 
 
-@says("4", "a velocity alone is stopped 1.8 m before the edge")
-def velocity_stops_before_the_edge() -> None:
-    wire = fenced(fence_circle(80, 0, 15))
-    assert stream_north(wire, 8.0, 40.0, VELOCITY) == pytest.approx(65.0 - 1.8, abs=0.6)
-    assert wire.mode == GUIDED
-
-
 @says("4", "passing 1 m outside the edge at 8 m/s: no reaction")
 def past_the_edge() -> None:
     wire = fenced(fence_circle(60, 20, 15))

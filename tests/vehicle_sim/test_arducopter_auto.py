@@ -5,8 +5,8 @@ import math
 import pytest
 from tracking_copter import GROUND_M, Flown
 
+from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.flat_earth import offset
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=GROUND_M)
@@ -16,7 +16,7 @@ AUTO = 3
 def item(
     command: int, north_m: float = 0.0, east_m: float = 0.0, z_m: float = 0.0, *p: float
 ) -> PlanItem:
-    place = offset(HOME, north_m, east_m)
+    place = FlatEarth(HOME).place(north_m, east_m, 0.0)
     p1, p2, p3, p4 = (*p, *[0.0] * (4 - len(p)))
     return PlanItem(
         frame=3,
@@ -58,7 +58,7 @@ def test_a_landing_item_comes_down_where_it_says() -> None:
     it.command(176, 1, 4)
     it.command(400, 1)
     it.command(300)
-    it.run_until(lambda: it.autopilot.landed_state() == 4, within_s=60.0)
+    it.run_until(lambda: it.autopilot.status().landed_state == 4, within_s=60.0)
     it.run_until(lambda: not it.autopilot.armed, within_s=60.0)
     assert it.local_m()[0] == pytest.approx(30.0, abs=1.0)
 
@@ -68,7 +68,7 @@ def test_the_current_item_can_be_set_and_the_mission_paused() -> None:
     it.command(176, 1, 4)
     it.command(400, 1)
     it.command(300)
-    it.run_until(lambda: it.autopilot.mission_current == 2, within_s=60.0)
+    it.run_until(lambda: it.autopilot.route.current == 2, within_s=60.0)
     assert it.command(224, 3) == 0
     it.run(10.0)
     assert it.local_m()[1] > 10.0

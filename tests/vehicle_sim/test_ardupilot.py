@@ -9,9 +9,9 @@ import pytest
 from pyproj import Geod
 from rig import Rig
 
+from vehicle_sim.autopilot import arducopter
+from vehicle_sim.autopilot.ardupilot import STREAMABLE
 from vehicle_sim.autopilots import Battery
-from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
-from vehicle_sim.autopilots.ardupilot.autopilot import STREAMABLE
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import ARDUCOPTER, Gps
@@ -55,7 +55,7 @@ class Pilot(Rig):
             "ANGLE_MAX": 8000.0,
         }
         rng = np.random.default_rng(1)
-        autopilot = ArduCopter(self.copter, parameters, Plans(), rng=rng)
+        autopilot = arducopter.make(self.copter, parameters, Plans(), rng=rng)
         super().__init__(autopilot, ground_amsl_m, Gps(ARDUCOPTER, rng))
 
     setpoint = functools.partialmethod(Rig.give, mask=2496, frame=5, is_global=True)
@@ -194,7 +194,7 @@ def test_brake_stops_and_ignores_setpoints() -> None:
     it.copter.velocity_north_m_s = 15.0
     it.command(176, 1, BRAKE)
     it.setpoint((47.1, 8.0, 500.0), (10.0, 0.0, 0.0))
-    it.run(5.0)
+    it.run(8.0)
     assert it.north_m() == pytest.approx(15.0**2 / (2 * 7.5), abs=3.0)
     at_m = it.north_m()
     it.run(5.0)

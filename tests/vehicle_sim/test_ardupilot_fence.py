@@ -2,22 +2,22 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tracking_copter import Flown
 
+from vehicle_sim.autopilot.earth import FlatEarth
+from vehicle_sim.autopilot.guards import Fence
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.fence import Fence, edge_m
-from vehicle_sim.autopilots.ardupilot.flat_earth import offset
-from vehicle_sim.plans import PlanItem, PlanKind, Zone, zones_of
+from vehicle_sim.plans import PlanItem, PlanKind, Zone
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=500.0)
+EARTH = FlatEarth(HOME)
 
 
 def circle(north_m: float, east_m: float, radius_m: float, command: int = 5004) -> PlanItem:
-    place = offset(HOME, north_m, east_m)
+    place = EARTH.place(north_m, east_m, 0.0)
     return PlanItem(
         frame=0,
         command=command,
@@ -28,7 +28,7 @@ def circle(north_m: float, east_m: float, radius_m: float, command: int = 5004) 
 
 
 def polygon(command: int, *corners_m: tuple[float, float]) -> tuple[PlanItem, ...]:
-    places = [offset(HOME, *corner) for corner in corners_m]
+    places = [EARTH.place(*corner, 0.0) for corner in corners_m]
     return tuple(
         PlanItem(
             frame=0,
@@ -67,20 +67,6 @@ def test_inside_is_a_winding_number_that_is_not_zero_for_convex_polygons(
     assert fence.surrounds((north, east)) == (abs(turned) > math.pi)
 
 
-def test_the_distance_to_an_edge_is_that_of_many_points_on_it() -> None:
-    corners = ((0.0, 0.0), (80.0, 10.0), (60.0, 90.0), (-20.0, 70.0))
-    (fence,) = zones_of(polygon(5001, *corners))
-    place = offset(HOME, 25.0, 30.0)
-    points = np.concatenate(
-        [
-            np.linspace(a, b, 20_000)
-            for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)
-        ]
-    )
-    nearest_m = np.hypot(points[:, 0] - 25.0, points[:, 1] - 30.0).min()
-    assert edge_m(fence, place) == pytest.approx(nearest_m, abs=0.05)
-
-
 @pytest.mark.parametrize(
     ("kinds", "place", "found"),
     [
@@ -100,7 +86,8 @@ def test_each_kind_of_fence_is_where_its_parameters_say(
     it = Flown(FENCE_ENABLE=1.0, FENCE_TYPE=float(kinds))
     it.autopilot.plans[PlanKind.FENCE] = (circle(100.0, 0.0, 10.0),)
     fence = Fence(it.autopilot.parameters, it.autopilot.plans)
-    assert fence.outside(offset(HOME, *place), HOME) == found
+    north_m, east_m, up_m = place
+    assert fence.outside(EARTH.place(north_m, east_m, -up_m), HOME, EARTH) == found
 
 
 @pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (2, "LAND")])

@@ -167,16 +167,16 @@ def test_a_receiver_that_is_late_makes_everything_late() -> None:
     it = Recorded()
     it.silent = True
     it.run(30.0)
-    assert it.autopilot.ekf.origin is None
+    assert it.autopilot.estimator.origin is None
     it.silent = False
     it.run(9.5)
-    assert it.autopilot.ekf.origin is None
+    assert it.autopilot.estimator.origin is None
     it.run(1.0)
-    assert it.autopilot.ekf.origin is not None
+    assert it.autopilot.estimator.origin is not None
     it.run(21.0)
-    assert not it.autopilot.ekf.aiding
+    assert not it.autopilot.estimator.aiding
     it.run(1.0)
-    assert it.autopilot.ekf.aiding
+    assert it.autopilot.estimator.aiding
 
 
 @pytest.mark.parametrize("kind", ["copter", "plane"])

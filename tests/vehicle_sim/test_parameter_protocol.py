@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import arduplane
+from vehicle_sim.autopilot import arducopter, arduplane
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
-from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
 from vehicle_sim.autopilots.px4.autopilot import parameter_rows
 from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
@@ -423,13 +422,17 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
 @pytest.mark.parametrize(
     ("table", "name", "words"),
     [
-        (ArduCopter.TABLE, "SYSID_THISMAV", "It is called MAV_SYSID here."),
-        (ArduCopter.TABLE, "SYSID_MYGCS", "It is called MAV_GCS_SYSID here."),
-        (ArduCopter.TABLE, "SR0_POSITION", "It is called MAV1_POSITION here."),
-        (ArduCopter.TABLE, "SR1_EXTRA1", "It is called MAV2_EXTRA1 here."),
-        (ArduCopter.TABLE, "SR2_EXTRA1", "MAV2_EXTRA1 here, for the second link; the others have"),
-        (ArduCopter.TABLE, "WP_SPD_DN", "It is called WPNAV_SPEED_DN here, in cm/s."),
-        (ArduCopter.TABLE, "MAV_SYS_ID", "It is called MAV_SYSID here."),
+        (arducopter.FIRMWARE.table, "SYSID_THISMAV", "It is called MAV_SYSID here."),
+        (arducopter.FIRMWARE.table, "SYSID_MYGCS", "It is called MAV_GCS_SYSID here."),
+        (arducopter.FIRMWARE.table, "SR0_POSITION", "It is called MAV1_POSITION here."),
+        (arducopter.FIRMWARE.table, "SR1_EXTRA1", "It is called MAV2_EXTRA1 here."),
+        (
+            arducopter.FIRMWARE.table,
+            "SR2_EXTRA1",
+            "MAV2_EXTRA1 here, for the second link; the others have",
+        ),
+        (arducopter.FIRMWARE.table, "WP_SPD_DN", "It is called WPNAV_SPEED_DN here, in cm/s."),
+        (arducopter.FIRMWARE.table, "MAV_SYS_ID", "It is called MAV_SYSID here."),
         (arduplane.FIRMWARE.table, "TRIM_ARSPD_CM", "It is called AIRSPEED_CRUISE here, in m/s."),
         (arduplane.FIRMWARE.table, "FS_GCS_ENABLE", "It is called FS_GCS_ENABL here."),
         (parameter_rows(*Px4Multicopter.TABLES), "SYSID_THISMAV", "It is called MAV_SYS_ID here."),
@@ -438,8 +441,8 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
             "COM_OBL_ACT",
             "It is called COM_OBL_RC_ACT here.",
         ),
-        (ArduCopter.TABLE, "GUID_TIMEOUTS", "Did you mean GUID_TIMEOUT?"),
-        (ArduCopter.TABLE, "QQQQQQQQ", "Leave it out."),
+        (arducopter.FIRMWARE.table, "GUID_TIMEOUTS", "Did you mean GUID_TIMEOUT?"),
+        (arducopter.FIRMWARE.table, "QQQQQQQQ", "Leave it out."),
     ],
 )
 def test_names_of_other_releases_are_told_by_the_one_of_here(
@@ -451,7 +454,7 @@ def test_names_of_other_releases_are_told_by_the_one_of_here(
 
 
 def test_every_name_of_another_release_is_known_by_its_new_one_somewhere() -> None:
-    rows = {row.name for row in (*ArduCopter.TABLE, *arduplane.FIRMWARE.table)}
+    rows = {row.name for row in (*arducopter.FIRMWARE.table, *arduplane.FIRMWARE.table)}
     rows |= {row.name for t in (Px4Multicopter, Px4FixedWing) for row in parameter_rows(*t.TABLES)}
     for was, now, *_ in RENAMED:
         pattern = now.replace("\\1", r"\w+")

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from rig import STEP_S, Rig
 
-from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
-from vehicle_sim.autopilots.ardupilot.flat_earth import flat_earth_place
+from vehicle_sim.autopilot import arducopter
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.geodesy import metres_per_degree
 from vehicle_sim.plans import Plans
@@ -71,7 +70,7 @@ class Flown(Rig):
             drag_1_m=DRAG_1_M,
         )
         rng = np.random.default_rng(1)
-        autopilot = ArduCopter(self.copter, parameters, Plans(), rng=rng)
+        autopilot = arducopter.make(self.copter, parameters, Plans(), rng=rng)
         super().__init__(autopilot, GROUND_M)
         self.wind_m_s = (0.0, 0.0)
 
@@ -94,9 +93,7 @@ class Flown(Rig):
         """In LOCAL_NED, or as GLOBAL_INT above home."""
         position, frame, is_global = ned_m, 1, kind.startswith("GLOBAL")
         if is_global:
-            origin = self.autopilot.ekf.origin
-            assert origin is not None
-            there = flat_earth_place(origin, ned_m)
+            there = self.autopilot.frame.place(*ned_m)
             position, frame = (there.latitude_deg, there.longitude_deg, -ned_m[2]), 6
         self.give(
             position,
@@ -117,7 +114,7 @@ class Flown(Rig):
         self.run(42.5)
         assert [self.command(176, 1, GUIDED), self.command(400, 1)] == [0, 0]
         assert self.command(22, 0, 0, 0, 0, 0, 0, height_m) == 0
-        self.run_until(lambda: self.autopilot.landed_state() == 2, within_s=1000.0)
+        self.run_until(lambda: self.autopilot.status().landed_state == 2, within_s=1000.0)
         self.run(3.0)
         return self
 

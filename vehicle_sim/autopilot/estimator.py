@@ -290,7 +290,7 @@ class Estimator:
             self._judge(now_s - self._refused_s, fix)
         elif state is State.GLITCH and now_s >= self._calm_s:
             self._be(State.GOOD)
-        if silent_s > _DRIFTS_S and self.state is not State.START:
+        if now_s - self.used_s > _DRIFTS_S and self.state is not State.START:
             if not self._drifts:
                 self._drifts, self._climb_m_s = True, timing.sink_m_s
                 self._rate = self._drift * (timing.drift_m_s + timing.drift_m_s2 * silent_s)

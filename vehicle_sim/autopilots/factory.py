@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.autopilot import arduplane
+from vehicle_sim.autopilot import arducopter, arduplane
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
 from vehicle_sim.dynamics.battery import Model
@@ -37,7 +36,7 @@ _STEEPEST_CDEG = 8000.0
 class AutopilotVariant:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    autopilot: Callable[..., Autopilot | ArduCopter | Px4Multicopter | Px4FixedWing]
+    autopilot: Callable[..., Autopilot | Px4Multicopter | Px4FixedWing]
     """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
     does not have."""
     system_id: str
@@ -52,7 +51,7 @@ class AutopilotVariant:
 
 PERSONALITIES: Final = {
     ("ardupilot", "copter"): AutopilotVariant(
-        ArduCopter, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
+        arducopter.make, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
     ),
     ("ardupilot", "plane"): AutopilotVariant(
         arduplane.make, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
