@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.dialect import Prepared, make
+from vehicle_sim.wire.frames import Prepared, make
 
 AUTOPILOT_COMPONENT = 1
 DO_SET_MODE = 176

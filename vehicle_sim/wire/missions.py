@@ -35,7 +35,7 @@ from vehicle_sim.plans import (
     PlanItem,
     PlanKind,
 )
-from vehicle_sim.wire.dialect import make
+from vehicle_sim.wire.frames import make
 
 _FLOWN: Final = frozenset({16, 17, 19, 20, 21, 22})
 """What missions may do: WAYPOINT, LOITER_UNLIM and _TIME, RETURN_TO_LAUNCH, LAND, TAKEOFF.  Of what
