@@ -218,14 +218,10 @@ def _fitted(values: Sequence[Any], form: str) -> list[Any]:
 class Packer:
     """Messages of one component on one link into MAVLink 2 frames, numbered in sequence."""
 
-    def __init__(self, system: int, component: int) -> None:
-        self.signer: LinkSigner | None = None
-        """While it is active, everything is signed."""
+    def __init__(self, system: int, component: int, signer: LinkSigner | None = None) -> None:
         self._system, self._component = system, component
-        self._sequence = 0
-
-    def restart(self) -> None:
-        """Begin the sequence numbers again."""
+        self._signer = signer
+        """While it has a secret, everything is signed."""
         self._sequence = 0
 
     def frame(self, message: Any) -> bytes:
@@ -234,8 +230,8 @@ class Packer:
         self._sequence = (sequence + 1) & 255
         layout, payload = message if type(message) is Prepared else prepared(message)
         payload = payload.rstrip(b"\0") or b"\0"
-        number, signer = layout.number, self.signer
-        signed = signer is not None and signer.active
+        number, signer = layout.number, self._signer
+        signed = signer is not None and signer.secret != b""
         body = (
             _HEAD.pack(
                 *(_MARKER_2, len(payload), _SIGNED if signed else 0, 0, sequence),
