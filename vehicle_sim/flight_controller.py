@@ -6,7 +6,7 @@ one on the same radio.
 
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, final
+from typing import Any, Final, final
 
 from vehicle_sim.autopilots import (
     Ack,
@@ -22,7 +22,7 @@ from vehicle_sim.autopilots import (
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
-from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
+from vehicle_sim.wire import messages, telemetry_ardupilot, telemetry_px4
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
@@ -34,17 +34,11 @@ from vehicle_sim.wire.streams import Streams
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
 _RANGES = (DISTANCE_SENSOR, RANGEFINDER)
 _CURRENT_MODE_US = 500_000
-_FIXED_WING, _GROUND_STATION = 1, 6
+_GROUND_STATION = 6
 _SET_MODE = 11
+_BUILDERS: Final = {"ardupilot": telemetry_ardupilot.MESSAGES, "px4": telemetry_px4.MESSAGES}
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
-_STREAM_PARAMETERS = {
-    2: "EXT_STAT",
-    6: "POSITION",
-    10: "EXTRA1",
-    11: "EXTRA2",
-    12: "EXTRA3",
-}
 
 
 @final
@@ -72,8 +66,8 @@ class FlightController:
         """None: PX4, which has no proximity sensors here."""
         self._radio, self._on_text = radio, on_text
         self.now_us = boot_us
-        self._is_px4 = is_px4 = profile.firmware == "px4"
-        self._messages = (telemetry_px4 if is_px4 else telemetry_ardupilot).MESSAGES
+        self._firmware = profile.firmware
+        self._builders = _BUILDERS[profile.firmware]
         self._parameter_protocol = ParameterProtocol(autopilot)
         self._mission_protocol = Missions(autopilot)
         self.transfers = False
@@ -81,13 +75,10 @@ class FlightController:
         self._ground_stations = set[int]()
         self._texts = 0
         """So many have been said: the number of one that takes several messages."""
-        self._told: dict[int, tuple[int, int | None, int]] = {}
-        """Newest CURRENT_MODE of each link: mode, intended mode and when."""
-        self.streams = Streams(profile)
+        self._mode_told: dict[int, tuple[Any, int]] = {}
+        """Newest CURRENT_MODE of each link, and when that was."""
+        self.streams = Streams(profile, self.parameters)
         for link in radio.links:
-            for group, name in self._rates_of(link):
-                if self.parameters[name] != self.parameters.row(name).default:
-                    self.streams.set_default(link, group, self.parameters[name])
             self.streams.open(link, boot_us)
         self.report = Report(
             autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
@@ -112,35 +103,32 @@ class FlightController:
             if number == _POSITION and link == 0:
                 positioned = True
             said = built.get(number)
-            if said is None or number in _RANGES:
-                said = built[number] = self._said(number, link)
-            if number != _CURRENT_MODE or (said and not self._told_already(link, now_us)):
+            if said is None:
+                said = built[number] = self._said(number)
+            if number != _CURRENT_MODE or self._is_news(said, link, now_us):
                 for message in said:
                     self._radio.send(message, link)
         return positioned
 
-    def _said(self, number: int, link: int) -> Sequence[Any]:
-        """What there is to say by this number on this link now."""
+    def _said(self, number: int) -> Sequence[Any]:
+        """What there is to say by this number now."""
         if number in _RANGES:
             if self.ranging is not None:
                 self.ranging.rangefinder_off = self.rangefinder_off
-                return self.ranging.messages(number, link, self.now_us - self.boot_us)
+                return self.ranging.messages(number, self.now_us - self.boot_us)
             if self.rangefinder_off:  # of PX4 there is only the one that looks down
                 return ()
-        build = self._messages.get(number)
+        build = self._builders.get(number)
         message = build(self.report) if build else None
         return () if message is None else (message,)
 
-    def _told_already(self, link: int, now_us: int) -> bool:
+    def _is_news(self, mode: Any, link: int, now_us: int) -> bool:
         """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
-        status = self.report.status
-        mode, intended, told_us = self._told.get(link, (-1, None, 0))
-        if (mode, intended) == (status.mode, status.intended_mode) and (
-            now_us - told_us < _CURRENT_MODE_US
-        ):
-            return True
-        self._told[link] = (status.mode, status.intended_mode, now_us)
-        return False
+        told, told_us = self._mode_told.get(link, (None, 0))
+        if told == mode and now_us - told_us < _CURRENT_MODE_US:
+            return False
+        self._mode_told[link] = (mode, now_us)
+        return True
 
     def send_heartbeat(self) -> None:
         """Send a heartbeat now: whoever hears it may ask for more."""
@@ -166,7 +154,7 @@ class FlightController:
                 case SendTelemetry():
                     self._send(reply.message, reply.to)
                 case SendMessage():
-                    self._deliver(reply.message, reply.to)
+                    self._deliver((reply.message,), reply.to)
                 case Reboot():
                     self.wants_reboot = True
                 case None:
@@ -174,23 +162,19 @@ class FlightController:
 
     def _send(self, number: int, to: Sender | None) -> None:
         """Send the message of this number, if it has data."""
-        if number not in _RANGES:
-            self._renew_report()
-        for link in self._radio.links if to is None else (to.link,):
-            for message in self._said(number, link):
-                self._radio.send(message, link)
+        self._renew_report()
+        self._deliver(self._said(number), to)
 
-    def _deliver(self, message: Any, to: Sender | None) -> None:
-        if to is None:
-            self._radio.broadcast(message)
-        else:
-            self._radio.send(message, to.link)
+    def _deliver(self, said: Sequence[Any], to: Sender | None) -> None:
+        for link in self._radio.links if to is None else (to.link,):
+            for message in said:
+                self._radio.send(message, link)
 
     def _say(self, text: Text) -> None:
         """PX4 says it on links with a ground station, ArduPilot where anybody was heard."""
-        self._texts = self._texts % 0xFFFF + 1
+        self._texts, is_px4 = self._texts % 0xFFFF + 1, self._firmware == "px4"
         for link in self._radio.links:
-            if link in self._ground_stations if self._is_px4 else self._radio.router.heard(link):
+            if link in self._ground_stations if is_px4 else self._radio.router.heard(link):
                 for message in messages.texts(text, self._texts):
                     self._radio.send(message, link)
         self._on_text(text)
@@ -205,12 +189,12 @@ class FlightController:
     def receive(self, message: Any, sender: Sender, now_us: int) -> None:
         """Handle a message that is for the autopilot."""
         self.now_us = now_us
-        self.answer(self._replies(message, sender, message.get_type()))
+        self.answer(self._replies(message, sender, now_us - self.boot_us))
 
-    def _replies(self, message: Any, sender: Sender, name: str) -> Iterable[Reply | None]:
-        autopilot, is_px4 = self.autopilot, self._is_px4
-        since_boot_us = self.now_us - self.boot_us
-        match name:
+    def _replies(self, message: Any, sender: Sender, us: int) -> Iterable[Reply | None]:
+        """What becomes of each kind of message, so many us after the boot."""
+        autopilot, firmware, signing = self.autopilot, self._firmware, self._radio.signing
+        match message.get_type():
             case "HEARTBEAT":
                 if message.type == _GROUND_STATION:
                     self._ground_stations.add(sender.link)
@@ -219,51 +203,34 @@ class FlightController:
                 setpoint = messages.setpoint(message)
                 return () if self.setpoints_ignored else autopilot.on_setpoint(setpoint)
             case "TIMESYNC" if message.tc1 == 0:
-                said = messages.time_sync(since_boot_us * 1000, message.ts1, sender)
+                said = messages.time_sync(us * 1000, message.ts1, sender)
                 return (SendMessage(message=said, to=sender),)
             case "OBSTACLE_DISTANCE" if self.ranging is not None:
-                self.ranging.proximity.on_obstacle_distance(message, since_boot_us)
+                self.ranging.proximity.on_obstacle_distance(message, us)
             case "COMMAND_LONG" | "COMMAND_INT":
                 command = messages.command(message, sender)
                 if command.number in STREAM_COMMANDS:
                     return self.streams.on_command(command, self.now_us)
                 return autopilot.on_command(command)
             case "SET_MODE":
-                command = messages.mode_command(message, sender, autopilot.profile.firmware)
-                replies = autopilot.on_command(command)
-                return replies if is_px4 else map(_as_set_mode, replies)
+                replies = autopilot.on_command(messages.mode_command(message, sender, firmware))
+                return replies if firmware == "px4" else map(_as_set_mode, replies)
             case "REQUEST_DATA_STREAM":
-                self._on_data_stream(message, sender.link)
+                self.streams.on_data_stream(message, sender.link, self.now_us)
             case "PARAM_REQUEST_READ" | "PARAM_REQUEST_LIST" | "PARAM_SET":
                 self.transfers = True
                 return self._parameter_protocol.on_message(message, sender, self.now_us)
-            case _ if message.get_msgId() in MISSION:
+            case name if name in MISSION:
                 self.transfers = True
                 return self._mission_protocol.on_message(message, sender, self.now_us)
-            case "SETUP_SIGNING" if self._radio.signing is not None:
-                return (self._radio.signing.setup(message, armed=autopilot.armed),)
+            case "SETUP_SIGNING" if signing is not None:
+                return (signing.setup(message, armed=autopilot.armed),)
             case "FILE_TRANSFER_PROTOCOL":
-                return (ftp.answer(message, sender),)
+                answer = messages.no_files(message, sender)
+                return () if answer is None else (SendMessage(message=answer, to=sender),)
             case _:
                 pass
         return ()
-
-    def _on_data_stream(self, message: Any, link: int) -> None:
-        """ArduPilot keeps the rate as a parameter; a plane over a reboot too.
-
-        Source: GCS_MAVLINK::handle_request_data_stream, persist_streamrates().
-        """
-        self.streams.on_data_stream(message, link, self.now_us)
-        rate_hz = message.req_message_rate if message.start_stop else 0
-        parameters, persists = self.parameters, self.autopilot.profile.vehicle_type == _FIXED_WING
-        for group, name in self._rates_of(link):
-            if message.req_stream_id in (0, group):
-                (parameters.__setitem__ if persists else parameters.set_until_reboot)(name, rate_hz)
-
-    def _rates_of(self, link: int) -> list[tuple[int, str]]:
-        """Groups of REQUEST_DATA_STREAM, and the parameter that has the default rate of each."""
-        names = ((g, f"MAV{link + 1}_{part}") for g, part in _STREAM_PARAMETERS.items())
-        return [(group, name) for group, name in names if name in self.parameters]
 
 
 def _as_set_mode(reply: Reply) -> Reply:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, final
 
 from vehicle_sim.errors import InputError
-from vehicle_sim.wire.frames import datagrams
 
+_DATAGRAM_BYTES = 1400
+"""Of one that is sent: it passes through every network in one piece."""
 _LARGEST_DATAGRAM_BYTES = 65535
 _LAST_PORT = 65535
 _MAX_PEERS = 16
@@ -151,6 +152,16 @@ class Link(ABC):
     def close(self) -> None:
         """Close the sockets."""
         self._socket.close()
+
+
+def datagrams(frames: Sequence[bytes]) -> list[bytes]:
+    """Frames in order, as many to a datagram as fit."""
+    packed = [b""]
+    for frame in frames:
+        if len(packed[-1]) + len(frame) > _DATAGRAM_BYTES:
+            packed.append(b"")
+        packed[-1] += frame
+    return [each for each in packed if each]
 
 
 def open_link(endpoint: Endpoint) -> Link:

@@ -90,6 +90,8 @@ class Jumps:
 # --- the zones that a fence list draws ------------------------------------------------------------
 
 POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004
+FENCE_COMMANDS = frozenset({5000, POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT})
+"""With that of a return point, which draws no zone."""
 Point = tuple[float, float]
 """In whichever plane a firmware looks at its fence."""
 
@@ -115,25 +117,41 @@ class Zone(NamedTuple):
         return inside
 
 
+def _parts(items: Sequence[PlanItem]) -> Iterator[Sequence[PlanItem]]:
+    """Zone by zone: a circle is one item, a polygon as many as its first one says."""
+    at = 0
+    while at < len(items):
+        size = items[at].parameters[0] if items[at].command in (POLYGON_IN, POLYGON_OUT) else 1.0
+        count = max(int(size), 1) if math.isfinite(size) else 1
+        yield items[at : at + count]
+        at += count
+
+
+def is_whole_fence(items: Sequence[PlanItem]) -> bool:
+    """Whether each polygon has all its corners, and each circle a radius."""
+    for part in _parts(items):
+        command, size = part[0].command, part[0].parameters[0]
+        if command in (CIRCLE_IN, CIRCLE_OUT) and not size > 0.0:
+            return False
+        if command in (POLYGON_IN, POLYGON_OUT) and (
+            not 3.0 <= size < len(part) + 1.0 or any(each.command != command for each in part)
+        ):
+            return False
+    return True
+
+
 def zones_of(
     items: Sequence[PlanItem], point: Callable[[float, float], Point] = lambda *degrees: degrees
 ) -> tuple[Zone, ...]:
     """The zones, their corners put where `point` does (by latitude and longitude in degrees)."""
     zones: list[Zone] = []
-    index = 0
-    while index < len(items):
-        item, count = items[index], 1
-        first = item.parameters[0]
-        if item.command in (POLYGON_IN, POLYGON_OUT) and math.isfinite(first):
-            count = max(int(first), 1)
-            vertices = items[index : index + count]
-            corners = tuple(point(vertex.x * 1e-7, vertex.y * 1e-7) for vertex in vertices)
-            if len(corners) >= 3:
-                zones.append(Zone(item.command == POLYGON_IN, corners))
-        elif item.command in (CIRCLE_IN, CIRCLE_OUT) and first > 0.0:
-            centre = point(item.x * 1e-7, item.y * 1e-7)
-            zones.append(Zone(item.command == CIRCLE_IN, (centre,), first))
-        index += count
+    for part in _parts(items):
+        command, radius_m = part[0].command, part[0].parameters[0]
+        corners = tuple(point(item.x * 1e-7, item.y * 1e-7) for item in part)
+        if command in (POLYGON_IN, POLYGON_OUT) and len(corners) >= 3:
+            zones.append(Zone(command == POLYGON_IN, corners))
+        elif command in (CIRCLE_IN, CIRCLE_OUT) and radius_m > 0.0:
+            zones.append(Zone(command == CIRCLE_IN, corners, radius_m))
     return tuple(zones)
 
 

@@ -360,7 +360,7 @@ def told(distances: dict[int, int], **fields: Any) -> Any:
 def heard(message: Any) -> dict[int, int]:
     proximity = Proximity(BY_MAVLINK)
     proximity.on_obstacle_distance(message, 1_000_000)
-    return {m.orientation: m.current_distance for m in proximity.messages(0, 1_100_000)}
+    return {m.orientation: m.current_distance for m in proximity.messages(1_100_000)}
 
 
 def test_with_angle_offset_0_the_wall_straight_ahead_is_lost() -> None:
@@ -373,11 +373,11 @@ def test_what_says_nothing_is_not_read_and_precision_is_a_centimetre_cut_off() -
     assert heard(told({9: 0, 18: NOT_KNOWN, 27: 20, 36: 2001})) == {}
     proximity = Proximity(BY_MAVLINK)
     proximity.on_obstacle_distance(told({18: 583}), 0)
-    (message,) = proximity.messages(0, 100_000)
+    (message,) = proximity.messages(100_000)
     assert message.min_distance == 29
     assert message.current_distance in (582, 583)
-    assert not proximity.messages(0, 600_000)  # lost after half a second
-    assert not Proximity(RPLIDAR).messages(0, 0)
+    assert not proximity.messages(600_000)  # lost after half a second
+    assert not Proximity(RPLIDAR).messages(0)
     assert heard(told({18: 583}, increment_f=math.nan)) == {}
 
 

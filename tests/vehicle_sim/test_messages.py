@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink import mavftp_op
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
@@ -118,3 +119,30 @@ def test_a_text_that_does_not_fit_goes_on_in_chunks_to_a_zero_byte(length: int) 
     assert {chunk.id for chunk in chunks} == {7}
     assert [len(chunk.text) for chunk in chunks[:-1]] == [50] * (len(chunks) - 1)
     assert len(chunks[-1].text) < 50  # a zero byte ends it
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def asked_for_a_file(opcode: int, data: bytes = b"") -> Any:
+    """In the layout of pymavlink's own client."""
+    operation = mavftp_op.FTP_OP(7, 3, opcode, len(data), 0, 0, 11, bytearray(data))
+    payload = list(bytes(operation.pack()).ljust(251, b"\0"))
+    return sent(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload))
+
+
+@pytest.mark.parametrize(
+    ("opcode", "data", "answer"),
+    [
+        (4, b"@PARAM/param.pck?withdefaults=1", (8, 3, 129, 1, 4, 10)),  # not found
+        (15, b"", (8, 3, 129, 1, 15, 10)),
+        (2, b"", (8, 3, 128, 0, 2, 0)),  # sessions can be ended
+    ],
+)
+def test_there_are_no_files(opcode: int, data: bytes, answer: tuple[int, ...]) -> None:
+    said = messages.no_files(asked_for_a_file(opcode, data), ANYBODY)
+    assert said is not None
+    got = sent(said)
+    assert (got.target_system, got.target_component) == (255, 190)
+    assert struct.unpack_from("<HBBBB6xB", bytes(got.payload)) == answer
+    assert messages.no_files(asked_for_a_file(129), ANYBODY) is None  # that is an answer

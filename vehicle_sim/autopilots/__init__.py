@@ -142,7 +142,7 @@ class SendTelemetry:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SendMessage:
-    """Send this message (wire/dialect.py): to one client, or to every link."""
+    """Send this message (wire/frames.py): to one client, or to every link."""
 
     message: Any
     to: Sender | None = None

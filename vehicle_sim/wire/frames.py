@@ -1,18 +1,19 @@
 """Bytes to messages and back: parsing that survives anything, packing, and the sequence numbers.
 
-What the messages mean is in messages.py.  Telemetry is made in telemetry.py.
+pymavlink's dialect `all` says what there is, and reads.  What the messages mean is elsewhere.
 """
 
 import math
 import re
 import struct
-from collections.abc import Sequence
-from typing import Any, final
+from collections.abc import Callable, Sequence
+from functools import cache
+from operator import itemgetter
+from typing import Any, Final, NamedTuple, final
 
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.wire.dialect import Layout, Prepared, layout_of
 from vehicle_sim.wire.signing import LinkSigner
 
 DATAGRAM_BYTES = 1400
@@ -23,7 +24,9 @@ _SIGNED = 0x01
 _HEAD = struct.Struct("<BBBBBBBHB")
 """Marker, length, two flag bytes, sequence, system, component, message number in 24 bits."""
 _INT32_MAX = 2**31 - 1
+_LARGEST_FLOAT = 3.4028234663852886e38
 _find_marker = re.compile(rb"[\xfd\xfe]").search
+_reader = mavlink.MAVLink(None)
 
 
 # --- in -------------------------------------------------------------------------------------------
@@ -59,37 +62,23 @@ class StreamParser:
                 break
             frame = data[at:end]
             at += 1
-            is_2 = frame[0] == _MARKER_2
-            if end > size or (is_2 and frame[2] & ~_SIGNED):
+            if end > size or (frame[0] == _MARKER_2 and frame[2] & ~_SIGNED):
                 continue
-            kind = mavlink.mavlink_map.get(
-                int.from_bytes(frame[7:10], "little") if is_2 else frame[5]
-            )
-            if kind is None:
+            if number_of(frame) not in mavlink.mavlink_map:
                 # its checksum cannot be checked: believe its length only if a frame follows
                 at = end if end == size or data[end] in (_MARKER_1, _MARKER_2) else at
-            elif (message := _read(frame, layout_of(kind))) is not None:
-                found.append((frame, message))
-                at = end
+                continue
+            try:
+                found.append((frame, _reader.decode(bytearray(frame))))
+            except mavlink.MAVError:
+                continue
+            at = end
         return found
 
 
-def _read(frame: bytes, layout: Layout) -> Any:
-    """The message of a frame, with its header; None if the frame is not intact."""
-    begin = _HEADER_2 if frame[0] == _MARKER_2 else _HEADER_1
-    end = begin + frame[1]
-    if mcrf4xx(frame[1:end] + layout.crc_extra) != frame[end] | frame[end + 1] << 8:
-        return None
-    message = layout.message(frame[begin:end])
-    header = message.get_header()
-    header.mlen = frame[1]
-    if begin == _HEADER_2:
-        header.incompat_flags, header.compat_flags, *source = frame[2:7]
-    else:
-        source = [*frame[2:5]]
-    header.seq, header.srcSystem, header.srcComponent = source
-    message._msgbuf = frame
-    return message
+def number_of(frame: bytes) -> int:
+    """Which message it is."""
+    return int.from_bytes(frame[7:10], "little") if frame[0] == _MARKER_2 else frame[5]
 
 
 def _end_of_frame(data: bytes, at: int) -> int:
@@ -102,82 +91,153 @@ def _end_of_frame(data: bytes, at: int) -> int:
     return at + _HEADER_2 + data[at + 1] + _CHECKSUM_BYTES + signature
 
 
+# --- messages that are to be sent -----------------------------------------------------------------
+
+
+@final
+class Layout(NamedTuple):
+    """How the messages of one name are packed."""
+
+    number: int
+    crc_extra: bytes
+    places: dict[str, int]
+    """Of each field among all, in the order in which MAVLink defines them."""
+    zeros: list[Any]
+    """What a field is that is not given, in that order."""
+    on_the_wire: Callable[[list[Any]], Sequence[Any]]
+    """The same values in the order of the payload."""
+    struct: struct.Struct
+    is_plain: bool
+    """No field has several values."""
+
+
+@final
+class Prepared(NamedTuple):
+    """A message that is only to be sent: of these no object needs to be made."""
+
+    layout: Layout
+    payload: bytes
+    """All of it."""
+
+
+_LATER: Final = {
+    "MISSION_COUNT": {"opaque_id": "I"},
+    "MISSION_ACK": {"opaque_id": "I"},
+    "TIMESYNC": {"target_system": "B", "target_component": "B"},
+}
+"""Fields that MAVLink got after the dialect, at the end: who does not know them reads the rest."""
+
+
+def _layout(
+    number: int, extra: int, form: str, names: Sequence[str], wire: Sequence[str]
+) -> Layout:
+    """The layout of these fields, in MAVLink's order and in that of the payload."""
+    zeros = {
+        field: b"" if code == "s" else [0] * int(count) if count else 0
+        for field, (count, code) in zip(wire, re.findall(r"(\d*)([a-zA-Z])", form), strict=True)
+    }
+    places = {name: place for place, name in enumerate(names)}
+    return Layout(
+        number,
+        bytes([extra]),
+        places,
+        [zeros[name] for name in names],
+        itemgetter(*(places[field] for field in wire)) if len(wire) > 1 else list,
+        struct.Struct(form),
+        not any(isinstance(zero, list) for zero in zeros.values()),
+    )
+
+
+@cache
+def layout_of(name: str) -> Layout:
+    """The layout of the messages of this name."""
+    if name == "PROTOCOL_VERSION":
+        return _PROTOCOL_VERSION
+    kind: Any = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+    later = {n: code for n, code in _LATER.get(name, {}).items() if n not in kind.fieldnames}
+    form = kind.unpacker.format + "".join(later.values())
+    orders = [*kind.fieldnames, *later], [*kind.ordered_fieldnames, *later]
+    return _layout(kind.id, kind.crc_extra, form, *orders)
+
+
+_VERSIONS = ["version", "min_version", "max_version", "spec_version_hash", "library_version_hash"]
+_PROTOCOL_VERSION: Final = _layout(300, 217, "<HHH8s8s", _VERSIONS, _VERSIONS)
+"""Of PX4's dialect `development`; checked against recorded frames."""
+
+
+def make(name: str, *first: Any, **rest: Any) -> Prepared:
+    """A message of this name, to be sent: its first fields in MAVLink's order, others by name.
+
+    Texts are bytes, fields of several values are lists.  What is not given is zero.
+    """
+    layout = layout_of(name)
+    fields = [*first, *layout.zeros[len(first) :]]
+    for field, value in rest.items():
+        fields[layout.places[field]] = value
+    values = layout.on_the_wire(fields)
+    if not layout.is_plain:
+        values = [one for v in values for one in (v if isinstance(v, list) else (v,))]
+    try:
+        return Prepared(layout, layout.struct.pack(*values))
+    except (struct.error, OverflowError):
+        return Prepared(layout, layout.struct.pack(*_fitted(values, layout.struct.format)))
+
+
+def prepared(message: Any) -> Prepared:
+    """The same as this message of pymavlink's."""
+    fields = (getattr(message, f"_{n}_raw", getattr(message, n)) for n in message.fieldnames)
+    return make(message.msgname, *(list(v) if isinstance(v, tuple) else v for v in fields))
+
+
+def _fitted(values: Sequence[Any], form: str) -> list[Any]:
+    """The nearest values that these fields can carry; zero for NaN in one of whole numbers.
+
+    A real autopilot casts, and sends some value.
+    """
+    codes = "".join(
+        code if code == "s" else code * int(count or 1)
+        for count, code in re.findall(r"(\d*)([a-zA-Z])", form)
+    )
+    fitted = []
+    for value, code in zip(values, codes, strict=True):
+        if code in "fd" and math.isfinite(value):
+            value = min(max(value, -_LARGEST_FLOAT), _LARGEST_FLOAT)
+        elif code not in "fds":
+            bits = 8 * struct.calcsize("<" + code)
+            least = 0 if code.isupper() else -(1 << bits - 1)
+            whole = int(value) if math.isfinite(value) else 0
+            value = min(max(whole, least), least + (1 << bits) - 1)
+        fitted.append(value)
+    return fitted
+
+
 # --- out ------------------------------------------------------------------------------------------
 
 
 @final
 class Packer:
-    """Messages of one component on one link into MAVLink 2 frames, numbered in sequence.
+    """Messages of one component on one link into MAVLink 2 frames, numbered in sequence."""
 
-    Three to four times as fast as the messages' own ``pack``: what can be looked up about a type
-    is looked up once.
-    """
-
-    def __init__(self, system: int, component: int) -> None:
-        self.signer: LinkSigner | None = None
-        """While it is active, everything is signed."""
+    def __init__(self, system: int, component: int, signer: LinkSigner | None = None) -> None:
         self._system, self._component = system, component
-        self._sequence = 0
-
-    def restart(self) -> None:
-        """Begin the sequence numbers again."""
+        self._signer = signer
+        """While it has a secret, everything is signed."""
         self._sequence = 0
 
     def frame(self, message: Any) -> bytes:
-        """The message as a frame with the next sequence number."""
+        """The message, prepared or pymavlink's, as a frame with the next sequence number."""
         sequence = self._sequence
         self._sequence = (sequence + 1) & 255
-        if type(message) is Prepared:
-            layout, payload = message
-        else:
-            kind: Any = type(message)
-            layout = layout_of(kind)
-            payload = layout.payload(message)
+        layout, payload = message if type(message) is Prepared else prepared(message)
         payload = payload.rstrip(b"\0") or b"\0"
-        number, signer = layout.number, self.signer
-        signed = signer is not None and signer.active
+        number, signer = layout.number, self._signer
+        signed = signer is not None and signer.secret != b""
         body = (
             _HEAD.pack(
-                _MARKER_2,
-                len(payload),
-                _SIGNED if signed else 0,
-                0,
-                sequence,
-                self._system,
-                self._component,
-                number & 0xFFFF,
-                number >> 16,
+                *(_MARKER_2, len(payload), _SIGNED if signed else 0, 0, sequence),
+                *(self._system, self._component, number & 0xFFFF, number >> 16),
             )
             + payload
         )
         frame = body + mcrf4xx(body[1:] + layout.crc_extra).to_bytes(2, "little")
         return frame + signer.signature(frame) if signer is not None and signed else frame
-
-
-def datagrams(frames: Sequence[bytes]) -> list[bytes]:
-    """Frames in order, as many to a datagram as fit."""
-    packed, batch, size = list[bytes](), list[bytes](), 0
-    for frame in frames:
-        if size + len(frame) > DATAGRAM_BYTES:
-            packed.append(b"".join(batch))
-            batch, size = [], 0
-        batch.append(frame)
-        size += len(frame)
-    if batch:
-        packed.append(b"".join(batch))
-    return packed
-
-
-# --- numbers --------------------------------------------------------------------------------------
-
-
-def degrees_e7(angle_deg: float) -> int:
-    """Degrees -> MAVLink's 1e-7 degrees, as far as they go; zero for what is not a number."""
-    return bounded(angle_deg * 1e7, _INT32_MAX)
-
-
-def bounded(value: float, most: int) -> int:
-    """The nearest whole number within +-most: what an integer field can carry."""
-    if -most <= value <= most:
-        return round(value)
-    return (most if value > 0.0 else -most) if math.isfinite(value) else 0

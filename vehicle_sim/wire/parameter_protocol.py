@@ -11,7 +11,7 @@ from typing import Any, final
 
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
 from vehicle_sim.parameters import Kind, Parameter
-from vehicle_sim.wire.dialect import Prepared, make
+from vehicle_sim.wire.frames import Prepared, make
 
 VALUES_PER_S = 1348 / 1.5
 """ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""

@@ -36,8 +36,8 @@ class Proximity:
         self._min_m, self._max_m = np.float32(min_m), np.float32(max_m)
         self._distance_m = np.full(_SECTORS, np.nan, dtype=np.float32)
         self._updated_us = np.zeros(_SECTORS, dtype=np.int64)
-        self._told: dict[int, set[int]] = {}
-        """Sectors that each link has heard of."""
+        self._told = set[int]()
+        """Sectors that had an echo at some time."""
         self._checked_us, self._input_us = 0, -_TIMEOUT_US
         self._sector = 0
         self._nearest_m: float | None = None
@@ -96,13 +96,12 @@ class Proximity:
             self._checked_us = now_us
             self._distance_m[now_us - self._updated_us > _TIMEOUT_US] = np.nan
 
-    def messages(self, link: int, now_us: int) -> list[Any]:
-        """DISTANCE_SENSOR of all sectors that this link gets now."""
+    def messages(self, now_us: int) -> list[Any]:
+        """DISTANCE_SENSOR of all sectors, while any of them has an echo."""
         valid = ~np.isnan(self._distance_m)
         if not (valid.any() and self.healthy(now_us)):
             return []
-        told = self._told.setdefault(link, set())
-        told.update(np.flatnonzero(valid).tolist())
+        self._told.update(np.flatnonzero(valid).tolist())
         shown_m = np.where(valid, self._distance_m, self._max_m)
         return [
             mavlink.MAVLink_distance_sensor_message(
@@ -115,7 +114,7 @@ class Proximity:
                 orientation=sector,
                 covariance=0,
             )
-            for sector in sorted(told)
+            for sector in sorted(self._told)
         ]
 
 
@@ -145,8 +144,8 @@ class RangeSensors:
             lost |= mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION if self.rangefinder_off else 0
         return there, lost
 
-    def messages(self, number: int, link: int, now_us: int) -> list[Any]:
-        """All DISTANCE_SENSOR that this link gets now, or the RANGEFINDER."""
+    def messages(self, number: int, now_us: int) -> list[Any]:
+        """All DISTANCE_SENSOR of now, or the RANGEFINDER."""
         found = list[Any]()
         if self._has_rangefinder and number == RANGEFINDER:
             distance_m = 0.0 if self.rangefinder_off else self._look_down()
@@ -164,7 +163,7 @@ class RangeSensors:
                     covariance=0,
                 )
             )
-        return found if number == RANGEFINDER else found + self.proximity.messages(link, now_us)
+        return found if number == RANGEFINDER else found + self.proximity.messages(now_us)
 
 
 def _sector_of(angle_deg: float) -> int:

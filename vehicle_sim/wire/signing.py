@@ -6,44 +6,22 @@ counts on from what it was given with every frame, and keeps up with what it hea
 
 import hashlib
 import hmac
-from dataclasses import dataclass, replace
 from typing import Any, Final, final
-
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Text
 
 AHEAD: Final = 60 * 100_000
 """The vehicle starts a minute after the time stamp of its key, and takes a new stream that is at
 most a minute behind its own time."""
-_SAVE_US: Final = 30_000_000
-"""Period of storing the key with the current time stamp."""
 _MAX_STREAMS: Final = 16
 _TAIL, _HASH = 13, 6
 _SIGNED: Final = 0x01
 _MARKER_2: Final = 0xFD
 _TIME_MASK: Final = (1 << 48) - 1
-_ALWAYS: Final = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS, mavlink.MAVLINK_MSG_ID_RADIO})
-"""Taken unsigned on any link."""
+_RADIO_STATUS: Final = (109, 166)
+"""Taken unsigned on any link, as its older form is."""
 _TRUSTED_LINK: Final = 0
 """USB, on real boards: takes anything, signed or not, and wrongly signed."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
-    """What is kept in storage over a reboot."""
-
-    secret: bytes
-    timestamp: int
-
-    @property
-    def is_off(self) -> bool:
-        """All zero: signing is not in use."""
-        return not self.timestamp and not any(self.secret)
-
-
-_NO_KEY: Final = Key(secret=bytes(32), timestamp=0)
 
 
 @final
@@ -51,8 +29,8 @@ class LinkSigner:
     """Signs what goes out on one link, while there is a key; frames.Packer asks it."""
 
     def __init__(self, link: int) -> None:
-        self.active = False
         self.secret = b""
+        """Empty: nothing is signed."""
         self.timestamp = 0
         """Of the next frame."""
         self._link = bytes([link])
@@ -66,57 +44,50 @@ class LinkSigner:
 
 @final
 class Signing:
-    """The key of one vehicle, on all its links."""
+    """The key of one vehicle, on all its links; it is kept over a reboot."""
 
-    def __init__(self, *, links: int, key: Key = _NO_KEY) -> None:
-        self._key = key
+    def __init__(self, *, links: int) -> None:
         self._signers = [LinkSigner(link) for link in range(links)]
         self._streams: dict[tuple[int, int, int], int] = {}
         """Newest time of each stream: link id, system and component."""
-        self._saved_us: int | None = None
-        self._load()
-
-    @property
-    def key(self) -> Key:
-        """As it is in storage now."""
-        return self._key
 
     def signer(self, link: int) -> LinkSigner:
         """Who signs for this link; it stays the same one."""
         return self._signers[link]
 
     def restart(self) -> None:
-        """Boot: the key is read from storage, and who spoke before is forgotten."""
+        """Boot: who spoke before is forgotten, and the time that was reached is not."""
         self._streams.clear()
-        self._saved_us = None
-        self._load()
 
     def setup(self, message: Any, *, armed: bool) -> Text | None:
-        """SETUP_SIGNING; it is never acknowledged.  A text if it is refused."""
+        """SETUP_SIGNING; it is never acknowledged.  A text if it is refused.
+
+        All zero: signing is not in use.
+        """
         if armed:
             return Text(severity=6, text="ERROR: Won't setup signing when armed")
-        secret, timestamp = bytes(message.secret_key), message.initial_timestamp
-        self._key = Key(secret=secret, timestamp=timestamp & _TIME_MASK)
-        self._load()
+        secret, timestamp = bytes(message.secret_key), message.initial_timestamp & _TIME_MASK
+        for signer in self._signers:
+            signer.secret = secret if timestamp or any(secret) else b""
+            signer.timestamp = (timestamp + AHEAD) & _TIME_MASK
         return None
 
-    def accepts(self, frame: bytes, link: int, now_us: int) -> bool:
+    def accepts(self, frame: bytes, link: int) -> bool:
         """Whether an intact frame may come in by this link."""
-        if self._key.is_off:
+        signer = self._signers[link]
+        if not signer.secret:
             return True
-        if self._saved_us is None:
-            self._saved_us = now_us
-        elif now_us - self._saved_us >= _SAVE_US:
-            self._save(now_us)
-        good = frame[0] == _MARKER_2 and frame[2] & _SIGNED and self._is_good(frame, link)
-        return bool(good or link == _TRUSTED_LINK or _number(frame) in _ALWAYS)
+        is_2 = frame[0] == _MARKER_2
+        if is_2 and frame[2] & _SIGNED and self._is_good(frame, signer):
+            return True
+        number = int.from_bytes(frame[7:10], "little") if is_2 else frame[5]
+        return link == _TRUSTED_LINK or number in _RADIO_STATUS
 
-    def _is_good(self, frame: bytes, link: int) -> bool:
-        if not hmac.compare_digest(_hash(self._key.secret, frame[:-_HASH]), frame[-_HASH:]):
+    def _is_good(self, frame: bytes, signer: LinkSigner) -> bool:
+        if not hmac.compare_digest(_hash(signer.secret, frame[:-_HASH]), frame[-_HASH:]):
             return False
         timestamp = int.from_bytes(frame[-_TAIL + 1 : -_HASH], "little")
         stream = (frame[-_TAIL], frame[5], frame[6])
-        signer = self._signers[link]
         newest = self._streams.get(stream)
         if newest is None:
             if len(self._streams) >= _MAX_STREAMS or timestamp + AHEAD < signer.timestamp:
@@ -127,21 +98,6 @@ class Signing:
         signer.timestamp = max(signer.timestamp, timestamp)
         return True
 
-    def _load(self) -> None:
-        for signer in self._signers:
-            signer.active = not self._key.is_off
-            signer.secret = self._key.secret
-            signer.timestamp = (self._key.timestamp + AHEAD) & _TIME_MASK
-
-    def _save(self, now_us: int) -> None:
-        self._saved_us = now_us
-        reached = max(signer.timestamp for signer in self._signers)
-        self._key = replace(self._key, timestamp=max(self._key.timestamp, reached))
-
 
 def _hash(secret: bytes, signed: bytes) -> bytes:
     return hashlib.sha256(secret + signed).digest()[:_HASH]
-
-
-def _number(frame: bytes) -> int:
-    return int.from_bytes(frame[7:10], "little") if frame[0] == _MARKER_2 else frame[5]

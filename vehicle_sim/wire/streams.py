@@ -6,10 +6,8 @@ Intervals run on the vehicle's clock.
 
 import heapq
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, final
-
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import (
     Ack,
@@ -21,10 +19,10 @@ from vehicle_sim.autopilots import (
     SendTelemetry,
     Text,
 )
+from vehicle_sim.parameters import Parameters
+from vehicle_sim.wire.frames import make
 
-GET_MESSAGE_INTERVAL = 510
-SET_MESSAGE_INTERVAL = 511
-REQUEST_MESSAGE = 512
+GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
 COMMANDS = frozenset({GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE})
 """These are answered here and never reach the autopilot."""
 FORGOTTEN_US = 60_000
@@ -32,53 +30,43 @@ FORGOTTEN_US = 60_000
 request, acknowledged all the same, has set (ardupilot.md 0, fact 10: 40 ms after the first byte,
 which comes 20 ms after the start)."""
 NEVER_US = 1 << 62
-_HEARTBEAT = 0
+_HEARTBEAT, _FIXED_WING = 0, 1
 _LONGEST_US, _SHORTEST_US = 60_000_000, 1_000
 """Of an interval on ArduPilot (GCS_Common.cpp: kept in 16 bits of milliseconds)."""
+_PARAMETERS = {2: "EXT_STAT", 6: "POSITION", 10: "EXTRA1", 11: "EXTRA2", 12: "EXTRA3"}
+"""By group of REQUEST_DATA_STREAM what the parameter of its rate is called after "MAV1_"."""
 
 
 @final
 class Streams:
     """The table of intervals of every link of one autopilot."""
 
-    def __init__(self, profile: FirmwareProfile) -> None:
+    def __init__(self, profile: FirmwareProfile, parameters: Parameters) -> None:
         self.soonest_us = NEVER_US
         """Nothing is due before."""
-        self._style = profile
+        self._style, self._parameters = profile, parameters
         self._is_px4 = profile.firmware == "px4"
-        self._intervals_us: dict[tuple[int, int], int] = {}
-        """By link and message number; what is not in it is not sent."""
         self._usual_us: dict[tuple[int, int], int] = {}
-        """By link and message number, where parameters ask for another default."""
+        """By link and message number: of a link that was not asked for anything."""
+        self._intervals_us: dict[tuple[int, int], int] = {}
+        """The same as it is now; what is not in it is not sent."""
         self._due: list[tuple[int, int, int]] = []
-        """A heap of time, message number and link.  Changed entries are rebuilt."""
+        """A heap of time, message number and link."""
         self._booted_us: int | None = None
 
     # --- time ---------------------------------------------------------------------------------
 
-    def set_default(self, link: int, group: int, rate_hz: float) -> None:
-        """The default rate of a group of REQUEST_DATA_STREAM on a link that is not open yet."""
-        interval_us = round(1e6 / rate_hz) if rate_hz > 0.0 else 0
-        for number in self._style.data_streams.get(group, ()):
-            self._usual_us[link, number] = interval_us
-
     def open(self, link: int, now_us: int) -> None:
-        """A fresh link: it gets what it has not asked for, at the default rates.
-
-        The first one is opened when the autopilot boots.
-        """
-        self._booted_us = now_us if self._booted_us is None else self._booted_us
-        self._intervals_us = {key: us for key, us in self._intervals_us.items() if key[0] != link}
-        usual = {number for on, number in self._usual_us if on == link}
-        fresh = {n: self._default_us(link, n) for n in usual.union(self._style.rates_hz)}
-        self._set(link, fresh, now_us)
-        first_us = self._booted_us + self._style.first_heartbeat_us
-        self._due = [
-            (first_us if (number, on) == (_HEARTBEAT, link) else due_us, number, on)
-            for due_us, number, on in self._due
-        ]
-        heapq.heapify(self._due)
-        self.soonest_us = self._due[0][0] if self._due else NEVER_US
+        """A link of an autopilot that boots: it has the default rates, or those of parameters."""
+        self._booted_us = now_us
+        usual_us = {n: round(1e6 / hz) for n, hz in self._style.rates_hz.items()}
+        for group, name in self._rates_of(link).items():
+            if self._parameters[name] != self._parameters.row(name).default:
+                usual_us |= dict.fromkeys(self._members(group), _interval(self._parameters[name]))
+        self._usual_us |= {(link, number): us for number, us in usual_us.items()}
+        self._set(link, usual_us, now_us)
+        first = (now_us + self._style.first_heartbeat_us, _HEARTBEAT, link)
+        self._schedule([first, *(each for each in self._due if each[1:] != first[1:])])
 
     def begin(self) -> None:
         """Something has been sent: what is asked for from now on is kept."""
@@ -105,72 +93,73 @@ class Streams:
 
     def on_command(self, command: Command, now_us: int) -> list[Reply]:
         """Answer a command of COMMANDS."""
+        number = command.parameters[0]
+        whole = round(number) if 0 <= number < 1 << 24 else -1
         if command.number == SET_MESSAGE_INTERVAL:
-            return self._on_set(command, now_us)
+            return self._on_set(command, whole, now_us)
         if command.number == GET_MESSAGE_INTERVAL:
-            return self._on_get(command)
-        return self._on_request(command)
+            return self._on_get(command, whole)
+        return self._on_request(command, whole)
 
     def on_data_stream(self, message: Any, link: int, now_us: int) -> None:
-        """REQUEST_DATA_STREAM: a rate for a whole group.  It is not acknowledged."""
-        groups, asked = self._style.data_streams, message.req_stream_id
+        """REQUEST_DATA_STREAM: a rate for a whole group.  It is not acknowledged.
+
+        ArduPilot keeps the rate as a parameter; a plane over a reboot too.  Source:
+        GCS_MAVLINK::handle_request_data_stream, persist_streamrates().
+        """
+        asked, rate_hz = message.req_stream_id, message.req_message_rate
         if message.start_stop > 1:
             return
-        rate_hz = message.req_message_rate if message.start_stop else 0
-        members = groups.get(asked, ()) if asked else {n for g in groups.values() for n in g}
-        self._set(link, dict.fromkeys(members, round(1e6 / rate_hz) if rate_hz else 0), now_us)
+        rate_hz = rate_hz if message.start_stop else 0
+        groups = [asked] if asked else list(self._style.data_streams)
+        members = [number for group in groups for number in self._members(group)]
+        self._set(link, dict.fromkeys(members, _interval(rate_hz)), now_us)
+        parameters, persists = self._parameters, self._style.vehicle_type == _FIXED_WING
+        for group, name in self._rates_of(link).items():
+            if group in groups:
+                (parameters.__setitem__ if persists else parameters.set_until_reboot)(name, rate_hz)
 
-    def _on_set(self, command: Command, now_us: int) -> list[Reply]:
-        number, interval_us, *rest = command.parameters
-        known = _whole(number)
-        refused = _ack(command, Result.FAILED if self._is_px4 else Result.DENIED)
-        if self._uses_reserved(rest):
-            return [refused]
-        if known not in self._style.streamable:
-            text = Text(severity=6, text=f"No ap_message for mavlink id ({known})")
-            return [refused] if self._is_px4 else [text, refused]
-        wanted_us = self._wanted_us(command.sender.link, known, interval_us)
-        if wanted_us is None:
+    def _rates_of(self, link: int) -> dict[int, str]:
+        """The parameter that has the default rate of each group on this link."""
+        names = {group: f"MAV{link + 1}_{part}" for group, part in _PARAMETERS.items()}
+        return {group: name for group, name in names.items() if name in self._parameters}
+
+    def _members(self, group: int) -> Any:
+        return self._style.data_streams.get(group, ())
+
+    def _on_set(self, command: Command, number: int, now_us: int) -> list[Reply]:
+        _, asked_us, p3, p4, _, _, p7 = command.parameters
+        link, is_px4 = command.sender.link, self._is_px4
+        reserved = any(abs(p) >= 0.5 for p in (p3, p4, p7)) if is_px4 else p3 != 0
+        if reserved or number not in self._style.streamable:
+            refused = _ack(command, Result.FAILED if is_px4 else Result.DENIED)
+            text = Text(severity=6, text=f"No ap_message for mavlink id ({number})")
+            return [refused] if reserved or is_px4 else [text, refused]
+        if not math.isfinite(asked_us):
             return [_ack(command, Result.FAILED)]
-        began_us = self._booted_us
-        if self._is_px4 or began_us is None or now_us - began_us >= FORGOTTEN_US:
-            self._set(command.sender.link, {known: wanted_us}, now_us)
+        if abs(asked_us) < (1e-5 if is_px4 else 1.0):
+            us = self._usual_us.get((link, number), 0)
+        elif is_px4:
+            us = max(1, round(asked_us)) if asked_us > 0 else 0
+        else:
+            whole_us = int(asked_us)
+            us = min(max(whole_us // 1000 * 1000, _SHORTEST_US), _LONGEST_US)
+            us = 0 if whole_us == -1 else us
+        wiped = self._booted_us is not None and now_us - self._booted_us < FORGOTTEN_US
+        if is_px4 or not wiped:
+            self._set(link, {number: us}, now_us)
         return [_ack(command, Result.ACCEPTED)]
 
-    def _uses_reserved(self, rest: Sequence[float]) -> bool:
-        """Whether one of p3 to p7 is used that must be zero; to PX4, NaN is zero."""
-        if not self._is_px4:
-            return rest[0] != 0
-        return any(not math.isnan(value) and abs(value) >= 0.5 for value in (*rest[:2], rest[4]))
-
-    def _wanted_us(self, link: int, number: int, interval_us: float) -> int | None:
-        """The interval that is meant; 0 is none at all, None is an error."""
-        if not math.isfinite(interval_us):
-            return None
-        if self._is_px4:
-            if abs(interval_us) < 1e-5:
-                return self._default_us(link, number)
-            return max(1, round(interval_us)) if interval_us > 0 else 0
-        whole_us = int(interval_us)
-        if whole_us == 0:
-            return self._default_us(link, number)
-        if whole_us == -1:
-            return 0
-        return min(max(whole_us // 1000 * 1000, _SHORTEST_US), _LONGEST_US)
-
-    def _on_get(self, command: Command) -> list[Reply]:
-        number = _whole(command.parameters[0])
-        interval_us = self.interval_us(command.sender.link, number)
+    def _on_get(self, command: Command, number: int) -> list[Reply]:
         known = number in self._style.streamable
+        interval_us = self.interval_us(command.sender.link, number)
         if interval_us is None:
             interval_us = -1 if known and not self._is_px4 else 0
-        shown = number & 0xFFFF  # the field has 16 bits
-        message = mavlink.MAVLink_message_interval_message(shown, interval_us)
+        said = make("MESSAGE_INTERVAL", number & 0xFFFF, interval_us)  # the field has 16 bits
         result = Result.ACCEPTED if known or self._is_px4 else Result.FAILED
-        return [SendMessage(message=message, to=command.sender), _ack(command, result)]
+        return [SendMessage(message=said, to=command.sender), _ack(command, result)]
 
-    def _on_request(self, command: Command) -> list[Reply]:
-        number = _whole(command.parameters[0])
+    def _on_request(self, command: Command, number: int) -> list[Reply]:
         if number not in self._style.requestable:
             return [_ack(command, Result.DENIED if self._is_px4 else Result.FAILED)]
         send, ack = SendTelemetry(message=number, to=command.sender), _ack(command, Result.ACCEPTED)
@@ -178,33 +167,28 @@ class Streams:
 
     # --- the table ----------------------------------------------------------------------------
 
-    def _default_us(self, link: int, number: int) -> int:
-        rate_hz = self._style.rates_hz.get(number, 0.0)
-        return self._usual_us.get((link, number), round(1e6 / rate_hz) if rate_hz else 0)
-
     def _set(self, link: int, wanted_us: Mapping[int, int], now_us: int) -> None:
         """Intervals by message number, 0 for none: each is first due one interval from now.
 
         What stays as it is keeps its phase: clients ask for the same again and again.
         """
-        intervals_us = self._intervals_us
-        changed = {
-            (link, number): us
-            for number, us in wanted_us.items()
-            if us != intervals_us.get((link, number), 0)
-        }
-        self._intervals_us = {key: us for key, us in (intervals_us | changed).items() if us}
-        kept = self._intervals_us.keys() - changed
-        self._due = [each for each in self._due if (each[2], each[1]) in kept]
-        self._due += [(now_us + us, number, link) for (_, number), us in changed.items() if us]
-        heapq.heapify(self._due)
-        self.soonest_us = self._due[0][0] if self._due else NEVER_US
+        now = self._intervals_us
+        changed = {(link, n): us for n, us in wanted_us.items() if us != now.get((link, n), 0)}
+        self._intervals_us = {key: us for key, us in (now | changed).items() if us}
+        kept = [each for each in self._due if (each[2], each[1]) not in changed]
+        fresh = [(now_us + us, number, link) for (_, number), us in changed.items() if us]
+        self._schedule([*kept, *fresh])
+
+    def _schedule(self, due: list[tuple[int, int, int]]) -> None:
+        self._due = due
+        heapq.heapify(due)
+        self.soonest_us = due[0][0] if due else NEVER_US
+
+
+def _interval(rate_hz: float) -> int:
+    """In us; 0 is none."""
+    return round(1e6 / rate_hz) if rate_hz > 0.0 else 0
 
 
 def _ack(command: Command, result: int) -> Ack:
     return Ack(to=command.sender, command=command.number, result=result)
-
-
-def _whole(value: float) -> int:
-    """A message number that came as a float; -1 for what cannot be one."""
-    return round(value) if 0 <= value < 1 << 24 else -1

@@ -1,83 +1,54 @@
-"""An autopilot's report as MAVLink messages: a table of what fills each field.
+"""An autopilot's report as MAVLink messages: a function each, which has the name of its message.
 
 Here is what every personality says in the same way; telemetry_ardupilot.py and telemetry_px4.py
-add their own and replace what they say differently.
+have the rest.  What a function does not fill is zero: nobody reads it.  None: there is nothing to
+say now.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Callable
 from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Estimate, Place, Report
-from vehicle_sim.wire.dialect import Layout, Prepared, layout_named
-from vehicle_sim.wire.frames import bounded, degrees_e7
+from vehicle_sim.wire.frames import Prepared, layout_of, make
 
 INT16, INT32, UINT16 = 32767, 2_147_483_647, 65535
 PLANE: Final = 1
 """MAV_TYPE_FIXED_WING."""
+NAN: Final = math.nan
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 _IGNORE_YAW_RATE = 0x800
 _ZERO = (0.0, 0.0, 0.0)
 
 Builder = Callable[[Report], Prepared | None]
-Value = int | float | bytes | Sequence[int | float]
-_Take = Callable[[Report], Any]
-Form = Mapping[str, Value | _Take]
-"""How a message is filled: name of a field -> its value, or where to take it from.
-
-A key may name several fields ("x y z"); then there are as many values.  What is not named is zero.
-A field that is None: there is nothing to say now.
-"""
-Table = Mapping[str, Form]
-"""By name of the message; time_boot_ms and time_usec need no mention: they are since boot."""
 
 
-def builders(firmware: Table) -> dict[int, Builder]:
-    """What makes the messages of COMMON and of this firmware, by message number.
-
-    A message that is in both has the fields of both; where they name the same, the firmware's.
-    """
-    forms = {
-        name: {**COMMON.get(name, {}), **firmware.get(name, {})} for name in {**COMMON, **firmware}
-    }
-    return {layout_named(name).number: _builder(layout_named(name), forms[name]) for name in forms}
+def by_number(*builders: Builder) -> dict[int, Builder]:
+    """Those of all firmwares and these, by message number; a later one of the same name counts."""
+    every = {each.__name__.strip("_").upper(): each for each in (*_COMMON, *builders)}
+    return {layout_of(name).number: builder for name, builder in every.items()}
 
 
-def _builder(layout: Layout, form: Form) -> Builder:
-    times: Form = {"time_boot_ms": boot_ms, "time_usec": time_us}
-    form = {name: times[name] for name in times if name in layout.empty} | dict(form)
-    constants, taken, names = dict(layout.empty), list[tuple[_Take, bool]](), list[str]()
-    for key, value in form.items():
-        fields = key.split()
-        if callable(value):
-            taken.append((value, len(fields) == 1))
-            names += fields
-        else:
-            values: Any = [value] if len(fields) == 1 else value
-            constants |= zip(fields, values, strict=True)
-    given = list(constants.values())
-    places = {name: place for place, name in enumerate([*constants, *names])}  # the later counts
-    in_order = itemgetter(*(places[name] for name in layout.empty))
-
-    def build(report: Report) -> Prepared | None:
-        values = given.copy()
-        for take, is_single in taken:
-            value = take(report)
-            if value is None:
-                return None
-            if is_single:
-                values.append(value)
-            else:
-                values += value
-        return Prepared(layout, layout.pack(in_order(values)))
-
-    return build
+# --- numbers --------------------------------------------------------------------------------------
 
 
-# --- what fills the fields ------------------------------------------------------------------------
+def bounded(value: float, most: int) -> int:
+    """The nearest whole number within +-most: what an integer field can carry."""
+    if -most <= value <= most:
+        return round(value)
+    return (most if value > 0.0 else -most) if math.isfinite(value) else 0
+
+
+def place_e7(place: Any) -> tuple[int, int]:
+    """Latitude and longitude of anything that has them, in 1e-7 degrees."""
+    return bounded(place.latitude_deg * 1e7, INT32), bounded(place.longitude_deg * 1e7, INT32)
+
+
+def place_e7_mm(place: Place | Estimate) -> tuple[int, int, int]:
+    """Latitude, longitude and height above the sea."""
+    return *place_e7(place), bounded(place.altitude_amsl_m * 1e3, INT32)
 
 
 def is_plane(report: Report) -> bool:
@@ -90,25 +61,9 @@ def boot_ms(report: Report) -> int:
     return report.time_us // 1000 & 0xFFFFFFFF
 
 
-def time_us(report: Report) -> int:
-    """time_usec: since boot."""
-    return report.time_us
-
-
 def heading_cdeg(report: Report) -> int:
     """Where the nose points, 0 to 35999."""
     return round(math.degrees(report.vehicle.heading_rad) * 100.0) % 36000
-
-
-def attitude_rad(report: Report) -> tuple[float, float, float]:
-    """Roll, pitch, yaw."""
-    vehicle = report.vehicle
-    return vehicle.roll_rad, vehicle.pitch_rad, math.remainder(vehicle.heading_rad, math.tau)
-
-
-def rates_rad_s(report: Report) -> tuple[float, float, float]:
-    """Of roll, pitch and heading."""
-    return report.autopilot.rates_rad_s
 
 
 def quaternion(report: Report) -> tuple[float, float, float, float]:
@@ -129,21 +84,7 @@ def quaternion(report: Report) -> tuple[float, float, float, float]:
 def velocity_ned_m_s(report: Report) -> tuple[float, float, float]:
     """The estimate's."""
     estimate = report.estimate
-    return (
-        estimate.velocity_north_m_s,
-        estimate.velocity_east_m_s,
-        -estimate.velocity_up_m_s,
-    )
-
-
-def ground_speed_m_s(report: Report) -> float:
-    """The estimate's, horizontal."""
-    return math.hypot(report.estimate.velocity_north_m_s, report.estimate.velocity_east_m_s)
-
-
-def throttle(report: Report) -> float:
-    """From 0 to 1."""
-    return min(max(report.vehicle.throttle, 0.0), 1.0)
+    return (estimate.velocity_north_m_s, estimate.velocity_east_m_s, -estimate.velocity_up_m_s)
 
 
 def per_cent_left(report: Report) -> float:
@@ -151,57 +92,44 @@ def per_cent_left(report: Report) -> float:
     return min(max(report.battery.remaining, 0.0), 1.0) * 100.0
 
 
-def place_e7(place: Any) -> tuple[int, int]:
-    """Latitude and longitude of anything that has them."""
-    return degrees_e7(place.latitude_deg), degrees_e7(place.longitude_deg)
+# --- the same of everybody ------------------------------------------------------------------------
 
 
-def place_e7_mm(place: Place | Estimate | None) -> tuple[int, int, int] | None:
-    """Latitude, longitude and height above the sea."""
-    return (
-        None if place is None else (*place_e7(place), bounded(place.altitude_amsl_m * 1e3, INT32))
-    )
+def _heartbeat(report: Report) -> Prepared:
+    profile, status = report.profile, report.status
+    modes = (status.base_mode, status.mode, status.system_status)
+    return make("HEARTBEAT", profile.vehicle_type, profile.autopilot, *modes, 3)
 
 
-def _above_home_mm(report: Report) -> int:
-    home = report.autopilot.home
-    above_m = 0.0 if home is None else report.estimate.altitude_amsl_m - home.altitude_amsl_m
-    return bounded(above_m * 1e3, INT32)
+def _system_time(report: Report) -> Prepared:
+    return make("SYSTEM_TIME", report.unix_us, boot_ms(report))
 
 
-def _velocity_cm_s(report: Report) -> tuple[int, ...]:
-    north, east, down = velocity_ned_m_s(report)
-    return bounded(north * 100.0, INT16), bounded(east * 100.0, INT16), bounded(down * 100.0, INT16)
+def _attitude(report: Report) -> Prepared:
+    vehicle = report.vehicle
+    yaw_rad = math.remainder(vehicle.heading_rad, math.tau)
+    angles_rad = (vehicle.roll_rad, vehicle.pitch_rad, yaw_rad)
+    return make("ATTITUDE", boot_ms(report), *angles_rad, *report.autopilot.rates_rad_s)
 
 
-GPS_FIELDS: Final = "fix_type lat lon alt eph epv vel cog"
+def _attitude_quaternion(report: Report) -> Prepared:
+    rates_rad_s = report.autopilot.rates_rad_s
+    return make("ATTITUDE_QUATERNION", boot_ms(report), *quaternion(report), *rates_rad_s)
 
 
-def gps_solution(report: Report) -> tuple[int, ...]:
-    """GPS_FIELDS of GPS_RAW_INT."""
-    fix = report.fix
-    north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
-    return (
-        fix.fix_type,
-        *place_e7(fix),
-        bounded(fix.altitude_amsl_m * 1e3, INT32),
-        min(round(fix.horizontal_dilution * 100.0), UINT16),
-        min(round(fix.vertical_dilution * 100.0), UINT16),
-        bounded(math.hypot(north, east) * 100.0, UINT16 - 1),
-        round(math.degrees(math.atan2(east, north)) * 100.0) % 36000,
-    )
+def _local_position_ned(report: Report) -> Prepared | None:
+    here_m = report.autopilot.local_ned_m()
+    if here_m is None:
+        return None
+    return make("LOCAL_POSITION_NED", boot_ms(report), *here_m, *velocity_ned_m_s(report))
 
 
-def _gps_accuracies_mm(report: Report) -> tuple[int, ...]:
-    fix = report.fix
-    all_m = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
-    return tuple(bounded(each_m * 1e3, INT32) for each_m in all_m)
+def _gps_global_origin(report: Report) -> Prepared | None:
+    origin = report.status.origin
+    return origin and make("GPS_GLOBAL_ORIGIN", *place_e7_mm(origin), report.time_us)
 
 
-TARGET_FIELDS: Final = "type_mask x y z vx vy vz afx afy afz yaw yaw_rate"
-
-
-def _target(report: Report) -> tuple[float, ...] | None:
+def _position_target_local_ned(report: Report) -> Prepared | None:
     target = report.autopilot.target_echo()
     if target is None:
         return None
@@ -212,62 +140,80 @@ def _target(report: Report) -> tuple[float, ...] | None:
         mask |= 0 if position else _IGNORE_POSITION
         mask |= 0 if velocity else _IGNORE_VELOCITY
         mask |= 0 if acceleration else _IGNORE_ACCELERATION
-    vectors = (*(position or _ZERO), *(velocity or _ZERO), *(acceleration or _ZERO))
-    return (mask, *vectors, target.yaw_rad, target.yaw_rate_rad_s)
+    return make(
+        "POSITION_TARGET_LOCAL_NED",
+        *(boot_ms(report), mavlink.MAV_FRAME_LOCAL_NED, mask),
+        *(*(position or _ZERO), *(velocity or _ZERO), *(acceleration or _ZERO)),
+        *(target.yaw_rad, target.yaw_rate_rad_s),
+    )
 
 
-# --- the table ------------------------------------------------------------------------------------
+_COMMON: Final[tuple[Builder, ...]] = (
+    *(_heartbeat, _system_time, _attitude, _attitude_quaternion, _local_position_ned),
+    *(_gps_global_origin, _position_target_local_ned),
+)
 
-COMMON: Final[Table] = {
-    "ATTITUDE": {
-        "roll pitch yaw": attitude_rad,
-        "rollspeed pitchspeed yawspeed": rates_rad_s,
-    },
-    "ATTITUDE_QUATERNION": {
-        "q1 q2 q3 q4": quaternion,
-        "rollspeed pitchspeed yawspeed": rates_rad_s,
-    },
-    "GLOBAL_POSITION_INT": {
-        "lat lon alt": lambda r: place_e7_mm(r.estimate),
-        "relative_alt": _above_home_mm,
-        "vx vy vz": _velocity_cm_s,
-        "hdg": heading_cdeg,
-    },
-    "GPS_RAW_INT": {
-        "time_usec": lambda r: r.fix.time_us,
-        GPS_FIELDS: gps_solution,
-        "satellites_visible": lambda r: min(r.fix.satellites, 255),
-        "alt_ellipsoid": lambda r: bounded(r.fix.altitude_amsl_m * 1e3, INT32),
-        "h_acc v_acc vel_acc": _gps_accuracies_mm,
-    },
-    "VFR_HUD": {
-        "airspeed": lambda r: r.vehicle.airspeed_m_s,
-        "groundspeed": ground_speed_m_s,
-        "heading": lambda r: heading_cdeg(r) // 100,
-        "throttle": lambda r: round(throttle(r) * 100.0),
-        "alt": lambda r: r.estimate.altitude_amsl_m,
-        "climb": lambda r: r.estimate.velocity_up_m_s,
-    },
-    "MISSION_CURRENT": {
-        "seq total": lambda r: (r.status.mission_current, r.status.mission_total),
-        "mission_state": lambda r: r.status.mission_state,
-    },
-    "HOME_POSITION": {"latitude longitude altitude": lambda r: place_e7_mm(r.autopilot.home)},
-    "HEARTBEAT": {
-        "type autopilot": lambda r: (r.profile.vehicle_type, r.profile.autopilot),
-        "base_mode custom_mode": lambda r: (r.status.base_mode, r.status.mode),
-        "system_status": lambda r: r.status.system_status,
-        "mavlink_version": 3,
-    },
-    "SYSTEM_TIME": {"time_unix_usec": lambda r: r.unix_us},
-    "LOCAL_POSITION_NED": {
-        "x y z": lambda r: r.autopilot.local_ned_m(),
-        "vx vy vz": velocity_ned_m_s,
-    },
-    "GPS_GLOBAL_ORIGIN": {"latitude longitude altitude": lambda r: place_e7_mm(r.status.origin)},
-    "POSITION_TARGET_LOCAL_NED": {
-        "coordinate_frame": mavlink.MAV_FRAME_LOCAL_NED,
-        TARGET_FIELDS: _target,
-    },
-    "EXTENDED_SYS_STATE": {"landed_state": lambda r: r.status.landed_state},
-}
+
+# --- alike but for what is given ------------------------------------------------------------------
+
+
+def global_position(report: Report, altitude_amsl_m: float) -> Prepared:
+    """GLOBAL_POSITION_INT."""
+    home, amsl_m = report.autopilot.home, report.estimate.altitude_amsl_m
+    above_home_m = 0.0 if home is None else amsl_m - home.altitude_amsl_m
+    return make(
+        "GLOBAL_POSITION_INT",
+        *(boot_ms(report), *place_e7(report.estimate)),
+        *(bounded(altitude_amsl_m * 1e3, INT32), bounded(above_home_m * 1e3, INT32)),
+        *(bounded(speed_m_s * 100.0, INT16) for speed_m_s in velocity_ned_m_s(report)),
+        heading_cdeg(report),
+    )
+
+
+def gps_raw(report: Report, *, known: bool = True) -> Prepared:
+    """GPS_RAW_INT; without a solution to tell, of one that is not known."""
+    fix = report.fix
+    north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
+    solution = (
+        *(fix.fix_type, *place_e7(fix), bounded(fix.altitude_amsl_m * 1e3, INT32)),
+        min(round(fix.horizontal_dilution * 100.0), UINT16),
+        min(round(fix.vertical_dilution * 100.0), UINT16),
+        bounded(math.hypot(north, east) * 100.0, UINT16 - 1),
+        round(math.degrees(math.atan2(east, north)) * 100.0) % 36000,
+    )
+    all_m = (fix.altitude_amsl_m, fix.horizontal_accuracy_m, fix.vertical_accuracy_m)
+    return make(
+        "GPS_RAW_INT",
+        fix.time_us,
+        *(solution if known else (0, 0, 0, 0, UINT16, UINT16, 0, 0)),
+        min(fix.satellites, 255),
+        *(bounded(each * 1e3, INT32) for each in (*all_m, fix.speed_accuracy_m_s)),
+    )
+
+
+def vfr_hud(report: Report, airspeed_m_s: float, altitude_m: float) -> Prepared:
+    """VFR_HUD."""
+    estimate = report.estimate
+    return make(
+        "VFR_HUD",
+        airspeed_m_s,
+        math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s),
+        heading_cdeg(report) // 100,
+        round(min(max(report.vehicle.throttle, 0.0), 1.0) * 100.0),
+        altitude_m,
+        estimate.velocity_up_m_s,
+    )
+
+
+def mission_current(report: Report, mode: int = 0) -> Prepared:
+    """MISSION_CURRENT."""
+    status = report.status
+    numbers = (status.mission_current, status.mission_total, status.mission_state)
+    return make("MISSION_CURRENT", *numbers, mode)
+
+
+def home_position(report: Report, ned_m: tuple[float, ...], q: list[float]) -> Prepared | None:
+    """HOME_POSITION; of a surface whose attitude is this quaternion."""
+    home = report.autopilot.home
+    time_us = report.time_us
+    return home and make("HOME_POSITION", *place_e7_mm(home), *ned_m, q, time_usec=time_us)
