@@ -82,7 +82,7 @@ def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
     assert client.is_done
     assert client.missing.isdisjoint(client.values)
     assert all(
-        name in client.values for name, *_ in client._groups if name in held.simulation.parameters
+        name in client.values for name in client._group_of if name in held.simulation.parameters
     )
 
 
