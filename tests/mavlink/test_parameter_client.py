@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
-from companion.mavlink.parameter_checks import names_of
 from companion.mavlink.parameter_client import (
     ANSWER_S,
     ParameterClient,
     decoded,
     encoded,
 )
+from companion.mavlink.rules import names_of
 
 ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
 RULES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
