@@ -25,27 +25,20 @@ from msgspec.structs import replace
 from companion.mavlink import near_scanner, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
+from companion.mavlink.clock import TIME_ONLY_MESSAGES, ClockReading, VehicleClock
 from companion.mavlink.commands import MESSAGES as COMMANDS
-from companion.mavlink.component import Component
+from companion.mavlink.component import Component, heartbeat
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Incoming, boot_ms_of
-from companion.mavlink.link import (
-    TIME_ONLY_MESSAGES,
-    ClockReading,
-    FrameEncoder,
-    Inbox,
-    Output,
-    VehicleClock,
-    VehicleSelector,
-)
+from companion.mavlink.link import FrameEncoder, Inbox, Output
 from companion.mavlink.near_scanner import NearScanner
-from companion.mavlink.own_messages import heartbeat
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
-from companion.mavlink.statustext import StatusTexts, final_text, severity_of
+from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
 from companion.mavlink.terrain_download import ScanClient
+from companion.mavlink.who import VehicleSelector
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, parting
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus
@@ -765,7 +758,7 @@ class Session:
         self._note("say", text=text, warning=warning)
         self._due_s = -math.inf
         self.warned = (self.now_s, text) if warning else self.warned
-        self._texts.add(text, severity_of(warning=warning), self.clock.going_on_s, about)
+        self._texts.add(text, self.clock.going_on_s, warning=warning, kind=about)
 
     def _send_end_text(self, end: End, told: Sequence[SetMode | Disarm]) -> None:
         """Send the final text at once."""

@@ -253,7 +253,7 @@ def test_every_file_of_the_programs_is_in_one_row_of_the_budget() -> None:
 
 def test_every_parameter_that_is_judged_is_on_the_page() -> None:
     page = (ROOT / "docs" / "connecting.md").read_text(encoding="utf-8")
-    judged = {rule.name for each in ALL for rule in each.rules if rule.checks}
+    judged = {rule.name for each in ALL for rule in each.rules if rule.check}
     assert {name for name in judged if f"`{name}`" not in page} == set()
 
 

@@ -16,9 +16,9 @@ from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of
 from companion.mavlink.autopilots.messages import NO_HEADING, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
 from companion.mavlink.near_scanner import streams_hz
-from companion.mavlink.parameter_checks import ParameterIssue, Severity, check_parameters, names_of
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import FENCE, MISSION, PlanClient
+from companion.mavlink.rules import Finding, findings_of, names_of
 from companion.mavlink.streams import StreamRequests
 from companion.mission.decisions import Context
 from companion.mission.events import (
@@ -86,7 +86,7 @@ class AutopilotClient:
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
-        self.findings: list[ParameterIssue] = []
+        self.findings: list[Finding] = []
         """Of the parameters, as they were judged last."""
         self.origin_nea_m: Vector | None = None
         self.round_trip_s: float | None = None
@@ -374,23 +374,16 @@ class AutopilotClient:
             return []
         self._judged = client.version
         home = None if self._home_nea_m is None else self._home_nea_m[2]
-        findings = check_parameters(
-            self.autopilot.rules, client.values, self._mission, home_amsl_m=home
-        )
+        findings = findings_of(self.autopilot.rules, client.values, self._mission, home)
         self.findings = findings
         if self._set(findings):
             return []  # they are judged again once they are read back
-        refused = [
-            each
-            for each in findings
-            if each.severity is Severity.REFUSE
-            or (each.severity is Severity.SET and self._sets_parameters)
-        ]
+        refused = [each for each in findings if each.set_to is None or self._sets_parameters]
         refusal = self._in_words(refused[0]) if refused else ""
         again, self._refusal_told = refusal == self._refusal_told != "", refusal
         return [] if again else [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
 
-    def _set(self, findings: list[ParameterIssue]) -> bool:
+    def _set(self, findings: list[Finding]) -> bool:
         """Set parameters as the checks demand, with a text for each; whether there was any.
 
         A parameter that another client keeps setting back is refused instead.
@@ -398,8 +391,7 @@ class AutopilotClient:
         client, any_set = self.parameters, False
         for finding in findings if self._sets_parameters else ():
             name, times = finding.name, self._sets.get(finding.name, 0)
-            wanted = finding.severity is Severity.SET and name not in client.failed_sets
-            if not wanted or finding.set_to is None or times >= _MAX_SETS:
+            if finding.set_to is None or name in client.failed_sets or times >= _MAX_SETS:
                 continue
             client.set(name, finding.set_to)
             self._sets[name], any_set = times + 1, True
@@ -407,9 +399,9 @@ class AutopilotClient:
                 self.notes.append(f"set {name} to {finding.set_to:g}")
         return any_set
 
-    def _in_words(self, finding: ParameterIssue) -> str:
+    def _in_words(self, finding: Finding) -> str:
         """Text of a result that prevents the flight."""
-        if finding.severity is Severity.SET and self._sets.get(finding.name, 0) >= _MAX_SETS:
+        if finding.set_to is not None and self._sets.get(finding.name, 0) >= _MAX_SETS:
             what = f"{finding.name} = {finding.value:g}: somebody keeps setting it back"
             return f"{what}. End that: {finding.rule}"
         return str(finding)

@@ -22,63 +22,23 @@ class EventMessage(wire.MAVLink_message):  # type: ignore[misc]
     """EVENT of common.xml, which pymavlink's dialects leave out: what PX4 says to everybody."""
 
     id = 410
-    msgname = name = "EVENT"
-    fieldnames = (
-        "destination_component",
-        "destination_system",
-        "id_of_event",
-        "event_time_boot_ms",
-        "sequence",
-        "log_levels",
-        "arguments",
+    msgname = "EVENT"
+    ordered_fieldnames = (
+        *("id_of_event", "event_time_boot_ms", "sequence"),
+        *("destination_component", "destination_system", "log_levels", "arguments"),
     )
-    ordered_fieldnames = (*fieldnames[2:5], *fieldnames[:2], *fieldnames[5:])
-    fieldtypes = ("uint8_t", "uint8_t", "uint32_t", "uint32_t", "uint16_t", "uint8_t", "uint8_t")
-    fielddisplays_by_name: dict[str, str] = {}  # noqa: RUF012 - as pymavlink's own
-    fieldenums_by_name: dict[str, str] = {}  # noqa: RUF012
-    fieldunits_by_name: dict[str, str] = {}  # noqa: RUF012
+    fieldnames = (*ordered_fieldnames[3:5], *ordered_fieldnames[:3], *ordered_fieldnames[5:])
     native_format = bytearray(b"<IIHBBBB")
     orders = (3, 4, 0, 1, 2, 5, 6)
     lengths = (1, 1, 1, 1, 1, 1, 40)
-    array_lengths = (0, 0, 0, 0, 0, 0, 40)
     crc_extra = 160
     unpacker = struct.Struct("<IIHBBB40B")
-    instance_field = None
-    instance_offset = -1
 
-    def __init__(
-        self,
-        destination_component: int,
-        destination_system: int,
-        id_of_event: int,
-        event_time_boot_ms: int,
-        sequence: int,
-        log_levels: int,
-        arguments: list[int],
-    ) -> None:
+    def __init__(self, *values: Any) -> None:
         super().__init__(self.id, self.msgname)
         self._fieldnames = self.fieldnames
-        self._instance_field, self._instance_offset = self.instance_field, self.instance_offset
-        self.destination_component, self.destination_system = (
-            destination_component,
-            destination_system,
-        )
-        self.id_of_event, self.event_time_boot_ms = id_of_event, event_time_boot_ms
-        self.sequence, self.log_levels, self.arguments = sequence, log_levels, arguments
-
-    def pack(self, mav: wire.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """A frame of a sender."""
-        payload = self.unpacker.pack(
-            self.id_of_event,
-            self.event_time_boot_ms,
-            self.sequence,
-            self.destination_component,
-            self.destination_system,
-            self.log_levels,
-            *self.arguments,
-        )
-        frame: bytes = self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1)
-        return frame
+        for name, value in zip(self.fieldnames, values, strict=True):
+            setattr(self, name, value)
 
 
 KINDS: Final[dict[int, Any]] = {**wire.mavlink_map, EventMessage.id: EventMessage}

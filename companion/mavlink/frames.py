@@ -4,9 +4,8 @@ pymavlink knows the messages; it does not find them, because in version 2.4.50 i
 - throws away up to 280 bytes after a byte of noise that looks like a start, good frames and all;
 - keeps everything in memory for as long as each portion ends within a frame;
 - accepts any checksum with the environment's MAV_IGNORE_CRC, and unknown messages in any case.
-Frequent messages are not decoded by it either: it parses header and checksum again and reorders
-the fields in a loop, at three times the cost.  It decodes the rest: messages with strings, and
-frames with unusual lengths.
+Nor does it decode messages of numbers: it parses header and checksum again and reorders the fields
+in a loop, at three times the cost.  It decodes those with strings.
 """
 
 import enum
@@ -14,7 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cache
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from struct import Struct
 from typing import Any, Final, NamedTuple, final
 
@@ -32,10 +31,6 @@ _HEADER_1, _HEADER_2 = 6, 10
 _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED: Final = 0x01
 _CRC: Final = Struct("<H")
-_PLAIN: Final = Struct("<BBBxxBBHB")
-"""A MAVLink 2 header: marker, length, flags, system, component, message number."""
-_HEAD: Final = Struct("<BBBBBBBHB")
-_EXTRA: Final = [bytes((extra,)) for extra in range(256)]
 _BOOT_MS_AT: Final = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
     wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0,
@@ -45,6 +40,9 @@ _BOOT_MS_AT: Final = {
 """Offset of time_boot_ms in the payload, of what carries the time at which it was sent."""
 find_marker = re.compile(rb"\xfd(?:.[\x00\x01]|.?\Z)|\xfe", re.DOTALL).search
 """A possible start of frame: in MAVLink 2 only the signature flag may be set."""
+
+
+# --- a frame
 
 
 def frame_extent(data: bytes, at: int) -> tuple[int, int | None]:
@@ -68,22 +66,19 @@ def intact_end(data: bytes, at: int) -> int:
 
     Intact: of a known kind, with the right checksum, without flags that are not understood.
     """
-    size = len(data)
-    if at >= size or data[at] not in (V1, V2):
+    if at >= len(data) or data[at] not in (V1, V2):
         return 0
     end, number = frame_extent(data, at)
-    if number is None or end > size:
-        return 0
-    kind = KINDS.get(number)
+    kind = None if number is None or end > len(data) else KINDS.get(number)
     if kind is None or (data[at] == V2 and data[at + 2] > _SIGNED):
         return 0
     if data[at] == V1 and data[at + 1] > kind.unpacker.size:
         return 0
-    return end if checksum_is_right(data[at:end], kind.crc_extra) else 0
+    return end if _is_right(data[at:end], kind.crc_extra) else 0
 
 
-def checksum_is_right(frame: bytes, extra: int) -> bool:
-    """Check a whole frame; extra: the CRC_EXTRA of the message."""
+def _is_right(frame: bytes, extra: int) -> bool:
+    """Whether the checksum of a whole frame is right; extra: the CRC_EXTRA of the message."""
     end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
     return bool(mcrf4xx(frame[1:end] + bytes((extra,))) == frame[end] | frame[end + 1] << 8)
 
@@ -96,6 +91,11 @@ def number_of(frame: bytes) -> int:
 def sender_of(frame: bytes) -> tuple[int, int]:
     """System and component id that a whole frame claims to come from."""
     return (frame[5], frame[6]) if frame[0] == V2 else (frame[3], frame[4])
+
+
+def sequence_of(frame: bytes) -> int:
+    """The sequence number of a whole frame, of its sender."""
+    return frame[4] if frame[0] == V2 else frame[2]
 
 
 def payload_of(frame: bytes, size: int) -> bytes:
@@ -164,14 +164,18 @@ def _pymavlink_decoder() -> wire.MAVLink:
 def decoded(frame: bytes, kind: Any) -> Message:
     """The message of a frame that is whole, intact, of that kind and without signature.
 
-    Raises MAVError for one that pymavlink refuses.
+    Its texts are fit to be shown: all that comes in by MAVLink comes in here.  Raises MAVError for
+    one that pymavlink refuses.
     """
     in_order = _in_order(kind)
     if in_order is None:
-        return _with_printable_texts(_pymavlink_decoder().decode(bytearray(frame)))
-    size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
-    payload = frame[head : head + frame[1]].ljust(size, b"\0")
-    message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
+        message = _pymavlink_decoder().decode(bytearray(frame))
+        for name in message.get_fieldnames():
+            if isinstance(text := getattr(message, name), str):
+                setattr(message, name, printable(text))
+        return message
+    size = kind.unpacker.size
+    message = kind(*in_order(kind.unpacker.unpack(payload_of(frame, size)[:size])))
     message._msgbuf = bytearray(frame)
     message._payload = message._msgbuf[6:-2]
     (message._crc,) = _CRC.unpack_from(frame, len(frame) - 2)
@@ -181,14 +185,6 @@ def decoded(frame: bytes, kind: Any) -> Message:
         header.seq, header.srcSystem, header.srcComponent = frame[4:7]
     else:
         header.mlen, header.seq, header.srcSystem, header.srcComponent = frame[1:5]
-    return message
-
-
-def _with_printable_texts(message: Message) -> Message:
-    """The message with its texts fit to be shown: all that comes in by MAVLink comes in here."""
-    for name in message.get_fieldnames():
-        if isinstance(text := getattr(message, name), str):
-            setattr(message, name, printable(text))
     return message
 
 
@@ -204,56 +200,14 @@ def _in_order(kind: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]] | None:
     at = [sum(lengths[:order]) for order in kind.orders]
     if sum(lengths) == len(lengths):
         return itemgetter(*at)
-    fields = itemgetter(
-        *(
-            slice(first, first + lengths[order]) if lengths[order] > 1 else first
-            for first, order in zip(at, kind.orders, strict=True)
-        )
-    )
+    sizes = [lengths[order] for order in kind.orders]
     return lambda values: [
-        list(field) if isinstance(field, tuple) else field for field in fields(values)
+        list(values[first : first + size]) if size > 1 else values[first]
+        for first, size in zip(at, sizes, strict=True)
     ]
 
 
-def packed(message: Message, sender: wire.MAVLink) -> bytes:
-    """The next frame of a sender: as pymavlink packs it, at a third of the price.
-
-    What is uncommon is left to it: signed frames, and kinds with texts or lists.
-    """
-    kind: Any = type(message)
-    values_of = _numbers(kind)
-    if values_of is None or sender.signing.sign_outgoing:
-        frame: bytes = message.pack(sender)
-        return frame
-    payload = kind.unpacker.pack(*values_of(message)).rstrip(b"\0") or b"\0"
-    number, names = kind.id, (sender.seq, sender.srcSystem, sender.srcComponent)
-    head = _HEAD.pack(V2, len(payload), 0, 0, *names, number & 0xFFFF, number >> 16)
-    body = head[1:] + payload
-    crc = mcrf4xx(body + _EXTRA[kind.crc_extra])
-    return head[:1] + body + _CRC.pack(crc)
-
-
-@cache
-def _numbers(kind: Any) -> Callable[[Message], tuple[Any, ...]] | None:
-    """What gets the fields of a kind in the order of the wire; None: not all are numbers."""
-    plain = sum(kind.lengths) == len(kind.lengths) > 1 and b"c" not in kind.native_format
-    return attrgetter(*kind.ordered_fieldnames) if plain else None
-
-
 # --- bytes to messages
-
-
-def _is_plausible(data: bytes, at: int, end: int, kind: Any) -> bool:
-    """Whether this may be the header of a frame that ends there, of a known kind or of none."""
-    if data[at] == V1:  # the first protocol knows no fields beyond these: more is noise
-        return kind is not None and data[at + 1] <= kind.unpacker.size
-    # What is unknown has no checksum: its length is believed if a frame follows.
-    return end >= len(data) or data[end] in (V1, V2)
-
-
-_RUNS = re.compile(rb"([\t\n\r\x20-\x7e]+)|[^\t\n\r\x20-\x7e]+")
-"""Text, or what is none."""
-_LEAST_TEXT = 8  # bytes: noise is all text of that length once in 2,400 times
 
 
 class Skipped(enum.Enum):
@@ -277,9 +231,7 @@ class Receiver:
     """
 
     def __init__(
-        self,
-        signing: Signing | None = None,
-        ignored: frozenset[int] = frozenset(),
+        self, signing: Signing | None = None, ignored: frozenset[int] = frozenset()
     ) -> None:
         """signing: None accepts any frame, signed or not.
 
@@ -287,25 +239,11 @@ class Receiver:
         """
         self.passed: Counter[Skipped] = Counter()
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
-        self.harmless = 0
-        """How much of it is no fault of the link: text, as an autopilot says it on its console
-        while it boots; and up to one frame at the beginning, which was cut by coming late."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
         self._ignored = ignored
         self._rest = b""
-        self._has_begun = False
-        self._text = 0
-        """For how many bytes there was nothing but text."""
-
-    @property
-    def noise(self) -> str:
-        """What came damaged, in words; empty: nothing."""
-        if self.passed[Skipped.GARBAGE] + self.passed[Skipped.CHECKSUM] <= self.harmless:
-            return ""
-        kinds = (Skipped.GARBAGE, Skipped.CHECKSUM)
-        return ", ".join(f"{self.passed[each]} {each.value}" for each in kinds if self.passed[each])
 
     def feed(self, data: bytes) -> list[Message]:
         """The messages that are complete now, in order; their get_msgbuf() is without signature."""
@@ -316,82 +254,38 @@ class Receiver:
         portion_at = len(self._rest)
         data = self._rest + data
         heard: list[Incoming] = []
-        at, size = self._read_plain(data, at_s, heard), len(data)
+        at, size, passed = 0, len(data), 0
         while (found := find_marker(data, at)) is not None:
-            start = found.start()
-            if start > at:
-                self._pass_over(data[at:start])
-            at = start
+            passed += found.start() - at
+            at = found.start()
             end, number = frame_extent(data, at)
             kind = None if number is None else KINDS.get(number)
-            doubtful = number is not None and (kind is None or data[at] == V1)
-            if doubtful and not _is_plausible(data, at, end, kind):
+            if number is not None and not _is_plausible(data, at, end, kind):
                 end = 0
-            if end > size and not (at < portion_at < size and intact_end(data, portion_at)):
+            elif end > size and not (at < portion_at < size and intact_end(data, portion_at)):
                 break
             if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
-                at = self._read_plain(data, at_s, heard, end)
-                self._text = 0
+                at = end
             else:
-                self._pass_over(data[at : at + 1])
+                passed += 1
                 at += 1
         else:
-            if size > at:
-                self._pass_over(data[at:size])
+            passed += size - at
             at = size
         self._rest = data[at:]
-        if heard and not self._has_begun:
-            self._has_begun = True
-            passed = self.passed[Skipped.GARBAGE]
-            if passed - self.harmless <= LONGEST:
-                self.harmless = passed + self.passed[Skipped.CHECKSUM]
+        if passed:
+            self.passed[Skipped.GARBAGE] += passed
         return heard
-
-    def _pass_over(self, data: bytes) -> None:
-        """Count what belongs to no frame, and whether it is text."""
-        self.passed[Skipped.GARBAGE] += len(data)
-        least = _LEAST_TEXT if self._has_begun else 1
-        for run in _RUNS.finditer(data):
-            before, self._text = self._text, self._text + len(run[0]) if run[1] else 0
-            if run[1] and self._text >= least:
-                self.harmless += len(run[0]) if before >= least else self._text
-
-    def _read_plain(
-        self, data: bytes, at_s: float | None, heard: list[Incoming], at: int = 0
-    ) -> int:
-        """Fast path: add the messages of whole, intact, unsigned frames in a row.
-
-        Where they end; what follows is looked at in every respect.
-        """
-        last = len(data) - _HEADER_2 - _CHECKSUM if self._signing is None else -1
-        while at <= last:
-            marker, length, flags, system, component, low, high = _PLAIN.unpack_from(data, at)
-            number, end = low | high << 16, at + _HEADER_2 + length
-            kind = KINDS.get(number)
-            if marker != V2 or flags or kind is None or end + _CHECKSUM > len(data):
-                break
-            covered = data[at + 1 : end] + _EXTRA[kind.crc_extra]
-            if mcrf4xx(covered) != data[end] | data[end + 1] << 8 or number in SECRETS:
-                break
-            frame, message = data[at : end + _CHECKSUM], None
-            if number not in self._ignored:
-                try:
-                    message = decoded(frame, kind)
-                except wire.MAVError:
-                    break
-            heard.append(Incoming(frame, number, system, component, message, at_s))
-            at = end + _CHECKSUM
-        return at
 
     def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
         """Add the message of a frame unless it is rejected; returns whether the frame is intact."""
         if kind is None:
             self.passed[Skipped.UNKNOWN] += 1
             return True
-        if not checksum_is_right(frame, kind.crc_extra):
+        if not _is_right(frame, kind.crc_extra):
             self.passed[Skipped.CHECKSUM] += 1
             return False
-        signed = bool(frame[0] == V2 and frame[2] & _SIGNED)
+        signed = frame[0] == V2 and frame[2] & _SIGNED
         self.signed += signed
         if self._signing is not None and not self._signing.accepts(frame):
             return True
@@ -405,7 +299,14 @@ class Receiver:
             except wire.MAVError:
                 self.passed[Skipped.CHECKSUM] += 1
                 return True
-            message._signed = signed and self._signing is not None
-        system, component = plain[5:7] if plain[0] == V2 else plain[3:5]
-        heard.append(Incoming(plain, kind.id, system, component, message, at_s))
+            message._signed = bool(signed) and self._signing is not None
+        heard.append(Incoming(plain, kind.id, *sender_of(plain), message, at_s))
         return True
+
+
+def _is_plausible(data: bytes, at: int, end: int, kind: Any) -> bool:
+    """Whether this may be the header of a frame that ends there, of a known kind or of none."""
+    if data[at] == V1:  # the first protocol knows no fields beyond these: more is noise
+        return kind is not None and data[at + 1] <= kind.unpacker.size
+    # What is unknown has no checksum: its length is believed if a frame follows.
+    return kind is not None or end >= len(data) or data[end] in (V1, V2)

@@ -1,52 +1,29 @@
-"""The links of a session: received messages, vehicle selection and clock, frames to send.
+"""The two ends of a session's link: what was received and waits, and what is to be sent."""
 
-Each message is classified once, as it comes in: link, sender, number.
-"""
-
-import enum
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
-from companion.mavlink.dialect import (
-    AUTOPILOT_COMPONENT,
-    Message,
-    codec,
-    wire,
-)
-from companion.mavlink.frames import IGNORED_MESSAGES, V2, Incoming, Receiver, packed
+from companion.mavlink.clock import TIME_ONLY_MESSAGES
+from companion.mavlink.dialect import Message, codec
+from companion.mavlink.frames import IGNORED_MESSAGES, Incoming, Receiver, sequence_of
 from companion.mavlink.signing import Signing, strip_signature
+from companion.mavlink.who import DuplicateIdDetector
 from companion.mission.checkpoint import Values
 from companion.mission.entries import Entry
-from companion.mission.events import DuplicateId, End
+from companion.mission.events import End
 from companion.planner.request import PlanRequest
 from companion.world.known_map import KnownMap
 
-TIME_ONLY_MESSAGES: Final = frozenset(
-    {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
-)
-"""Messages of which only time_boot_ms is used: not decoded."""
 _UNDECODED: Final = IGNORED_MESSAGES | TIME_ONLY_MESSAGES
 _BEGUN_AGAIN = 128
 _MAX_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
 
-_HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
-_ENOUGH = 10  # of any: then it will not become clear by itself
-_NO_AUTOPILOTS = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
-
-_KEPT = 2048  # frames that may still come back: 10 s at 200 Hz
-_STRANGE = 3  # heartbeats, or other frames
-_SPAN_S = 1.5  # from the first of them to the last, at the least
-_GAP_S = 3.0  # after so long without any it begins anew,
-_GONE_S = 10.0  # and so long for one that was certain
-_TELL_S = 0.5
-
-_REBOOT_S = 2.0  # a clock that falls by more has begun again; one that leaps by more is doubted
-_BEAT_S = 1.0  # between two heartbeats of an autopilot
-_OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
-
-# --- in
+Stamped = tuple[float, bytes]
+"""Vehicle time, seconds, and a frame."""
+Input = tuple[Any, ...]
+"""A recorded call of the session: its name, and its arguments as plain values."""
 
 
 @final
@@ -67,281 +44,14 @@ class Inbox:
         heard = self.receiver.read(data, at_s)
         self.dropped += max(len(self.waiting) + len(heard) - _MAX_WAITING, 0)
         self.waiting.extend(heard)
-        counted = self.counted
         for each in heard:
-            sender, frame = (each.system, each.component), each.frame
-            number = frame[4] if frame[0] == V2 else frame[2]
-            before, frames, lost = counted.get(sender, (number - 1, 0, 0))
+            sender, number = (each.system, each.component), sequence_of(each.frame)
+            before, frames, lost = self.counted.get(sender, (number - 1, 0, 0))
             gap = (number - before - 1) & 0xFF
             # more than half of all numbers: it is late, came twice, or its sender began again
-            counted[sender] = number, frames + 1, lost + (gap if gap < _BEGUN_AGAIN else 0)
+            lost += gap if gap < _BEGUN_AGAIN else 0
+            self.counted[sender] = number, frames + 1, lost
         return heard
-
-
-# --- who
-
-
-@final
-class VehicleSelector:
-    """Selects our vehicle: the one that the mission names, or the only one heard.
-
-    Counts heartbeats of autopilots instead of measuring time, so that a replay of the same messages
-    selects the same vehicle.
-    """
-
-    def __init__(self, system_id: int | None) -> None:
-        self.system_id = system_id
-        """Of our vehicle; None: not known yet."""
-        self.others: set[int] = set()
-        """Systems with an autopilot that are not ours, or may not be."""
-        self.elsewhere: set[tuple[int, int]] = set()
-        """System and component of what sends an autopilot's heartbeat and is not component 1."""
-        self._heard: dict[int, int] = {}
-
-    @property
-    def ambiguity(self) -> str:
-        """A warning once several autopilots have been heard for a while; empty: unambiguous."""
-        if self.system_id is not None or sum(self._heard.values()) < _ENOUGH:
-            return ""
-        names = ", ".join(str(system) for system in sorted(self.others))
-        return f"systems {names} are heard, choose one with --system"
-
-    def is_ours(self, heard: Incoming) -> bool:
-        """Whether our autopilot sent this; before one is selected: whether any autopilot did."""
-        if self.system_id is None:
-            return _is_an_autopilots(heard)
-        return heard.system == self.system_id and heard.component == AUTOPILOT_COMPONENT
-
-    def on_heartbeat(self, heard: Incoming) -> bool:
-        """Whether this heartbeat completes the selection."""
-        system = heard.system
-        if heard.component != AUTOPILOT_COMPONENT and _is_of_an_autopilot(heard):
-            self.elsewhere.add((system, heard.component))
-        if system == self.system_id or not _is_an_autopilots(heard):
-            return False
-        self.others.add(system)
-        if self.system_id is not None:
-            return False
-        self._heard[system] = self._heard.get(system, 0) + 1
-        if len(self._heard) > 1 or self._heard[system] < _HEARTBEATS:
-            return False
-        self.system_id = system
-        self.others.clear()
-        return True
-
-
-def _is_an_autopilots(heard: Incoming) -> bool:
-    """Whether this is an autopilot's heartbeat: those of other components are forwarded too."""
-    return heard.component == AUTOPILOT_COMPONENT and _is_of_an_autopilot(heard)
-
-
-def _is_of_an_autopilot(heard: Incoming) -> bool:
-    """Whether this heartbeat tells of an autopilot, of whatever component."""
-    message = heard.message
-    if heard.number != wire.MAVLINK_MSG_ID_HEARTBEAT or message is None:
-        return False
-    return message.type not in _NO_AUTOPILOTS and message.autopilot != wire.MAV_AUTOPILOT_INVALID
-
-
-TO_COMPONENT_1: Final = "Set the autopilot's component id to 1 (MAV_COMP_ID)."
-
-
-def ids_in_words(ids: Iterable[tuple[int, int]]) -> str:
-    """Such as: component 50 of system 1, component 51 of system 1."""
-    return ", ".join(f"component {component} of system {system}" for system, component in ids)
-
-
-_Key = tuple[int, int, bytes]
-"""Sequence number, message, payload."""
-
-
-@final
-@dataclass(slots=True)
-class _DuplicateSender:
-    """Frames heard from another process with our ids."""
-
-    first_s: float
-    last_s: float
-    count: int = 0
-    told_s: float | None = None
-    certain: bool = False
-
-    @property
-    def patience_s(self) -> float:
-        """How long it may be silent and still count as the same process."""
-        return _GONE_S if self.certain else _GAP_S
-
-
-@final
-class DuplicateIdDetector:
-    """Detects another process with our ids, as opposed to our own frames reflected by the link.
-
-    Routers and radios may reflect frames.  A reflected frame has the sequence number, message and
-    payload of one that we sent, though signature and version may differ.  Any other frame with our
-    ids comes from another process.  Frames that a previous companion left in buffers arrive in one
-    burst; a process that goes on for longer is alive.
-    """
-
-    def __init__(self) -> None:
-        self.sent: deque[bytes] = deque(maxlen=_KEPT)
-        """Frames of ours, signed or not, since any companion's was last heard."""
-        self._sent: dict[_Key, None] = {}
-        self._heard: dict[int, _DuplicateSender] = {}
-        """By system id: whose companion we are may not be known yet."""
-
-    def heard(self, frame: bytes, system_id: int | None, now_s: float) -> DuplicateId | None:
-        """The event for a companion's frame that is not ours, if one is due.
-
-        system_id: ours, None as long as it is not known.
-        """
-        for key in map(_key, self.sent):
-            self._sent.pop(key, None)
-            self._sent[key] = None
-            if len(self._sent) > _KEPT:
-                del self._sent[next(iter(self._sent))]
-        self.sent.clear()
-        if _key(frame) in self._sent:
-            return None
-        system = frame[5] if frame[0] == V2 else frame[3]
-        heard = self._heard.get(system)
-        if heard is None or not 0.0 <= now_s - heard.last_s <= heard.patience_s:
-            heard = self._heard[system] = _DuplicateSender(now_s, now_s)
-        heard.last_s, heard.count = now_s, heard.count + 1
-        news = not heard.certain and (heard.count >= _STRANGE and now_s - heard.first_s >= _SPAN_S)
-        heard.certain = heard.certain or news
-        lately = heard.told_s is not None and now_s - heard.told_s < _TELL_S
-        if system != system_id or (lately and not news):
-            return None
-        first = heard.told_s is None or news
-        heard.told_s = now_s
-        return DuplicateId(time_s=now_s, certain=heard.certain, news=first and heard.certain)
-
-
-def _key(frame: bytes) -> _Key:
-    """The part of a frame that a reflection does not change; MAVLink 1 or 2."""
-    if frame[0] == V2:
-        number = frame[7] | frame[8] << 8 | frame[9] << 16
-        return frame[4], number, frame[10 : 10 + frame[1]].rstrip(b"\0")
-    return frame[2], frame[5], frame[6 : 6 + frame[1]].rstrip(b"\0")
-
-
-# --- when
-
-
-class ClockReading(enum.Enum):
-    """Effect of a time stamp on the clock."""
-
-    FIRST = "the clock is known from now on"
-    LATER = "it has moved on"
-    SAME = "it has not"
-    REBOOTED = "it has begun again"
-    DOUBTED = "it has fallen or leapt, for the first time: one such message may be a mistake"
-
-
-@final
-class VehicleClock:
-    """Vehicle time, seconds since its boot."""
-
-    def __init__(self, start_s: float) -> None:
-        """start_s: used as the time until it is known."""
-        self.now_s = self.going_on_s = start_s
-        """What it shows; with the silence since on top: for what goes on meanwhile."""
-        self.is_known = False
-        self.passed_s = 0.0
-        """How long it has been known, all boots together."""
-        self._idle_s = 0.0
-        self._doubted_s: float | None = None
-        """The time stamp just before, if it was doubted."""
-        self._read_at_s: float | None = None
-        """When the newest time stamp arrived."""
-        self._beat: tuple[float, float, int] | None = None
-        """Time, idle time and sequence number at the last heartbeat."""
-        self._told_ms: dict[int, int] = {}
-
-    def is_newer(self, number: int, time_boot_ms: int) -> bool:
-        """Whether a time-only message is newer than the last one of its kind.
-
-        That one is remembered.
-        """
-        before_ms = self._told_ms.get(number)
-        if before_ms is not None and 0 <= time_boot_ms - before_ms < _OFTEN_MS:
-            return False
-        self._told_ms[number] = time_boot_ms
-        return True
-
-    def believes(self, time_s: float, at_s: float | None = None) -> bool:
-        """Whether read() would take this time stamp.
-
-        It fits what has passed by the vehicle's time stamps, by the silence or by the arrival; or
-        the one before did not fit either, and this one goes on from it.
-        """
-        if not self.is_known:
-            return True
-        passed_s = 0.0 if at_s is None or self._read_at_s is None else at_s - self._read_at_s
-        latest_s = max(self.going_on_s, self.now_s + passed_s) + _REBOOT_S
-        if self.now_s - _REBOOT_S <= time_s <= latest_s:
-            return True
-        # Two messages of one stamp, or two copies of one, are one mistake.
-        return self._doubted_s is not None and 0.0 < time_s - self._doubted_s < _REBOOT_S
-
-    def read(self, time_s: float, at_s: float | None = None) -> ClockReading:
-        """Take a time stamp of the vehicle; at_s: of its arrival, by any monotonic clock."""
-        goes_on = self.is_known and 0.0 <= time_s - self.now_s <= _REBOOT_S
-        if not goes_on and not self.believes(time_s, at_s):
-            self._doubted_s = time_s
-            return ClockReading.DOUBTED
-        self._doubted_s = None
-        if not self.is_known:
-            self.is_known, self._read_at_s = True, at_s
-            self._show(time_s)
-            return ClockReading.FIRST
-        if time_s < self.now_s - _REBOOT_S:
-            self._read_at_s = at_s
-            self._show(time_s)
-            return ClockReading.REBOOTED
-        if time_s <= self.now_s:
-            return ClockReading.SAME
-        self.passed_s += time_s - self.now_s
-        self.now_s = self.going_on_s = time_s
-        self._idle_s, self._read_at_s = 0.0, at_s
-        return ClockReading.LATER
-
-    def _show(self, now_s: float, idle_s: float = 0.0) -> None:
-        self.now_s, self._idle_s, self.going_on_s = now_s, idle_s, now_s + idle_s
-
-    def beat(self, heartbeat: Message) -> bool:
-        """Whether this is a new heartbeat, with no time stamp since the last one.
-
-        Two heartbeats without a time in between are a second apart, if no more is known; a copy
-        has the sequence number of the first.
-        """
-        before, number = self._beat, heartbeat.get_seq()
-        if before is not None and before[2] == number:
-            return False
-        stands = self.is_known and before is not None and before[0] == self.now_s
-        if stands and before is not None:
-            self._show(self.now_s, max(self._idle_s, before[1] + _BEAT_S))
-        self._beat = (self.now_s, self._idle_s, number)
-        return stands
-
-    def on_silence(self, more_s: float, *, counts: bool) -> ClockReading:
-        """Advance the clock in a silence; counts: also before the vehicle's time is known."""
-        if self.is_known or not counts:
-            self._show(self.now_s, self._idle_s + more_s)
-            return ClockReading.SAME
-        later_s = self.now_s + more_s
-        if later_s <= self.now_s:
-            return ClockReading.SAME
-        self._show(later_s)
-        return ClockReading.LATER
-
-
-# --- out
-
-Stamped = tuple[float, bytes]
-"""Vehicle time, seconds, and a frame."""
-Input = tuple[Any, ...]
-"""A recorded call of the session: its name, and its arguments as plain values."""
 
 
 @final
@@ -396,19 +106,17 @@ class FrameEncoder:
     def send(self, messages: Iterable[Message], now_s: float) -> None:
         """Send messages in order."""
         for message in messages:
-            frame = packed(message, self._codec)
+            frame = message.pack(self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
             self.out.frames.append(frame)
-            self.duplicates.sent.append(frame)
-            self.out.record.append(
-                (now_s, frame if self._signing is None else strip_signature(frame))
-            )
+            self.duplicates.sent(frame)
+            self.out.record.append((now_s, strip_signature(frame)))
 
     def encode_unsent(self, messages: Iterable[Message]) -> list[bytes]:
         """Encode messages that may never be sent, unsigned: no sequence numbers are used up."""
         frames, self._unsent.seq = [], self._codec.seq
         for message in messages:
-            frames.append(packed(message, self._unsent))
+            frames.append(message.pack(self._unsent))
             self._unsent.seq = (self._unsent.seq + 1) % 256
         return frames
 

@@ -5,6 +5,7 @@ its names at once; after an answer the other names are dropped.  A request for a
 not exist gets no answer, or PARAM_ERROR from autopilots that send it.
 """
 
+import enum
 import math
 import struct
 from collections.abc import Iterable, Sequence
@@ -43,30 +44,25 @@ _ERRORS: Final = {
 }
 
 
+class _Stage(enum.Enum):
+    """What is waited for."""
+
+    READ = "the value, and with it the type"
+    SET = "the echo of the value that was set"
+    READ_BACK = "the same value, when it is asked for again"
+
+
 @final
 @dataclass(slots=True)
 class _Request:
     """A request without an answer yet."""
 
+    stage: _Stage = _Stage.READ
+    value: float | None = None
+    """To be set, once it has been read."""
     tries: int = 0
     """Without those during which the whole autopilot was silent."""
     asked_s: float = -math.inf
-
-    def again(self, now_s: float, heard_s: float) -> None:
-        """Asked (again) now; heard_s: when anything at all was heard last."""
-        self.tries = max(self.tries + int(heard_s > self.asked_s), 1)
-        self.asked_s = now_s
-
-
-@final
-@dataclass(slots=True)
-class _ParameterSet:
-    """A value to be set: first sent, then read back."""
-
-    value: float
-    ask: _Request
-    acknowledged: bool = False
-    """Whether the autopilot has echoed this value, so that only the read-back is missing."""
 
 
 def decoded(message: Message, *, bytewise: bool) -> float:
@@ -75,8 +71,7 @@ def decoded(message: Message, *, bytewise: bool) -> float:
     if form is None:
         return float(message.param_value)
     raw = payload_as_sent(message, 4) or struct.pack("<f", message.param_value)
-    (whole,) = struct.unpack_from(form, raw)
-    return float(whole)
+    return float(struct.unpack_from(form, raw)[0])
 
 
 def encoded(value: float, kind: int, *, bytewise: bool) -> float:
@@ -87,15 +82,13 @@ def encoded(value: float, kind: int, *, bytewise: bool) -> float:
     form = _FORMATS.get(kind)
     if form is None:
         return value
-    whole = round(value)
     try:
-        raw = struct.pack(form, whole)
+        raw = struct.pack(form, round(value))
     except struct.error as error:
         raise OverflowError(str(error)) from error
     if not bytewise:
-        return float(whole)
-    (as_float,) = struct.unpack("<f", raw.ljust(4, b"\0"))
-    return float(as_float)
+        return float(round(value))
+    return float(struct.unpack("<f", raw.ljust(4, b"\0"))[0])
 
 
 @final
@@ -109,9 +102,8 @@ class ParameterClient:
         self, system_id: int, names: Iterable[Sequence[str]], *, bytewise: bool = False
     ) -> None:
         """names: of each parameter all the names that it may have, the usual one first."""
-        self._system_id = system_id
-        self._groups = tuple(tuple(group) for group in names)
-        self._group_of = {name: group for group in self._groups for name in group}
+        self._to = system_id, AUTOPILOT_COMPONENT
+        self._group_of = {name: tuple(group) for group in names for name in group}
         self._bytewise = bytewise
         self.values: dict[str, float] = {}
         """By the name that this autopilot has it under, in the autopilot's own unit."""
@@ -121,39 +113,35 @@ class ParameterClient:
         """What could not be set, and why, in words."""
         self.version = 0
         """Rises whenever a value changes: then judge again."""
-        self._types: dict[str, int] = {}
-        self._reads: dict[str, _Request] = {}
-        self._sets: dict[str, _ParameterSet] = {}
-        self._lossy = False
         self.heard_s = -math.inf
         """When the autopilot was heard last: while it is silent nothing is taken for missing."""
+        self._types: dict[str, int] = {}
+        self._open: dict[str, _Request] = {}
+        self._lossy = False
         self.restart()
 
     @property
     def is_done(self) -> bool:
         """Whether everything was read or is missing, and everything set is read back or failed."""
-        return not self._reads and not self._sets
+        return not self._open
 
     @property
     def waiting(self) -> tuple[str, ...]:
         """What has not been answered yet."""
-        return (*self._reads, *(name for name in self._sets if name not in self._reads))
+        return tuple(self._open)
 
     def restart(self) -> None:
         """Request everything again: the autopilot has rebooted."""
-        self.values.clear()
-        self.missing.clear()
-        self.failed_sets.clear()
-        self._types.clear()
-        self._sets.clear()
-        self._reads = {name: _Request() for group in self._groups for name in group}
+        for known in (self.values, self.missing, self.failed_sets, self._types):
+            known.clear()
+        self._open = {name: _Request() for name in self._group_of}
         self.version += 1
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
         self.heard_s += shift_s
-        for ask in [*self._reads.values(), *(each.ask for each in self._sets.values())]:
-            ask.asked_s += shift_s
+        for request in self._open.values():
+            request.asked_s += shift_s
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter; the value is read back and compared.
@@ -163,159 +151,144 @@ class ParameterClient:
         self.failed_sets.pop(name, None)
         if not (math.isfinite(value) and abs(value) <= _LARGEST_FLOAT):
             self.failed_sets[name] = f"{value} is no number that a parameter can have"
-            return
-        self._sets[name] = _ParameterSet(value=value, ask=_Request())
-        if name not in self.values and name not in self._reads:
-            self._reads[name] = _Request()  # its type has to be known
+        elif name in self._open and self._open[name].stage is _Stage.READ:
+            self._open[name].value = value
+        else:
+            stage = _Stage.SET if name in self._types else _Stage.READ
+            self._open[name] = _Request(stage, value)
 
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
         """Handle a message of the autopilot, requested or not."""
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        if source != (self._system_id, AUTOPILOT_COMPONENT):
+        if (message.get_srcSystem(), message.get_srcComponent()) != self._to:
             return []
         self.heard_s = now_s
-        match message.get_type():
-            case "PARAM_VALUE":
-                self._on_value(message)
-            case "PARAM_ERROR":
-                self._on_error(message)
-            case "AUTOPILOT_VERSION":
-                self._on_version(message)
+        match message.get_msgId():
+            case wire.MAVLINK_MSG_ID_PARAM_VALUE:
+                if message.param_id in self._group_of or message.param_id in self._open:
+                    self._on_value(message)
+            case wire.MAVLINK_MSG_ID_PARAM_ERROR:
+                self._on_error(message.param_id, message.error)
+            case wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+                self._on_version(message.capabilities)
             case _:
                 return []
         return self.on_time(now_s)
 
     def _on_value(self, message: Message) -> None:
-        name = message.param_id
-        if name not in self._group_of and name not in self._reads and name not in self._sets:
-            return
-        value = decoded(message, bytewise=self._bytewise)
+        name, value = message.param_id, decoded(message, bytewise=self._bytewise)
         if not self._types:  # parameters are answered at all: tries count from here
-            for ask in self._reads.values():
-                ask.tries = min(ask.tries, 1)
+            for each in self._open.values():
+                each.tries = min(each.tries, 1)
         self._types[name] = message.param_type
-        if name not in self.values or not _same(self.values[name], value):
-            self.version += 1
+        self.version += not _same(self.values.get(name), value)
         self.values[name] = value
-        self._answered(name)
-        setting = self._sets.get(name)
-        if setting is None or setting.ask.tries == 0 or not self._kept(setting.value, name):
-            return
-        if setting.acknowledged:
-            del self._sets[name]
-        else:
-            setting.acknowledged, setting.ask = True, _Request()
-
-    def _answered(self, name: str) -> None:
-        """Drop the requests for the other names of the same parameter."""
         group = self._group_of.get(name, (name,))
         self.missing.discard(group[0])
-        for each in group:
-            ask = self._reads.pop(each, None)
-            if ask is not None and each == name and ask.tries > 1:
-                self._lossy = True
+        for other in group:
+            if other != name and other in self._open and self._open[other].stage is _Stage.READ:
+                del self._open[other]
+        request = self._open.get(name)
+        if request is None:
+            return
+        if request.stage is _Stage.READ:
+            self._lossy = self._lossy or request.tries > 1
+            self._go_on(name, request, None if request.value is None else _Stage.SET)
+        elif request.tries and request.value is not None and self._is_kept(name, request.value):
+            self._go_on(name, request, _Stage.READ_BACK if request.stage is _Stage.SET else None)
 
-    def _kept(self, asked: float, name: str) -> bool:
-        if self._types[name] in _FORMATS:
-            asked = float(round(asked))
+    def _go_on(self, name: str, request: _Request, stage: _Stage | None) -> None:
+        """On to the next stage of a request; None: it is over."""
+        if stage is None:
+            del self._open[name]
+        else:
+            self._open[name] = _Request(stage, request.value)
+
+    def _is_kept(self, name: str, asked: float) -> bool:
+        asked = float(round(asked)) if self._types[name] in _FORMATS else asked
         return _same(asked, self.values[name])
 
-    def _on_error(self, message: Message) -> None:
-        name, error = message.param_id, message.error
+    def _on_error(self, name: str, error: int) -> None:
+        request = self._open.get(name)
+        if request is None:
+            return
         if error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST:
-            self._give_up_reading(name)
-        elif name in self._sets and error in _ERRORS:
+            if request.stage is _Stage.READ:
+                self._give_up(name, request)
+        elif request.value is not None and error in _ERRORS:
             self._fail(name, _ERRORS[error])
 
-    def _on_version(self, message: Message) -> None:
+    def _on_version(self, capabilities: int) -> None:
         """If integers are encoded differently than assumed, request everything again."""
-        as_bytes = message.capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-        cast = message.capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+        as_bytes = capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+        cast = capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
         bytewise = bool(as_bytes) or (self._bytewise and not cast)
         if bytewise != self._bytewise:
             self._bytewise = bytewise
-            wanted = {name: setting.value for name, setting in self._sets.items()}
+            before = self._open
             self.restart()
-            for name, value in wanted.items():
-                self.set(name, value)
+            for name, request in before.items():
+                if request.value is not None:
+                    self.set(name, request.value)
 
     # --- out ----------------------------------------------------------------------------------
 
     def on_time(self, now_s: float) -> list[Message]:
-        """The requests that are due: new ones, and those whose answer has not come."""
-        if self.is_done:
-            return []
-        self._look_at_tries(now_s)
-        asks = self._asks()
-        free = _OUTSTANDING - sum(1 for _, ask in asks if now_s - ask.asked_s < ANSWER_S)
-        due = sorted(
-            ((name, ask) for name, ask in asks if now_s - ask.asked_s >= ANSWER_S),
-            key=lambda each: each[1].tries,
-        )
-        messages = []
-        for name, ask in due[: max(free, 0)]:
-            ask.again(now_s, self.heard_s)
-            messages.append(self._request(name))
-        return [message for message in messages if message is not None]
+        """The requests that are due: new ones, and those whose answer has not come.
 
-    def _asks(self) -> list[tuple[str, _Request]]:
-        """All open requests; a set waits until the parameter's type is known."""
-        ready = [(name, each.ask) for name, each in self._sets.items() if name in self._types]
-        return [*self._reads.items(), *ready]
-
-    def _request(self, name: str) -> Message | None:
-        setting = self._sets.get(name)
-        key = name.encode("ascii", "replace")
-        if setting is None or setting.acknowledged or name in self._reads:
-            return wire.MAVLink_param_request_read_message(
-                self._system_id, AUTOPILOT_COMPONENT, key, -1
-            )
-        kind = self._types[name]
-        try:
-            value = encoded(setting.value, kind, bytewise=self._bytewise)
-        except (OverflowError, ValueError):
-            self._fail(name, f"{setting.value:g} does not fit into its type")
-            return None
-        return wire.MAVLink_param_set_message(
-            self._system_id, AUTOPILOT_COMPONENT, key, value, kind
-        )
-
-    def _look_at_tries(self, now_s: float) -> None:
-        """Give up requests after the last retry.
-
-        While no parameter at all has been answered the link is down, and none is given up.
+        What was asked for often enough is given up; but while no parameter at all has been
+        answered the link is down, and only what was to be set is.
         """
         most = _MAX_TRIES_LOSSY if self._lossy else _MAX_TRIES
-        for name, ask in list(self._reads.items()):
-            if self._types and self._is_over(ask, most, now_s):
-                self._give_up_reading(name)
-        for name, setting in list(self._sets.items()):
-            if self._is_over(setting.ask, most, now_s):
-                self._fail(name, f"it was told {setting.value:g} and says {self.values[name]:g}")
+        due = []
+        for name, request in list(self._open.items()):
+            if now_s - request.asked_s < ANSWER_S:
+                continue
+            may_end = bool(self._types) or request.stage is not _Stage.READ
+            if may_end and request.tries >= most and self.heard_s > request.asked_s:
+                self._give_up(name, request)
+            else:
+                due.append((name, request))
+        free = _OUTSTANDING - (len(self._open) - len(due))
+        due.sort(key=lambda each: each[1].tries)
+        asked = []
+        for name, request in due[: max(free, 0)]:
+            request.tries = max(request.tries + int(self.heard_s > request.asked_s), 1)
+            request.asked_s = now_s
+            asked += self._messages(name, request)
+        return asked
 
-    def _is_over(self, ask: _Request, most: int, now_s: float) -> bool:
-        """Whether the last retry has timed out, and the autopilot has been heard since."""
-        waited = now_s - ask.asked_s >= ANSWER_S
-        return ask.tries >= most and waited and self.heard_s > ask.asked_s
+    def _messages(self, name: str, request: _Request) -> list[Message]:
+        key = name.encode("ascii", "replace")
+        if request.stage is not _Stage.SET or request.value is None:
+            return [wire.MAVLink_param_request_read_message(*self._to, key, -1)]
+        kind = self._types[name]
+        try:
+            value = encoded(request.value, kind, bytewise=self._bytewise)
+        except (OverflowError, ValueError):
+            self._fail(name, f"{request.value:g} does not fit into its type")
+            return []
+        return [wire.MAVLink_param_set_message(*self._to, key, value, kind)]
 
-    def _give_up_reading(self, name: str) -> None:
-        if self._reads.pop(name, None) is None:
+    def _give_up(self, name: str, request: _Request) -> None:
+        if request.stage is not _Stage.READ:
+            self._fail(name, f"it was told {request.value:g} and says {self.values[name]:g}")
             return
+        del self._open[name]
         group = self._group_of.get(name, (name,))
-        if not any(each in self._reads or each in self.values for each in group):
+        if not any(each in self._open or each in self.values for each in group):
             self.missing.add(group[0])
-        if name in self._sets:
+        if request.value is not None:
             self._fail(name, "the autopilot does not have it")
 
     def _fail(self, name: str, why: str) -> None:
-        self._sets.pop(name, None)
+        self._open.pop(name, None)
         self.failed_sets[name] = why
 
 
-def _same(one: float, other: float) -> bool:
+def _same(one: float | None, other: float) -> bool:
     """Whether two values are the same float on the wire; what is not a number equals itself."""
-    if math.isnan(one) or math.isnan(other):
-        return math.isnan(one) and math.isnan(other)
+    if one is None or math.isnan(one) or math.isnan(other):
+        return one is not None and math.isnan(one) and math.isnan(other)
     return math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-30)

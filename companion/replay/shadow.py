@@ -20,7 +20,7 @@ from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, describ
 from companion.mavlink.autopilots.messages import is_nowhere
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import Receiver, number_of, sender_of
-from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
+from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task

@@ -12,7 +12,6 @@ import numpy as np
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilot_client import AutopilotClient
-from companion.mavlink.parameter_checks import Severity
 from companion.mission import journal
 from companion.mission.entries import Entry
 from companion.mission.events import Item, Landed, Vector
@@ -242,9 +241,9 @@ class Notes:
         for finding in vehicle.findings if self._checks_area else ():
             if finding.value is None:
                 continue
-            if finding.severity is Severity.SET and finding.set_to is not None:
+            if finding.set_to is not None:
                 self._judge(f"would have set {finding.name} to {finding.set_to:g}: {finding.rule}")
-            elif finding.severity is Severity.REFUSE:
+            else:
                 self._judge(f"would have refused the flight: {finding}")
 
     def _judge(self, text: str) -> None:

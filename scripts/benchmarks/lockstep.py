@@ -23,7 +23,7 @@ from tapped import end, free_port, start_companion, start_vehicle, udp_socket
 
 from companion.config import folder_of
 from companion.mavlink.dialect import codec
-from companion.mavlink.frames import Receiver, packed
+from companion.mavlink.frames import Receiver
 from companion.runtime.compiler import load_kernel
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer, StreamParser
@@ -86,7 +86,7 @@ def _answer(link: socket.socket, ours: Sequence[Sequence[object]]) -> None:
     for messages in ours:
         data, sender = link.recvfrom(65_535)
         receiver.read(data, 0.0)
-        link.sendto(b"".join(packed(message, own) for message in messages), sender)
+        link.sendto(b"".join(message.pack(own) for message in messages), sender)
 
 
 def main() -> int:

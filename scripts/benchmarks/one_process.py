@@ -18,7 +18,7 @@ import running
 
 from companion.config import folder_of, load_mission, mission_text
 from companion.mavlink.dialect import codec
-from companion.mavlink.frames import Receiver, packed
+from companion.mavlink.frames import Receiver
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime.compiler import load_kernel
@@ -117,7 +117,7 @@ def frames_alone(ticks: Sequence[Tick]) -> float:
             packer.frame(message)
         receiver.read(b"".join(said), 0.0)
         for message in ours:
-            packed(message, link)
+            message.pack(link)
         parser.feed(b"".join(told))
     return time.process_time() - began_s
 

@@ -6,8 +6,6 @@ It shares nothing with the companion and with pymavlink: byte layouts are those 
 import struct
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import all as wire
-
 from companion.mavlink.dialect import Message, codec
 
 OURS = (7, 195)
@@ -108,11 +106,3 @@ class Text:
 
 def statustext(message: Message) -> Text:
     return Text(*struct.unpack("<B50sHB", payload_of(message, 253, 54)))
-
-
-def any_message(number: int, payload: bytes, sender: tuple[int, int]) -> Message:
-    """A message of the dialect with any bytes in its fields, repeated as often as they fit."""
-    kind = wire.mavlink_map[number]
-    size = kind.unpacker.size
-    filled = (payload * (size // max(len(payload), 1) + 1))[:size].ljust(size, b"\0")
-    return parsed(frame(number, filled, sender, kind.crc_extra))

@@ -416,7 +416,8 @@ def test_px4_says_to_a_companion_that_its_fence_is_crossed(name: str, breach: bo
     """By EVENT, which it sends to everybody; the third is of a recording: 3087815 (px4.md 6)."""
     number = px4.event_id(name) | 1 << 24
     sent = EventMessage(0, 0, number, 5, 1, 0x33, [0] * 40)
-    frame = sent.pack(codec(1))
+    payload = EventMessage.unpacker.pack(number, 5, 1, 0, 0, 0x33, *[0] * 40)
+    frame = sent._pack(codec(1), EventMessage.crc_extra, payload)
     [heard] = Receiver().feed(frame)
     event = told_of(heard, PX4_MULTICOPTER)
     assert isinstance(event, FenceBreach) == breach

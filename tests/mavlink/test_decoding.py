@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as wire
 
-from companion.mavlink.frames import decoded, packed
+from companion.mavlink.frames import decoded
 from companion.printable import printable
 
 KINDS = sorted(wire.mavlink_map)
@@ -47,8 +47,6 @@ def test_every_kind_is_decoded_as_by_pymavlink(version_1: bool) -> None:
             assert told(message) == told(theirs.decode(bytearray(frame)))
             texts = (getattr(message, name) for name in message.get_fieldnames())
             assert all(text.isprintable() for text in texts if isinstance(text, str))
-            if b"c" not in kind.native_format:
-                assert packed(message, theirs) == message.pack(theirs)
             compared += 1
     assert compared > 3000
 

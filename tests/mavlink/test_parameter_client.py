@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
-from companion.mavlink.parameter_checks import names_of
 from companion.mavlink.parameter_client import (
     ANSWER_S,
     ParameterClient,
     decoded,
     encoded,
 )
+from companion.mavlink.rules import names_of
 
 ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
 RULES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
@@ -82,7 +82,7 @@ def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
     assert client.is_done
     assert client.missing.isdisjoint(client.values)
     assert all(
-        name in client.values for name, *_ in client._groups if name in held.simulation.parameters
+        name in client.values for name in client._group_of if name in held.simulation.parameters
     )
 
 

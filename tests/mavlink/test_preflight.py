@@ -303,7 +303,8 @@ def test_the_delay_of_the_link(
 def test_noise_on_the_link_is_noted(looked: Pair) -> None:
     assert looked.status("noise") == ""
     it = Pair().looked_at()
-    it.hear(b"\x00" * 40)
+    frame = beat(9, 1)
+    it.hear(frame[:-1] + bytes([frame[-1] ^ 1]) + bytes(40))
     assert it.status("noise") == "note"
     assert it.refused == []
 

@@ -141,27 +141,6 @@ def test_what_is_passed_over_is_counted_by_kind() -> None:
     assert receiver.passed[Skipped.GARBAGE] == len(noise) + len(broken) + len(FLUSH)
 
 
-BOOT = (
-    b"\r\n\r\nInit ArduCopter V4.6.3 (3fc7011a)\r\n\r\nFree RAM: 131072\r\n"
-    b"load_all took 132us\r\n\r\nBarometer calibration complete\r\nReady to FLY\r\n"
-)
-"""On the console of SERIAL0, in clear text, at each boot."""
-
-
-@given(cuts, st.integers(0, 40))
-def test_what_an_autopilot_says_while_it_boots_is_no_noise(where: list[int], late: int) -> None:
-    """In any portions, at the first boot and at another one; nor is a frame that has begun."""
-    receiver, speaker = Receiver(), codec(1)
-    frames = [position(k).pack(speaker) for k in range(4)]
-    data = frames[0][late:] + BOOT + frames[1] + frames[2] + BOOT + frames[3]
-    begun = [frames[0]] if late == 0 else []
-    assert feed_all(receiver, portions(data, where)) == begun + frames[1:]
-    assert receiver.passed.total() >= 2 * len(BOOT)
-    assert receiver.noise == ""
-    feed_all(receiver, [b"\x81\x02 \x90", frames[0]])
-    assert receiver.noise.startswith(f"{receiver.passed[Skipped.GARBAGE]} bytes between frames")
-
-
 def test_what_an_unknown_message_carries_is_not_taken_for_a_frame() -> None:
     tunnelled = wire.MAVLink_heartbeat_message(2, 3, 81, 4, 4, 3).pack(codec(1))
     good = position().pack(codec(1))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from companion.mavlink.statustext import StatusTexts, shortened, to_ascii
 
-EMERGENCY, CRITICAL, WARNING, INFO = 0, 2, 4, 6
+WARNING = 4
 
 
 def sent(texts: StatusTexts, now_s: float) -> list[Text]:
@@ -28,7 +28,7 @@ def put_together(chunks: list[Text]) -> str:
 
 def test_a_short_text_is_one_message() -> None:
     texts = StatusTexts()
-    texts.add("holding: no position for 0.5 s", WARNING, 3.0)
+    texts.add("holding: no position for 0.5 s", 3.0, warning=True)
     [text] = sent(texts, 3.0)
     assert (text.severity, text.number, text.chunk) == (WARNING, 0, 0)
     assert put_together([text]) == "holding: no position for 0.5 s"
@@ -39,7 +39,7 @@ def test_a_short_text_is_one_message() -> None:
 def test_a_long_warning_comes_whole_in_chunks(length: int) -> None:
     text = ("abcdefghi " * 20)[: length - 1] + "x"
     texts = StatusTexts()
-    texts.add(text, CRITICAL, 3.0)
+    texts.add(text, 3.0, warning=True)
     assert put_together(sent(texts, 3.0)) == text
 
 
@@ -47,7 +47,7 @@ def test_the_chunks_of_two_texts_do_not_mix() -> None:
     texts = StatusTexts()
     numbers = []
     for second, letter in enumerate("abc"):
-        texts.add(f"{letter} " * 40, WARNING, 10.0 * second)
+        texts.add(f"{letter} " * 40, 10.0 * second, warning=True)
         numbers.append(sent(texts, 10.0 * second)[0].number)
     assert len(set(numbers)) == 3
     assert 0 not in numbers
@@ -56,17 +56,17 @@ def test_the_chunks_of_two_texts_do_not_mix() -> None:
 def test_what_is_no_warning_is_shortened_at_a_word() -> None:
     texts = StatusTexts()
     text = "replanned: 12.3 km to the target, clearance 45 m above the ridge"
-    texts.add(text, INFO, 3.0)
+    texts.add(text, 3.0)
     [told] = sent(texts, 3.0)
     assert put_together([told]) == "replanned: 12.3 km to the target, clearance 45 m.."
 
 
-@given(st.text(max_size=400), st.integers(0, 7))
-def test_whatever_is_said_is_sent_in_ascii_on_one_line(text: str, severity: int) -> None:
+@given(st.text(max_size=400), st.booleans())
+def test_whatever_is_said_is_sent_in_ascii_on_one_line(text: str, warning: bool) -> None:
     texts = StatusTexts()
-    texts.add(text, severity, 1.0)
+    texts.add(text, 1.0, warning=warning)
     chunks = sent(texts, 1.0)
-    assert 1 <= len(chunks) <= (5 if severity <= WARNING else 1)
+    assert 1 <= len(chunks) <= (5 if warning else 1)
     whole = put_together(chunks)
     assert all(32 <= ord(letter) < 127 for letter in whole)
     kept = whole.removesuffix("..")
@@ -86,18 +86,18 @@ def test_signs_are_written_out() -> None:
 
 @given(
     st.lists(
-        st.tuples(st.floats(0.0, 1.5), st.integers(0, 200), st.integers(0, 7)),
+        st.tuples(st.floats(0.0, 1.5), st.integers(0, 200), st.booleans()),
         min_size=1,
         max_size=60,
     )
 )
-def test_never_more_than_one_message_a_second(said: list[tuple[float, int, int]]) -> None:
+def test_never_more_than_one_message_a_second(said: list[tuple[float, int, bool]]) -> None:
     """On average from any text on: one in chunks keeps the next waiting for as long."""
     texts, now_s = StatusTexts(), 0.0
     times = []
-    for wait_s, length, severity in said:
+    for wait_s, length, warning in said:
         now_s += wait_s
-        texts.add(f"{len(times)} " + "x" * length, severity, now_s)
+        texts.add(f"{len(times)} " + "x" * length, now_s, warning=warning)
         times += [now_s] * len(sent(texts, now_s))
     for first in range(len(times)):
         until_s = times[first]
@@ -105,21 +105,21 @@ def test_never_more_than_one_message_a_second(said: list[tuple[float, int, int]]
         assert count <= until_s + 1.0
 
 
-def test_the_gravest_is_said_first_and_then_in_order() -> None:
+def test_warnings_are_said_first_and_then_in_order() -> None:
     texts = StatusTexts()
-    for text, severity in (("a", INFO), ("b", INFO), ("c", CRITICAL), ("d", WARNING)):
-        texts.add(text, severity, 0.0)
+    for text in "abcd":
+        texts.add(text, 0.0, warning=text > "b")
     told = [put_together(sent(texts, float(second))) for second in range(4)]
     assert told == ["c", "d", "a", "b"]
 
 
 def test_of_a_kind_the_newest_counts() -> None:
     texts = StatusTexts()
-    texts.add("first", INFO, 0.0)
+    texts.add("first", 0.0)
     sent(texts, 0.0)
     for second in range(5):
-        texts.add(f"margin {second} m", INFO, 0.1 * second, kind="margin")
-    texts.add("other", INFO, 0.5)
+        texts.add(f"margin {second} m", 0.1 * second, kind="margin")
+    texts.add("other", 0.5)
     assert put_together(sent(texts, 1.0)) == "margin 4 m"
     assert put_together(sent(texts, 2.0)) == "other"
     assert sent(texts, 3.0) == []
@@ -129,41 +129,41 @@ def test_the_same_is_not_repeated_for_5_s() -> None:
     texts = StatusTexts()
     times = []
     for tenth in range(121):
-        texts.add("target inside a keep-out", WARNING, 0.1 * tenth)
+        texts.add("target inside a keep-out", 0.1 * tenth, warning=True)
         times += [0.1 * tenth] * len(sent(texts, 0.1 * tenth))
     assert times == pytest.approx([0.0, 5.0, 10.0], abs=0.11)
 
 
 def test_what_changed_and_changed_back_is_not_said() -> None:
     texts = StatusTexts()
-    texts.add("flying", INFO, 0.0, kind="phase")
+    texts.add("flying", 0.0, kind="phase")
     sent(texts, 0.0)
-    texts.add("holding", WARNING, 0.2, kind="phase")
-    texts.add("flying", INFO, 0.4, kind="phase")
+    texts.add("holding", 0.2, warning=True, kind="phase")
+    texts.add("flying", 0.4, kind="phase")
     assert sent(texts, 1.0) == []
 
 
 def test_news_that_had_to_wait_too_long_are_not_said_but_warnings_are() -> None:
     texts = StatusTexts()
-    texts.add("old news", INFO, 0.0)
-    texts.add("old warning", WARNING, 0.0)
+    texts.add("old news", 0.0)
+    texts.add("old warning", 0.0, warning=True)
     assert put_together(sent(texts, 60.0)) == "old warning"
     assert sent(texts, 61.0) == []
 
 
 def test_a_clock_that_begins_again_does_not_silence_it() -> None:
     texts = StatusTexts()
-    texts.add("before", INFO, 1000.0)
+    texts.add("before", 1000.0)
     sent(texts, 1000.0)
-    texts.add("after", INFO, 1.0)
+    texts.add("after", 1.0)
     assert put_together(sent(texts, 1.0)) == "after"
 
 
 def test_a_flood_does_not_fill_the_memory() -> None:
     texts = StatusTexts()
     for number in range(1000):
-        texts.add(f"text {number}", INFO, 0.0)
-    texts.add("the one that matters", WARNING, 0.0)
+        texts.add(f"text {number}", 0.0)
+    texts.add("the one that matters", 0.0, warning=True)
     told = [put_together(sent(texts, float(second))) for second in range(9)]
     assert told[0] == "the one that matters"
     assert len(texts._waiting) < 20

@@ -5,15 +5,14 @@ estimate: ask again, once a second.  There is no take-off mode, and it flies at 
 setpoints, which it does not acknowledge: the echo tells.  Measured: ardupilot.md 2 and 3.
 """
 
-import math
 from typing import Final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink import parameter_checks as check
+from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
 from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.parameter_checks import CENTI, ESSENTIAL, WANTED, Alias, Rule
+from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
 from companion.mission.events import Mode, TakeOff
 from companion.mission.mission import Mission
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
@@ -36,54 +35,17 @@ def _take_off(
     return [messages.command_long(system_id, wire.MAV_CMD_NAV_TAKEOFF, *([0.0] * 6), height_m)]
 
 
-_WIND_M_S: Final = 5.0
-"""Allowance for unknown head wind: a moderate breeze."""
-_CORNERS: Final = 0.6
-"""Share of WPNAV_ACCEL that ArduCopter follows a curve with; at 0.8 it was 14 m off."""
-
-
-def _guid_timeout(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+def _guid_timeout(value: float, case: Case) -> Finding | None:
     """ArduCopter's GUID_TIMEOUT, at least 0.1 s (ardupilot.md 3)."""
-    slack_s = check.begins_to_brake_s(case, "WPNAV_ACCEL", "PSC_JERK_XY", (2.5, 5.0))
-    return check.timeout(max(value, 0.1), slack_s, case)
+    slack_s = rules.begins_to_brake_s(case, "WPNAV_ACCEL", "PSC_JERK_XY", (2.5, 5.0))
+    return rules.timeout(max(value, 0.1), slack_s, case)
 
 
-def _turns(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
-    """ArduCopter's WPNAV_ACCEL limits how curves are followed, too."""
-    turn_m_s2 = check.turning_m_s2(case.limits)
-    if turn_m_s2 <= _CORNERS * value + check.EQUAL_WITHIN:
-        return None
-    return check.note(
-        f"the mission's tightest turns take {turn_m_s2:.1f} m/s2: beyond {_CORNERS * value:.1f} it "
-        "leaves the path by more than 10 m",
-        f"Set vehicle.turn_radius_m to {math.ceil(case.limits.speed_m_s**2 / (_CORNERS * value))}",
-    )
-
-
-def _drag(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
-    """Of ArduCopter's own airframe: 10.2 m/s at 30 deg, 15.5 m/s at 45 deg (ardupilot.md 3)."""
-    held_m_s = 15.5 * math.tan(math.radians(min(value, 80.0))) ** 0.762
-    speed = case.limits.speed_m_s
-    if speed <= held_m_s - _WIND_M_S:
-        return None
-    return check.note(
-        f"a usual quadcopter holds {held_m_s:.0f} m/s through the air at {value:g} deg of tilt: "
-        f"{max(held_m_s - speed, 0.0):.0f} m/s more than the mission's speed, for head wind",
-        "See that yours has less drag, allow more tilt, or fly slower",
-    )
-
-
-def _guided_options(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+def _guided_options(value: float, _case: Case) -> Finding | None:
     """GUID_OPTIONS: bits that change what setpoints mean."""
-    del case
-    if int(value) & (16 | 32):
-        rule = "bits 4 and 5 let the vehicle drift off its setpoints' position or velocity"
-        return check.refused(rule, f"Set it to {int(value) & ~(16 | 32)}")
-    if int(value) & 64:
-        return check.note(
-            "bit 6 flies positions as waypoints, which was not measured", "Clear bit 6"
-        )
-    return None
+    rule = "bits 4 and 5 let the vehicle drift off its setpoints' position or velocity"
+    kept = int(value) & ~(16 | 32)
+    return None if kept == int(value) else Finding(rule, f"Set it to {kept}")
 
 
 def _by_its_own_lidar(mission: Mission) -> bool:
@@ -93,38 +55,23 @@ def _by_its_own_lidar(mission: Mission) -> bool:
     return told == (AUTOPILOT_COMPONENT, "distance_sensor")
 
 
-_AT_TAKE_OFF: Final = (
-    "it climbs with {value:g} m/s at take-off, and the mission counts on {planned:g}"
-)
-_ITS_OWN_LIDAR: Final = check.when(  # position with velocity is never touched (proximity.md 2)
-    lambda value, case: _by_its_own_lidar(case.mission) and int(value) & 2,  # bit 1: proximity
-    "with the lidar it refuses to arm near things, and changes setpoints of velocity alone",
-    "Set it to 1 or 0",
-)
-_ITS_OWN_WAY: Final = check.when(
-    lambda value, _: value,
-    "with the lidar and GUID_OPTIONS 64 it flies ways of its own",
-    "Set it to 0, then reboot",
-)
-_SF45B: Final = 8
-_TURNING_LIDARS: Final = (5, _SF45B, 15)
+_TURNING_LIDARS: Final = (5, 8, 15)
 """RPLidar, SF45B, LD06: of the silence of others nothing is known."""
-_LOOKS_ROUND: Final = check.when(
-    lambda value, case: _by_its_own_lidar(case.mission) and value not in _TURNING_LIDARS,
+_LOOKS_ROUND: Final = rules.when(
+    lambda value, _: value not in _TURNING_LIDARS,
     "what it does not tell of is taken for clear, and not each of its sectors is looked at",
     'Use a lidar that turns; of a driver on MAVLink read scanner.kind = "obstacle_distance"',
-    severity=check.Severity.REFUSE,
 )
-_NOT_BEHIND: Final = check.when(
-    lambda value, case: _by_its_own_lidar(case.mission) and value == _SF45B,
-    "it swings by 170 degrees to either side, and does not look straight behind",
-    "Leave vehicle.yaw_deg out, so that the nose points along the path",
-)
-_IGNORES: Final = check.when(
-    lambda value, case: _by_its_own_lidar(case.mission) and value > 0.0,
+_IGNORES: Final = rules.when(
+    lambda value, _: value > 0.0,
     "what it does not tell of is taken for clear, and so many degrees are ignored",
     "Set it to 0, and raise scanner.blind_m over parts of the vehicle",
-    severity=check.Severity.REFUSE,
+)
+_CLIMBS: Final = rules.at_least(  # the machine waits twice as long for a take-off as it plans with
+    lambda limits: limits.climb_rate_m_s,
+    "it climbs with {value:g} m/s at take-off, and the mission counts on {planned:g}",
+    "Raise it, or set vehicle.climb_rate_m_s to {value:g}",
+    share=0.5,
 )
 _HANDLING: Final = Handling(
     name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3, leading_s2=0.5
@@ -132,76 +79,20 @@ _HANDLING: Final = Handling(
 """turning_s2: docs/results/tracking.md, 0.8 m at 1 m/s2, 0.5 of which the setpoints lead by, as of
 its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; the others: `scripts/bench kills`."""
 _RULES: Final = (
-    Rule("GUID_TIMEOUT", "how long it flies on without setpoints", (_guid_timeout,), ESSENTIAL),
-    Rule("GUID_OPTIONS", "how GUIDED works", (_guided_options,)),
-    Rule(
-        "ANGLE_MAX",
-        "its tilt limits its speed",
-        (check.tilt, _drag),
-        ESSENTIAL,
-        CENTI,
-        also=Alias("ATC_ANGLE_MAX"),
-    ),
-    Rule(
-        "WPNAV_ACCEL",
-        "how hard it brakes",
-        (check.BRAKES, _turns),
-        WANTED,
-        CENTI,
-        also=Alias("WP_ACC"),
-    ),
-    Rule("PSC_JERK_XY", "how fast braking builds up", also=Alias("PSC_JERK_NE")),
-    Rule(
-        "WPNAV_SPEED",  # it does not limit velocities that are asked for (ardupilot.md 3)
-        "speed of corrections and of the return",
-        (
-            check.at_least(
-                lambda limits: limits.speed_m_s,
-                "corrections and the autopilot's own return are no faster than {value:g} m/s",
-                severity=check.Severity.NOTE,
-            ),
-        ),
-        scale=CENTI,
-        also=Alias("WP_SPD"),
-    ),
-    Rule(
-        "WPNAV_SPEED_UP",  # the machine waits twice as long for a take-off as it plans with
-        "how fast it climbs",
-        (
-            check.at_least(
-                lambda limits: limits.climb_rate_m_s,
-                _AT_TAKE_OFF,
-                "Raise it, or set vehicle.climb_rate_m_s to {value:g}",
-                share=0.5,
-            ),
-            check.at_least(
-                lambda limits: limits.climb_rate_m_s, _AT_TAKE_OFF, severity=check.Severity.NOTE
-            ),
-        ),
-        WANTED,
-        CENTI,
-        also=Alias("WP_SPD_UP"),
-    ),
-    Rule("WPNAV_SPEED_DN", "how fast it sinks", scale=CENTI, also=Alias("WP_SPD_DN")),
-    Rule("LAND_SPEED", "how fast it lands", scale=CENTI, also=Alias("LAND_SPD_MS")),
-    Rule(
-        "FS_GCS_ENABLE", "what it does when its ground station is lost", (ardupilot.GCS_FAILSAFE,)
-    ),
-    Rule(
-        "FS_EKF_ACTION",
-        "what it does when its position fails",
-        (check.is_zero("it does nothing by itself when its position fails", "Set it to 1 (land)"),),
-    ),
-    Rule("AVOID_ENABLE", "its own avoidance of obstacles", (_ITS_OWN_LIDAR,)),
-    Rule("OA_TYPE", "its own ways round things", (_ITS_OWN_WAY,), matters=_by_its_own_lidar),
-    Rule("PRX1_TYPE", "what its lidar is", (_LOOKS_ROUND, _NOT_BEHIND), matters=_by_its_own_lidar),
-    *(
-        Rule(f"PRX1_IGN_WID{k}", "what its lidar ignores", (_IGNORES,), matters=_by_its_own_lidar)
-        for k in range(1, 5)
-    ),
+    Rule("GUID_TIMEOUT", _guid_timeout, "how long it flies on without setpoints"),
+    Rule("GUID_OPTIONS", _guided_options),
+    Rule("ANGLE_MAX", rules.tilt, "its tilt limits its speed", CENTI, "ATC_ANGLE_MAX"),
+    Rule("WPNAV_ACCEL", rules.BRAKES, scale=CENTI, also="WP_ACC"),
+    *only_read("PSC_JERK_XY/PSC_JERK_NE WPNAV_SPEED/WP_SPD"),
+    Rule("WPNAV_SPEED_UP", _CLIMBS, scale=CENTI, also="WP_SPD_UP"),
+    *only_read("WPNAV_SPEED_DN/WP_SPD_DN LAND_SPEED/LAND_SPD_MS FS_GCS_ENABLE FS_EKF_ACTION"),
+    *only_read("AVOID_ENABLE"),
+    Rule("OA_TYPE", matters=_by_its_own_lidar),
+    Rule("PRX1_TYPE", _LOOKS_ROUND, matters=_by_its_own_lidar),
+    *(Rule(f"PRX1_IGN_WID{k}", _IGNORES, matters=_by_its_own_lidar) for k in range(1, 5)),
     *ardupilot.RULES,
 )
-"""ArduCopter.  Of velocity and position the velocity is not limited by WPNAV_SPEED."""
+"""Velocities that are asked for are not limited by WPNAV_SPEED (ardupilot.md 3)."""
 
 ARDUCOPTER = Autopilot(
     firmware=ardupilot.FIRMWARE,

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from typing import Final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink import parameter_checks as check
+from companion.mavlink import rules
 from companion.mavlink.autopilots.common import Firmware, Modes
 from companion.mavlink.autopilots.messages import echo_at
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.fence import FenceSettings
-from companion.mavlink.parameter_checks import Alias, Rule
+from companion.mavlink.rules import Rule, only_read
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
 INTERMITTENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION, wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN})
@@ -100,48 +100,19 @@ def _offset_deg(
     return latitude, origin_deg[1] + east_m / (_M_PER_DEG * scale)
 
 
-_GROUND_STATION: Final = check.when(  # its heartbeats must not count as a ground station's
+_GROUND_STATION: Final = rules.when(  # its heartbeats must not count as a ground station's
     lambda value, case: value == case.value("MAV_SYSID", -1.0),
     "the companion has the vehicle's system id, so its heartbeats would hide the loss of the "
     "ground station",
     "Set it to the ground station's own, 255",
-    severity=check.Severity.REFUSE,
-)
-_FENCE_ACTION: Final = check.when(
-    lambda value, case: case.value("FENCE_ENABLE", 0.0) and not value,
-    "the fence is on and only reports: nothing but the companion keeps to it",
-)
-GCS_FAILSAFE: Final = check.is_set(
-    "if its ground station is lost it leaves GUIDED by itself; the companion does not count as one"
 )
 RULES: Final = (
-    Rule("MAV_SYSID", "the vehicle's system id", also=Alias("SYSID_THISMAV")),
-    Rule(
-        "MAV_GCS_SYSID",
-        "whose heartbeats feed the ground station's failsafe",
-        (_GROUND_STATION,),
-        also=Alias("SYSID_MYGCS"),
-    ),
-    Rule(
-        "ARMING_CHECK",
-        "which checks precede arming",
-        (check.is_zero("no check precedes arming", "Set it to 1"),),
-    ),
-    Rule(
-        "ARMING_SKIPCHK",
-        "which checks before arming are left out",
-        (check.is_set("some checks before arming are left out"),),
-    ),
-    Rule("FENCE_ENABLE", "whether its fence is on"),
-    Rule("FENCE_AUTOENABLE", "whether its fence goes on by itself"),
-    Rule("FENCE_TYPE", "which kinds of fence count"),
-    Rule("FENCE_RADIUS", "radius of the fence about home"),
-    Rule("FENCE_ALT_MAX", "height of the fence above home"),
-    Rule("FENCE_ALT_MIN", "lowest height above home"),
-    Rule("FENCE_MARGIN", "distance to keep from the fence"),
-    Rule("FENCE_OPTIONS", "how inclusion zones count together"),
-    Rule("FENCE_ACTION", "what it does outside of its fence", (_FENCE_ACTION,)),
+    Rule("MAV_SYSID", also="SYSID_THISMAV"),
+    Rule("MAV_GCS_SYSID", _GROUND_STATION, also="SYSID_MYGCS"),
+    *only_read("ARMING_CHECK ARMING_SKIPCHK FENCE_ENABLE FENCE_AUTOENABLE FENCE_TYPE FENCE_RADIUS"),
+    *only_read("FENCE_ALT_MAX FENCE_ALT_MIN FENCE_MARGIN FENCE_OPTIONS FENCE_ACTION"),
 )
+"""Those of the fence are read by `_fence`."""
 
 
 _ALT_MAX, _CIRCLE, _ALT_MIN = 1, 2, 8

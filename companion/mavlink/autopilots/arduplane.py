@@ -9,11 +9,11 @@ import math
 from typing import Final
 
 from companion.geodesy import LocalFrame, deg
-from companion.mavlink import parameter_checks as check
+from companion.mavlink import rules
 from companion.mavlink.autopilots import ardupilot, messages
 from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.parameter_checks import CENTI, ESSENTIAL, WANTED, Alias, Rule
+from companion.mavlink.rules import CENTI, Case, Finding, Rule, only_read
 from companion.mission.events import Echo, Mode, Setpoint, TakeOff
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.envelope import PLANE
@@ -80,20 +80,12 @@ def _refuses_setpoint(message: Message) -> bool:
     return bool(ours and message.result != wire.MAV_RESULT_ACCEPTED)
 
 
-def _own_speed(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
-    """The speed of the autopilot's own modes."""
-    speed = case.limits.speed_m_s
-    if abs(value - speed) <= 0.05 * speed:
-        return None
-    return check.note(f"on its own (return, loiter) it flies {value:g} m/s, the mission {speed:g}")
-
-
-def _take_off_height(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+def _take_off_height(value: float, case: Case) -> Finding | None:
     """The autopilot's own take-off ends there; the companion climbs on."""
     limits, home_amsl_m = case.limits, case.home_amsl_m
     if home_amsl_m is None or home_amsl_m + value <= limits.ceiling_amsl_m:
         return None
-    return check.refused(
+    return Finding(
         f"its take-off ends at {home_amsl_m + value:.0f} m AMSL, above the ceiling of "
         f"{limits.ceiling_amsl_m:g} m",
         f"Set it to {max(case.mission.task.take_off_amsl_m - home_amsl_m, 0.0):.0f}",
@@ -101,48 +93,17 @@ def _take_off_height(value: float, case: check.CheckContext) -> check.ParameterI
 
 
 _RULES: Final = (
+    Rule("AIRSPEED_MIN", rules.SLOWEST, "its least airspeed", also="ARSPD_FBW_MIN"),
+    Rule("AIRSPEED_MAX", rules.FASTEST, "its highest airspeed", also="ARSPD_FBW_MAX"),
+    Rule("AIRSPEED_CRUISE", also="TRIM_ARSPD_CM"),
     Rule(
-        "AIRSPEED_MIN",
-        "its least airspeed",
-        (check.SLOWEST,),
-        ESSENTIAL,
-        also=Alias("ARSPD_FBW_MIN"),
+        "WP_LOITER_RAD", rules.circles(_WIDER_M, "ROLL_LIMIT_DEG"), "the circles that it holds on"
     ),
-    Rule(
-        "AIRSPEED_MAX",
-        "its highest airspeed",
-        (check.FASTEST,),
-        ESSENTIAL,
-        also=Alias("ARSPD_FBW_MAX"),
-    ),
-    Rule("AIRSPEED_CRUISE", "its own airspeed", (_own_speed,), also=Alias("TRIM_ARSPD_CM", CENTI)),
-    Rule(
-        "WP_LOITER_RAD",  # 17 to 20 m larger than asked at 23 m/s (ardupilot.md 7)
-        "the circles that it holds on",
-        (check.circles(20.0, "ROLL_LIMIT_DEG"),),
-        ESSENTIAL,
-    ),
-    Rule(
-        "ROLL_LIMIT_DEG",
-        "how tightly it turns",
-        (check.bank,),
-        WANTED,
-        also=Alias("LIM_ROLL_CD", CENTI),
-    ),
-    Rule("TECS_CLMB_MAX", "how fast it climbs", (check.PLANE_CLIMBS,)),
-    Rule("TECS_SINK_MAX", "how fast it sinks", (check.PLANE_SINKS,)),
-    Rule("TKOFF_ALT", "height of its own take-off", (_take_off_height,)),
-    Rule(
-        "FS_GCS_ENABL",
-        "what it does when its ground station is lost",
-        (ardupilot.GCS_FAILSAFE,),
-        also=Alias("FS_GCS_ENABLE"),
-    ),
-    Rule(
-        "Q_ENABLE",
-        "whether it is a quadplane",
-        (check.is_set("a quadplane: how it is driven was not measured"),),
-    ),
+    Rule("ROLL_LIMIT_DEG", rules.bank, also="LIM_ROLL_CD", also_scale=CENTI),
+    Rule("TECS_CLMB_MAX", rules.PLANE_CLIMBS),
+    Rule("TECS_SINK_MAX", rules.PLANE_SINKS),
+    Rule("TKOFF_ALT", _take_off_height),
+    *only_read("FS_GCS_ENABL/FS_GCS_ENABLE Q_ENABLE"),
     *ardupilot.RULES,
 )
 

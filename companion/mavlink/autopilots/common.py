@@ -9,7 +9,7 @@ from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import DECODERS, Decoder, command_long, set_mode
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.fence import FenceSettings
-from companion.mavlink.parameter_checks import Rule
+from companion.mavlink.rules import Rule
 from companion.mission.events import (
     Event,
     Mode,

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from typing import Final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink import parameter_checks as check
+from companion.mavlink import rules
 from companion.mavlink.autopilots import messages
 from companion.mavlink.autopilots.common import Firmware, Modes
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.fence import FenceSettings
-from companion.mavlink.parameter_checks import ESSENTIAL, Rule
+from companion.mavlink.rules import Case, Finding, Rule, only_read
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
 _AUTO = 4
@@ -156,61 +156,30 @@ _WITHOUT_STREAM: Final = {
     7: "stops its motors",
 }
 """COM_OBL_RC_ACT (px4.md 6): without RC, Position, Altitude and Stabilized sink."""
-_OFFBOARD_LOSS: Final[tuple[check.ParameterCheck, ...]] = (
-    check.when(
-        lambda value, _: value == 3,
-        "when the stream stops it returns on a straight way that nobody has certified",
-    ),
-    check.when(lambda value, _: value == 4, "when the stream stops it lands, whatever is below"),
-    lambda value, _: (
-        None
-        if value in (3, 4, 5)
-        else check.to_set(
-            5.0, "when the stream stops the vehicle " + _WITHOUT_STREAM.get(int(value), "does so")
-        )
-    ),
-)
-_RC_LOST: Final = check.when(  # bit 2 exempts OFFBOARD (px4.md 6)
-    lambda value, case: not int(value) & 4 and case.value("COM_RC_IN_MODE", 0.0) != 4,
-    "bit 2 is not set: if the remote control is lost, PX4 takes OFFBOARD away",
-    "Add 4 if the flight may go on without it",
-)
-_NO_STICKS: Final = check.when(
-    lambda value, _: not int(value) & 2,
-    "sticks do not take over from OFFBOARD: the pilot has to change the mode",
-)
-_FENCE: Final = (  # px4.md 7
-    check.when(lambda value, _: value == 4, "crossing its fence stops the motors"),
-    check.when(
-        lambda value, _: value in (0, 1),
-        "its fence only warns: nothing but the companion keeps to it",
-    ),
-)
-_NO_GPS: Final = check.is_zero(
+_STAYS: Final = (3, 4, 5)
+"""It returns, lands or holds: left as it stands (docs/connecting.md)."""
+
+
+def _offboard_loss(value: float, _case: Case) -> Finding | None:
+    if value in _STAYS:
+        return None
+    does = _WITHOUT_STREAM.get(int(value), "does so")
+    return Finding(f"when the stream stops the vehicle {does}", set_to=5.0)
+
+
+_NO_GPS: Final = rules.when(
+    lambda value, _: not value,
     "the vehicle flies without GPS",
     "Set it to the number of its receivers",
-    severity=check.Severity.REFUSE,
 )
 RULES: Final = (
-    Rule("COM_OBL_RC_ACT", "what it does when the stream stops", _OFFBOARD_LOSS, ESSENTIAL),
-    Rule("COM_RCL_EXCEPT", "in which modes a lost remote control does not count", (_RC_LOST,)),
-    Rule("COM_RC_IN_MODE", "where sticks come from"),
-    Rule("COM_RC_OVERRIDE", "whether sticks take over", (_NO_STICKS,)),
-    Rule(
-        "NAV_DLL_ACT",
-        "what it does when its ground station is lost",
-        (check.is_set("if its ground station is lost it leaves OFFBOARD by itself"),),
+    Rule("COM_OBL_RC_ACT", _offboard_loss, "what it does when the stream stops"),
+    *only_read(
+        "COM_RCL_EXCEPT COM_RC_IN_MODE COM_RC_OVERRIDE NAV_DLL_ACT COM_TAKEOFF_ACT GF_ACTION"
     ),
-    Rule(
-        "COM_TAKEOFF_ACT",
-        "what it does after a take-off",
-        (check.is_set("after the take-off it begins its own mission until OFFBOARD is taken"),),
-    ),
-    Rule("GF_ACTION", "what it does outside of its fence", _FENCE),
-    Rule("GF_MAX_HOR_DIST", "radius of the fence about home"),
-    Rule("GF_MAX_VER_DIST", "height of the fence above home"),
-    Rule("SYS_HAS_GPS", "whether it has a receiver", (_NO_GPS,)),
-    Rule("MIS_TAKEOFF_ALT", "height of a take-off that names none"),
+    *only_read("GF_MAX_HOR_DIST GF_MAX_VER_DIST"),
+    Rule("SYS_HAS_GPS", _NO_GPS),
+    *only_read("MIS_TAKEOFF_ALT"),
 )
 
 

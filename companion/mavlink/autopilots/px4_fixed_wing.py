@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import Final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink import parameter_checks as check
+from companion.mavlink import rules
 from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.parameter_checks import ESSENTIAL, Rule
+from companion.mavlink.rules import Case, Finding, Rule
 from companion.mission.events import Setpoint, TakeOff, Vector
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.envelope import PLANE
@@ -74,38 +74,30 @@ def _setpoint(
     return messages.position_target(setpoint, frame, system_id, type_mask=mask)
 
 
-def _only_speed(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+def _only_speed(value: float, case: Case) -> Finding | None:
     """PX4's fixed wing always flies at this speed (px4.md 10)."""
     speed = case.limits.speed_m_s
-    if value > 1.05 * speed:
-        return check.refused(
-            f"it always flies this airspeed, and the mission counts on {speed:g} m/s or less",
-            f"Set vehicle.speed_m_s to {value:g}",
-        )
-    if value < 0.95 * speed:
-        return check.note(f"it always flies this airspeed; the mission counts on {speed:g} m/s")
-    return None
+    if value <= 1.05 * speed:
+        return None
+    rule = f"it always flies this airspeed, and the mission counts on {speed:g} m/s or less"
+    return Finding(rule, f"Set vehicle.speed_m_s to {value:g}")
+
+
+def _timeout(value: float, case: Case) -> Finding | None:
+    """0.5 s after it, it circles where it is (px4.md 10)."""
+    return rules.timeout(value, 0.5, case, "the plane flies straight on")
 
 
 _RULES: Final = (
-    Rule(
-        "COM_OF_LOSS_T",  # then it circles where it is (px4.md 10)
-        "how long it flies on without setpoints",
-        (lambda value, case: check.timeout(value, 0.5, case, "the plane flies straight on"),),
-        ESSENTIAL,
-    ),
-    Rule("FW_AIRSPD_TRIM", "the airspeed that it flies", (_only_speed,), ESSENTIAL),
-    Rule("FW_AIRSPD_MIN", "its least airspeed", (check.SLOWEST,)),
-    Rule("FW_AIRSPD_MAX", "its highest airspeed", (check.FASTEST,)),
-    Rule(
-        "NAV_LOITER_RAD",  # held within 0.4 m (px4.md 10)
-        "the circles that it holds on",
-        (check.circles(5.0, "FW_R_LIM"),),
-        ESSENTIAL,
-    ),
-    Rule("FW_R_LIM", "how tightly it turns", (check.bank,)),
-    Rule("FW_T_CLMB_R_SP", "how fast it climbs", (check.PLANE_CLIMBS,)),
-    Rule("FW_T_SINK_R_SP", "how fast it sinks", (check.PLANE_SINKS,)),
+    Rule("COM_OF_LOSS_T", _timeout, "how long it flies on without setpoints"),
+    Rule("FW_AIRSPD_TRIM", _only_speed, "the airspeed that it flies"),
+    Rule("FW_AIRSPD_MIN", rules.SLOWEST),
+    Rule("FW_AIRSPD_MAX", rules.FASTEST),
+    # circles are held within 0.4 m (px4.md 10)
+    Rule("NAV_LOITER_RAD", rules.circles(5.0, "FW_R_LIM"), "the circles that it holds on"),
+    Rule("FW_R_LIM", rules.bank),
+    Rule("FW_T_CLMB_R_SP", rules.PLANE_CLIMBS),
+    Rule("FW_T_SINK_R_SP", rules.PLANE_SINKS),
     *px4.RULES,
 )
 

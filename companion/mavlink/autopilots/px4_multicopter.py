@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import Final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink import parameter_checks as check
+from companion.mavlink import rules
 from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.parameter_checks import ESSENTIAL, WANTED, Rule
+from companion.mavlink.rules import Case, Finding, Rule, only_read
 from companion.mission.events import TakeOff
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.envelope import COPTER
@@ -26,39 +26,31 @@ def _take_off(
     return px4.take_off((north_m, east_m, command.altitude_amsl_m), frame, system_id)
 
 
-def _offboard_timeout(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+def _offboard_timeout(value: float, case: Case) -> Finding | None:
     """PX4's COM_OF_LOSS_T; the mode changes 0.12 s after it (px4.md 6)."""
-    slack_s = 0.12 + check.begins_to_brake_s(case, "MPC_ACC_HOR", "MPC_JERK_AUTO", (3.0, 4.0))
-    return check.timeout(value, slack_s, case)
+    slack_s = 0.12 + rules.begins_to_brake_s(case, "MPC_ACC_HOR", "MPC_JERK_AUTO", (3.0, 4.0))
+    return rules.timeout(value, slack_s, case)
 
 
-def _speed_of_offboard(value: float, case: check.CheckContext) -> check.ParameterIssue | None:
+def _speed_of_offboard(value: float, case: Case) -> Finding | None:
     """At MPC_XY_VEL_MAX it falls behind without recovery (px4.md 5)."""
     speed = case.limits.speed_m_s
-    if speed <= 0.8 * value + check.EQUAL_WITHIN:
+    if speed <= 0.85 * value + rules.EQUAL_WITHIN:
         return None
-    if speed <= 0.85 * value + check.EQUAL_WITHIN:
-        return check.note(
-            f"vehicle.speed_m_s = {speed:g} leaves less than 20 % to catch up with",
-            f"Better {0.8 * value:.1f} m/s or less",
-        )
-    return check.refused(
+    return Finding(
         f"vehicle.speed_m_s = {speed:g} is more than 85 % of it: nothing is left to catch up with",
         f"Raise it to {math.ceil(speed / 0.8)} or more, or fly {0.8 * value:.1f} m/s or less",
     )
 
 
 _RULES: Final = (
-    Rule(
-        "COM_OF_LOSS_T", "how long it flies on without setpoints", (_offboard_timeout,), ESSENTIAL
-    ),
-    Rule("MPC_XY_VEL_MAX", "its highest speed", (_speed_of_offboard,), ESSENTIAL),
-    Rule("MPC_Z_VEL_MAX_UP", "how fast it climbs", (check.COPTER_CLIMBS,), ESSENTIAL),
-    Rule("MPC_Z_VEL_MAX_DN", "how fast it sinks", (check.COPTER_SINKS,), ESSENTIAL),
-    Rule("MPC_TILTMAX_AIR", "its tilt limits its speed", (check.tilt,)),
-    Rule("MPC_ACC_HOR", "how hard it brakes", (check.BRAKES,), WANTED),
-    Rule("MPC_JERK_AUTO", "how fast braking builds up"),
-    Rule("MPC_LAND_SPEED", "how fast it lands"),
+    Rule("COM_OF_LOSS_T", _offboard_timeout, "how long it flies on without setpoints"),
+    Rule("MPC_XY_VEL_MAX", _speed_of_offboard, "its highest speed"),
+    Rule("MPC_Z_VEL_MAX_UP", rules.COPTER_CLIMBS, "how fast it climbs"),
+    Rule("MPC_Z_VEL_MAX_DN", rules.COPTER_SINKS, "how fast it sinks"),
+    Rule("MPC_TILTMAX_AIR", rules.tilt),
+    Rule("MPC_ACC_HOR", rules.BRAKES),
+    *only_read("MPC_JERK_AUTO MPC_LAND_SPEED"),
     *px4.RULES,
 )
 

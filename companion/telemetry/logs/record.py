@@ -7,7 +7,7 @@ from typing import Protocol, final
 
 from companion.errors import InputError
 from companion.mavlink.dialect import KINDS, wire
-from companion.mavlink.link import TO_COMPONENT_1, ids_in_words
+from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
 from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter, LogAnomaly
 from companion.telemetry.logs.needed import Kind, Missing, missing_of
 from companion.telemetry.logs.timeline import Timeline

@@ -1,8 +1,11 @@
 """Commands as a ground station packs them, byte by byte; places against pyproj's geodesics."""
 
 import math
+from collections import Counter
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pyproj
 import pytest
 from by_hand import (
@@ -10,21 +13,22 @@ from by_hand import (
     PERSON,
     Ack,
     ack,
-    any_message,
     command_int,
     command_long,
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
-from companion.mavlink.addressing import Reply
-from companion.mavlink.commands import CommandServer
-from companion.mavlink.own_messages import OwnMessages
+from companion.mavlink.component import Component, Reply, heartbeat, version_number
+from companion.mavlink.dialect import codec
 from companion.mission.changes import OrderResult
+from companion.mission.checkpoint import initial_state
 from companion.mission.events import Order, OrderKind
+from companion.mission.state import Phase
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
@@ -33,23 +37,16 @@ LATITUDE_DEG, LONGITUDE_DEG = ORIGIN_DEG = 47.0, 8.0
 GEOD = pyproj.Geod(ellps="WGS84")
 MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
 STRANGER = (42, 1)
+READY = structs.replace(initial_state(MISSION, None), phase=Phase.READY)
 
 
-def made(*, origin_deg: tuple[float, float] = ORIGIN_DEG) -> CommandServer:
-    return CommandServer(
-        ours=OURS,
-        commanders=((255, 0), (1, 191)),
-        frame=LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1]),
-        limits=MISSION.task.limits,
-        own_messages=OwnMessages("1.2.3"),
-    )
+def made(*, origin_deg: tuple[float, float] = ORIGIN_DEG, version: str = "1.2.3") -> Component:
+    frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
+    mission = replace(MISSION, frame=frame, commanders=((255, 0), (1, 191)))
+    return Component(mission, OURS[0], version)
 
 
-def presence_of(server: CommandServer) -> OwnMessages:
-    return server._presence
-
-
-def answered(server: CommandServer, message: Any, now_s: float = 10.0) -> tuple[Reply, list[Ack]]:
+def answered(server: Component, message: Any, now_s: float = 10.0) -> tuple[Reply, list[Ack]]:
     """What comes back if the machine takes every order."""
     answer = server.on_message(message, now_s)
     replies = [*answer.replies]
@@ -311,7 +308,7 @@ def test_many_senders_do_not_fill_the_memory() -> None:
     server = made()
     for component in range(256):
         server.on_message(command_long(PAUSE, sender=(255, component)), 1.0)
-    assert len(server._last) <= 64
+    assert len(server._given) <= 64
 
 
 # --- questions
@@ -327,7 +324,7 @@ def test_messages_of_ours_can_be_asked_for_by_everybody() -> None:
             server = made()
             _, acks = answered(server, message)
             assert [(one.result, one.target) for one in acks] == [(ACCEPTED, sender)]
-            [version] = presence_of(server).on_time(1.0, None)
+            [version] = server.on_time(1.0, READY, faulted=True)
             assert version.get_type() == "AUTOPILOT_VERSION"
 
 
@@ -387,13 +384,83 @@ def test_one_ack_answers_each_command_for_us_and_none_any_other(data: st.DataObj
             assert answer == Reply()
 
 
-ANY_KIND = st.sampled_from(sorted(wire.mavlink_map))
+# --- its own messages
 
 
-@given(ANY_KIND, st.binary(max_size=255), IDS)
-def test_no_message_whatever_breaks_it(
-    number: int, payload: bytes, sender: tuple[int, int]
-) -> None:
-    answer = made().on_message(any_message(number, payload, sender), 1.0)
-    if number not in (75, 76):
-        assert answer == Reply()
+def over_the_wire(message: Any) -> Any:
+    """As pymavlink's own parser reads it."""
+    [parsed] = wire.MAVLink(None).parse_buffer(message.pack(codec(7)))
+    return parsed
+
+
+def counted(component: Component, begin_s: float = 0.0, seconds: float = 10.0) -> Counter[str]:
+    """What is sent in a time, asked at 20 Hz."""
+    times = begin_s + np.arange(0.0, seconds, 0.05)
+    sent = [component.on_time(float(t), READY, faulted=False) for t in times]
+    return Counter(message.get_type() for messages in sent for message in messages)
+
+
+def test_the_heartbeat_is_that_of_an_onboard_controller() -> None:
+    beat = over_the_wire(heartbeat(wire.MAV_STATE_CRITICAL))
+    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (7, 195)
+    assert beat.type == 18  # MAV_TYPE_ONBOARD_CONTROLLER
+    assert beat.autopilot == 8  # MAV_AUTOPILOT_INVALID
+    assert (beat.base_mode, beat.custom_mode) == (0, 0)
+    assert (beat.system_status, beat.mavlink_version) == (5, 3)
+
+
+def test_it_beats_once_a_second_also_when_the_clock_begins_again_and_not_while_faulted() -> None:
+    component = made()
+    for tenth in range(100):
+        assert component.on_time(0.1 * tenth, READY, faulted=True) == []
+    for begin_s in (1000.0, 0.0):
+        assert counted(component, begin_s) == {"HEARTBEAT": 10}
+
+
+def test_the_version_is_told_when_it_is_asked_for() -> None:
+    component = made()
+    answered(component, command_long(REQUEST, 148.0))
+    _, version = component.on_time(0.0, READY, faulted=False)
+    read = over_the_wire(version)
+    assert read.flight_sw_version == 1 << 24 | 2 << 16 | 3 << 8 | 255
+    can = read.capabilities
+    assert can & wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    assert can & wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+    assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    assert not can & wire.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+    assert counted(component, begin_s=1.0) == {"HEARTBEAT": 10}
+
+
+@pytest.mark.parametrize(
+    ("version", "number"),
+    [
+        ("0.1.0", 0x000100FF),
+        ("1.2", 0x010200FF),
+        ("3.4.5rc2", 0x030405C0),
+        ("3.4.5b1", 0x03040580),
+        ("3.4.5a1", 0x03040540),
+        ("3.4.5.dev7", 0x03040500),
+        ("3.4.5+local", 0x03040500),
+        ("300.1.1", 0xFF0101FF),
+        ("", 0),
+        ("unknown", 0),
+    ],
+)
+def test_versions(version: str, number: int) -> None:
+    assert version_number(version) == number
+
+
+@given(st.text("0123456789.+-_abcdevr \u0663\u00b2\n", max_size=30))
+def test_whatever_the_version_is_it_fits(version: str) -> None:
+    assert 0 <= version_number(version) < 2**32
+
+
+def test_a_heartbeat_that_is_asked_for_comes_at_once_and_counts() -> None:
+    component = made()
+    assert len(component.on_time(0.0, READY, faulted=False)) == 1
+    answered(component, command_long(REQUEST, 0.0))
+    assert component.due_s < 0.0
+    assert len(component.on_time(0.4, READY, faulted=False)) == 1
+    assert component.due_s == 1.4
+    assert component.on_time(1.3, READY, faulted=False) == []
