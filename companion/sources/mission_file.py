@@ -143,7 +143,7 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
     if plan.targets and "targets" in table:
         rule = f"{plan.name} has waypoints too"
         raise InputError(f"{where}: targets", len(plan.targets), rule, "Remove one of them.")
-    stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else " " for c in plan.stem)
+    stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else " " for c in path.stem)
     given = {key: value for key, value in table.items() if key != "plan"}
     name = plain(stem, "").lstrip(" _-.") or "plan"
     complete_table, notes = with_plan(given, plan, name)
