@@ -26,9 +26,8 @@ from companion.sources.files import (
 )
 from companion.sources.mission_file import MissionFile, complete, explained, mission_of
 from companion.sources.mission_schema import MissionTable
-from companion.sources.recognised import is_plan, refuse_other
+from companion.sources.recognised import PLAN, WAYPOINTS, kind_of, refuse_other
 from companion.sources.schema import FileWorldTable, WorldTable, removed_key, validated
-from companion.sources.waypoint_file import is_waypoint_list
 from companion.world.terrain import Peak, PeakTerrain, Terrain
 
 _OF_MISSIONS = {"targets", "planner", "altitude", "plan", "from_vehicle"}
@@ -119,7 +118,7 @@ def _is_plan(name_or_path: str) -> bool:
     path = Path(name_or_path)
     if name_or_path in bundled() or not answer(path.is_file):
         return False
-    return path.suffix.lower() == ".plan" or is_waypoint_list(path) or is_plan(path)
+    return path.suffix.lower() == ".plan" or kind_of(path) in (PLAN, WAYPOINTS)
 
 
 def _whole(name_or_path: str) -> MissionFile:

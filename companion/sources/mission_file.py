@@ -36,13 +36,9 @@ from companion.sources.mission_schema import (
 from companion.sources.places import Place, place_of, radar_of, zones_of
 from companion.sources.plan_defaults import with_plan
 from companion.sources.plan_file import Ground, read_plan
-from companion.sources.recognised import is_plan, refuse_other
+from companion.sources.recognised import GEOJSON, JSON, PLAN, WAYPOINTS, kind_of, refuse_other
 from companion.sources.schema import validated
-from companion.sources.waypoint_file import (
-    is_waypoint_list,
-    read_waypoint_fence,
-    read_waypoint_list,
-)
+from companion.sources.waypoint_file import read_waypoint_fence, read_waypoint_list
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor, cell_for_m
 
@@ -98,14 +94,14 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
 
 def _threats(path: Path, where: str, leave_out: Collection[NoZone]) -> Threats:
     """What a GeoJSON file or a list of QGC WPL 110 holds; leave_out: as for `read_geojson`."""
-    if is_waypoint_list(path):
+    if kind_of(path) is WAYPOINTS:
         plan = read_waypoint_fence(path, where)
         notes = [f"{path.name}: its {len(plan.targets)} waypoints are not flown"]
         threats = Threats(
             keep_outs=plan.keep_outs, keep_ins=plan.keep_ins, notes=notes if plan.targets else []
         )
     else:
-        refuse_other(path, where, but_geojson=True)
+        refuse_other(path, where, GEOJSON, JSON)
         threats = read_geojson(path, where, leave_out)
     if not (threats.keep_outs or threats.keep_ins or threats.radars):
         threats.notes.append(f"{path.name}: it holds no zone and no radar")
@@ -135,10 +131,8 @@ def explained(error: InputError, assumed: frozenset[str], where: str) -> InputEr
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
     path = folder / table["plan"]
-    is_list = is_waypoint_list(path)
-    if not is_list and not is_plan(path):
-        refuse_other(path, f"{where}: plan")
-    read = read_waypoint_list if is_list else read_plan
+    refuse_other(path, f"{where}: plan", PLAN, WAYPOINTS)
+    read = read_waypoint_list if kind_of(path) is WAYPOINTS else read_plan
     plan = read(path, f"{where}: plan", _ground(table, folder, where))
     if plan.targets and "targets" in table:
         rule = f"{plan.name} has waypoints too"

@@ -12,7 +12,7 @@ from typing import Final
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
-from companion.sources.files import answer, read_text
+from companion.sources.files import read_text
 from companion.sources.plan_file import AMSL, Ground, Item, Plan, launched, place_deg
 
 _HEAD: Final = "QGC WPL"
@@ -29,16 +29,6 @@ _CIRCLES: Final = {
 _RETURN_POINT, _RALLY = wire.MAV_CMD_NAV_FENCE_RETURN_POINT, wire.MAV_CMD_NAV_RALLY_POINT
 _Labelled = tuple[str, Item]
 """How an item is called in errors, and the item."""
-
-
-def is_waypoint_list(path: Path) -> bool:
-    """Whether the file says of itself that it is one, whatever its name is."""
-
-    def begins() -> bool:
-        with path.open("rb") as file:
-            return file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_HEAD.encode())
-
-    return answer(path.is_file) and answer(begins)
 
 
 def read_waypoint_list(path: Path, where: str, ground: Ground | None = None) -> Plan:
