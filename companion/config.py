@@ -163,12 +163,11 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
             sum_of_peaks=model.terrain.combine == "sum",
         )
     origin, area = model.origin, model.area
-    sides_m = (area.north_min_m, area.north_max_m), (area.east_min_m, area.east_max_m)
-    rules.refuse(rules.of_area(*sides_m), f"{name_or_path}: ")
+    rules.refuse(rules.of_area(*area.sides_m), f"{name_or_path}: ")
     return read_terrain(
         folder_of(name_or_path) / model.terrain.file,
         LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg),
-        sides_m,
+        area.sides_m,
         vertical_datum=model.terrain.vertical_datum,
         nodata=model.terrain.nodata,
         field=f"{name_or_path}: terrain.file",
