@@ -26,9 +26,8 @@ from companion.sources.files import (
 )
 from companion.sources.mission_file import MissionFile, complete, explained, mission_of
 from companion.sources.mission_schema import MissionTable
-from companion.sources.recognised import is_plan, refuse_other
+from companion.sources.recognised import PLAN, WAYPOINTS, kind_of, refuse_other
 from companion.sources.schema import FileWorldTable, WorldTable, removed_key, validated
-from companion.sources.waypoint_file import is_waypoint_list
 from companion.world.terrain import Peak, PeakTerrain, Terrain
 
 _OF_MISSIONS = {"targets", "planner", "altitude", "plan", "from_vehicle"}
@@ -119,7 +118,7 @@ def _is_plan(name_or_path: str) -> bool:
     path = Path(name_or_path)
     if name_or_path in bundled() or not answer(path.is_file):
         return False
-    return path.suffix.lower() == ".plan" or is_waypoint_list(path) or is_plan(path)
+    return path.suffix.lower() == ".plan" or kind_of(path) in (PLAN, WAYPOINTS)
 
 
 def _whole(name_or_path: str) -> MissionFile:
@@ -164,12 +163,11 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
             sum_of_peaks=model.terrain.combine == "sum",
         )
     origin, area = model.origin, model.area
-    sides_m = (area.north_min_m, area.north_max_m), (area.east_min_m, area.east_max_m)
-    rules.refuse(rules.of_area(*sides_m), f"{name_or_path}: ")
+    rules.refuse(rules.of_area(*area.sides_m), f"{name_or_path}: ")
     return read_terrain(
         folder_of(name_or_path) / model.terrain.file,
         LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg),
-        sides_m,
+        area.sides_m,
         vertical_datum=model.terrain.vertical_datum,
         nodata=model.terrain.nodata,
         field=f"{name_or_path}: terrain.file",

@@ -97,8 +97,8 @@ def _keys(table: type[BaseModel], *holders: Any) -> dict[str, Any]:
     return {
         name: getattr(holder, name)
         for holder in holders
-        for name in table.model_fields
-        if hasattr(holder, name)
+        for name, key in table.model_fields.items()
+        if hasattr(holder, name) and key.alias is None
     }
 
 

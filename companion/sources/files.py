@@ -19,7 +19,7 @@ RawTable = dict[str, Any]
 PICTURES = (".png", ".svg", ".pdf")
 """How files of pictures end."""
 
-_MAX_BYTES = 64_000_000
+MAX_BYTES = 64_000_000
 
 
 def read_text(path: Path, field: str, remedy: str) -> str:
@@ -28,8 +28,8 @@ def read_text(path: Path, field: str, remedy: str) -> str:
         rule = "it is a folder" if answer(path.is_dir) else "no such file"
         raise InputError(field, str(path), rule, remedy)
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            rule = f"it is larger than {_MAX_BYTES / 1e6:g} MB"
+        if path.stat().st_size > MAX_BYTES:
+            rule = f"it is larger than {MAX_BYTES / 1e6:g} MB"
             raise InputError(field, str(path), rule, remedy)
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -4,6 +4,7 @@ A mission.toml that names the plan overrides any of them.  Each assumption is re
 """
 
 import math
+from typing import Any, Final
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
@@ -13,34 +14,28 @@ from companion.profiles import FLIGHT
 from companion.sources.files import RawTable
 from companion.sources.plan_file import Plan, listing
 
-_GRAVITY_M_S2 = 9.81
-_COPTER: RawTable = {
-    "acceleration_m_s2": 2.0,
-    "climb_rate_m_s": 1.5,  # PX4 multicopters sink no faster by themselves
-    "tracking_error_m": 5.0,
-    "navigation_error_m": 5.0,
-}
-_PLANE: RawTable = {
-    "acceleration_m_s2": 2.0,
-    "climb_rate_m_s": 2.5,
-    "tracking_error_m": 15.0,
-    "navigation_error_m": 5.0,
-}
-_LATERAL_M_S2 = {"copter": 1.5, "plane": 2.0}
+_GRAVITY_M_S2: Final = 9.81
+_LOITER_BANK_RAD: Final = math.radians(35.0)
+_MIN_LOITER_M: Final = 100.0  # both autopilots ask for 80, ArduPlane flies 17 more
+_SEARCH_ERRORS: Final = 1.1  # of the vehicle's errors: kept besides d_s (`Task.band_amsl_m`)
+_BAND_ERRORS: Final = 8.0
+_ERROR_M: Final = 5.0  # tracking and navigation, each, where a mission says nonsense
+_MAX_M_S: Final = 500.0
+_FARTHEST_M: Final = 1e6  # from the origin, as for any place (`sources.zones`)
+
+
+# Of each kind of vehicle:
+_SPEED_M_S: Final = {"copter": 5.0, "plane": 15.0}  # QGroundControl's own
+_CLIMB_M_S: Final = {"copter": 1.5, "plane": 2.5}
+_SINK_M_S: Final = {"copter": 1.5, "plane": 1.8}  # PX4's copters sink no faster, its planes at 2
+_LATERAL_M_S2: Final = {"copter": 1.5, "plane": 2.0}
 """ArduCopter keeps to a path up to this; ArduPlane is then 10 m off it."""
-_MAX_SLOPE_DEG = {"copter": 30.0, "plane": 7.0}
-_PLANE_SINK_M_S = 1.8  # PX4 sinks at 2
-_MIN_RADIUS_M = {"copter": 10.0, "plane": 60.0}
-_MIN_LOITER_M = 100.0  # both autopilots ask for 80, ArduPlane flies 17 more
-_LOITER_BANK_RAD = math.radians(35.0)
-_SPEED_M_S = {"copter": 5.0, "plane": 15.0}  # QGroundControl's own
-_SIGHT_M = {"copter": 2000.0, "plane": 3000.0}
-_DISTANCE_M = {"copter": 30.0, "plane": 50.0}
-_MIN_DISTANCE_M = {"copter": 10.0, "plane": 20.0}
-_SEARCH_ERRORS = 1.1  # of the vehicle's errors: what paths keep besides d_s (`Task.band_amsl_m`)
-_BAND_ERRORS = 8.0
-_MAX_M_S = 500.0
-_FARTHEST_M = 1e6  # from the origin, as for any place (`sources.places`)
+_MAX_SLOPE_DEG: Final = {"copter": 30.0, "plane": 7.0}
+_MIN_RADIUS_M: Final = {"copter": 10.0, "plane": 60.0}
+_TRACKING_M: Final = {"copter": 5.0, "plane": 15.0}
+_SIGHT_M: Final = {"copter": 2000.0, "plane": 3000.0}
+_DISTANCE_M: Final = {"copter": 30.0, "plane": 50.0}
+_MIN_DISTANCE_M: Final = {"copter": 10.0, "plane": 20.0}
 
 
 def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[str]]:
@@ -50,189 +45,142 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     count.  name: of the mission, if nothing is given.  Raises InputError about a waypoint that is
     too far from launch for any map, or whose altitude without a radar is not known.
     """
-    vehicle, notes = _vehicle(given, plan)
-    vehicle_as_given = _merged(vehicle, _table(given, "vehicle"))
-    ground_m = _number(_table(given, "terrain"), "highest_amsl_m", plan.home_amsl_m)
-    ground_m = max(ground_m, plan.home_amsl_m)
-    is_blind = vehicle_as_given.get("scanner") is False
-    planner = _planner(given, vehicle["kind"])
-    own_targets = not _table(given, "from_vehicle").get("targets")
+    said = _at(given, "vehicle.kind")
+    kind = said if said in _SPEED_M_S else plan.kind or "copter"
+    is_blind = _at(given, "vehicle.scanner") is False
+    ground_m = max(_number(given, "terrain.highest_amsl_m", plan.home_amsl_m), plan.home_amsl_m)
+    own_targets = not _at(given, "from_vehicle.targets")
+    vehicle, notes = _vehicle(given, plan, kind)
+    errors_m = sum(
+        _number(given, f"vehicle.{key}", vehicle.get(key, _ERROR_M), above=0.0)
+        for key in ("tracking_error_m", "navigation_error_m")
+    )
     if plan.unknown_altitudes and own_targets:
         notes.append(_about_unknown_altitudes(plan, is_blind=is_blind))
-    if is_blind and "safety_distance_m" not in _table(given, "planner"):
-        planner["safety_distance_m"] = _least_distance_m(plan, vehicle_as_given, ground_m)
+    range_m = _number(given, "planner.scan_range_m", _SIGHT_M[kind], above=0.0)
+    distance_m = _DISTANCE_M[kind]
+    if is_blind:
+        heights_m = [t["altitude_amsl_m"] for t in plan.targets if "altitude_amsl_m" in t]
+        room_m = min(heights_m, default=math.inf) - ground_m - _SEARCH_ERRORS * errors_m
+        if room_m < distance_m:
+            distance_m = max(float(math.floor(room_m + 1e-6)), _MIN_DISTANCE_M[kind])
+    distance_m = _number(given, "planner.safety_distance_m", distance_m, above=0.0)
+    band = _band(plan, errors_m, distance_m, ground_m, is_blind=is_blind)
     assumed: RawTable = {
         "schema": 1,
         "name": name,
         "origin": {"latitude_deg": plan.home_deg[0], "longitude_deg": plan.home_deg[1]},
+        "altitude": band,
         "vehicle": vehicle,
-        "planner": planner,
+        "planner": {
+            "scan_range_m": range_m,
+            "safety_distance_m": distance_m,
+            "planning_time_s": 3.0,
+        },
         "end": {"action": plan.end_action},
         "keep_outs": plan.keep_outs,
         "keep_ins": plan.keep_ins,
         "rally_points": plan.rally_points,
     }
-    if "targets" not in given and own_targets:
-        assumed["targets"] = _at_their_altitudes(plan) if is_blind else plan.targets
-    assumed["altitude"] = _altitude(plan, vehicle_as_given, planner, ground_m)
+    if own_targets and "targets" not in given:
+        of_radars = () if is_blind else ("altitude_amsl_m",)  # with one, any of the band will do
+        assumed["targets"] = [
+            {key: value for key, value in target.items() if key not in of_radars}
+            for target in plan.targets
+        ]
     if "altitude" not in given:
-        notes.append(_about_altitude(plan, assumed["altitude"], is_blind=is_blind))
+        notes.append(_about_altitude(plan, band, is_blind=is_blind))
     table = _merged(assumed, given)
-    if "area" not in given and (area := _area(table, plan, planner["scan_range_m"])):
-        _check_reach(table, plan, area, planner["scan_range_m"])
+    if "area" not in given and (area := _area(table, plan, range_m)):
         table["area"] = area
-        notes.append(f"map assumed: {planner['scan_range_m']:g} m around launch and targets")
-    if "scan_range_m" not in _table(given, "planner"):
+        notes.append(f"map assumed: {range_m:g} m around launch and targets")
+    if _at(given, "planner.scan_range_m") is None:
         sight = "looking ahead" if is_blind else "a terrain radar that sees"
-        notes.append(
-            f"assumed: {sight} {planner['scan_range_m']:g} m (R), "
-            f"d_s = {planner['safety_distance_m']:g} m"
-        )
+        notes.append(f"assumed: {sight} {range_m:g} m (R), d_s = {distance_m:g} m")
     return table, [*notes, *plan.notes]
 
 
-def _vehicle(given: RawTable, plan: Plan) -> tuple[RawTable, list[str]]:
-    chosen = _table(given, "vehicle")
-    kind = chosen.get("kind") if chosen.get("kind") in ("copter", "plane") else plan.kind
-    kind = str(kind or "copter")
-    planned = plan.speed_m_s[kind]
-    if planned is not None and not 0.0 < planned < _MAX_M_S:
-        planned = None
-    speed = _positive(chosen, "speed_m_s", planned or _SPEED_M_S[kind])
-    table: RawTable = {"kind": kind, "speed_m_s": speed}
-    table |= _COPTER if kind == "copter" else _PLANE
-    climb = table["climb_rate_m_s"]
-    dive = climb if kind == "copter" else _PLANE_SINK_M_S
-    radius = max(_round_up(speed**2 / _LATERAL_M_S2[kind]), _MIN_RADIUS_M[kind])
-    table["turn_radius_m"] = radius
-    table["climb_angle_deg"] = _slope_deg(climb, speed, kind)
-    table["dive_angle_deg"] = _slope_deg(dive, speed, kind)
-    if kind == "plane":
-        tightest = speed**2 / (_GRAVITY_M_S2 * math.tan(_LOITER_BANK_RAD))
-        table["loiter_radius_m"] = max(_round_up(tightest), _MIN_LOITER_M)
+def _vehicle(given: RawTable, plan: Plan, kind: str) -> tuple[RawTable, list[str]]:
+    """What is assumed of the vehicle, but for what follows from a speed that is given."""
+    planned = plan.speed_m_s.get(kind)
+    of_plan = planned is not None and 0.0 < planned < _MAX_M_S
+    speed = planned if planned is not None and of_plan else _SPEED_M_S[kind]
     notes = []
-    if "speed_m_s" not in chosen:
+    if _at(given, "vehicle.speed_m_s") is None:
         source = f"{'hover' if kind == 'copter' else 'cruise'} speed of the plan"
-        notes.append(f"a {kind} at {speed:g} m/s ({source if planned else 'assumed'})")
+        notes.append(f"a {kind} at {speed:g} m/s ({source if of_plan else 'assumed'})")
+    speed = _number(given, "vehicle.speed_m_s", speed, above=0.0)
+    table: RawTable = {
+        "kind": kind,
+        "speed_m_s": speed,
+        "acceleration_m_s2": 2.0,
+        "climb_rate_m_s": _CLIMB_M_S[kind],
+        "tracking_error_m": _TRACKING_M[kind],
+        "navigation_error_m": 5.0,
+        "turn_radius_m": max(_round_up(speed**2 / _LATERAL_M_S2[kind]), _MIN_RADIUS_M[kind]),
+    }
+    for key, rate_m_s in (("climb", _CLIMB_M_S[kind]), ("dive", _SINK_M_S[kind])):
+        slope_deg = min(math.degrees(math.atan(rate_m_s / speed)), _MAX_SLOPE_DEG[kind])
+        table[f"{key}_angle_deg"] = math.floor(slope_deg * 10.0) / 10.0
+    if kind == "plane":
+        tightest_m = speed**2 / (_GRAVITY_M_S2 * math.tan(_LOITER_BANK_RAD))
+        table["loiter_radius_m"] = max(_round_up(tightest_m), _MIN_LOITER_M)
     return table, notes
-
-
-def _slope_deg(rate_m_s: float, speed_m_s: float, kind: str) -> float:
-    slope = math.degrees(math.atan(rate_m_s / speed_m_s))
-    return math.floor(min(slope, _MAX_SLOPE_DEG[kind]) * 10.0) / 10.0
 
 
 def _round_up(value_m: float) -> float:
     return math.ceil(value_m / 5.0) * 5.0
 
 
-def _planner(given: RawTable, kind: str) -> RawTable:
-    chosen = _table(given, "planner")
-    return {
-        "scan_range_m": _positive(chosen, "scan_range_m", _SIGHT_M[kind]),
-        "safety_distance_m": _positive(chosen, "safety_distance_m", _DISTANCE_M[kind]),
-        "planning_time_s": 3.0,
-    }
-
-
-def _altitude(plan: Plan, vehicle: RawTable, planner: RawTable, ground_m: float) -> RawTable:
+def _band(
+    plan: Plan, error_m: float, distance_m: float, ground_m: float, *, is_blind: bool
+) -> RawTable:
     """A band around the altitudes of the waypoints, high enough above launch to begin in it.
 
     ground_m: the highest of the ground, AMSL, if that is stated; otherwise as launch.  Without a
     radar it begins where paths just keep d_s and the errors from that, and no higher: what is
     flown in it are the waypoints' own altitudes.
     """
-    error, distance = _error_m(vehicle), planner["safety_distance_m"]
     heights = plan.altitudes_amsl_m or [plan.home_amsl_m]
-    if vehicle.get("scanner") is False:
-        inset = _SEARCH_ERRORS * error
-        least = ground_m + max(distance * FLIGHT.margin, distance + inset) - inset
+    if is_blind:
+        inset = _SEARCH_ERRORS * error_m
+        least = ground_m + max(distance_m * FLIGHT.margin, distance_m + inset) - inset
         floor = math.ceil(10.0 * max(min(heights) - inset, least) + 1e-6) / 10.0
     else:
-        above_ground = ground_m + distance + 2.0 * error
-        floor = float(math.ceil(max(min(heights) - 2.0 * error, above_ground)))
-    ceiling = math.ceil(max(max(heights) + 2.0 * error, floor + _BAND_ERRORS * error))
-    return {"floor_amsl_m": float(floor), "ceiling_amsl_m": float(ceiling)}
+        above_ground = ground_m + distance_m + 2.0 * error_m
+        floor = float(math.ceil(max(min(heights) - 2.0 * error_m, above_ground)))
+    ceiling = math.ceil(max(max(heights) + 2.0 * error_m, floor + _BAND_ERRORS * error_m))
+    return {"floor_amsl_m": floor, "ceiling_amsl_m": float(ceiling)}
 
 
-def _error_m(vehicle: RawTable) -> float:
-    return sum(_positive(vehicle, key, 5.0) for key in ("tracking_error_m", "navigation_error_m"))
+def _area(table: RawTable, plan: Plan, sight_m: float) -> RawTable | None:
+    """The box around launch and targets, as far beyond them as the radar sees.
 
-
-def _least_distance_m(plan: Plan, vehicle: RawTable, ground_m: float) -> float:
-    """d_s without a radar: the usual, or as much as the lowest waypoint leaves above the ground."""
-    kind = vehicle["kind"] if vehicle.get("kind") in _DISTANCE_M else "copter"
-    heights = [height for height in plan.target_amsl_m if height is not None]
-    room_m = min(heights, default=math.inf) - ground_m - _SEARCH_ERRORS * _error_m(vehicle)
-    usual_m = _DISTANCE_M[kind]
-    if room_m >= usual_m:
-        return usual_m
-    return max(float(math.floor(room_m + 1e-6)), _MIN_DISTANCE_M[kind])
-
-
-def _at_their_altitudes(plan: Plan) -> list[RawTable]:
-    pairs = zip(plan.targets, plan.target_amsl_m, strict=True)
-    return [
-        target if height is None else target | {"altitude_amsl_m": height}
-        for target, height in pairs
-    ]
-
-
-def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
-    between = f"{band['floor_amsl_m']:g} to {band['ceiling_amsl_m']:g} m AMSL"
-    if not plan.altitudes_amsl_m:
-        return f"altitude: anywhere from {between} (assumed; launch at {plan.home_amsl_m:g} m)"
-    heights = plan.altitudes_amsl_m
-    low, high = f"{min(heights):g}", f"{max(heights):g}"
-    planned = low if low == high else f"{low} to {high}"
-    if is_blind:
-        launch = f"launch at {plan.home_amsl_m:g} m"
-        return f"altitude: the plan's own, {planned} m AMSL ({launch}), in a band of {between}"
-    return (
-        f"altitude: anywhere from {between} (assumed from the plan's {planned} m, launch at "
-        f"{plan.home_amsl_m:g} m AMSL); waypoints are passed at any altitude of this band"
+    None: the schema refuses what it would be drawn about.  InputError about the waypoint that makes
+    it too large for a map.
+    """
+    latitude, longitude = (
+        _number(table, f"origin.{key}", math.nan) for key in ("latitude_deg", "longitude_deg")
     )
-
-
-def _area(table: RawTable, plan: Plan, margin_m: float) -> RawTable | None:
-    """The box around launch and targets, as far beyond them as the radar sees."""
-    origin = _table(table, "origin")
-    latitude = _number(origin, "latitude_deg", math.nan)
-    longitude = _number(origin, "longitude_deg", math.nan)
     if not (abs(latitude) <= 85.0 and abs(longitude) <= 180.0):
-        return None  # refused by the schema
+        return None
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     places = [frame.to_local_m(*plan.home_deg), *_targets_ne_m(table, frame)]
-    north, east = ([place[axis] for place in places] for axis in (0, 1))
-    if not all(math.isfinite(value) for value in (*north, *east)):
+    if not all(math.isfinite(value) for place in places for value in place):
         return None
-    return {
-        "north_min_m": float(math.floor(min(north) - margin_m)),
-        "north_max_m": float(math.ceil(max(north) + margin_m)),
-        "east_min_m": float(math.floor(min(east) - margin_m)),
-        "east_max_m": float(math.ceil(max(east) + margin_m)),
-    }
+    area = {}
+    for axis, values in zip(("north", "east"), zip(*places, strict=True), strict=True):
+        area[f"{axis}_min_m"] = float(math.floor(min(values) - sight_m))
+        area[f"{axis}_max_m"] = float(math.ceil(max(values) + sight_m))
+    sides_m = (area[f"{axis}_max_m"] - area[f"{axis}_min_m"] for axis in ("north", "east"))
+    cells = math.prod(sides_m) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
+    by_radar = _at(table, "scanner.kind") in (None, "terrain_radar")
+    if max(map(abs, area.values())) >= _FARTHEST_M or (by_radar and cells > MAX_CELLS):
+        _refuse_farthest(table, plan)
+    return area
 
 
-def _targets_ne_m(table: RawTable, frame: LocalFrame) -> list[tuple[float, float]]:
-    """Where the targets lie; nan for what the schema refuses."""
-    targets, found = table.get("targets") or [], []
-    for target in targets if isinstance(targets, list) else []:
-        lat, lon, north_m, east_m = (
-            _number(target if isinstance(target, dict) else {}, key, math.nan)
-            for key in ("latitude_deg", "longitude_deg", "north_m", "east_m")
-        )
-        found.append((north_m, east_m) if math.isnan(lat) else frame.to_local_m(lat, lon))
-    return found
-
-
-def _check_reach(table: RawTable, plan: Plan, area: RawTable, sight_m: float) -> None:
-    """Refuse an assumed map that is too large, by the waypoint that makes it so."""
-    sides = [area[f"{axis}_max_m"] - area[f"{axis}_min_m"] for axis in ("north", "east")]
-    by_hand = _table(table, "scanner").get("kind", "terrain_radar") != "terrain_radar"
-    cells = math.prod(sides) / max(round(sight_m / CELLS_PER_RANGE), 1) ** 2
-    if max(map(abs, area.values())) < _FARTHEST_M and (by_hand or cells <= MAX_CELLS):
-        return
+def _refuse_farthest(table: RawTable, plan: Plan) -> None:
     latitude, longitude = plan.home_deg
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     far_m = [math.hypot(*place) for place in _targets_ne_m(table, frame)]
@@ -251,6 +199,33 @@ def _check_reach(table: RawTable, plan: Plan, area: RawTable, sight_m: float) ->
         "planner.scan_range_m."
     )
     raise InputError(name, shown, rule, remedy)
+
+
+def _targets_ne_m(table: RawTable, frame: LocalFrame) -> list[tuple[float, float]]:
+    """Where the targets lie; nan for what the schema refuses."""
+    targets, found = table.get("targets"), []
+    for target in targets if isinstance(targets, list) else []:
+        lat, lon, north_m, east_m = (
+            _number({"at": target}, f"at.{key}", math.nan)
+            for key in ("latitude_deg", "longitude_deg", "north_m", "east_m")
+        )
+        found.append((north_m, east_m) if math.isnan(lat) else frame.to_local_m(lat, lon))
+    return found
+
+
+def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
+    between = f"{band['floor_amsl_m']:g} to {band['ceiling_amsl_m']:g} m AMSL"
+    launch = f"launch at {plan.home_amsl_m:g} m"
+    if not plan.altitudes_amsl_m:
+        return f"altitude: anywhere from {between} (assumed; {launch})"
+    low, high = f"{min(plan.altitudes_amsl_m):g}", f"{max(plan.altitudes_amsl_m):g}"
+    planned = low if low == high else f"{low} to {high}"
+    if is_blind:
+        return f"altitude: the plan's own, {planned} m AMSL ({launch}), in a band of {between}"
+    return (
+        f"altitude: anywhere from {between} (assumed from the plan's {planned} m, {launch} AMSL); "
+        "waypoints are passed at any altitude of this band"
+    )
 
 
 def _about_unknown_altitudes(plan: Plan, *, is_blind: bool) -> str:
@@ -282,18 +257,16 @@ def _merged(assumed: RawTable, given: RawTable) -> RawTable:
     return result
 
 
-def _table(table: RawTable, key: str) -> RawTable:
-    found = table.get(key)
-    return found if isinstance(found, dict) else {}
+def _at(table: RawTable, path: str) -> Any:
+    """What stands at a path ("vehicle.kind"); None: nothing."""
+    here: Any = table
+    for key in path.split("."):
+        here = here.get(key) if isinstance(here, dict) else None
+    return here
 
 
-def _number(table: RawTable, key: str, default: float) -> float:
+def _number(table: RawTable, path: str, default: float, above: float = -1e9) -> float:
     """A number, if that is what is there; what is there otherwise, the schema refuses."""
-    value = table.get(key)
-    fit = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
-    return float(value) if fit and value is not None else default
-
-
-def _positive(table: RawTable, key: str, default: float) -> float:
-    value = _number(table, key, default)
-    return value if value > 0.0 else default
+    value = _at(table, path)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number and above < value < 1e9 else default

@@ -6,13 +6,20 @@ value, rule, remedy.
 """
 
 import difflib
-import types
 import typing
+from collections.abc import Iterator
 from dataclasses import MISSING, fields
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
-from pydantic_core import ErrorDetails
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    create_model,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from companion.errors import InputError
 from companion.ranges import Longitude, Positive
@@ -21,6 +28,9 @@ from companion.sources.elevation import VerticalDatum
 Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
 Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0)]
 Nodata = Literal["sea"] | Altitude
+Broken = tuple[str, object, str, str]
+"""A rule that a table breaks: the field in it ("": all of it), its value, the rule, the remedy."""
+FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 class Table(BaseModel):
@@ -29,9 +39,21 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     def of(self, kind: type) -> dict[str, Any]:
-        """The fields of a dataclass that the table has too, with its values."""
+        """The values of the fields that a dataclass has too, but for what was left out."""
         names = {each.name for each in fields(kind)} & type(self).model_fields.keys()
-        return {name: getattr(self, name) for name in names}
+        values = {name: getattr(self, name) for name in names}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def broken(self) -> Iterator[Broken]:
+        """The rules between its keys that it breaks."""
+        yield from ()
+
+    @model_validator(mode="after")
+    def _breaks_no_rule(self) -> Self:
+        for field, value, rule, remedy in self.broken():
+            told = {"field": field, "value": value, "rule": rule, "remedy": remedy}
+            raise PydanticCustomError("broken", "{rule}", told)
+        return self
 
 
 def keys_of(kind: type, *names: str, **keys_by_name: str) -> Any:
@@ -66,6 +88,11 @@ class AreaTable(Table):
     east_min_m: Horizontal
     east_max_m: Horizontal
 
+    @property
+    def sides_m(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lowest and highest north, and east."""
+        return (self.north_min_m, self.north_max_m), (self.east_min_m, self.east_max_m)
+
 
 class RadarTable(Table):
     """A radar of a world."""
@@ -98,7 +125,7 @@ class TerrainTable(Table):
 class FileTerrainTable(Table):
     """The true terrain of a world, from an elevation file."""
 
-    file: Annotated[str, Field(min_length=1)]
+    file: FileName
     """Relative to the world file's folder."""
     vertical_datum: VerticalDatum
     nodata: Nodata | None = None
@@ -116,7 +143,7 @@ class WorldVehicleTable(BaseModel):
 class WorldTable(Table):
     """A world.toml."""
 
-    schema_: Annotated[Literal[1], Field(alias="schema")]
+    schema_: Literal[1] = Field(alias="schema")
     name: str
     origin: OriginTable
     terrain: TerrainTable
@@ -139,15 +166,7 @@ class FileWorldTable(WorldTable):
     area: AreaTable
 
 
-NAME, SENDER = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$", r"^\d{1,3}/\d{1,3}$"
-_IN_WORDS = {
-    NAME: "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, beginning with a letter or digit",
-    SENDER: "it must be SYSTEM/COMPONENT",
-}
-Model = TypeVar("Model", bound=BaseModel)
-
-
-REMOVED = {
+REMOVED: Final = {
     "traffic": "Leave it out: keep vehicles apart by fences or altitudes of their own.",
     "link.obstacle_distance": "Leave it out: companion view shows what the planner knows.",
     "scanner.beam_deg": "Leave it out: sectors say how wide they are.",
@@ -156,6 +175,22 @@ REMOVED = {
     ),
 }
 """Keys and values ("table.key = value") of files for versions before, and what to do instead."""
+NAME, SENDER = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$", r"^\d{1,3}/\d{1,3}$"
+_IN_WORDS: Final = {
+    NAME: "it must be up to 64 of A-Z, a-z, 0-9, space and _.-, beginning with a letter or digit",
+    SENDER: "it must be SYSTEM/COMPONENT",
+}
+_UNITS: Final = {
+    "_m_s2": " in metres per second squared",
+    "_m_s": " in metres per second",
+    "_amsl_m": " in metres above mean sea level",
+    "_m": " in metres",
+    "_s": " in seconds",
+    "_deg": " in degrees",
+    "_hz": " in hertz",
+}
+_MOST_SHOWN: Final = 4  # of the items of a value
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def removed_key(table: Any, path: tuple[str, ...] = ()) -> str:
@@ -176,71 +211,55 @@ def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
     except ValidationError as error:
         details = error.errors()
     unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
-    first = (unknown or details)[0]
-    field = f"{where}: {_dotted(first['loc'])}"
-    path = ".".join(step for step in first["loc"] if isinstance(step, str))
-    if remedy := REMOVED.get(path) or REMOVED.get(f"{path} = {first['input']}"):
-        raise InputError(field, _shown(first["input"]), "it was removed in this version", remedy)
-    if first["type"] == "extra_forbidden":
-        raise _unknown_key(model, first, field)
-    if first["type"] == "missing":
-        key = first["loc"][-1]
-        raise InputError(field, None, "it is missing", f"Add {key}; see docs/files.md.")
-    message = first["msg"].replace("Input should be", "it must be")
-    message = _IN_WORDS.get(first.get("ctx", {}).get("pattern", ""), message)
-    if first["type"] == "union_tag_invalid":
-        message = f"its type must be one of {first['ctx']['expected_tags']}"
-    remedy = f"Give a valid value{_unit_of(field)}."
-    raise InputError(field, _shown(first["input"]), message, remedy)
+    raise _input_error(model, (unknown or details)[0], where)
 
 
-def _unknown_key(model: type[BaseModel], detail: ErrorDetails, field: str) -> InputError:
-    key = str(detail["loc"][-1])
-    known = _known_keys(model, detail["loc"][:-1])
+def _input_error(model: type[BaseModel], detail: ErrorDetails, where: str) -> InputError:
+    kind, place, value, told = detail["type"], detail["loc"], detail["input"], detail.get("ctx", {})
+    if kind == "broken":
+        value, place = told["value"], (*place, *filter(None, [told["field"]]))
+    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
+    field = f"{where}: {field.lstrip('.')}"
+    path = ".".join(step for step in place if isinstance(step, str))
+    shown = value
+    if isinstance(value, dict | list) and len(value) > _MOST_SHOWN:
+        shown = f"{len(value)} items"
+    if remedy := REMOVED.get(path) or REMOVED.get(f"{path} = {value}"):
+        return InputError(field, shown, "it was removed in this version", remedy)
+    if kind == "broken":
+        return InputError(field, shown, told["rule"], told["remedy"])
+    if kind == "extra_forbidden":
+        return InputError(field, value, *_about_unknown_key(model, place))
+    if kind == "missing":
+        return InputError(field, None, "it is missing", f"Add {place[-1]}; see docs/files.md.")
+    rule = detail["msg"].replace("Input should be", "it must be")
+    rule = _IN_WORDS.get(told.get("pattern", ""), rule)
+    if kind == "union_tag_invalid":
+        rule = f"its type must be one of {told['expected_tags']}"
+    unit = next((unit for ending, unit in _UNITS.items() if field.endswith(ending)), "")
+    return InputError(field, shown, rule, f"Give a valid value{unit}.")
+
+
+def _about_unknown_key(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, str]:
+    """The rule that it breaks, and the known keys of its table as a remedy."""
+    here: Any = model
+    for step in place[:-1]:
+        if isinstance(step, str):
+            keys = {info.alias or name: info for name, info in here.model_fields.items()}
+            here = _table_in(keys[step].annotation)
+    known = sorted(info.alias or name for name, info in here.model_fields.items())
+    key = str(place[-1])
     nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
+    rule = "no such key (units are part of keys)"
     about_altitude = any(word in key for word in ("altitude", "floor", "ceiling", "height"))
     if about_altitude and nearest and nearest[0].endswith("_amsl_m"):
         rule = "an altitude must name its datum and unit, and only AMSL metres are known here"
-    else:
-        rule = "no such key (units are part of keys)"
-    listed = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
-    return InputError(field, detail["input"], rule, f"{listed} Known here: {', '.join(known)}.")
-
-
-def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    here: Any = model
-    for step in path:
-        if isinstance(step, str):
-            fields = {info.alias or name: info for name, info in here.model_fields.items()}
-            here = _table_in(fields[step].annotation)
-    return sorted(info.alias or name for name, info in here.model_fields.items())
+    first = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
+    return rule, f"{first} Known here: {', '.join(known)}."
 
 
 def _table_in(annotation: Any) -> Any:
-    if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
+    """The table in list[Table], Table | None and the like."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next(found for part in typing.get_args(annotation) if (found := _table_in(part)))
-
-
-def _shown(value: Any) -> Any:
-    """What to show of a value: containers may be long."""
-    long = isinstance(value, dict | list) and len(value) > 4
-    return f"{len(value)} items" if long else value
-
-
-def _dotted(location: tuple[int | str, ...]) -> str:
-    parts = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in location]
-    return "".join(parts).lstrip(".")
-
-
-def _unit_of(key: str) -> str:
-    units = {
-        "_m_s2": " in metres per second squared",
-        "_m_s": " in metres per second",
-        "_amsl_m": " in metres above mean sea level",
-        "_m": " in metres",
-        "_s": " in seconds",
-        "_deg": " in degrees",
-        "_hz": " in hertz",
-    }
-    return next((unit for ending, unit in units.items() if key.endswith(ending)), "")
+    return next(filter(None, map(_table_in, typing.get_args(annotation))), None)

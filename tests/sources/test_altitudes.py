@@ -231,24 +231,6 @@ def test_an_altitude_above_ground_that_is_not_known_is_refused_or_said(tmp_path:
     assert "items[3]" in said
 
 
-def test_the_lines_of_a_survey_are_flown_at_the_altitude_of_its_camera(tmp_path: Path) -> None:
-    points = [[HOME[0] + 0.004, HOME[1]], [HOME[0] + 0.005, HOME[1]]]
-    for camera, altitude_m in (
-        ({"DistanceToSurface": 130.0, "DistanceToSurfaceRelative": True}, 618.0),
-        ({"DistanceToSurface": 630.0, "DistanceToSurfaceRelative": False}, 630.0),
-        ({"DistanceToSurface": 120.0, "DistanceMode": 4}, 620.0),
-    ):
-        style = {"VisualTransectPoints": points, "CameraCalc": camera}
-        survey: dict[str, object] = {
-            "type": "ComplexItem",
-            "complexItemType": "survey",
-            "TransectStyleComplexItem": style,
-        }
-        terrain = "[terrain]\nhighest_amsl_m = 500.0\n"
-        mission = load_mission(str(above_terrain(tmp_path, terrain, survey)))
-        assert mission.altitudes_amsl_m == (588.0, altitude_m, altitude_m)
-
-
 def test_a_waypoint_without_an_altitude_is_said_to_have_that_of_the_one_before(
     tmp_path: Path,
 ) -> None:

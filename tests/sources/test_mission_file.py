@@ -28,7 +28,7 @@ from companion.geodesy import FloatArray, LocalFrame
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.sources.files import toml_text
 from companion.sources.mission_schema import MissionTable, ZoneTable
-from companion.sources.places import zones_of
+from companion.sources.zones import zones_of
 from companion.world.zones import CircleZone, PolygonZone
 
 COPTER = """

@@ -100,16 +100,6 @@ def test_the_waypoints_of_a_survey_are_targets_and_its_camera_is_left_out() -> N
     assert found.notes == ["left out: 6 x do set cam trigg dist"]
 
 
-def test_a_survey_that_holds_no_items_is_flown_by_its_transects(path: Path) -> None:
-    style = {"VisualTransectPoints": [[47.41, 8.55], [47.42, 8.55]]}
-    survey = {
-        "type": "ComplexItem",
-        "complexItemType": "survey",
-        "TransectStyleComplexItem": style,
-    }
-    assert [t["latitude_deg"] for t in read(path, plan(survey)).targets] == [47.41, 47.42]
-
-
 @pytest.mark.parametrize(
     ("last", "action", "targets"),
     [

@@ -1,7 +1,6 @@
 """Files that people take for missions: what they are is told by what is in them."""
 
 import gzip
-import json
 import os
 import zipfile
 from pathlib import Path
@@ -16,10 +15,7 @@ from companion.sources.elevation import write_elevation
 
 MISSIONS = Path(__file__).parent / "missions"
 RECORDINGS = Path(__file__).parents[1] / "recordings"
-RING = "60.0 20.0\n60.001 20.0\n60.001 20.001\n60.0 20.001\n60.001 20.0\n"
 KML = '<?xml version="1.0"?>\n<!-- a note -->\n<kml xmlns="http://www.opengis.net/kml/2.2"/>'
-OLD = {"MAV_AUTOPILOT": 12, "complexItems": [], "items": [], "version": "1.0"}
-FENCE = {"fileType": "GeoFence", "groundStation": "QGroundControl", "version": 1}
 
 
 @pytest.mark.parametrize("name", ["flight.plan.txt", "flight.json", "flight", "Flight.PLAN"])
@@ -36,25 +32,12 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("content", "what", "remedy"),
     [
-        (RING, "which is not read", "Save the fence again with Mission Planner"),
-        ("\ufeff# a comment\n" + RING.replace("\n", "\r\n"), "a fence list", "as GeoJSON"),
-        ("RALLY 60.0 20.0 50 30 0 0\n", "a list of rally points", "[[rally_points]]"),
-        ("#saved by Mission Planner\nRALLY\t60.0\t20.0\t50\n", "a list of rally points", ""),
         (b"\0\0\x27\x0a" + bytes(20), "a shapefile", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
         (b"SQLite format 3\0", "GeoPackage", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
         ("", "it is empty", "mission.toml"),
         (KML, "KML, which is not read", "ogr2ogr -f GeoJSON zones.geojson x.txt"),
-        ('<gpx version="1.1"/>', "GPX", ".plan"),
-        ("lat,lon,alt\n60,20,9\n", "comma-separated", "Draw it in QGroundControl, and save it"),
-        ('{"type": "Feature"}\n' * 2, "a feature a line", "ogr2ogr -f GeoJSON zones.geojson x"),
-        ('\x1e{"type": "Feature"}\n', "a feature a line", "ogr2ogr -f GeoJSON zones.geojson x"),
-        ("<!DOCTYPE html><html>", "a web page", "Download"),
-        (json.dumps(OLD, indent=1), "an old mission of QGroundControl", "save it as a .plan"),
-        (json.dumps(FENCE), "GeoFence", "save it as a .plan"),
+        ("<!DOCTYPE html><html>", "a web page", "mission.toml"),
         ('{"type": "FeatureCollection", "features": []}', "GeoJSON", "threats = "),
-        ("# Onboard parameters\n1\t1\tWPNAV_SPEED\t500\t9\n", "parameters", "ground station"),
-        ("RTL_ALT,3000\nFENCE_ENABLE,1\n", "parameters", "ground station"),
-        ("latitude,longitude,height\n60.0,20.0,50\n", "comma-separated", "save it as a .plan"),
         ('{"schema": 1}\n', "it is JSON, not TOML", "mission.toml"),
         ("version https://git-lfs.github.com/spec/v1\n", "Git LFS", "git lfs pull"),
         ('schema = 1\nname = "x"\n'.encode("utf-16"), "UTF-16", "UTF-8"),
@@ -65,6 +48,7 @@ def test_a_plan_is_a_plan_under_any_name(tmp_path: Path, name: str) -> None:
         (b"ULog\x01\x12\x35\x01", "a log of PX4", "replay LOG --shadow"),
         (b"\xa3\x95\x80\x80", "a log of ArduPilot", "replay LOG --shadow"),
         (b"\x00\x06\x0a\x24\x18\x1e\x40\x00\xfd\x09", "a log of MAVLink", "--shadow"),
+        (b"x\0\1", "no text", "docs/files.md"),
         ('name = "Z\u00fcrich"'.encode("latin-1"), "no text in UTF-8", ""),
     ],
 )
@@ -101,16 +85,11 @@ def test_zones_named_as_threats_are_read_and_other_files_are_told_what_they_are(
     toml = tmp_path / "mission.toml"
     toml.write_text('plan = "fenced.plan"\nthreats = "x"\n')
     for content, what in (
-        (json.dumps(OLD), "an old mission"),
         ((MISSIONS / "plane.plan").read_text(), "a plan of QGroundControl"),
-        ("RALLY 60.0 20.0 50 30 0 0\n", "a list of rally points"),
-        (RING, "which is not read. Save the fence again with Mission Planner"),
-        (KML, "it is KML, which is not read. It may hold zones: make GeoJSON of it: ogr2ogr"),
-        ("<a/>", "not JSON"),
+        (KML, "it is KML, which is not read. For its zones, make GeoJSON of it: ogr2ogr"),
+        ("<a/>", "XML"),
         ("hello", "not JSON"),
-        ("", "not JSON"),
-        ("RTL_ALT,3000\nFENCE_ENABLE,1\n", "parameters"),
-        ('\x1e{"type": "Feature"}\n' * 2, "a feature a line"),
+        ("", "it is empty"),
         ('{"type": "Topology"}', "it is no GeoJSON FeatureCollection"),
     ):
         (tmp_path / "x").write_text(content)
@@ -128,7 +107,7 @@ def test_names_that_are_no_utf_8_are_files_like_others(tmp_path: Path) -> None:
         path.write_bytes(content)
         assert load_mission(str(path)).targets_ne_m
         mission_text(str(path)).encode()
-    path.write_bytes(RING.encode())
+    path.write_bytes(b"<kml>")
     with pytest.raises(InputError) as caught:
         load_mission(str(path))
     assert r"fl\xfcge/l\xefst" in str(caught.value)
