@@ -14,7 +14,7 @@ import typer
 
 from vehicle_sim.autopilots.factory import personality_of, with_own_ids
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults.timeline import Timeline
+from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Endpoint, Link, open_link, parse_endpoint
 from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
 from vehicle_sim.simulation import Simulation

@@ -20,14 +20,14 @@ from vehicle_sim.autopilots.factory import (
     personality_of,
     with_own_ids,
 )
+from vehicle_sim.conditions import conditions_of, take_one_shots
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import Crash, is_crash, speed_m_s
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults.conditions import conditions_of, take_one_shots
-from vehicle_sim.faults.timeline import Timeline
+from vehicle_sim.faults import Timeline
 from vehicle_sim.flight_controller import FlightController
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans

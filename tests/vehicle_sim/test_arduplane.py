@@ -21,8 +21,8 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.sensors.gps import GpsConditions
 
 
 def course_deg(rig: Rig) -> float:

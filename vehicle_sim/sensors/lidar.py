@@ -6,7 +6,6 @@ outside the field of view or nearer than the least distance.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Annotated, Literal, final
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as table
 
+from vehicle_sim.conditions import LidarConditions
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import FloatArray
@@ -59,41 +59,6 @@ class LidarTable:
     """Of the echoes: they do not come back, as if nothing were there."""
     latency_s: Annotated[_Real, Field(ge=0, le=5)] = 0.0
     """From the middle of a sweep to its message; half a sweep at least."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LidarConditions:
-    """What is wrong with the lidar and its driver.  Shares are 0 to 1."""
-
-    dead: bool = False
-    """It measures nothing any more; its driver is well."""
-    blind: bool = False
-    """It measures, and no echo comes back."""
-    silent: bool = False
-    """The driver says nothing: no heartbeat either."""
-    frames_lost: float = 0.0
-    """Between the driver and the autopilot."""
-    dust: float = 0.0
-    """Share of the beams with a near echo of nothing: dust, rain, sun."""
-    stuck: bool = False
-    """The same distances for ever, with new stamps."""
-    turned_rad: float = 0.0
-    """It is mounted turned by this, and nobody knows."""
-    clock_us: int = 0
-    """The driver's clock is ahead by this."""
-    clock_jump_us: int = 0
-    """Each stamp is wrong by up to this, either way."""
-    rate_hz: float = 0.0
-    """Of the driver's messages; 0: as in the world."""
-    frame: int = 12
-    """MAV_FRAME that the driver claims."""
-    junk: float = 0.0
-    """Share of the distances that are 0, 65535 or beyond the limits, and of messages whose
-    increment or offset is NaN."""
-    mirrored: bool = False
-    """What a client says of obstacles comes back to it, and all that the driver says is said in the
-    companion's name too."""
 
 
 @final

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.sensors.lidar import Lidar, LidarConditions, LidarTable
+from vehicle_sim.conditions import LidarConditions
+from vehicle_sim.sensors.lidar import Lidar, LidarTable
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.radio import Radio
 

@@ -56,8 +56,8 @@ from vehicle_sim.autopilots.ardupilot.flat_earth import (
     flat_earth_ned_m,
     offset,
 )
+from vehicle_sim.conditions import SIM_PARAMETERS
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.faults.conditions import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix

@@ -33,8 +33,8 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     NAMES,
     Mode,
 )
+from vehicle_sim.conditions import SIM_PARAMETERS
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.faults.conditions import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix
