@@ -21,7 +21,7 @@ from companion.mavlink.autopilots import ALL
 from companion.runtime.connection import parsed
 from vehicle_sim.cli import app as simulator_app
 from vehicle_sim.cli import bundled_worlds
-from vehicle_sim.faults.timeline import faults_page
+from vehicle_sim.faults import faults_page
 from vehicle_sim.links import parse_endpoint
 
 ROOT = Path(__file__).parents[1]

@@ -1,25 +1,26 @@
 """vehicle-sim: the command line."""
 
-import dataclasses
 import importlib.metadata
 import importlib.util
 import math
 import os
 import sys
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Final
 
 import typer
 
 from vehicle_sim.autopilots.factory import personality_of, with_own_ids
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults.timeline import Timeline
-from vehicle_sim.links import Endpoint, Link, open_link, parse_endpoint
+from vehicle_sim.faults import Timeline
+from vehicle_sim.links import Link, open_link, parse_endpoint
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.terminal import run
-from vehicle_sim.world import World, flat_world, read_world
+from vehicle_sim.world import VehicleKind, World, flat_world, read_world
 
 HELP = """A simulated drone to test a companion computer with.
 
@@ -45,16 +46,14 @@ Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulat
 """
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
-_HOME = "47.397742,8.545594,488,0"
-_MAX_VEHICLES = 250
-_PX4_TIME_OUTS_S = {
-    "COM_OF_LOSS_T": 1.0,
-    "COM_DL_LOSS_T": 10.0,
-    "COM_OBC_LOSS_T": 5.0,
-}
-_MAX_SHOWN = 12
-_MAX_SOCKETS = 500
-_ROW_M = 10.0
+_CONNECT: Final = "udpout:127.0.0.1:14540"
+_HOME: Final = "47.397742,8.545594,488,0"
+_MAX_VEHICLES: Final = 250
+_PX4_TIME_OUTS_S: Final = {"COM_OF_LOSS_T": 1.0, "COM_DL_LOSS_T": 10.0, "COM_OBC_LOSS_T": 5.0}
+_MAX_SHOWN: Final = 12
+"""Links in the first line."""
+_MAX_SOCKETS: Final = 500
+_ROW_M: Final = 10.0
 """Between vehicles of --count: they stand in a row to the east."""
 
 
@@ -64,128 +63,105 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-_Connect = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT; once for each link.",
-        show_default="udpout:127.0.0.1:14540",
-    ),
-]
-_Autopilot = Annotated[
-    str | None, typer.Option(help="Without WORLD: ardupilot or px4.", show_default="ardupilot")
-]
-_Kind = Annotated[
-    str | None, typer.Option(help="Without WORLD: copter or plane.", show_default="copter")
-]
-_Home = Annotated[
-    str | None,
-    typer.Option(help="Without WORLD.", metavar="LAT,LON,ALT,HEADING", show_default=_HOME),
-]
-_Scan = Annotated[
-    float | None,
-    typer.Option(help="Without WORLD: a terrain radar that sees so far.", metavar="METRES"),
-]
-_Param = Annotated[
-    list[str] | None,
-    typer.Option(help="A parameter of the autopilot, or a SIM_ one.", metavar="NAME=VALUE"),
-]
-_Faults = Annotated[
-    Path | None, typer.Option(help="A timeline of faults, one a line.", metavar="FILE")
-]
-_Speedup = Annotated[
-    float | None, typer.Option(help="Times real time.", metavar="N", show_default="1")
-]
-_Lockstep = Annotated[
-    bool, typer.Option("--lockstep", help="Advance only when the companion has answered.")
-]
-_Count = Annotated[int, typer.Option(help="So many vehicles, with rising system ids.", metavar="N")]
-_PortStep = Annotated[
-    int, typer.Option(help="Between the vehicles' ports; 0: all on the same.", metavar="K")
-]
-_Strict = Annotated[
-    bool, typer.Option("--strict", help="End with 1 at what the real one does not survive.")
-]
-_Seed = Annotated[int, typer.Option(help="Of all that is random.", metavar="S")]
-_Out = Annotated[
-    Path | None, typer.Option(help="Write DIR/truth.jsonl: where it really was.", metavar="DIR")
-]
-_Duration = Annotated[
-    float | None, typer.Option(help="End after S seconds of vehicle time.", metavar="S")
-]
-_Version = Annotated[
-    bool, typer.Option("--version", help="Say which version this is.", callback=_version)
-]
+def _option(about: str, metavar: str | None = None, default: str | bool = True) -> Any:
+    return typer.Option(help=about, metavar=metavar, show_default=default)
+
+
+_Endpoints = "udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT; once for each link."
+_Versions = typer.Option("--version", help="Say which version this is.", callback=_version)
 
 
 @app.command(help=HELP)
 def fly(
     world: Annotated[str | None, typer.Argument(metavar="WORLD", show_default=False)] = None,
-    connect: _Connect = None,
-    autopilot: _Autopilot = None,
-    vehicle: _Kind = None,
-    home: _Home = None,
-    scan_range: _Scan = None,
-    param: _Param = None,
-    faults: _Faults = None,
-    speedup: _Speedup = None,
-    lockstep: _Lockstep = False,
-    count: _Count = 1,
-    port_step: _PortStep = 0,
-    strict: _Strict = False,
-    seed: _Seed = 0,
-    out: _Out = None,
-    duration: _Duration = None,
-    version: _Version = False,  # noqa: ARG001
+    connect: Annotated[list[str] | None, _option(_Endpoints, default=_CONNECT)] = None,
+    autopilot: Annotated[Firmware | None, _option("Without WORLD.", default="ardupilot")] = None,
+    vehicle: Annotated[VehicleKind | None, _option("Without WORLD.", default="copter")] = None,
+    home: Annotated[
+        str | None, _option("Without WORLD.", "LAT,LON,ALT,HEADING", default=_HOME)
+    ] = None,
+    scan_range: Annotated[
+        float | None, _option("Without WORLD: a terrain radar that sees so far.", "METRES")
+    ] = None,
+    param: Annotated[
+        list[str] | None, _option("A parameter of the autopilot, or a SIM_ one.", "NAME=VALUE")
+    ] = None,
+    faults: Annotated[Path | None, _option("A timeline of faults, one a line.", "FILE")] = None,
+    speedup: Annotated[float | None, _option("Times real time.", "N", default="1")] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="Advance only when the companion has answered.")
+    ] = False,
+    count: Annotated[int, _option("So many vehicles, with rising system ids.", "N")] = 1,
+    port_step: Annotated[int, _option("Between the vehicles' ports; 0: all on the same.", "K")] = 0,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="End with 1 at what the real one does not survive.")
+    ] = False,
+    seed: Annotated[int, _option("Of all that is random.", "S")] = 0,
+    out: Annotated[
+        Path | None, _option("Write DIR/truth.jsonl: where it really was.", "DIR")
+    ] = None,
+    duration: Annotated[float | None, _option("End after S seconds of vehicle time.", "S")] = None,
+    version: Annotated[bool, _Versions] = False,  # noqa: ARG001
 ) -> None:
     """Parse, then fly."""
-    endpoints = [parse_endpoint(each) for each in connect or ["udpout:127.0.0.1:14540"]]
-    settings = _settings(speedup, lockstep=lockstep, duration_s=duration, strict=strict)
-    if seed < 0:
-        raise InputError("--seed", seed, "must not be negative", "Give 0 or more.")
-    flown = _paced(_world(world, autopilot, vehicle, home, scan_range), settings)
-    truth_world = _with_parameters(flown, param or [])
-    worlds = _row(truth_world, count, port_step)
-    timeline = "" if faults is None else _timeline(faults, truth_world)
-    byte_streams = {n for n, endpoint in enumerate(endpoints) if endpoint.kind == "tcpin"}
+    endpoints = [parse_endpoint(each) for each in connect or [_CONNECT]]
+    if speedup is not None and lockstep:
+        rule = "lockstep sets its own pace"
+        raise InputError("--speedup", speedup, rule, "Leave out one of the two.")
+    _must_lie("--speedup", speedup, 0.01, 1000.0, "Try 10.")
+    _must_lie("--duration", duration, 1e-3, 1e7, "Try 600.")
+    _must_lie("--seed", seed, 0, 2**63, "Give 0 or more.")
+    _must_lie("--scan-range", scan_range, 1e-3, 1e6, "Try 2000.")
+    settings = Settings(
+        lockstep=lockstep, speedup=speedup or 1.0, duration_s=duration, strict=strict
+    )
+    if world is None:
+        flown = _flat(autopilot or "ardupilot", vehicle or "copter", home or _HOME, scan_range)
+    else:
+        given = (autopilot, vehicle, home, scan_range)
+        for option, value in zip(
+            ("autopilot", "vehicle", "home", "scan-range"), given, strict=True
+        ):
+            if value is not None:
+                rule = "the world file says that itself"
+                raise InputError(f"--{option}", value, rule, "Leave out one of the two.")
+        flown = read_world(_world_path(world))
+    flown = _with_parameters(flown, param or [], settings.speedup)
+    worlds = _row(flown, count, port_step)
+    if port_step and count * len(endpoints) > _MAX_SOCKETS:
+        rule = f"with {len(endpoints)} links each it would need more than {_MAX_SOCKETS} sockets"
+        raise InputError("--count", count, rule, "Leave out --port-step, or take fewer.")
+    timeline = "" if faults is None else _timeline(faults, flown)
     simulations = [
         Simulation(
             each,
             seed=seed + k,
             links=len(endpoints),
-            byte_streams=byte_streams,
+            byte_streams={n for n, each in enumerate(endpoints) if each.kind == "tcpin"},
             forwards_all=k == 0 or port_step > 0,
             faults=timeline,
         )
         for k, each in enumerate(worlds)
     ]
-    if port_step and count * len(endpoints) > _MAX_SOCKETS:
-        rule = f"with {len(endpoints)} links each it would need more than {_MAX_SOCKETS} sockets"
-        raise InputError("--count", count, rule, "Leave out --port-step, or take fewer.")
     names = ["truth.jsonl" if k == 0 else f"truth-{k + 1}.jsonl" for k in range(count)]
     with ExitStack() as stack:
         stop = stack.enter_context(stopping_on_signals())
         truths = stack.enter_context(truth_files(out, names))
-        opened = [
-            _open_all(stack, [each.shifted(k * port_step) for each in endpoints])
-            for k in range(count if port_step else 1)
-        ]
-        used = [link.endpoint for links in opened for link in links]
-        _say(_opening(worlds, used, settings))
+        opened = list[list[Link]]()
+        for k in range(count if port_step else 1):
+            opened.append([open_link(each.shifted(k * port_step)) for each in endpoints])
+            for link in opened[-1]:
+                stack.callback(link.close)
+        _say(_opening(worlds, [str(each.endpoint) for links in opened for each in links], settings))
         stations = [
             Station(simulation=each, links=opened[k if port_step else 0], truth=truths[k])
             for k, each in enumerate(simulations)
         ]
         wall_s = Server(stations, settings, stop, say=_say).run()
-    _say(_ending(simulations, wall_s))
-
-
-def _ending(simulations: list[Simulation], wall_s: float) -> str:
     flown_s = max(each.now_us for each in simulations) * 1e-6
     times = flown_s / wall_s if wall_s > 0.0 else 0.0
-    outcomes = "; ".join(each.outcome() for each in simulations[:3])
-    return (
-        f"{flown_s:.1f} s of vehicle time in {wall_s:.1f} s ({times:.1f} x real time); {outcomes}"
-    )
+    ends = "; ".join(each.outcome() for each in simulations[:3])
+    _say(f"{flown_s:.1f} s of vehicle time in {wall_s:.1f} s ({times:.1f} x real time); {ends}")
 
 
 def _say(line: str) -> None:
@@ -199,76 +175,37 @@ def _say(line: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _open_all(stack: ExitStack, endpoints: list[Endpoint]) -> list[Link]:
-    links = []
-    for endpoint in endpoints:
-        link = open_link(endpoint)
-        stack.callback(link.close)
-        links.append(link)
-    return links
-
-
-def _opening(worlds: list[World], endpoints: list[Endpoint], settings: Settings) -> str:
-    vehicle = worlds[0].vehicle
+def _opening(worlds: list[World], endpoints: list[str], settings: Settings) -> str:
+    vehicle, last = worlds[0].vehicle, worlds[-1].vehicle.system_id
     pace = "lockstep" if settings.lockstep else f"{settings.speedup:g} x real time"
-    last = worlds[-1].vehicle.system_id
     systems = f"system {vehicle.system_id}" + (f" to {last}" if len(worlds) > 1 else "")
-    on = ", ".join(map(str, endpoints[:_MAX_SHOWN]))
+    on = ", ".join(endpoints[:_MAX_SHOWN])
     on += f" and {len(endpoints) - _MAX_SHOWN} more" if len(endpoints) > _MAX_SHOWN else ""
     return f"{worlds[0].name}: {vehicle.kind} with {vehicle.autopilot} as {systems}, {on}, {pace}"
 
 
-def _settings(
-    speedup: float | None, *, lockstep: bool, duration_s: float | None, strict: bool
-) -> Settings:
-    """Options that have been checked."""
-    if speedup is not None and lockstep:
-        raise InputError(
-            "--speedup", speedup, "lockstep sets its own pace", "Leave out one of the two."
-        )
-    if speedup is not None and not 0.01 <= speedup <= 1000.0:
-        raise InputError("--speedup", speedup, "must be from 0.01 to 1000", "Try 10.")
-    if duration_s is not None and not 0.0 < duration_s < 1e7:
-        raise InputError("--duration", duration_s, "must be more than 0 s", "Try 600.")
-    return Settings(
-        lockstep=lockstep,
-        speedup=1.0 if speedup is None else speedup,
-        duration_s=duration_s,
-        strict=strict,
-    )
+def _must_lie(
+    option: str, value: float | None, least: float, most: float, remedy: str, why: str = ""
+) -> None:
+    if value is not None and not least <= value <= most:  # nor is NaN
+        raise InputError(option, value, f"must be from {least:g} to {most:g}{why}", remedy)
 
 
-def _world(
-    name: str | None,
-    autopilot: str | None,
-    vehicle: str | None,
-    home: str | None,
-    scan_range_m: float | None,
-) -> World:
-    """The world of this name, or level ground."""
-    given: dict[str, object] = {
-        "--autopilot": autopilot,
-        "--vehicle": vehicle,
-        "--home": home,
-        "--scan-range": scan_range_m,
-    }
-    if name is not None:
-        for option, value in given.items():
-            if value is not None:
-                rule = "the world file says that itself"
-                raise InputError(option, value, rule, "Leave out one of the two.")
-        return read_world(_world_path(name))
-    firmware, kind = autopilot or "ardupilot", vehicle or "copter"
-    if firmware not in ("ardupilot", "px4"):
-        raise InputError("--autopilot", firmware, "must be ardupilot or px4", "Choose one.")
-    if kind not in ("copter", "plane"):
-        raise InputError("--vehicle", kind, "must be copter or plane", "Choose one.")
-    if scan_range_m is not None and not 0.0 < scan_range_m < 1e6:
-        raise InputError("--scan-range", scan_range_m, "must be more than 0 m", "Try 2000.")
-    latitude_deg, longitude_deg, altitude_m, heading_deg = _home(home or _HOME)
+def _flat(firmware: Firmware, kind: VehicleKind, home: str, scan_range_m: float | None) -> World:
+    """Level ground at the height of --home."""
+    remedy = f"Try {_HOME}."
+    try:
+        latitude_deg, longitude_deg, altitude_m, heading_deg = map(float, home.split(","))
+    except ValueError:
+        rule = "must be LAT,LON,ALT,HEADING in deg, m, deg"
+        raise InputError("--home", home, rule, remedy) from None
+    in_range = abs(latitude_deg) <= 85.0 and abs(longitude_deg) <= 180.0
+    if not (in_range and -1000.0 <= altitude_m <= 20000.0 and abs(heading_deg) <= 360.0):
+        rule = "must be within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
+        raise InputError("--home", home, rule, remedy)
     return flat_world(
-        kind,  # type: ignore[arg-type]
-        firmware,  # type: ignore[arg-type]
+        kind,
+        firmware,
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         altitude_amsl_m=altitude_m,
@@ -277,49 +214,24 @@ def _world(
     )
 
 
-def _home(text: str) -> tuple[float, float, float, float]:
-    remedy = f"Try {_HOME}."
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 4 or not all(map(math.isfinite, values)):
-        raise InputError("--home", text, "must be LAT,LON,ALT,HEADING in deg, m, deg", remedy)
-    latitude_deg, longitude_deg, altitude_m, heading_deg = values
-    in_range = abs(latitude_deg) <= 85.0 and abs(longitude_deg) <= 180.0
-    if not in_range or not -1000.0 <= altitude_m <= 20000.0 or abs(heading_deg) > 360.0:
-        rule = "must be within 85 deg, 180 deg, -1000 to 20000 m, 360 deg"
-        raise InputError("--home", text, rule, remedy)
-    return latitude_deg, longitude_deg, altitude_m, heading_deg
-
-
-def _paced(world: World, settings: Settings) -> World:
-    """PX4's start script lengthens its time-outs by the speed-up: a client's wall time counts."""
-    if world.vehicle.autopilot != "px4" or settings.speedup == 1.0:
-        return world
-    longer = {name: settings.speedup * seconds for name, seconds in _PX4_TIME_OUTS_S.items()}
-    vehicle = world.vehicle
-    return dataclasses.replace(
-        world, vehicle=dataclasses.replace(vehicle, parameters=longer | vehicle.parameters)
-    )
-
-
-def _with_parameters(world: World, assignments: list[str]) -> World:
+def _with_parameters(world: World, assignments: list[str], speedup: float) -> World:
     """The world, with these NAME=VALUE in place of what it says."""
-    added = dict[str, float]()
+    vehicle, added = world.vehicle, dict[str, float]()
     for text in assignments:
         name, _, value = text.partition("=")
         try:
             added[name] = float(value)
         except ValueError:
-            rule = "must be NAME=VALUE with a number"
-            raise InputError("--param", text, rule, "Try GUID_TIMEOUT=1.") from None
+            added[name] = math.nan
         if not math.isfinite(added[name]):
-            raise InputError("--param", text, "must be a finite number", "Try GUID_TIMEOUT=1.")
-    vehicle = world.vehicle
-    parameters = vehicle.parameters | added
-    vehicle = with_own_ids(dataclasses.replace(vehicle, parameters=parameters))
-    return dataclasses.replace(world, vehicle=vehicle)
+            rule = "must be NAME=VALUE with a finite number"
+            raise InputError("--param", text, rule, "Try GUID_TIMEOUT=1.")
+    longer = dict[str, float]()
+    if vehicle.autopilot == "px4" and speedup != 1.0:
+        # as PX4's start script does it: a client's wall time counts
+        longer = {name: speedup * seconds for name, seconds in _PX4_TIME_OUTS_S.items()}
+    parameters = longer | vehicle.parameters | added
+    return replace(world, vehicle=with_own_ids(replace(vehicle, parameters=parameters)))
 
 
 def _row(world: World, count: int, port_step: int) -> list[World]:
@@ -327,19 +239,13 @@ def _row(world: World, count: int, port_step: int) -> list[World]:
     vehicle = world.vehicle
     highest = personality_of(vehicle).highest_id
     most = min(_MAX_VEHICLES, highest - vehicle.system_id + 1)
-    if not 1 <= count <= most:
-        rule = f"must be 1 to {most}: there are system ids from {vehicle.system_id} to {highest}"
-        raise InputError("--count", count, rule, f"Try {min(most, 5)}.")
-    if not 0 <= port_step <= 1000:
-        raise InputError("--port-step", port_step, "must be from 0 to 1000", "Try 10.")
+    why = f": there are system ids from {vehicle.system_id} to {highest}"
+    _must_lie("--count", count, 1, most, f"Try {min(most, 5)}.", why)
+    _must_lie("--port-step", port_step, 0, 1000, "Try 10.")
+    places = [(vehicle.system_id + k, vehicle.east_m + k * _ROW_M) for k in range(count)]
     return [
-        dataclasses.replace(
-            world,
-            vehicle=dataclasses.replace(
-                vehicle, system_id=vehicle.system_id + k, east_m=vehicle.east_m + k * _ROW_M
-            ),
-        )
-        for k in range(count)
+        replace(world, vehicle=replace(vehicle, system_id=system_id, east_m=east_m))
+        for system_id, east_m in places
     ]
 
 
@@ -348,8 +254,7 @@ def _timeline(file: Path, world: World) -> str:
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
-        rule = f"cannot be read ({reason})"
+        rule = f"cannot be read ({getattr(error, 'strerror', None) or 'not a text file'})"
         raise InputError("--faults", str(file), rule, "Name a file with a fault a line.") from None
     Timeline.parse(text, name=str(file), firmware=world.vehicle.autopilot)
     return text
@@ -371,10 +276,8 @@ def _world_path(name: str) -> Path:
         if Path(name).is_file():
             return Path(name)
     known = ", ".join(bundled) or "(none is installed)"
-    rule = "neither a bundled world nor a file"
-    raise InputError(
-        "WORLD", name, rule, f"Choose from: {known}; or give the path of a world.toml."
-    )
+    remedy = f"Choose from: {known}; or give the path of a world.toml."
+    raise InputError("WORLD", name, "neither a bundled world nor a file", remedy)
 
 
 def main() -> None:

@@ -14,10 +14,11 @@ import typing
 from collections.abc import Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, Literal, final
+from typing import Annotated, Any, Final, Literal, TypeVar, dataclass_transform
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
+from pydantic_core import PydanticCustomError
 
 from vehicle_sim.elevation import VerticalDatum, read_grid
 from vehicle_sim.errors import InputError, did_you_mean
@@ -25,21 +26,45 @@ from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.rng import generator
 from vehicle_sim.scene import Scene, Upright, drawn_wood
-from vehicle_sim.sensors.lidar import LidarTable
 from vehicle_sim.terrain import Combine, PeakTerrain, Terrain
 
-_REFUSE_UNKNOWN = ConfigDict(extra="forbid")
 _Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _Positive = Annotated[_Real, Field(gt=0)]
 _Local = Annotated[_Real, Field(ge=-5e6, le=5e6)]
 _Altitude = Annotated[_Real, Field(ge=-1000, le=20000)]
 _Speed = Annotated[_Real, Field(gt=0, le=300)]
 _Acceleration = Annotated[_Real, Field(gt=0, le=200)]
+_Turn = Annotated[_Real, Field(ge=-360, le=360)]
+_Share = Annotated[_Real, Field(ge=0, le=1)]
+_Rate = Annotated[_Real, Field(ge=0.5, le=50)]
 _Name = Annotated[str, Field(strict=True, min_length=1)]
+_Component = Annotated[int, Field(strict=True, ge=2, le=255)]
+_Place = tuple[_Local, _Local]
+"""North and east."""
+_Range = tuple[_Positive, _Positive]
+"""Least and most."""
+_T = TypeVar("_T")
+
+_MISSING: Final = ("is missing", "Write it into the world file.")
+_LEAST_BELOW_MOST: Final = ("its least must lie below its most", "Swap or widen them.")
+_MOST_TREES: Final = 200_000
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(field,))
+def _table(kind: type[_T]) -> type[_T]:
+    """A table of the file: it refuses keys that it does not know."""
+    config = ConfigDict(extra="forbid")
+    made: Any = dataclass(frozen=True, slots=True, kw_only=True, config=config)(kind)
+    return made
+
+
+def _refused(key: str, value: object, rule: str, remedy: str) -> PydanticCustomError:
+    """What a table says of a rule that its keys break together; `key` "" is the table itself."""
+    context = {"key": key, "value": value, "rule": rule, "remedy": remedy}
+    return PydanticCustomError("rule", "{rule}", context)
+
+
+@_table
 class Origin:
     """Where the local frame touches the ellipsoid."""
 
@@ -47,8 +72,7 @@ class Origin:
     longitude_deg: Annotated[_Real, Field(ge=-180, le=180)]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class Peak:
     """One mountain (eq. 1)."""
 
@@ -59,8 +83,7 @@ class Peak:
     spread_east_m: _Positive
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class TerrainTable:
     """What the ground looks like: peaks over a plain, or an elevation file."""
 
@@ -73,9 +96,17 @@ class TerrainTable:
     nodata: Literal["sea"] | _Altitude | None = None
     """What is where the file has no height."""
 
+    def __post_init__(self) -> None:
+        needed = ("vertical_datum",) if self.file is not None else ("combine", "ground_amsl_m")
+        for key in needed:
+            if getattr(self, key) is None:
+                raise _refused(key, None, *_MISSING)
+        if self.file is not None and (self.combine or self.peaks or self.ground_amsl_m):
+            rule = "an elevation file leaves no room for peaks and ground"
+            raise _refused("file", self.file, rule, "Leave out one of the two.")
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+
+@_table
 class AreaTable:
     """How much of an elevation file is needed."""
 
@@ -84,9 +115,12 @@ class AreaTable:
     east_min_m: _Local
     east_max_m: _Local
 
+    def __post_init__(self) -> None:
+        if self.north_min_m >= self.north_max_m or self.east_min_m >= self.east_max_m:
+            raise _refused("", dataclasses.asdict(self), *_LEAST_BELOW_MOST)
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+
+@_table
 class Threat:
     """A radar that looks for the vehicle (eq. 3): a sphere about the point."""
 
@@ -100,8 +134,7 @@ class Threat:
 VehicleKind = Literal["copter", "plane"]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class Vehicle:
     """What flies, and where it stands at the start: on the terrain.
 
@@ -114,7 +147,7 @@ class Vehicle:
     system_id: Annotated[int, Field(strict=True, ge=1, le=255)] = 1
     north_m: _Local = 0.0
     east_m: _Local = 0.0
-    heading_deg: Annotated[_Real, Field(ge=-360, le=360)] = 0.0
+    heading_deg: _Turn = 0.0
     speed_max_m_s: _Speed | None = None
     """Of copters, horizontal, as the next one."""
     acceleration_max_m_s2: _Acceleration | None = None
@@ -131,22 +164,42 @@ class Vehicle:
     parameters: dict[str, Annotated[_Real, Field()]] = field(default_factory=dict)
     """The autopilot's own, by their names and in their units."""
 
+    def __post_init__(self) -> None:
+        for key in _OF_PLANES if self.kind == "copter" else _OF_COPTERS:
+            if (value := getattr(self, key)) is not None:
+                rule = f"a {self.kind} has no such limit"
+                raise _refused(key, value, rule, "Leave it out.")
+        slowest, fastest = self.airspeed_min_m_s, self.airspeed_max_m_s
+        if slowest is not None and fastest is not None and slowest >= fastest:
+            rule = "must be less than airspeed_max_m_s"
+            raise _refused("airspeed_min_m_s", slowest, rule, "Swap or widen them.")
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+
+_OF_COPTERS: Final = (
+    "speed_max_m_s",
+    "acceleration_max_m_s2",
+    "speed_vertical_max_m_s",
+    "acceleration_vertical_max_m_s2",
+    "drag_1_s",
+)
+_OF_PLANES: Final = (
+    "airspeed_min_m_s",
+    "airspeed_max_m_s",
+    "bank_max_deg",
+    "climb_max_m_s",
+    "sink_max_m_s",
+)
+
+
+@_table
 class Scanner:
     """The terrain radar on board: a MAVLink component of its own."""
 
-    component_id: Annotated[int, Field(strict=True, ge=2, le=255)]
+    component_id: _Component
     range_m: _Positive
 
 
-_Place = tuple[_Local, _Local]
-"""North and east."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class Tree:
     """A cylinder on the ground."""
 
@@ -157,17 +210,20 @@ class Tree:
     """Above the ground, as those of buildings, walls and wires."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class Building:
     """A prism with a flat roof; its height is above the highest ground at a corner."""
 
     corners_ne_m: Annotated[tuple[_Place, ...], Field(min_length=3)]
     height_m: _Positive
 
+    def __post_init__(self) -> None:
+        if len(set(self.corners_ne_m)) < len(self.corners_ne_m):
+            rule = "names a corner twice"
+            raise _refused("corners_ne_m", self.corners_ne_m, rule, "Leave one out.")
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+
+@_table
 class Wall:
     """Upright along a line of points; its ends are round."""
 
@@ -176,8 +232,7 @@ class Wall:
     height_m: _Positive
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class Wire:
     """Level between two ends: it can be touched, and no lidar sees it."""
 
@@ -186,8 +241,7 @@ class Wire:
     thickness_m: _Positive = 0.02
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class Clearing:
     """Where no tree of a wood stands."""
 
@@ -196,12 +250,7 @@ class Clearing:
     radius_m: _Positive
 
 
-_Range = tuple[_Positive, _Positive]
-"""Least and most."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
 class Wood:
     """Trees that are drawn when the world is read: the same ones for the same seed."""
 
@@ -218,6 +267,17 @@ class Wood:
     """Of the area: clearings that are drawn too."""
     clearings: tuple[Clearing, ...] = ()
     """These are always there."""
+
+    def __post_init__(self) -> None:
+        north_m, east_m = self.north_max_m - self.north_min_m, self.east_max_m - self.east_min_m
+        if north_m <= 0.0 or east_m <= 0.0:
+            raise _refused("", (north_m, east_m), *_LEAST_BELOW_MOST)
+        for key in ("spacing_m", "radius_m", "height_m"):
+            if getattr(self, key)[0] > getattr(self, key)[1]:
+                raise _refused(key, getattr(self, key), "gives the least first", "Swap them.")
+        if north_m * east_m > _MOST_TREES * self.spacing_m[0] ** 2:
+            rule = f"would have more than {_MOST_TREES} trees"
+            raise _refused("spacing_m", self.spacing_m, rule, "Widen it.")
 
     def trees(self) -> list[Tree]:
         """As drawn."""
@@ -236,8 +296,47 @@ class Wood:
         ]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+@_table
+class LidarTable:
+    """The lidar on board; the second one is an RPLidar on ArduPilot, beside a driver's."""
+
+    range_m: Annotated[_Real, Field(gt=0, le=600)]
+    min_m: _Positive = 0.2
+    """Nearer than this it measures nothing."""
+    kind: Literal["spinning", "sectors"] = "spinning"
+    """One beam that turns, or all beams at once."""
+    output: Literal["driver", "autopilot"] = "driver"
+    """OBSTACLE_DISTANCE of a component, or an RPLidar on ArduPilot (PRX1_TYPE 5)."""
+    component_id: _Component = 196
+    rate_hz: _Rate = 10.0
+    """Of the driver's messages."""
+    turns_1_s: _Rate = 10.0
+    """Sweeps a second."""
+    step_deg: Annotated[_Real, Field(ge=0.2, le=45)] = 3.6
+    """Between two beams."""
+    width_deg: Annotated[_Real, Field(ge=5, le=360)] = 360.0
+    """Of the field of view, half to each side of the sensor's nose."""
+    increment_deg: Annotated[_Real, Field(ge=5, le=90)] = 5.0
+    """Of the driver's sectors: the nearest echo in each is told."""
+    angle_offset_deg: _Turn | None = None
+    """Of the middle of the driver's first sector from the vehicle's nose; without it 0, or the
+    left edge of a field of view of less than a turn."""
+    yaw_deg: _Turn = 0.0
+    """How it is mounted, clockwise from the vehicle's nose; the driver corrects for it."""
+    noise_m: Annotated[_Real, Field(ge=0)] = 0.0
+    """Standard deviation of a distance."""
+    lost_share: _Share = 0.0
+    """Of the echoes: they do not come back, as if nothing were there."""
+    latency_s: Annotated[_Real, Field(ge=0, le=5)] = 0.0
+    """From the middle of a sweep to its message; half a sweep at least."""
+
+    def __post_init__(self) -> None:
+        if self.min_m >= self.range_m:
+            rule = f"must be less than range_m, which is {self.range_m:g}"
+            raise _refused("min_m", self.min_m, rule, "Lessen it.")
+
+
+@_table
 class World:
     """One world file."""
 
@@ -258,6 +357,23 @@ class World:
     lidar: LidarTable | None = None
     second_lidar: LidarTable | None = None
     """With `output = "autopilot"`, beside one with a driver of its own."""
+
+    def __post_init__(self) -> None:
+        if self.terrain.file is not None and self.area is None:
+            raise _refused("area", None, *_MISSING)
+        lidar, second, firmware = self.lidar, self.second_lidar, self.vehicle.autopilot
+        beside = lidar is not None and lidar.output != "autopilot"
+        if second is not None and (second.output != "autopilot" or not beside):
+            rule = "is an autopilot's, beside a [lidar] that is not"
+            remedy = 'Write second_lidar.output = "autopilot", or leave the table out.'
+            raise _refused("second_lidar.output", second.output, rule, remedy)
+        for name, each in (("lidar", lidar), ("second_lidar", second)):
+            if each is not None and each.output == "autopilot" and firmware != "ardupilot":
+                rule = f"{firmware} has no driver for it"
+                raise _refused(f"{name}.output", each.output, rule, "Write driver.")
+        if lidar and self.scanner and self.scanner.component_id == lidar.component_id:
+            rule = "is the terrain radar's too"
+            raise _refused("lidar.component_id", lidar.component_id, rule, "Choose another.")
 
     @property
     def lidars(self) -> tuple[LidarTable, ...]:
@@ -333,9 +449,8 @@ def read_world(path: Path) -> World:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not a text file"
-        raise InputError(
-            "WORLD", field, f"cannot be read ({reason})", "Name a world file."
-        ) from None
+        rule = f"cannot be read ({reason})"
+        raise InputError("WORLD", field, rule, "Name a world file.") from None
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -345,15 +460,9 @@ def read_world(path: Path) -> World:
 
 def parse_world(table: dict[str, Any], folder: Path | None = None) -> World:
     """The world that this TOML table describes; its elevation file is in the folder."""
-    is_mission = bool(table.keys() & {"targets", "planner", "area"})
-    if "terrain" not in table and (is_mission or not table.keys() & {"vehicle", "scanner"}):
-        what = "a mission" if is_mission else "something else"
-        raise InputError(
-            "WORLD",
-            table.get("name", "file"),
-            f"describes {what}, not a world",
-            "Name a world.toml.",
-        )
+    if not table.keys() & {"terrain", "vehicle", "scanner"} or "targets" in table:
+        rule = "describes something else, not a world"
+        raise InputError("WORLD", table.get("name", "file"), rule, "Name a world.toml.")
     try:
         world = _WORLD.validate_python(table)
     except ValidationError as error:
@@ -361,108 +470,10 @@ def parse_world(table: dict[str, Any], folder: Path | None = None) -> World:
         # A misspelt key is both unknown and missing: the unknown one tells the user more.
         unknown = [p for p in problems if p["type"] == "unexpected_keyword_argument"]
         raise _explained((unknown or problems)[0]) from None
-    _check_terrain(world)
-    _check_vehicle(world.vehicle)
-    _check_near(world)
     if folder is None or world.terrain.file is None:
         return world
     beside = str(folder / world.terrain.file)
     return dataclasses.replace(world, terrain=dataclasses.replace(world.terrain, file=beside))
-
-
-def _check_terrain(world: World) -> None:
-    """An elevation file with its datum and area, or peaks over a plain."""
-    table, area = world.terrain, world.area
-    needed: dict[str, object] = {
-        "terrain.combine": table.combine,
-        "terrain.ground_amsl_m": table.ground_amsl_m,
-    }
-    if table.file is not None:
-        needed = {"terrain.vertical_datum": table.vertical_datum, "area": area}
-    for key, value in needed.items():
-        if value is None:
-            raise InputError(key, None, "is missing", "Write it into the world file.")
-    if table.file is not None and (table.combine or table.peaks or table.ground_amsl_m):
-        rule = "an elevation file leaves no room for peaks and ground"
-        raise InputError("terrain.file", table.file, rule, "Leave out one of the two.")
-    if area and (area.north_min_m >= area.north_max_m or area.east_min_m >= area.east_max_m):
-        rule = "its least must lie below its most"
-        raise InputError("area", dataclasses.asdict(area), rule, "Swap or widen them.")
-
-
-_OF_COPTERS = (
-    "speed_max_m_s",
-    "acceleration_max_m_s2",
-    "speed_vertical_max_m_s",
-    "acceleration_vertical_max_m_s2",
-    "drag_1_s",
-)
-_OF_PLANES = (
-    "airspeed_min_m_s",
-    "airspeed_max_m_s",
-    "bank_max_deg",
-    "climb_max_m_s",
-    "sink_max_m_s",
-)
-
-
-def _check_vehicle(vehicle: Vehicle) -> None:
-    """No limits of another kind of vehicle."""
-    others = _OF_PLANES if vehicle.kind == "copter" else _OF_COPTERS
-    for key in others:
-        value = getattr(vehicle, key)
-        if value is not None:
-            rule = f"a {vehicle.kind} has no such limit"
-            raise InputError(f"vehicle.{key}", value, rule, "Leave it out.")
-    slowest, fastest = vehicle.airspeed_min_m_s, vehicle.airspeed_max_m_s
-    if slowest is not None and fastest is not None and slowest >= fastest:
-        rule = "must be less than airspeed_max_m_s"
-        raise InputError("vehicle.airspeed_min_m_s", slowest, rule, "Swap or widen them.")
-
-
-_MOST_TREES = 200_000
-
-
-def _check_near(world: World) -> None:
-    """Ranges that are none, shapes without extent, and a lidar that nothing reads."""
-    for k, wood in enumerate(world.woods):
-        north_m, east_m = wood.north_max_m - wood.north_min_m, wood.east_max_m - wood.east_min_m
-        if north_m <= 0.0 or east_m <= 0.0:
-            rule = "its least must lie below its most"
-            raise InputError(f"woods.{k}", (north_m, east_m), rule, "Swap or widen them.")
-        for key in ("spacing_m", "radius_m", "height_m"):
-            if getattr(wood, key)[0] > getattr(wood, key)[1]:
-                rule = "gives the least first"
-                raise InputError(f"woods.{k}.{key}", getattr(wood, key), rule, "Swap them.")
-        if north_m * east_m > _MOST_TREES * wood.spacing_m[0] ** 2:
-            rule = f"would have more than {_MOST_TREES} trees"
-            raise InputError(f"woods.{k}.spacing_m", wood.spacing_m, rule, "Widen it.")
-    for k, building in enumerate(world.buildings):
-        if len(set(building.corners_ne_m)) < len(building.corners_ne_m):
-            field, rule = f"buildings.{k}.corners_ne_m", "names a corner twice"
-            raise InputError(field, building.corners_ne_m, rule, "Leave one out.")
-    if (second := world.second_lidar) is not None:
-        beside = world.lidar is not None and world.lidar.output != "autopilot"
-        if second.output != "autopilot" or not beside:
-            rule = "is an autopilot's, beside a [lidar] that is not"
-            remedy = 'Write second_lidar.output = "autopilot", or leave the table out.'
-            raise InputError("second_lidar.output", second.output, rule, remedy)
-        _check_lidar(world, "second_lidar", second)
-    if (lidar := world.lidar) is None:
-        return
-    _check_lidar(world, "lidar", lidar)
-    if world.scanner is not None and world.scanner.component_id == lidar.component_id:
-        rule = "is the terrain radar's too"
-        raise InputError("lidar.component_id", lidar.component_id, rule, "Choose another.")
-
-
-def _check_lidar(world: World, name: str, lidar: LidarTable) -> None:
-    if lidar.min_m >= lidar.range_m:
-        rule = f"must be less than range_m, which is {lidar.range_m:g}"
-        raise InputError(f"{name}.min_m", lidar.min_m, rule, "Lessen it.")
-    if lidar.output == "autopilot" and world.vehicle.autopilot != "ardupilot":
-        rule = f"{world.vehicle.autopilot} has no driver for it"
-        raise InputError(f"{name}.output", lidar.output, rule, "Write driver.")
 
 
 def flat_world(
@@ -506,10 +517,14 @@ def _explained(problem: Any) -> InputError:
     key = ".".join(part for part in location if isinstance(part, str))
     if remedy := REMOVED.get(key) or REMOVED.get(f"{key} = {problem['input']}"):
         return InputError(field, problem["input"], "was removed in this version", remedy)
+    if problem["type"] == "rule":
+        said = problem["ctx"]
+        field = ".".join(filter(None, (field, said["key"])))
+        return InputError(field, said["value"], said["rule"], said["remedy"])
     if problem["type"] == "unexpected_keyword_argument":
         return _unknown_key(field, location, problem["input"])
     if problem["type"] == "missing":
-        return InputError(field, None, "is missing", "Write it into the world file.")
+        return InputError(field, None, *_MISSING)
     rule = problem["msg"].removeprefix("Input should be ")
     known = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
     rule = known.get(problem["type"], rule)

@@ -62,18 +62,18 @@ class PostFlight(Flight):
     def place(self, ahead_m: float) -> Upright:
         """A post before the copter, and in the simulator's world from now on."""
         simulation, vehicle = self.simulation, self.simulation.vehicle
-        north, east, _ = simulation._place_nea_m()
+        north, east, _ = simulation.place_nea_m()
         v_n, v_e = vehicle.velocity_north_m_s, vehicle.velocity_east_m_s
         by = (ahead_m + _RADIUS_M) / math.hypot(v_n, v_e)
         post = Upright(((north + by * v_n, east + by * v_e),), _RADIUS_M, 400.0, 420.0)
-        simulation._scene = Scene(simulation._terrain, (post,))
+        simulation._contact.scene = Scene(simulation._world.truth(), (post,))
         for lidar, _ in simulation._lidars:
-            lidar._scene = simulation._scene
+            lidar._scene = simulation._contact.scene
         return post
 
     def gap_m(self, post: Upright) -> float:
         """From the copter to the post."""
-        return math.dist(self.simulation._place_nea_m()[:2], post.corners_ne_m[0]) - _RADIUS_M
+        return math.dist(self.simulation.place_nea_m()[:2], post.corners_ne_m[0]) - _RADIUS_M
 
 
 def at_speed(name: str, seed: int) -> PostFlight:
@@ -92,12 +92,12 @@ def at_speed(name: str, seed: int) -> PostFlight:
 def stopping_m(name: str, seed: int, react_s: float) -> float:
     """How far it flies until it stands, if the autopilot is told to stop so much later."""
     it = at_speed(name, seed)
-    begin = it.simulation._place_nea_m()
+    begin = it.simulation.place_nea_m()
     told_s = it.now_s + react_s
     while it.now_s < told_s:
         it.step()
     sent = wire.MAVLink(None, srcSystem=1, srcComponent=195)
-    north_m, east_m, amsl_m = it.simulation._place_nea_m()
+    north_m, east_m, amsl_m = it.simulation.place_nea_m()
     latitude, longitude = it.mission.frame.to_geodetic_deg(north_m, east_m)
     stands = sent.set_position_target_global_int_encode(
         0, 1, 1, wire.MAV_FRAME_GLOBAL_INT, 0b110111000000, deg_e7(float(latitude)),
@@ -107,7 +107,7 @@ def stopping_m(name: str, seed: int, react_s: float) -> float:
         it.simulation.receive(0, stands.pack(sent))
         it.simulation.step()
         it.simulation.take_frames()
-    return math.dist(it.simulation._place_nea_m()[:2], begin[:2])
+    return math.dist(it.simulation.place_nea_m()[:2], begin[:2])
 
 
 def popped_up(name: str, ahead_m: float, seed: int) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def _flown(name: str, seed: int, truth: World) -> dict[str, Any]:
         if phase is Phase.FLYING:
             began_s = min(began_s, it.now_s)
         if it.now_s >= began_s:
-            track.append(it.simulation._place_nea_m())
+            track.append(it.simulation.place_nea_m())
     arrived = phases[-1] is Phase.ARRIVED
     reason = it.session.state.reason
     return {

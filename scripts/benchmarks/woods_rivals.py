@@ -227,10 +227,10 @@ def fly(name: str, world: World, seed: int, kind: type[Bendy | AStar]) -> tuple[
     while it.phase is not Phase.FLYING:
         it.step()
         assert it.now_s < _TAKEN_OFF_S, it.phase
-    began_s, track = it.now_s, [it.simulation._place_nea_m()]
+    began_s, track = it.now_s, [it.simulation.place_nea_m()]
     while it.now_s < began_s + LIMIT_S and it.simulation.nearest_m > 0.0:
         it.on(track[0][2])
-        track.append(it.simulation._place_nea_m())
+        track.append(it.simulation.place_nea_m())
         if abs(complex(*track[-1][:2]) - it.target) < AT_M:
             return it.now_s - began_s, np.array(track)
     return math.inf, np.array(track)

@@ -11,7 +11,7 @@ from vehicle_sim.world import World
 
 _HEAD: Final = """# The world file
 
-Made from `vehicle_sim/world.py` and `vehicle_sim/sensors/lidar.py` by `scripts/docs`; do not edit.
+Made from `vehicle_sim/world.py` by `scripts/docs`; do not edit.
 
 What `vehicle-sim` flies in: TOML. Units are part of the names; `north_m` and `east_m` are of the
 origin's local frame; heights of trees, buildings, walls and wires are above the ground. `[table]`

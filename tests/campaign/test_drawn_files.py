@@ -66,5 +66,5 @@ def test_a_drawn_world_is_flown_from_its_files_to_its_target(
     flown = fly_in_process(session, simulation, planner=plan)
     assert flown.end is not None
     assert flown.end.outcome.value == "arrived", flown.end
-    north_m, east_m, _ = simulation._place_nea_m()
+    north_m, east_m, _ = simulation.place_nea_m()
     assert math.dist((north_m, east_m), drawn.targets_ne_m[0]) < 10.0

@@ -18,8 +18,7 @@ from companion.campaign.flight import Flight, FlightFiles
 from companion.campaign.run import fly_run
 from companion.config import load_mission
 from companion.world.zones import CircleZone
-from vehicle_sim.faults.catalogue import FAULTS
-from vehicle_sim.faults.timeline import Timeline
+from vehicle_sim.faults import FAULTS, Timeline
 
 VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 DRAWN = families.world("short-copter", 1, 0)

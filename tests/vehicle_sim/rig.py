@@ -5,8 +5,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint, Text
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Limits
-from vehicle_sim.sensors.gps import Fix, Gps, GpsConditions
+from vehicle_sim.sensors.gps import Fix, Gps
 
 STEP_US, STEP_S = 10_000, 0.01
 COMPANION = Sender(system=1, component=191)

@@ -13,8 +13,8 @@ from tracking_plane import (
 )
 
 from vehicle_sim.autopilots import Result, Sender, Setpoint
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.sensors.gps import GpsConditions
 
 MANUAL, CIRCLE, FBWA, CRUISE, AUTO, RTL, LOITER, GUIDED = 0, 1, 5, 7, 10, 11, 12, 15
 

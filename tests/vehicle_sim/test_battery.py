@@ -7,7 +7,8 @@ import pytest
 from rig import GENTLE
 
 from vehicle_sim.autopilots import Battery
-from vehicle_sim.dynamics.battery import BatteryConditions, Model, PowerModule
+from vehicle_sim.conditions import BatteryConditions
+from vehicle_sim.dynamics.battery import Model, PowerModule
 from vehicle_sim.dynamics.copter import HOVER_THROTTLE, Copter
 
 

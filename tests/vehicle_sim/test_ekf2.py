@@ -10,7 +10,7 @@ from tracking_px4 import Curve, Rig
 
 from vehicle_sim.autopilots import Text
 from vehicle_sim.autopilots.px4.modes import Mode
-from vehicle_sim.sensors.gps import GpsConditions
+from vehicle_sim.conditions import GpsConditions
 
 _LOG = "px4-gps-loss.tlog"
 _NO_FIX = GpsConditions(fix_type=3, lag_s=0.0, enabled=False, satellites=0)

@@ -14,7 +14,7 @@ from over_the_wire import GCS, KINDS, PLACE, QUIET, READY_S, Link, heartbeat, ta
 from over_the_wire import Heard as Frame
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.faults.catalogue import FAULTS as ALL_FAULTS
+from vehicle_sim.faults import FAULTS as ALL_FAULTS
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.world import VehicleKind
@@ -226,7 +226,7 @@ SEES: dict[str, Sees] = {
     "gps_noise": lambda a, b: (b.gps_m() - a.gps_m())[:20].std() > 0.5,
     "gps_delay": lambda a, b: np.abs((b.gps_m() - a.gps_m())[5:20]).max() > 1.5,
     "gps_satellites": lambda _, b: b.of("GPS_RAW_INT")[-1].satellites_visible == 5,
-    "wind": lambda a, b: np.abs(_tilt(b) - _tilt(a)).max() > 0.1,
+    "wind": lambda a, b: np.abs(_tilt(b) - _tilt(a)).max() > 0.05,
     "turbulence": lambda a, b: np.abs(_tilt(b) - _tilt(a))[20:].std() > 0.02,
     "battery": lambda _, b: (  # PX4's gauge creeps up to it, and rounds up
         b.of("SYS_STATUS")[-1].battery_remaining in (14, 15, 16)

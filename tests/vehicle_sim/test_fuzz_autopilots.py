@@ -33,10 +33,11 @@ from vehicle_sim.autopilots import (
 )
 from vehicle_sim.autopilots.factory import PERSONALITIES
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
-from vehicle_sim.sensors.gps import Gps, GpsConditions, Receiver
+from vehicle_sim.sensors.gps import Gps, Receiver
 
 GROUND_AMSL_M = 488.0
 STEP_US = 10_000

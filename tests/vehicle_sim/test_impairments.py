@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle_sim.faults.conditions import LinkConditions
+from vehicle_sim.conditions import LinkConditions
 from vehicle_sim.wire.impairments import MAX_FRAMES, Impairments
 
 S = 1_000_000

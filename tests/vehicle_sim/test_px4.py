@@ -9,7 +9,7 @@ from vehicle_sim.autopilots import Ack, Reboot, Result
 from vehicle_sim.autopilots.px4.autopilot import RATES_HZ, parameter_rows, profile
 from vehicle_sim.autopilots.px4.failsafe import Stations
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
-from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
+from vehicle_sim.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
 
 UP = (0.0, 0.0, -10.0)

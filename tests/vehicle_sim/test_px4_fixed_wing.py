@@ -20,8 +20,8 @@ from tracking_px4_fixed_wing import (
 )
 
 from vehicle_sim.autopilots import Landed
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.sensors.gps import GpsConditions
 
 OFFBOARD, HOLD, LAND, RETURN = 0x00060000, 0x03040000, 0x06040000, 0x05040000
 

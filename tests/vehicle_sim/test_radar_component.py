@@ -9,11 +9,11 @@ from pymavlink.dialects.v20 import all as mavlink
 from rig import GENTLE
 
 from vehicle_sim.autopilots import Sender
+from vehicle_sim.conditions import RadarConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.terrain_radar import (
     UNSEEN_M,
-    RadarConditions,
     ScanRequest,
     TerrainRadar,
     Viewpoint,

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from rig import GENTLE
 from scipy import integrate, signal
 
+from vehicle_sim.conditions import WindConditions
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.dynamics.wind import FOOT_M, Gusts, Wind, WindConditions, lengths_m, vertical_share
+from vehicle_sim.dynamics.wind import LEVEL_M, VERTICAL_M, VERTICAL_SHARE, Gusts, Wind
 
 FloatArray = NDArray[np.float64]
 
@@ -99,16 +100,9 @@ def test_a_gust_much_longer_than_a_step_is_still_exact() -> None:
     assert np.var(steps) == pytest.approx(3.0 * 2.0 * 1e-5 / 2.0, rel=0.03)
 
 
-def test_scales_are_those_of_the_standard() -> None:
-    level_m, vertical_m = lengths_m(1000.0 * FOOT_M)
-    assert level_m == pytest.approx(1000.0 * FOOT_M, rel=1e-3)
-    assert vertical_m == pytest.approx(1000.0 * FOOT_M)
-    assert vertical_share(1000.0 * FOOT_M) == pytest.approx(1.0, rel=1e-3)
-    assert lengths_m(5000.0) == lengths_m(1000.0 * FOOT_M)
-    assert lengths_m(-3.0) == lengths_m(10.0 * FOOT_M)
-    level_m, vertical_m = lengths_m(100.0 * FOOT_M)
-    assert level_m / FOOT_M == pytest.approx(100.0 / 0.2593**1.2)
-    assert vertical_m / FOOT_M == pytest.approx(100.0)
+def test_scales_are_those_of_the_standard_at_200_feet() -> None:
+    """L_w, L_u and sigma_w / sigma_u of MIL-F-8785C, worked out by hand."""
+    assert pytest.approx((VERTICAL_M, LEVEL_M, VERTICAL_SHARE), rel=1e-3) == (60.96, 221.2, 0.6507)
 
 
 # --- the wind -------------------------------------------------------------------------------------
@@ -144,10 +138,8 @@ def test_a_rising_wind_keeps_its_speed() -> None:
 def test_below_sixty_metres_it_falls_with_the_root_of_the_height(
     height_m: float, share: float
 ) -> None:
-    conditions = WindConditions(speed_m_s=8.0)
+    conditions = WindConditions(speed_m_s=8.0, from_rad=0.0)
     assert blow(conditions, height_m, 0.01)[-1][0] == pytest.approx(-8.0 * share)
-    everywhere = WindConditions(speed_m_s=8.0, profile=1)
-    assert blow(everywhere, height_m, 0.01)[-1][0] == pytest.approx(-8.0)
 
 
 def test_a_change_sets_in_slowly_and_goes_again_without_a_trace() -> None:
@@ -167,16 +159,16 @@ def test_a_change_sets_in_slowly_and_goes_again_without_a_trace() -> None:
 
 
 def test_gusts_have_the_size_that_is_asked_for() -> None:
-    conditions = WindConditions(speed_m_s=10.0, turbulence_m_s=2.0, profile=1)
-    rows = blow(conditions, 30.0, 2000.0)
+    conditions = WindConditions(speed_m_s=10.0, from_rad=0.0, turbulence_m_s=2.0)
+    rows = blow(conditions, 60.0, 4000.0)
     assert rows.mean(axis=0) == pytest.approx([-10.0, 0.0, 0.0], abs=0.5)
-    assert rows.std(axis=0) == pytest.approx([2.0, 2.0, 2.0 * vertical_share(30.0)], rel=0.12)
-    again = blow(conditions, 30.0, 10.0)
+    assert rows.std(axis=0) == pytest.approx([2.0, 2.0, 2.0 * VERTICAL_SHARE], rel=0.12)
+    again = blow(conditions, 60.0, 10.0)
     assert np.array_equal(again, rows[:1000])
-    assert not np.array_equal(again, blow(conditions, 30.0, 10.0, seed=2))
+    assert not np.array_equal(again, blow(conditions, 60.0, 10.0, seed=2))
 
 
 def test_no_height_is_too_low_or_too_high() -> None:
-    conditions = WindConditions(speed_m_s=8.0, turbulence_m_s=2.0, full_height_m=0.0)
+    conditions = WindConditions(speed_m_s=8.0, turbulence_m_s=2.0)
     for height_m in (-100.0, 0.0, 1e5):
         assert np.all(np.isfinite(blow(conditions, height_m, 0.1)))

@@ -12,9 +12,10 @@ import rig
 from rig import STEP_US, STRONG, ZERO, Vector
 
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import PX4, Gps, GpsConditions
+from vehicle_sim.sensors.gps import PX4, Gps
 
 Kind = Literal["position", "position + velocity", "pos + vel + acc", "velocity"]
 

@@ -15,9 +15,10 @@ import rig
 
 from vehicle_sim.autopilots import Sender
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import PX4, Gps, GpsConditions
+from vehicle_sim.sensors.gps import PX4, Gps
 
 Kind = Literal["pos + vel", "pos + vel + acc", "pos + vel - acc", "position", "reposition"]
 

@@ -42,9 +42,9 @@ from vehicle_sim.autopilots import (
     Waypoint,
     height_amsl_m,
 )
+from vehicle_sim.conditions import SIM_PARAMETERS
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.faults.conditions import SIM_PARAMETERS
 from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix

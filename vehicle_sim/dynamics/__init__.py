@@ -40,6 +40,11 @@ class Vehicle(ABC):
     broken: bool = field(init=False, default=False)
     """It has hit something in the air: it falls, and nothing carries it."""
 
+    @property
+    def velocity_neu_m_s(self) -> tuple[float, float, float]:
+        """North, east, up."""
+        return self.velocity_north_m_s, self.velocity_east_m_s, self.velocity_up_m_s
+
     @abstractmethod
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""

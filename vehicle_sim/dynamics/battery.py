@@ -8,39 +8,33 @@ from full to empty while armed, stopping at SIM_BAT_MIN_PCT, full again once dis
 follows the voltage within a second or two; no current sensor.
 """
 
-import itertools
 import math
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Final, Literal, final
 
+import numpy as np
+
+from vehicle_sim.conditions import BatteryConditions
 from vehicle_sim.dynamics import Vehicle
 
 Model = Literal["ardupilot copter", "ardupilot plane", "px4"]
 
-HOVER_A = 27.5
+HOVER_A: Final = 27.5
 """At hovering throttle; the recorded copters draw 28 A hovering and 30 to 41 A at 10 to 15 m/s."""
-_HOVER_THROTTLE = 0.39
-_RESISTANCE_OHM = 0.0034
-_RESTING = (
-    (0.0, 0.80),
-    (0.05, 0.87),
-    (0.1, 0.89),
-    (0.2, 0.9),
-    (0.5, 0.92),
-    (0.8, 0.96),
-    (1.0, 1.0),
-)
-"""Share left to share of the full voltage: a lithium polymer cell from 3.35 to 4.2 V."""
-_PLANE_SAG_V = 0.7
-_PLANE_FULL_A = 50.0
-_PX4_CELLS = 4
-_PX4_EMPTY_V, _PX4_FULL_V = 3.6, 4.05
-_PX4_NO_SENSOR_A = -1.0
-_PX4_GAUGE_S = 0.95
+_HOVER_THROTTLE: Final = 0.39
+_RESISTANCE_OHM: Final = 0.0034
+_LEFT: Final = (0.0, 0.05, 0.1, 0.2, 0.5, 0.8, 1.0)
+_RESTING: Final = (0.80, 0.87, 0.89, 0.9, 0.92, 0.96, 1.0)
+"""Share of the full voltage by the share left: a lithium polymer cell from 3.35 to 4.2 V."""
+_PLANE_SAG_V, _PLANE_FULL_A = 0.7, 50.0
+_PX4_EMPTY_V, _PX4_FULL_V = 4 * 3.6, 4 * 4.05
+"""Of its four cells."""
+_PX4_NO_SENSOR_A: Final = -1.0
+_PX4_GAUGE_S: Final = 0.95
 """Time constant of the gauge: px4-offboard-short.tlog from 58.4 s on."""
-_PX4_GAUGE_REST = 3e-7
+_PX4_GAUGE_REST: Final = 3e-7
 """Where its filter in single precision stops short: 50 % are told as 51 in SYS_STATUS for ever."""
-POWER_STEP_S = 0.1
+POWER_STEP_S: Final = 0.1
 
 
 @final
@@ -56,32 +50,12 @@ class Battery:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BatteryConditions:
-    """What is asked of the battery."""
-
-    voltage_v: float = 12.6
-    """Full, at rest (ArduPilot)."""
-    capacity_ah: float = 0.0
-    """Of which the voltage knows (ArduPilot); 0: it never falls by use."""
-    gauge_mah: float = 3300.0
-    """Which the autopilot believes it has (BATT_CAPACITY)."""
-    drain_s: float = 60.0
-    """From full to empty, armed (PX4)."""
-    least: float = 0.5
-    """Where that ends, 0 to 1 (PX4)."""
-    most: float = 1.0
-    """Upper limit of the reported charge, 0 to 1."""
-
-
-@final
 class PowerModule:
     """Drains the battery that the autopilot sees: every POWER_STEP_S is often enough."""
 
     def __init__(self, battery: Battery, model: Model) -> None:
         self.battery = battery
         self._model = model
-        self._drawn_mah = 0.0
         self._left = 1.0
         """PX4's, before what the conditions cap."""
         self._gauge = 1.0
@@ -96,49 +70,31 @@ class PowerModule:
             self._ardupilot(dt_s, vehicle.throttle if armed else 0.0, conditions)
 
     def _ardupilot(self, dt_s: float, throttle: float, conditions: BatteryConditions) -> None:
-        battery = self.battery
-        if self._model == "ardupilot plane":
-            sagged = 1.0 - _PLANE_SAG_V * throttle / max(conditions.voltage_v, 0.1)
-            current_a = max(sagged, 0.0) * _PLANE_FULL_A * throttle * throttle
-        else:
-            current_a = HOVER_A * throttle / _HOVER_THROTTLE
-        self._drawn_mah += current_a * dt_s / 3.6
-        left = 1.0
-        if conditions.capacity_ah > 0.0:
-            left = max(1.0 - self._drawn_mah / (conditions.capacity_ah * 1e3), 0.0)
-        resting_v = conditions.voltage_v * _resting(min(left, conditions.most))
-        if self._model == "ardupilot plane":
-            voltage_v = resting_v - _PLANE_SAG_V * throttle
-        elif conditions.capacity_ah > 0.0:
-            voltage_v = resting_v - current_a * _RESISTANCE_OHM
-        else:
-            voltage_v = resting_v
-        told = 1.0 - self._drawn_mah / max(conditions.gauge_mah, 1.0)
-        battery.voltage_v = max(voltage_v, 0.0)
-        battery.current_a = current_a
-        battery.consumed_mah = self._drawn_mah
+        battery, capacity_mah = self.battery, conditions.capacity_ah * 1e3
+        is_plane = self._model == "ardupilot plane"
+        sag_v = _PLANE_SAG_V * throttle
+        battery.current_a = HOVER_A * throttle / _HOVER_THROTTLE
+        if is_plane:
+            kept = max(1.0 - sag_v / max(conditions.voltage_v, 0.1), 0.0)
+            battery.current_a = kept * _PLANE_FULL_A * throttle * throttle
+        battery.consumed_mah += battery.current_a * dt_s / 3.6
+        left = max(1.0 - battery.consumed_mah / capacity_mah, 0.0) if capacity_mah else 1.0
+        if not is_plane:
+            sag_v = battery.current_a * _RESISTANCE_OHM if capacity_mah else 0.0
+        resting = float(np.interp(min(left, conditions.most), _LEFT, _RESTING))
+        battery.voltage_v = max(conditions.voltage_v * resting - sag_v, 0.0)
+        told = 1.0 - battery.consumed_mah / max(conditions.gauge_mah, 1.0)
         battery.remaining = min(max(told, 0.0), conditions.most)
 
     def _px4(self, dt_s: float, armed: bool, conditions: BatteryConditions) -> None:
-        self._left = self._left - dt_s / conditions.drain_s if armed else 1.0
-        self._left = max(self._left, conditions.least, 0.0)
-        self._drawn_mah += _PX4_NO_SENSOR_A * dt_s / 3.6
+        battery = self.battery
+        drained = self._left - dt_s / conditions.drain_s if armed else 1.0
+        self._left = max(drained, conditions.least, 0.0)
         left = min(self._left, conditions.most)
         self._gauge += (left - self._gauge) * -math.expm1(-dt_s / _PX4_GAUGE_S)
         if self._gauge > left:
             self._gauge = max(self._gauge, left + _PX4_GAUGE_REST)
-        battery = self.battery
-        battery.voltage_v = _PX4_CELLS * (_PX4_EMPTY_V + left * (_PX4_FULL_V - _PX4_EMPTY_V))
+        battery.voltage_v = _PX4_EMPTY_V + left * (_PX4_FULL_V - _PX4_EMPTY_V)
         battery.current_a = _PX4_NO_SENSOR_A
-        battery.consumed_mah = self._drawn_mah
+        battery.consumed_mah += _PX4_NO_SENSOR_A * dt_s / 3.6
         battery.remaining = min(self._gauge, 1.0)
-
-
-def _resting(left: float) -> float:
-    """Share of the full voltage at rest with this share left."""
-    if left >= 1.0:
-        return 1.0
-    for (below, low), (above, high) in itertools.pairwise(_RESTING):
-        if left <= above:
-            return low + (high - low) * max(left - below, 0.0) / (above - below)
-    return math.nan  # not reached: the table ends at 1

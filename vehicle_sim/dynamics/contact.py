@@ -1,10 +1,18 @@
-"""Whether who touches the ground has landed or crashed: by its speed in all axes.
+"""What a vehicle touches, and whether it survives that: by its speed in all axes.
 
 The one place that judges it, for all vehicles and autopilots, and in the air without one.
 """
 
 import math
+from collections.abc import Callable
 from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.scene import Scene
+from vehicle_sim.terrain import FloatArray, Terrain
 
 CRASH_M_S: Final = 3.0
 """No faster into the ground: landing gear need not stand more than 3.05 m/s, 10 ft/s (CS 23.473,
@@ -12,6 +20,21 @@ STANAG 4671 USAR.473).  A copter has no wheels: sideways as fast, it tips over."
 RUNWAY_SLOPE: Final = 0.1
 """Where a plane may land faster than CRASH_M_S: five times the slope that a runway may have (2 %,
 ICAO Annex 14, 3.1.13).  What is steeper is a hillside."""
+_THINGS: Final = "a tree, wall, building or wire"
+LOOK_US: Final = 100_000
+"""Between looks at the ground below, of who is far from it."""
+_LOW_M: Final = 20.0
+"""Nobody sinks from here to the ground within a step."""
+_OFF_GROUND_M: Final = 0.3
+"""Above the ground by this much a plane has taken off: what comes then is a landing, or none."""
+_SLOPE_M: Final = 0.5
+"""The ground's slope is that between points so far to either side."""
+_NEAR_M: Final = 3.0
+"""Nearer to a thing than this, its distance is looked at in every step."""
+_ALONG_M: Final = 0.01
+"""Between the places along a step that are looked at when it may have flown through a thing."""
+Velocity = tuple[float, float, float]
+"""North, east, up, in m/s."""
 
 
 @final
@@ -28,13 +51,8 @@ class Crash(NamedTuple):
     """"the ground", or "a tree, wall, building or wire"."""
 
 
-def speed_m_s(velocity_neu_m_s: tuple[float, float, float]) -> float:
-    """In all axes."""
-    return math.hypot(*velocity_neu_m_s)
-
-
 def is_crash(
-    velocity_neu_m_s: tuple[float, float, float],
+    velocity_neu_m_s: Velocity,
     slope_ne: tuple[float, float],
     *,
     rolls: bool,
@@ -45,7 +63,7 @@ def is_crash(
     Slopes are metres a metre.  `rolls`: a plane on its wheels may be fast along a runway.  Without
     `lands` it is on them already, or has not really left the ground.
     """
-    if speed_m_s(velocity_neu_m_s) <= CRASH_M_S:
+    if math.hypot(*velocity_neu_m_s) <= CRASH_M_S:
         return False
     if not rolls:
         return True
@@ -54,3 +72,138 @@ def is_crash(
     closing_m_s = north_m_s * slope_ne[0] + east_m_s * slope_ne[1] - up_m_s
     into_m_s = closing_m_s / math.hypot(1.0, steepness)  # along the ground's normal
     return into_m_s > CRASH_M_S or (lands and steepness > RUNWAY_SLOPE)
+
+
+@final
+class Contact:
+    """One vehicle, the ground below it and the things about it.
+
+    `prepare` comes before each step of the vehicle and `settle` after it; `look` from time to time.
+    on_crash: told of each contact that nobody survives.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        terrain: Terrain,
+        scene: Scene,
+        frame: LocalFrame,
+        *,
+        rolls: bool,
+        on_crash: Callable[[Crash], None],
+    ) -> None:
+        self._vehicle, self._frame = vehicle, frame
+        self._height_m, self.scene = terrain.height_at_amsl_m, scene
+        self._rolls, self._on_crash = rolls, on_crash
+        self.local_m = frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        self.ground_amsl_m = self._height_m(*self.local_m)
+        """Height of the ground below, as of the last look."""
+        self.on_ground, self._on_thing, self._took_off = True, False, False
+        self.nearest_m = self._near_m = math.inf
+        """To a tree, wall, building or wire: the least of the whole flight; and the least since
+        the last look."""
+        self._unwatched_m = 0.0
+        """It has to fly so far before it may be near anything."""
+        self._measured_us = 0
+        self._passed_ne = (0.0, 0.0)
+        """The slope along the way between the last two looks."""
+        self._rise_m_s = self._rise_before_m_s = 0.0
+        """How fast the ground below rises, as the vehicle moves over it."""
+        self._before: Velocity | None = None
+        """Its velocity before the step; None: it is far above the ground."""
+
+    def place_nea_m(self) -> FloatArray:
+        """North, east of the local frame, and AMSL, now.  -> (3,)."""
+        vehicle = self._vehicle
+        local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        return np.array([*local_m, vehicle.altitude_amsl_m])
+
+    def look(self, now_us: int) -> float | None:
+        """See the ground below.  -> How near it has come to anything since the last look."""
+        self._measure(now_us)
+        if self.scene.empty:
+            return None
+        here = np.array([*self.local_m, self._vehicle.altitude_amsl_m])
+        near_m = min(self._near_m, float(self.scene.distance_m(here)[0]))
+        self.nearest_m, self._near_m = min(self.nearest_m, near_m), math.inf
+        return near_m
+
+    def prepare(self, now_us: int) -> None:
+        """Before a step: who is low has to know the ground as it is now."""
+        above_m = self._vehicle.altitude_amsl_m - self.ground_amsl_m
+        self._before = None
+        if above_m < _LOW_M:
+            self._before = way = self._vehicle.velocity_neu_m_s
+            is_far = above_m >= math.hypot(*way) * LOOK_US * 1e-6
+            if not (self.on_ground or is_far or self._measured_us == now_us):
+                self._measure(now_us)
+
+    def settle(self, now_us: int, dt_s: float) -> None:
+        """After it: whether it touches anything, and survives that."""
+        if self._before is not None:
+            self._touch_ground(self._before, now_us)
+        if not self.scene.empty:
+            self._touch_things(now_us, dt_s)
+
+    def _measure(self, now_us: int) -> None:
+        """Where it is in the world, how high the ground is there, and how it has risen."""
+        vehicle, (before_n, before_e), before_m = self._vehicle, self.local_m, self.ground_amsl_m
+        self.local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        self.ground_amsl_m = self._height_m(*self.local_m)
+        north_m, east_m = self.local_m[0] - before_n, self.local_m[1] - before_e
+        passed_m, rise_m = math.hypot(north_m, east_m), self.ground_amsl_m - before_m
+        slope = rise_m / passed_m if passed_m > 1e-3 else 0.0
+        passed_m = max(passed_m, 1e-3)
+        self._passed_ne = (slope * north_m / passed_m, slope * east_m / passed_m)
+        lasted_s = (now_us - self._measured_us) * 1e-6
+        self._rise_before_m_s, self._measured_us = self._rise_m_s, now_us
+        self._rise_m_s = rise_m / lasted_s if lasted_s > 0.0 else 0.0
+
+    def _touch_ground(self, way: Velocity, now_us: int) -> None:
+        above_m, touched = self._vehicle.altitude_amsl_m - self.ground_amsl_m, self.on_ground
+        self.on_ground = above_m <= 0.0
+        if not self.on_ground:
+            self._took_off = self._took_off or above_m > _OFF_GROUND_M
+            return
+        if touched and (self._measured_us != now_us or not any(way)):
+            return
+        if touched:  # it rolls: along the ground, as that was
+            way = (way[0], way[1], self._rise_before_m_s)
+        lands, self._took_off = self._took_off, False
+        # by the slope about here, or by that of the way here, whichever is worse: a step up
+        slopes = (self._slope_ne(), self._passed_ne)
+        if any(is_crash(way, each, rolls=self._rolls, lands=lands) for each in slopes):
+            self._vehicle.stand(self.ground_amsl_m)
+            self._crash(way, "the ground", now_us)
+
+    def _slope_ne(self) -> tuple[float, float]:
+        (north_m, east_m), height_m = self.local_m, self._height_m
+        north = height_m(north_m + _SLOPE_M, east_m) - height_m(north_m - _SLOPE_M, east_m)
+        east = height_m(north_m, east_m + _SLOPE_M) - height_m(north_m, east_m - _SLOPE_M)
+        return north / (2.0 * _SLOPE_M), east / (2.0 * _SLOPE_M)
+
+    def _touch_things(self, now_us: int, dt_s: float) -> None:
+        way = self._vehicle.velocity_neu_m_s
+        step_m = math.hypot(*way) * dt_s
+        self._unwatched_m -= step_m
+        if self._unwatched_m > 0.0:
+            return
+        here = self.place_nea_m()
+        near_m = float(self.scene.distance_m(here)[0])
+        self._unwatched_m = near_m - _NEAR_M
+        if 0.0 < near_m < step_m:  # it may have flown through
+            share = np.linspace(0.0, 1.0, math.ceil(step_m / _ALONG_M) + 1)[:, None]
+            near_m = float(self.scene.distance_m(here - share * dt_s * np.array(way)).min())
+        self._near_m = min(self._near_m, near_m)
+        touches, self._on_thing = self._on_thing, near_m == 0.0
+        if self._on_thing and not touches and any(way):
+            if self.on_ground:
+                self._vehicle.stand(self.ground_amsl_m)
+            else:
+                self._vehicle.hit()
+            self._crash(way, _THINGS, now_us)
+
+    def _crash(self, way: Velocity, into: str, now_us: int) -> None:
+        north_m, east_m, altitude_m = self.place_nea_m().tolist()
+        speed_m_s = math.hypot(*way)
+        self._on_crash(Crash(now_us * 1e-6, north_m, east_m, altitude_m, speed_m_s, into))

@@ -7,13 +7,13 @@ SensorGpsSim.cpp), with the times and accuracies that the recorded flights show.
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, metres_per_degree
-from vehicle_sim.sensors.antenna import Jamming, Sample, between
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east, metres_per_degree
 
 
 @final
@@ -48,43 +48,6 @@ class Fix(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GpsConditions:
-    """What is wrong with the receiver or the sky.  North, east and up, true."""
-
-    enabled: bool = True
-    satellites: int = 10
-    fix_type: int = 6
-    """The best that it reaches."""
-    lock_s: float = 0.0
-    """Since boot: no fix before."""
-    lag_s: float = 0.1
-    jammed: bool = False
-    glitch_latitude_deg: float = 0.0
-    glitch_longitude_deg: float = 0.0
-    glitch_up_m: float = 0.0
-    drift_north_m_s: float = 0.0
-    """The position moves away at this speed, and the velocity says so, until all three are 0."""
-    drift_east_m_s: float = 0.0
-    drift_up_m_s: float = 0.0
-    circle_m: float = 0.0
-    """Radius of a slow horizontal circle about the truth."""
-    wave_m: float = 0.0
-    """Amplitude of a wave of 12.6 s in height."""
-    swell_m: float = 0.0
-    """Amplitude of a wave of 314 s in height."""
-    offset_up_m: float = 0.0
-    accuracy_m: float = 0.3
-    """What ArduPilot's receiver says of itself, horizontally and vertically."""
-    sigma_m: float = 0.0
-    """Standard deviation of a random error of each horizontal axis; 1.5 times that in height."""
-    velocity_error_north_m_s: float = 0.0
-    """Half width of an even random error of each solution."""
-    velocity_error_east_m_s: float = 0.0
-    velocity_error_up_m_s: float = 0.0
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Receiver:
     """What differs between the receivers.  Standard deviations are of white noise."""
 
@@ -98,57 +61,79 @@ class Receiver:
     """What it says without a fix; None: as many as are asked for."""
     dilutions: tuple[float, float]
     """Horizontal, vertical."""
-    accuracies: tuple[float, float, float] | None
-    """Horizontal and vertical in m, speed in m/s; None: what is asked for, lost fix or not."""
-    lost_dilutions: tuple[float, float]
-    lost_accuracies: tuple[float, float, float] | None
+    dilutions_lost: tuple[float, float]
+    accuracies: tuple[float, float, float]
+    """Horizontal and vertical in m, speed in m/s."""
+    accuracies_lost: tuple[float, float, float]
     late_lock: bool
     """Whether there is a fix is known as late as where it is, and the clock stops without one."""
     blank_first: bool = False
     """The first thing that is heard has nothing in it."""
-    noise_m: tuple[float, float] = (0.0, 0.0)
-    """Of each horizontal axis, of the height."""
-    velocity_noise_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """North, east, up."""
+    velocity_noise_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-ARDUCOPTER = Receiver(
+ARDUCOPTER: Final = Receiver(
     interval_us=200_000,
     first_us=9_773_000,
     fix_type=6,
     fix_type_lost=1,
     satellites_lost=3,
     dilutions=(1.21, 2.0),
-    accuracies=None,
-    lost_dilutions=(1.21, 2.0),
-    lost_accuracies=None,
+    dilutions_lost=(1.21, 2.0),
+    accuracies=(0.3, 0.3, 0.0),
+    accuracies_lost=(0.3, 0.3, 0.0),
     late_lock=True,
 )
 """As in arducopter-*.tlog: fix_type 1 once, 6 from 9.973 s on."""
-ARDUPLANE = replace(ARDUCOPTER, first_us=9_028_000, blank_first=True)
+ARDUPLANE: Final = replace(ARDUCOPTER, first_us=9_028_000, blank_first=True)
 """As in arduplane-guided-reposition.tlog: 6 from 9.228 s on."""
-PX4 = Receiver(
+PX4: Final = Receiver(
     interval_us=125_000,
     first_us=125_000,
     fix_type=3,
     fix_type_lost=0,
     satellites_lost=None,
     dilutions=(0.7, 1.1),
+    dilutions_lost=(100.0, 100.0),
     accuracies=(0.9, 1.78, 0.4),
-    lost_dilutions=(100.0, 100.0),
-    lost_accuracies=(100.0, 100.0, 100.0),
+    accuracies_lost=(100.0, 100.0, 100.0),
     late_lock=False,
-    noise_m=(0.2, 0.5),
+    noise_m=(0.2, 0.2, 0.5),
     velocity_noise_m_s=(0.06, 0.077, 0.158),
 )
 """As in px4-*.tlog; the noise is white there (no correlation from one solution to the next)."""
 
-_HISTORY = 50
+_HISTORY: Final = 50
 """Solutions: a latency beyond them is no longer than they reach back."""
-_WANDER_S = 5.0
+_WANDER_S: Final = 5.0
 """Correlation time of GpsConditions.sigma_m."""
-_VERTICAL = 1.5
-_WAVE_RAD_S, _SWELL_RAD_S = 0.5, 0.02
+_VERTICAL: Final = 1.5
+_MIN_COSINE: Final = 0.0175
+"""Of the latitude: longitudes of a drift stop to grow within a degree of the poles."""
+
+
+@final
+class _Sample(NamedTuple):
+    """Where the antenna was, with the errors that are made there."""
+
+    time_us: int
+    locked: bool
+    """There was a fix."""
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    north_m_s: float
+    east_m_s: float
+    up_m_s: float
+
+
+def _between(old: _Sample, new: _Sample, share: float) -> _Sample:
+    """From old (0) to new (1); the fix is that of the older one."""
+    moved = [a + share * (b - a) for a, b in zip(old[2:], new[2:], strict=True)]
+    moved[1] = old.longitude_deg + share * degrees_east(old.longitude_deg, new.longitude_deg)
+    return _Sample(old.time_us, old.locked, *moved)
 
 
 @final
@@ -156,17 +141,16 @@ class Gps:
     """One receiver from one boot to the next.  Seeded; draws only with each solution."""
 
     def __init__(self, receiver: Receiver, rng: np.random.Generator) -> None:
-        self._receiver = receiver
-        self._rng = rng
+        self._receiver, self._rng = receiver, rng
         self.due_us = receiver.first_us
         """Nothing new is put out before."""
         self.fix = Fix()
         """The newest one."""
-        self._history = deque([Sample(0, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)], maxlen=_HISTORY)
+        self._history = deque([_Sample(0, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)], maxlen=_HISTORY)
         self._locked_us = 0
         self._wander = rng.standard_normal(3).tolist()
         self._drift_m = [0.0, 0.0, 0.0]
-        self._jamming = Jamming(rng)
+        self._jamming = _Jamming(rng, receiver.interval_us * 1e-6)
 
     def step(self, now_us: int, vehicle: Vehicle, conditions: GpsConditions) -> Fix:
         """The newest solution at now_us (since boot); the same object until there is another."""
@@ -184,73 +168,47 @@ class Gps:
 
     def _sample(
         self, due_us: int, now_us: int, vehicle: Vehicle, conditions: GpsConditions
-    ) -> Sample:
+    ) -> _Sample:
         """What the antenna sees: the truth at due_us, with the errors that are made there."""
-        ago_s, due_s = (now_us - due_us) * 1e-6, due_us * 1e-6
-        per_north_m, per_east_m = metres_per_degree(vehicle.latitude_deg)
-        error_n, error_e, error_u = self._errors_m(conditions)
-        north_m = error_n - vehicle.velocity_north_m_s * ago_s
-        east_m = error_e - vehicle.velocity_east_m_s * ago_s
-        up_m = error_u - vehicle.velocity_up_m_s * ago_s + conditions.offset_up_m
-        if conditions.wave_m or conditions.swell_m:
-            up_m += conditions.wave_m * math.sin(_WAVE_RAD_S * due_s)
-            up_m += conditions.swell_m * math.sin(_SWELL_RAD_S * due_s)
-        speed_n, speed_e, speed_u = self._velocity_errors_m_s(conditions)
-        return Sample(
-            due_us,
-            conditions.enabled and due_s >= conditions.lock_s,
-            vehicle.latitude_deg + north_m / per_north_m,
-            vehicle.longitude_deg + east_m / per_east_m,
-            vehicle.altitude_amsl_m + up_m,
-            vehicle.velocity_north_m_s + speed_n,
-            vehicle.velocity_east_m_s + speed_e,
-            vehicle.velocity_up_m_s + speed_u,
+        ago_s = (now_us - due_us) * 1e-6
+        velocity = (
+            vehicle.velocity_north_m_s,
+            vehicle.velocity_east_m_s,
+            vehicle.velocity_up_m_s,
         )
-
-    def _errors_m(self, conditions: GpsConditions) -> tuple[float, float, float]:
-        """The receiver's own white noise, and the slow random error that was asked for."""
-        level_m, height_m = self._receiver.noise_m
-        north_m = east_m = up_m = 0.0
-        if level_m or height_m:
-            white = self._rng.standard_normal(3).tolist()
-            north_m, east_m, up_m = white[0] * level_m, white[1] * level_m, white[2] * height_m
+        error_m = self._noise(self._receiver.noise_m)
         if conditions.sigma_m:
             keep = math.exp(-self._receiver.interval_us * 1e-6 / _WANDER_S)
             fresh = math.sqrt(1.0 - keep * keep)
             draws = self._rng.standard_normal(3).tolist()
-            self._wander = [
-                keep * old + fresh * new for old, new in zip(self._wander, draws, strict=True)
-            ]
-            north_m += conditions.sigma_m * self._wander[0]
-            east_m += conditions.sigma_m * self._wander[1]
-            up_m += conditions.sigma_m * _VERTICAL * self._wander[2]
-        return north_m, east_m, up_m
-
-    def _velocity_errors_m_s(self, conditions: GpsConditions) -> tuple[float, float, float]:
-        north, east, up = self._receiver.velocity_noise_m_s
-        errors = [0.0, 0.0, 0.0]
-        if north or east or up:
-            white = self._rng.standard_normal(3).tolist()
-            errors = [white[0] * north, white[1] * east, white[2] * up]
-        asked = (
-            conditions.velocity_error_north_m_s,
-            conditions.velocity_error_east_m_s,
-            conditions.velocity_error_up_m_s,
+            self._wander = [keep * a + fresh * b for a, b in zip(self._wander, draws, strict=True)]
+            sizes_m = (conditions.sigma_m, conditions.sigma_m, _VERTICAL * conditions.sigma_m)
+            error_m = [e + s * w for e, s, w in zip(error_m, sizes_m, self._wander, strict=True)]
+        north_m, east_m, up_m = (e - v * ago_s for e, v in zip(error_m, velocity, strict=True))
+        per_north_m, per_east_m = metres_per_degree(vehicle.latitude_deg)
+        speeds = self._noise(self._receiver.velocity_noise_m_s)
+        return _Sample(
+            due_us,
+            conditions.enabled,
+            vehicle.latitude_deg + north_m / per_north_m,
+            vehicle.longitude_deg + east_m / per_east_m,
+            vehicle.altitude_amsl_m + up_m + conditions.offset_up_m,
+            *(v + e for v, e in zip(velocity, speeds, strict=True)),
         )
-        if any(asked):
-            even = self._rng.uniform(-1.0, 1.0, 3).tolist()
-            errors = [e + a * x for e, a, x in zip(errors, asked, even, strict=True)]
-        return errors[0], errors[1], errors[2]
 
-    def _late(self, due_us: int, lag_us: int) -> Sample:
-        """The antenna lag_us ago, between two samples; the fix is that of the older one."""
+    def _noise(self, sizes: tuple[float, float, float]) -> list[float]:
+        if not any(sizes):
+            return [0.0, 0.0, 0.0]
+        return [x * s for x, s in zip(self._rng.standard_normal(3).tolist(), sizes, strict=True)]
+
+    def _late(self, due_us: int, lag_us: int) -> _Sample:
+        """The antenna lag_us ago, between two samples."""
         history = self._history
         for i in range(len(history) - 1, 0, -1):
             new, old = history[i], history[i - 1]
             if due_us - new.time_us <= lag_us <= due_us - old.time_us:
                 span_us = max(new.time_us - old.time_us, 1)
-                share = (due_us - old.time_us - lag_us) / span_us
-                return between(old, new, share)
+                return _between(old, new, (due_us - old.time_us - lag_us) / span_us)
         return history[0]
 
     def _solution(self, due_us: int, conditions: GpsConditions) -> Fix:
@@ -264,44 +222,82 @@ class Gps:
             self._locked_us = due_us
         if not locked and receiver.satellites_lost is not None:
             satellites = receiver.satellites_lost
-        north_m, east_m, up_m = self._wandered_m(due_us, conditions)
-        cosine = max(math.cos(math.radians(sample.latitude_deg)), 0.0175)
-        heard = locked or self.fix.horizontal_accuracy_m > 0.0
-        dilutions = receiver.dilutions if locked else receiver.lost_dilutions
-        accuracies = receiver.accuracies if locked else receiver.lost_accuracies
-        if accuracies is None:
-            accuracies = (conditions.accuracy_m, conditions.accuracy_m, 0.0)
-        fix_type = min(conditions.fix_type, receiver.fix_type)
+        north_m, east_m, up_m = self._drifted_m(conditions)
         north_deg = conditions.glitch_latitude_deg + north_m / ARDUPILOT_M_PER_DEG
+        cosine = max(math.cos(math.radians(sample.latitude_deg)), _MIN_COSINE)
         east_deg = conditions.glitch_longitude_deg + east_m / ARDUPILOT_M_PER_DEG / cosine
+        heard = locked or self.fix.horizontal_accuracy_m > 0.0
+        accuracies = receiver.accuracies if locked else receiver.accuracies_lost
+        dilutions = receiver.dilutions if locked else receiver.dilutions_lost
+        fix_type = min(conditions.fix_type, receiver.fix_type)
         return Fix(
-            time_us=self._locked_us,
-            fix_type=fix_type if locked else receiver.fix_type_lost,
-            latitude_deg=min(max(sample.latitude_deg + north_deg, -90.0), 90.0),
-            longitude_deg=around(sample.longitude_deg + east_deg),
-            altitude_amsl_m=sample.altitude_amsl_m + conditions.glitch_up_m + up_m,
-            velocity_north_m_s=sample.north_m_s + conditions.drift_north_m_s,
-            velocity_east_m_s=sample.east_m_s + conditions.drift_east_m_s,
-            velocity_up_m_s=sample.up_m_s + conditions.drift_up_m_s,
-            satellites=satellites,
-            horizontal_dilution=dilutions[0],
-            vertical_dilution=dilutions[1],
-            horizontal_accuracy_m=accuracies[0] if heard else 0.0,
-            vertical_accuracy_m=accuracies[1] if heard else 0.0,
-            speed_accuracy_m_s=accuracies[2] if heard else 0.0,
+            self._locked_us,
+            fix_type if locked else receiver.fix_type_lost,
+            min(max(sample.latitude_deg + north_deg, -90.0), 90.0),
+            around(sample.longitude_deg + east_deg),
+            sample.altitude_amsl_m + conditions.glitch_up_m + up_m,
+            sample.north_m_s + conditions.drift_north_m_s,
+            sample.east_m_s + conditions.drift_east_m_s,
+            sample.up_m_s + conditions.drift_up_m_s,
+            satellites,
+            *dilutions,
+            *(accuracies if heard else (0.0, 0.0, 0.0)),
         )
 
-    def _wandered_m(self, due_us: int, conditions: GpsConditions) -> tuple[float, float, float]:
-        """How far a drift has come by now, and the circle: north, east, up."""
+    def _drifted_m(self, conditions: GpsConditions) -> list[float]:
+        """How far a drift has come by now: north, east, up."""
         drift = (conditions.drift_north_m_s, conditions.drift_east_m_s, conditions.drift_up_m_s)
-        if any(drift):
-            step_s = self._receiver.interval_us * 1e-6
-            self._drift_m = [m + v * step_s for m, v in zip(self._drift_m, drift, strict=True)]
-        else:
-            self._drift_m = [0.0, 0.0, 0.0]
-        north_m, east_m, up_m = self._drift_m
-        if conditions.circle_m:
-            angle_rad = _WAVE_RAD_S * due_us * 1e-6
-            north_m += conditions.circle_m * math.sin(angle_rad)
-            east_m += conditions.circle_m * math.cos(angle_rad)
-        return north_m, east_m, up_m
+        step_s = self._receiver.interval_us * 1e-6 if any(drift) else 0.0
+        before_m = self._drift_m if step_s else (0.0, 0.0, 0.0)
+        self._drift_m = [m + v * step_s for m, v in zip(before_m, drift, strict=True)]
+        return self._drift_m
+
+
+@final
+class _Jamming:
+    """A jammer near by, as ArduPilot's simulation has it: nothing for a while, then wild values."""
+
+    _SILENT_S = (1.0, 6.0)
+    _LOCK_HZ, _CLIMB_HZ, _LEVEL_HZ, _PLACE_HZ = 3.0, 0.5, 0.8, 1.1
+    """How often satellites and fix, climb, level velocity and position change."""
+    _MIN_SATELLITES = 4
+    _WILD_M_S, _WILD_M = 400.0, 200.0
+    _FORGOTTEN_US = 1_000_000
+
+    def __init__(self, rng: np.random.Generator, interval_s: float) -> None:
+        self._rng, self._interval_s = rng, interval_s
+        self._last_us = -self._FORGOTTEN_US - 1
+        self._silent_until_us = 0
+        self._place_deg = (0.0, 0.0)
+
+    def spoil(self, now_us: int, sample: _Sample, satellites: int) -> tuple[_Sample, bool, int]:
+        """The sample as the jammed receiver has it, whether it has a fix, and the satellites."""
+        rng, locked = self._rng, sample.locked
+        if now_us - self._last_us > self._FORGOTTEN_US:
+            self._silent_until_us = now_us + round(1e6 * rng.uniform(*self._SILENT_S))
+            self._place_deg = (sample.latitude_deg, sample.longitude_deg)
+        self._last_us = now_us
+        if now_us < self._silent_until_us:
+            return sample, False, 0
+        if self._changes(self._LOCK_HZ):
+            satellites = 2 + int(rng.integers(15))
+            locked = satellites >= self._MIN_SATELLITES and bool(rng.integers(2))
+        if self._changes(self._CLIMB_HZ):
+            sample = sample._replace(up_m_s=self._wild(self._WILD_M_S))
+        if self._changes(self._LEVEL_HZ):
+            north, east = self._wild(self._WILD_M_S), self._wild(self._WILD_M_S)
+            sample = sample._replace(north_m_s=north, east_m_s=east)
+        if self._changes(self._PLACE_HZ):
+            step_deg = self._WILD_M / ARDUPILOT_M_PER_DEG
+            latitude_deg = self._place_deg[0] + self._wild(step_deg)
+            longitude_deg = around(self._place_deg[1] + self._wild(step_deg))
+            self._place_deg = (min(max(latitude_deg, -90.0), 90.0), longitude_deg)
+        latitude_deg, longitude_deg = self._place_deg
+        at_place = sample._replace(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+        return at_place, locked, satellites
+
+    def _changes(self, rate_hz: float) -> bool:
+        return bool(self._rng.random() < rate_hz * self._interval_s)
+
+    def _wild(self, most: float) -> float:
+        return float(self._rng.uniform(-most, most))

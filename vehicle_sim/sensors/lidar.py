@@ -6,94 +6,20 @@ outside the field of view or nearer than the least distance.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as table
 
+from vehicle_sim.conditions import LidarConditions
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.scene import Scene
 from vehicle_sim.terrain import FloatArray
+from vehicle_sim.world import LidarTable
 
 _DUST_M = 3.0
 _ABOVE_FEET_M = 0.15
 _OFF_SPEED = (0.014, 0.02)  # no motor keeps step with an autopilot: rows of bogus "max" end
-_Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-_Rate = Annotated[_Real, Field(ge=0.5, le=50)]
-
-
-@final
-@table(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))
-class LidarTable:
-    """The lidar on board; the second one is an RPLidar on ArduPilot, beside a driver's."""
-
-    range_m: Annotated[_Real, Field(gt=0, le=600)]
-    min_m: Annotated[_Real, Field(gt=0)] = 0.2
-    """Nearer than this it measures nothing."""
-    kind: Literal["spinning", "sectors"] = "spinning"
-    """One beam that turns, or all beams at once."""
-    output: Literal["driver", "autopilot"] = "driver"
-    """OBSTACLE_DISTANCE of a component, or an RPLidar on ArduPilot (PRX1_TYPE 5)."""
-    component_id: Annotated[int, Field(strict=True, ge=2, le=255)] = 196
-    rate_hz: _Rate = 10.0
-    """Of the driver's messages."""
-    turns_1_s: _Rate = 10.0
-    """Sweeps a second."""
-    step_deg: Annotated[_Real, Field(ge=0.2, le=45)] = 3.6
-    """Between two beams."""
-    width_deg: Annotated[_Real, Field(ge=5, le=360)] = 360.0
-    """Of the field of view, half to each side of the sensor's nose."""
-    increment_deg: Annotated[_Real, Field(ge=5, le=90)] = 5.0
-    """Of the driver's sectors: the nearest echo in each is told."""
-    angle_offset_deg: Annotated[_Real, Field(ge=-360, le=360)] | None = None
-    """Of the middle of the driver's first sector from the vehicle's nose; without it 0, or the
-    left edge of a field of view of less than a turn."""
-    yaw_deg: Annotated[_Real, Field(ge=-360, le=360)] = 0.0
-    """How it is mounted, clockwise from the vehicle's nose; the driver corrects for it."""
-    noise_m: Annotated[_Real, Field(ge=0)] = 0.0
-    """Standard deviation of a distance."""
-    lost_share: Annotated[_Real, Field(ge=0, le=1)] = 0.0
-    """Of the echoes: they do not come back, as if nothing were there."""
-    latency_s: Annotated[_Real, Field(ge=0, le=5)] = 0.0
-    """From the middle of a sweep to its message; half a sweep at least."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LidarConditions:
-    """What is wrong with the lidar and its driver.  Shares are 0 to 1."""
-
-    dead: bool = False
-    """It measures nothing any more; its driver is well."""
-    blind: bool = False
-    """It measures, and no echo comes back."""
-    silent: bool = False
-    """The driver says nothing: no heartbeat either."""
-    frames_lost: float = 0.0
-    """Between the driver and the autopilot."""
-    dust: float = 0.0
-    """Share of the beams with a near echo of nothing: dust, rain, sun."""
-    stuck: bool = False
-    """The same distances for ever, with new stamps."""
-    turned_rad: float = 0.0
-    """It is mounted turned by this, and nobody knows."""
-    clock_us: int = 0
-    """The driver's clock is ahead by this."""
-    clock_jump_us: int = 0
-    """Each stamp is wrong by up to this, either way."""
-    rate_hz: float = 0.0
-    """Of the driver's messages; 0: as in the world."""
-    frame: int = 12
-    """MAV_FRAME that the driver claims."""
-    junk: float = 0.0
-    """Share of the distances that are 0, 65535 or beyond the limits, and of messages whose
-    increment or offset is NaN."""
-    mirrored: bool = False
-    """What a client says of obstacles comes back to it, and all that the driver says is said in the
-    companion's name too."""
 
 
 @final

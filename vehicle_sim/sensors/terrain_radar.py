@@ -73,29 +73,6 @@ class Viewpoint:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RadarConditions:
-    """What is wrong with the radar.  Shares are 0 to 1."""
-
-    silent: bool = False
-    """Answers nothing and has no heartbeat."""
-    blind: bool = False
-    """Answers, and sees nothing."""
-    cells_missed: float = 0.0
-    """Share of cells in sight that it does not see all the same."""
-    frames_lost: float = 0.0
-    """Share of TERRAIN_DATA that is never sent."""
-    noise_m: float = 0.0
-    """Standard deviation of the normal law that each height's error is drawn from.  Positive: its
-    size is added and the sum rounded up, so that no cell is told lower than it is, and on average
-    0.8 of this too high: what a radar reports whose maker counts errors against it.  Negative: the
-    error goes either way, and a cell may be told lower than it is."""
-    delay_s: float = 0.0
-    rate_hz: float = 0.0
-    """Requests answered a second, at the beats of its own sweep; 0: each at the end of its tick."""
-
-
-@final
 class _Grid:
     """Lower bounds of the terrain around a point, found where a line passes; nothing outside."""
 

@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from vehicle_sim.faults.conditions import LinkConditions
+from vehicle_sim.conditions import LinkConditions
 
 MAX_FRAMES = 20_000
 """Waiting at once; what comes on top is lost."""

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.sensors.lidar import Lidar, LidarConditions, LidarTable
+from vehicle_sim.conditions import LidarConditions
+from vehicle_sim.sensors.lidar import Lidar
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.radio import Radio
+from vehicle_sim.world import LidarTable
 
 _UNKNOWN: Final = 65535
 _ELEMENTS: Final = 72

@@ -13,10 +13,10 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Result, Sender
+from vehicle_sim.conditions import RadarConditions
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.sensors.terrain_radar import (
     UNSEEN_M,
-    RadarConditions,
     ScanRequest,
     TerrainRadar,
     Viewpoint,

@@ -20,9 +20,8 @@ import numpy as np
 
 from conformance.log import Place, Recording, TimedFrame, decoded, heard
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.sensors.lidar import LidarTable
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import Tree, World, flat_world
+from vehicle_sim.world import LidarTable, Tree, World, flat_world
 
 _FILE = Path(__file__).with_name("flights.toml")
 

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from conformance.flights import Fault, flight_of, played, timeline, world_of
 from conformance.log import Recording, decoded
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.faults.timeline import Timeline
+from vehicle_sim.faults import Timeline
 
 Recorded = Callable[[str], Recording]
 STEP_US = 10_000

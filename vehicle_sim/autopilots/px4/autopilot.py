@@ -47,9 +47,9 @@ from vehicle_sim.autopilots.px4.setpoints import (
     Vector,
     read_setpoint,
 )
+from vehicle_sim.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Parameter, Parameters, table
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
