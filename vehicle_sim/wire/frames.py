@@ -64,21 +64,37 @@ class StreamParser:
             at += 1
             if end > size or (frame[0] == _MARKER_2 and frame[2] & ~_SIGNED):
                 continue
-            if number_of(frame) not in mavlink.mavlink_map:
+            kind = mavlink.mavlink_map.get(number_of(frame))
+            if kind is None:
                 # its checksum cannot be checked: believe its length only if a frame follows
                 at = end if end == size or data[end] in (_MARKER_1, _MARKER_2) else at
-                continue
-            try:
-                found.append((frame, _reader.decode(bytearray(frame))))
-            except mavlink.MAVError:
-                continue
-            at = end
+            elif (message := _read(frame, kind)) is not None:
+                found.append((frame, message))
+                at = end
         return found
 
 
 def number_of(frame: bytes) -> int:
     """Which message it is."""
     return int.from_bytes(frame[7:10], "little") if frame[0] == _MARKER_2 else frame[5]
+
+
+def _read(frame: bytes, kind: Any) -> Any:
+    """The message of a frame; None if the frame is not intact.
+
+    As pymavlink decodes it, in half the time: what is common is a frame of MAVLink 2 without arrays.
+    """
+    end = len(frame) - (_SIGNATURE_BYTES if frame[0] == _MARKER_2 and frame[2] else 0) - 2
+    if mcrf4xx(frame[1:end] + bytes([kind.crc_extra])) != frame[end] | frame[end + 1] << 8:
+        return None
+    if frame[0] == _MARKER_1 or any(kind.array_lengths):
+        return _reader.decode(bytearray(frame))
+    values = kind.unpacker.unpack_from(frame[_HEADER_2:end].ljust(kind.unpacker.size, b"\0"))
+    message = kind(*[values[place] for place in kind.orders])
+    size, incompatible, compatible, *who = frame[1:7]
+    message._header = mavlink.MAVLink_header(kind.id, incompatible, compatible, size, *who)
+    message._msgbuf = frame
+    return message
 
 
 def _end_of_frame(data: bytes, at: int) -> int:

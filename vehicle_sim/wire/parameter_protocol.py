@@ -5,12 +5,11 @@ Sources: ardupilot.md 1, px4.md 2, the recorded flights, GCS_Param.cpp and mavli
 
 import math
 import struct
-import zlib
 from dataclasses import dataclass
 from typing import Any, final
 
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
-from vehicle_sim.parameters import Kind, Parameter
+from vehicle_sim.parameters import Kind
 from vehicle_sim.wire.frames import Prepared, make
 
 VALUES_PER_S = 1348 / 1.5
@@ -19,9 +18,6 @@ _MAX_AT_ONCE = 20
 """Values in one step, however late it is: no burst that a socket cannot take."""
 _UNASKED = 65535
 """param_index of a value that ArduPilot sends after a PARAM_SET or a read by name."""
-_HASH = "_HASH_CHECK"
-_UINT32 = 5
-"""MAV_PARAM_TYPE of the hash."""
 
 
 @final
@@ -32,19 +28,20 @@ class _Listing:
     to: Sender
     begun_us: int
     sent: int = 0
-    hash_first: bool = False
 
 
 @final
 class ParameterProtocol:
-    """Serves one autopilot's parameters to all links; one listing at a time on each link."""
+    """Serves one autopilot's parameters to all links; one listing at a time on each link.
+
+    What is said of an unknown parameter is not answered.
+    """
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._parameters = autopilot, autopilot.parameters
         self._is_px4 = autopilot.profile.firmware == "px4"
         self._listings: dict[int, _Listing] = {}
-        self._rows = self._parameters.rows
-        self._indices = {row.name: index for index, row in enumerate(self._rows)}
+        self._names = [row.name for row in self._parameters.rows]
 
     @property
     def busy(self) -> bool:
@@ -53,113 +50,64 @@ class ParameterProtocol:
 
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer a PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
-        if message.get_type() != "PARAM_REQUEST_LIST":
-            handle = self._on_set if message.get_type() == "PARAM_SET" else self._on_read
-            return handle(message, sender)
-        # PX4 leaves the hash out when a listing is begun again
-        hash_first = self._is_px4 and sender.link not in self._listings
-        self._listings[sender.link] = _Listing(sender, now_us, hash_first=hash_first)
-        return []
+        match message.get_type():
+            case "PARAM_REQUEST_LIST":
+                self._listings[sender.link] = _Listing(sender, now_us)
+                return []
+            case "PARAM_REQUEST_READ" if message.param_index >= 0:
+                index = message.param_index
+                found = [] if index >= len(self._names) else [self._value(index, index)]
+            case "PARAM_REQUEST_READ":
+                found = [self._named(message.param_id)] if self._knows(message) else []
+            case _:
+                return self._on_set(message) if self._knows(message) else []
+        return [SendMessage(message=value, to=sender) for value in found]
 
     def step(self, now_us: int) -> list[Reply]:
         """The next values of each listing that is due; cheap if there is none."""
         answers = list[Reply]()
         for link, listing in list(self._listings.items()):
             due = int((now_us - listing.begun_us) * 1e-6 * VALUES_PER_S)
-            last = min(due, listing.sent + _MAX_AT_ONCE, len(self._rows))
-            if listing.hash_first and last > listing.sent:
-                listing.hash_first = False
-                answers.append(SendMessage(message=self._hash_value(), to=listing.to))
-            for index in range(listing.sent, last):
-                value = self.value(self._rows[index].name, index)
-                answers.append(SendMessage(message=value, to=listing.to))
+            last = min(due, listing.sent + _MAX_AT_ONCE, len(self._names))
+            values = (self._value(index, index) for index in range(listing.sent, last))
+            answers += [SendMessage(message=value, to=listing.to) for value in values]
             listing.sent = max(listing.sent, last)
-            if listing.sent >= len(self._rows):
+            if listing.sent >= len(self._names):
                 del self._listings[link]
         return answers
 
-    # --- out ----------------------------------------------------------------------------------
+    def _knows(self, message: Any) -> bool:
+        return message.param_id in self._parameters
 
-    def value(self, name: str, index: int | None = None) -> Prepared:
-        """The PARAM_VALUE of this parameter.
+    def _named(self, name: str) -> Prepared:
+        """The PARAM_VALUE that answers a PARAM_SET or a read by name."""
+        place = self._names.index(name)
+        return self._value(place, place if self._is_px4 else _UNASKED)
 
-        Without an index it answers a PARAM_SET or a read by name.  KeyError for a name that is not
-        in the table.
+    def _value(self, place: int, index: int) -> Prepared:
+        """PARAM_VALUE: of whole numbers PX4 sends the bits, ArduPilot converts them."""
+        name = self._names[place]
+        kind, value = self._parameters.row(name).kind, self._parameters[name]
+        if self._is_px4 and kind is not Kind.REAL32:
+            (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
+        return make("PARAM_VALUE", name.encode("ascii"), value, kind, len(self._names), index)
+
+    def _on_set(self, message: Any) -> list[Reply]:
+        """To PX4 a value comes bit by bit in the type of the parameter, or it is not taken.
+
+        What is not a number neither takes; PX4 tells the old value.
         """
-        if index is None:
-            index = self._indices[name] if self._is_px4 else _UNASKED
-        row, value = self._parameters.row(name), self._parameters[name]
-        if self._is_px4 and row.kind is not Kind.REAL32:  # bit by bit; ArduPilot converts
-            (value,) = struct.unpack("<f", self._raw(row))
-        return self._message(name, value, row.kind, index)
-
-    def _message(self, name: str, value: float, kind: int, index: int) -> Prepared:
-        return make(
-            "PARAM_VALUE",
-            param_id=name.encode("ascii"),
-            param_value=value,
-            param_type=kind,
-            param_count=len(self._rows),
-            param_index=index,
-        )
-
-    def _raw(self, row: Parameter) -> bytes:
-        """The four bytes of a value."""
-        value = self._parameters[row.name]
-        is_real = row.kind is Kind.REAL32
-        return struct.pack("<f", value) if is_real else struct.pack("<i", int(value))
-
-    def _hash_value(self) -> Prepared:
-        """PX4's hash of names and values, by which ground stations know their cached copy.
-
-        A plain CRC-32 begun at zero.
-        """
-        named = b"".join(row.name.encode("ascii") + self._raw(row) for row in self._rows)
-        raw = struct.pack("<I", zlib.crc32(named, 0xFFFFFFFF) ^ 0xFFFFFFFF)
-        (as_float,) = struct.unpack("<f", raw)
-        return self._message(_HASH, as_float, _UINT32, _UNASKED)
-
-    # --- reading and setting ------------------------------------------------------------------
-
-    def _on_read(self, message: Any, sender: Sender) -> list[Reply]:
-        """A request for an unknown parameter is not answered."""
-        index, name = message.param_index, message.param_id
-        if index >= 0:
-            found = self._rows[index : index + 1]
-            return [SendMessage(message=self.value(row.name, index), to=sender) for row in found]
-        if self._is_px4 and name == _HASH:
-            return [SendMessage(message=self._hash_value(), to=sender)]
-        known = name in self._parameters
-        return [SendMessage(message=self.value(name), to=sender)] if known else []
-
-    def _on_set(self, message: Any, sender: Sender) -> list[Reply]:
-        """To PX4 a value comes bit by bit in the type of the parameter, or it is not taken."""
         name, value = message.param_id, message.param_value
-        if self._is_px4 and name == _HASH:
-            self._listings.pop(sender.link, None)  # the client has a copy: stop
-            return []
-        if name not in self._parameters:
-            return []
         kind = self._parameters.row(name).kind
         if self._is_px4:
             if message.param_type != kind:
                 return []
             if kind is not Kind.REAL32:
-                (value,) = struct.unpack("<i", _float_bytes(message))
-            elif not math.isfinite(value):  # compared with the old one it is never different
-                return [SendMessage(message=self.value(name), to=sender)]
+                (value,) = struct.unpack("<i", struct.pack("<f", value))
         elif not math.isfinite(value):
             return []
-        elif kind is not Kind.REAL32:
-            # cut off after adding 0.01 (AP_Param::set_float), and within the type's range
-            least, most = kind.range
-            value = math.trunc(min(max(value + math.copysign(0.01, value), least), most))
-        self._parameters[name] = value
-        return [SendMessage(message=self.value(name)), *self._autopilot.on_parameter(name)]
-
-
-def _float_bytes(message: Any) -> bytes:
-    """The four bytes of param_value as they came: as a float some of them would be changed."""
-    frame = bytes(message.get_msgbuf())
-    head = 10 if frame[0] == 0xFD else 6
-    return frame[head : head + min(4, frame[1])].ljust(4, b"\0")
+        elif kind is not Kind.REAL32:  # AP_Param::set_float
+            value = math.trunc(value + math.copysign(0.01, value))
+        self._parameters[name] = value  # the nearest of its type; NaN changes nothing
+        told = SendMessage(message=self._named(name))
+        return [told, *self._autopilot.on_parameter(name)] if math.isfinite(value) else [told]
