@@ -1,7 +1,7 @@
 """The true terrain as a grid of heights in latitude and longitude, bilinear between its points.
 
-Interpolated by scipy.  Positions come in the local frame: geodesics are exact and slow, so the way
-from there to the grid is tabulated once, at places so close that it is straight between them.
+Positions come in the local frame: geodesics are exact and slow, so the way from there to the grid is
+tabulated once, at places so close that it is straight between them.
 """
 
 import math
@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from vehicle_sim.compiled import compiled
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
 
 FloatArray = NDArray[np.float64]
@@ -164,9 +165,23 @@ class GridTerrain:
 
 def _between(values: NDArray[Any], at: FloatArray) -> FloatArray:
     """Bilinear interpolation, as at the edge beyond it.  (R, C), (2, ...) -> (...)."""
-    found: FloatArray = scipy.ndimage.map_coordinates(
-        values, at, output=np.float64, order=1, mode="nearest"
-    )
+    found = _interpolated(values, at[0].ravel(), at[1].ravel())
+    return found.reshape(at.shape[1:])
+
+
+@compiled()
+def _interpolated(values: NDArray[Any], rows: FloatArray, columns: FloatArray) -> FloatArray:
+    """The same of flat arrays.  (R, C), (K,), (K,) -> (K,)."""
+    found = np.empty(len(rows))
+    last_row, last_column = values.shape[0] - 1, values.shape[1] - 1
+    for k in range(len(rows)):
+        row, column = min(max(rows[k], 0.0), last_row), min(max(columns[k], 0.0), last_column)
+        i, j = min(int(row), max(last_row - 1, 0)), min(int(column), max(last_column - 1, 0))
+        down, right = row - i, column - j
+        below, beside = min(i + 1, last_row), min(j + 1, last_column)
+        upper = values[i, j] * (1.0 - right) + values[i, beside] * right
+        lower = values[below, j] * (1.0 - right) + values[below, beside] * right
+        found[k] = upper * (1.0 - down) + lower * down
     return found
 
 

@@ -19,26 +19,27 @@ nothing.
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehicle_sim.compiled import compiled
 from vehicle_sim.geodesy import EARTH_RADIUS_M, LocalFrame
 from vehicle_sim.terrain import FloatArray, Terrain
 
-BLOCK_CELLS = 4
+BLOCK_CELLS: Final = 4
 ROWS, COLUMNS = 7, 8
-UNSEEN_M = -32768
+UNSEEN_M: Final = -32768
 _CELLS_NORTH, _CELLS_EAST = ROWS * BLOCK_CELLS, COLUMNS * BLOCK_CELLS
-_GRID_CELLS_PER_RANGE = 400
-_GRID_MARGIN = 0.25
-_TILE_CELLS = 100
-_CHUNK = 10
-"""Grid cells on a side of a square, and samples of a line, that are looked at together at first."""
-_PARTS = 3  # a side
-_MAX_DIVISIONS = 2
+_GRID_CELLS_PER_RANGE: Final = 400
+_GRID_MARGIN: Final = 0.25
+_TILE_CELLS: Final = 100
+_PARTS: Final = 3  # a side
+_MAX_DIVISIONS: Final = 2
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
+Eye = tuple[float, float, float]
+"""North, east, AMSL."""
 
 
 @final
@@ -74,55 +75,38 @@ class Viewpoint:
 
 @final
 class _Grid:
-    """Lower bounds of the terrain around a point, found where a line passes; nothing outside."""
+    """Lower bounds of the terrain around a point, found by tiles where lines pass."""
 
-    def __init__(
-        self, terrain: Terrain, *, south_m: float, west_m: float, cell_m: float, tiles: int
-    ) -> None:
-        self.south_m, self.west_m, self.cell_m = south_m, west_m, cell_m
-        self.size = tiles * _TILE_CELLS
-        self.lowest_amsl_m = np.empty((self.size, self.size))
-        self.lowest_around_amsl_m = np.empty((self.size, self.size))
-        """Of each cell and the eight around it."""
-        squares = self.size // _CHUNK
-        self.highest_near_amsl_m = np.full((squares, squares), -np.inf)
-        """The highest of `lowest_amsl_m` in each square of cells and the eight around it."""
-        self._highest_amsl_m = np.full((squares + 2, squares + 2), -np.inf)  # with a margin
+    def __init__(self, terrain: Terrain, near_ne_m: tuple[float, float], range_m: float) -> None:
+        """It reaches 1.5 times the range from near the point: so far one may fly on with it."""
         self._terrain = terrain
+        self.cell_m = range_m / _GRID_CELLS_PER_RANGE
+        tile_m = _TILE_CELLS * self.cell_m
+        tiles = 2 * math.ceil(range_m * (1.0 + 2.0 * _GRID_MARGIN) / tile_m)
+        # Whole multiples of the tile: the same ground has the same bounds wherever one looks from.
+        self.south_m, self.west_m = ((round(x / tile_m) - tiles // 2) * tile_m for x in near_ne_m)
+        self.middle_ne_m = np.array([self.south_m, self.west_m]) + 0.5 * tiles * tile_m
+        self.lowest_amsl_m = np.full((tiles * _TILE_CELLS,) * 2, -np.inf)
         self._found = np.zeros((tiles, tiles), dtype=bool)
 
-    def centre_ne_m(self) -> tuple[float, float]:
-        half_m = 0.5 * self.size * self.cell_m
-        return self.south_m + half_m, self.west_m + half_m
-
-    def find(self, rows: tuple[int, int], columns: tuple[int, int]) -> None:
-        """Have the bounds of these rows and columns, first and last, in `lowest_amsl_m`."""
-        (top, bottom), (left, right) = (
-            (first // _TILE_CELLS, last // _TILE_CELLS + 1) for first, last in (rows, columns)
-        )
-        new = np.argwhere(~self._found[top:bottom, left:right])
-        for row, column in new:
-            self._find(top + int(row), left + int(column))
-        if len(new):
-            self.highest_near_amsl_m = _of_nine(np.maximum, self._highest_amsl_m)
-
-    def _find(self, row: int, column: int) -> None:
-        edges = np.arange(-1.0, _TILE_CELLS + 2.0)
-        north = self.south_m + (row * _TILE_CELLS + edges) * self.cell_m
-        east = self.west_m + (column * _TILE_CELLS + edges) * self.cell_m
-        start = row * _TILE_CELLS, column * _TILE_CELLS
-        tile = tuple(slice(first, first + _TILE_CELLS) for first in start)
-        lowest = self._terrain.lowest_in_grid_amsl_m(north, east)
-        self.lowest_amsl_m[tile] = lowest[1:-1, 1:-1]
-        side = _TILE_CELLS // _CHUNK
-        at = tuple(slice(1 + first * side, 1 + (first + 1) * side) for first in (row, column))
-        squares = lowest[1:-1, 1:-1].reshape(side, _CHUNK, side, _CHUNK)
-        self._highest_amsl_m[at] = squares.max(axis=1).max(axis=2)
-        self.lowest_around_amsl_m[tile] = _of_nine(np.minimum, lowest)
-        self._found[row, column] = True
-        for edge in (0, -1):  # lines beyond the edge are looked up there
-            for lowest in (self.lowest_amsl_m, self.lowest_around_amsl_m):
-                lowest[edge, tile[1]] = lowest[tile[0], edge] = -np.inf
+    def find(self, points_ne_m: FloatArray) -> None:
+        """Have the bounds of all cells between these points.  (K, 2)."""
+        tile_m, corner = _TILE_CELLS * self.cell_m, np.array([self.south_m, self.west_m])
+        ends = np.stack([points_ne_m.min(axis=0), points_ne_m.max(axis=0)]) - corner
+        ends[0] -= self.cell_m  # one cell more: lines look around themselves
+        ends[1] += self.cell_m
+        low, high = np.clip(ends // tile_m, 0, len(self._found) - 1).astype(int)
+        part = self._found[low[0] : high[0] + 1, low[1] : high[1] + 1]
+        for tile in np.argwhere(~part) + low:
+            first = tile * _TILE_CELLS
+            edges = np.arange(_TILE_CELLS + 1.0)
+            lowest = self._terrain.lowest_in_grid_amsl_m(
+                self.south_m + (first[0] + edges) * self.cell_m,
+                self.west_m + (first[1] + edges) * self.cell_m,
+            )
+            rows, columns = (slice(at, at + _TILE_CELLS) for at in first)
+            self.lowest_amsl_m[rows, columns] = lowest
+        part[:] = True
 
 
 @final
@@ -234,163 +218,132 @@ class TerrainRadar:
         seen[of] = True
         return seen
 
-    def _divisions(self, eye: tuple[float, float, float], quads_ne_m: FloatArray) -> int:
+    def _divisions(self, eye: Eye, quads_ne_m: FloatArray) -> int:
         """How often to divide quadrilaterals until they are about two cells of the grid wide."""
         if not len(quads_ne_m):
             return 0
         side_m = float(np.hypot(*(quads_ne_m[:, 1] - quads_ne_m[:, 0]).T).max())
-        times = math.log(max(0.5 * side_m / self._grid_about(*eye[:2]).cell_m, 1.0), _PARTS)
+        times = math.log(max(0.5 * side_m / self._grid_about(eye).cell_m, 1.0), _PARTS)
         return min(math.ceil(times - 1e-9), _MAX_DIVISIONS)
 
     def _may_be_seen(
-        self, eye: tuple[float, float, float], corners_ne_m: FloatArray, highest_amsl_m: FloatArray
+        self, eye: Eye, corners_ne_m: FloatArray, highest_amsl_m: FloatArray
     ) -> NDArray[np.bool_]:
         """Whether a line to some point of each quadrilateral may be free.  (K, 4, 2), (K,) -> (K,).
 
         Taken to be as high as its highest all over the circle around it.
         """
-        grid = self._grid_about(eye[0], eye[1])
-        away = corners_ne_m - np.array(eye[:2])
-        middle = away.mean(axis=1)
-        half_m = np.hypot(*np.moveaxis(away - middle[:, None], -1, 0)).max(axis=1, initial=0.0)
-        middle_m = np.hypot(middle[:, 0], middle[:, 1])
-        nearest_m = np.maximum(middle_m - half_m, grid.cell_m)
-        seen = middle_m <= 2.0 * half_m + 2.0 * grid.cell_m  # next to the eye
-        rise_m = highest_amsl_m - eye[2]
-        slope = rise_m / np.where(rise_m > 0.0, nearest_m, middle_m + half_m)
-        count = np.maximum(np.ceil(half_m / grid.cell_m), 1.0)
-        across_rad = np.arcsin(np.minimum(half_m / np.maximum(middle_m, 1e-9), 1.0))
-        bearing_rad = np.arctan2(middle[:, 1], middle[:, 0])
-        for k in range(int(np.max(count[~seen], initial=0.0))):
-            left = np.flatnonzero(~seen & (k < count))
-            share = (2.0 * k + 1.0) / count[left] - 1.0  # of the way from the middle to the side
-            at = bearing_rad[left] + across_rad[left] * share
-            run = nearest_m[left, None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
-            top_m = eye[2] + slope[left] * nearest_m[left]
-            seen[left] = self._free(eye, run, top_m, around=True)
-        return seen
+        grid = self._grid_about(eye, corners_ne_m.reshape(-1, 2))
+        place = (grid.south_m, grid.west_m, grid.cell_m)
+        return _may_be_seen(eye, corners_ne_m, highest_amsl_m, grid.lowest_amsl_m, place)
 
-    def _in_sight(
-        self, eye: tuple[float, float, float], points_ne_m: FloatArray
-    ) -> NDArray[np.bool_]:
+    def _in_sight(self, eye: Eye, points_ne_m: FloatArray) -> NDArray[np.bool_]:
         """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
+        grid = self._grid_about(eye, points_ne_m)
         top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        return self._free(eye, points_ne_m - np.array(eye[:2]), top_m, around=False)
+        place = (grid.south_m, grid.west_m, grid.cell_m)
+        return _in_sight(eye, np.column_stack([points_ne_m, top_m]), grid.lowest_amsl_m, place)
 
-    def _free(
-        self,
-        eye: tuple[float, float, float],
-        offset_ne_m: FloatArray,
-        top_amsl_m: FloatArray,
-        *,
-        around: bool,
-    ) -> NDArray[np.bool_]:
-        """Whether nothing blocks each line from the eye, or some line around it.
-
-        Around: within a cell of the grid.  (K, 2), (K,) -> (K,).
-        """
-        grid = self._grid_about(eye[0], eye[1])
-        farthest_m = float(np.max(np.hypot(offset_ne_m[:, 0], offset_ne_m[:, 1]), initial=0.0))
-        count = max(math.ceil(farthest_m / grid.cell_m), 1)
-        share = (np.arange(count) + 0.5) / count  # of the way to the point
-        lines = _Lines(eye=eye, offset_ne_m=offset_ne_m, top_amsl_m=top_amsl_m)
-        return ~lines.blocked(grid, share, around=around)
-
-    def _grid_about(self, north_m: float, east_m: float) -> _Grid:
-        """The grid that reaches beyond the range on all sides of this point."""
-        grid = self._grid
-        spare_m = _GRID_MARGIN * self._range_m
-        if grid is not None:
-            centre_north_m, centre_east_m = grid.centre_ne_m()
-            if max(abs(north_m - centre_north_m), abs(east_m - centre_east_m)) <= 1.5 * spare_m:
-                return grid
-        cell_m = self._range_m / _GRID_CELLS_PER_RANGE
-        tile_m = _TILE_CELLS * cell_m
-        tiles = 2 * math.ceil((self._range_m + 2.0 * spare_m) / tile_m)
-        # Whole multiples of the tile: the same ground has the same bounds wherever one looks from.
-        self._grid = _Grid(
-            self._terrain,
-            south_m=(round(north_m / tile_m) - tiles // 2) * tile_m,
-            west_m=(round(east_m / tile_m) - tiles // 2) * tile_m,
-            cell_m=cell_m,
-            tiles=tiles,
-        )
-        return self._grid
+    def _grid_about(self, eye: Eye, points_ne_m: FloatArray | None = None) -> _Grid:
+        """A grid beyond the range on all sides of the eye, with what is between it and points."""
+        grid, spare_m = self._grid, _GRID_MARGIN * self._range_m
+        if grid is None or np.abs(grid.middle_ne_m - eye[:2]).max() > 1.5 * spare_m:
+            grid = self._grid = _Grid(self._terrain, eye[:2], self._range_m)
+        if points_ne_m is not None and len(points_ne_m):
+            grid.find(np.concatenate([points_ne_m, [eye[:2]]]))
+        return grid
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Lines:
-    """Straight lines from the radar to points of the ground."""
-
-    eye: tuple[float, float, float]
-    offset_ne_m: FloatArray
-    """From the eye.  (K, 2)."""
-    top_amsl_m: FloatArray
-    """Of the ground at the points.  (K,)."""
-
-    def blocked(self, grid: _Grid, share: FloatArray, *, around: bool) -> NDArray[np.bool_]:
-        """Whether the ground rises above each line at rising shares of the way.  (S,) -> (K,).
-
-        Samples must be no farther from each other than a cell of the grid.  Most lie far above
-        the ground: only where the highest of the neighbourhood is above a line, each is looked up.
-        """
-        every = np.arange(len(self.top_amsl_m))
-        if not len(every):
-            return np.zeros(0, dtype=bool)
-        rows, columns = self._cells(grid, share[[0, -1], None], every)
-        grid.find((int(rows.min()), int(rows.max())), (int(columns.min()), int(columns.max())))
-        first = np.arange(0, len(share), _CHUNK)
-        middle, last = (
-            np.minimum(first + more, len(share) - 1) for more in (_CHUNK // 2, _CHUNK - 1)
-        )
-        lowest_amsl_m = grid.lowest_around_amsl_m if around else grid.lowest_amsl_m
-        rows, columns = self._cells(grid, share[middle, None], every)
-        # most of what is hidden is so for more than one sample
-        line_m = self._heights_m(share[middle, None], every)
-        blocked = np.logical_or.reduce(lowest_amsl_m[rows, columns] > line_m)
-        ends_m = [self._heights_m(share[end, None], every) for end in (first, last)]
-        dip_m = 0.25 * (share[last] - share[first])[:, None] ** 2 * self._sags_m(every)
-        near_amsl_m = grid.highest_near_amsl_m[rows // _CHUNK, columns // _CHUNK]
-        chunk, line = np.nonzero((near_amsl_m > np.minimum(*ends_m) - dip_m) & ~blocked)
-        sample = np.minimum(first[chunk] + np.arange(_CHUNK)[:, None], len(share) - 1)
-        rows, columns = self._cells(grid, share[sample], line)
-        is_under = lowest_amsl_m[rows, columns] > self._heights_m(share[sample], line)
-        blocked[line[is_under.any(axis=0)]] = True
-        return blocked
-
-    def _cells(
-        self, grid: _Grid, share: FloatArray, line: NDArray[np.intp]
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Row and column of the grid at these shares of these lines.  (S, L), (L,) -> (S, L)."""
-        low_m, offset_m = (grid.south_m, grid.west_m), self.offset_ne_m[line].T / grid.cell_m
-        row, column = (
-            np.clip(
-                ((self.eye[k] - low_m[k]) / grid.cell_m + share * offset_m[k]).astype(np.int32),
-                0,
-                grid.size - 1,
-            )
-            for k in (0, 1)
-        )
-        return row, column
-
-    def _heights_m(self, share: FloatArray, line: NDArray[np.intp]) -> FloatArray:
-        """Height of these lines at these shares of the way.  (S, L), (L,) -> (S, L)."""
-        rise_m = self.top_amsl_m[line] - self.eye[2]
-        return self.eye[2] + share * (rise_m - (1.0 - share) * self._sags_m(line))
-
-    def _sags_m(self, line: NDArray[np.intp]) -> FloatArray:
-        """Four times what the middles of these lines are lower than over a plane.  (L,) -> (L,)."""
-        rise_m = self.top_amsl_m[line] - self.eye[2]
-        square_m2 = (self.offset_ne_m[line] ** 2).sum(axis=1) + 2.0 * rise_m**2
-        return square_m2 / (2.0 * EARTH_RADIUS_M)
+# --- compiled: lines of sight ---------------------------------------------------------------------
 
 
-def _of_nine(best: np.ufunc, cells: FloatArray) -> FloatArray:
-    """The best of each cell and the eight around it.  (N + 2, M + 2) -> (N, M)."""
-    cells = best(best(cells[:-2], cells[1:-1]), cells[2:])
-    nine: FloatArray = best(best(cells[:, :-2], cells[:, 1:-1]), cells[:, 2:])
-    return nine
+def _blocked_m(
+    eye: Eye,
+    to: Eye,
+    lowest_amsl_m: FloatArray,
+    south_west_cell_m: Eye,
+    around: bool,
+    hint_m: float,
+) -> float:
+    """How far away the ground rises above the line from the eye to a place; -1: nowhere.
+
+    Around: above every line within a cell of it.  It looks at the hint first: lines beside each
+    other are hidden by the same ridge.
+    """
+    south_m, west_m, cell_m = south_west_cell_m
+    row, column = (eye[0] - south_m) / cell_m, (eye[1] - west_m) / cell_m
+    rows, columns = (to[0] - eye[0]) / cell_m, (to[1] - eye[1]) / cell_m
+    size, away = len(lowest_amsl_m) - 1, math.hypot(rows, columns)
+    count = max(math.ceil(away), 1)
+    rise_m = to[2] - eye[2]
+    sag_m = ((away * cell_m) ** 2 + 2.0 * rise_m * rise_m) / (2.0 * EARTH_RADIUS_M)
+    for k in range(-1, count):
+        share = (k + 0.5) / count
+        if k == -1:
+            if not 0.0 < hint_m < away * cell_m:
+                continue
+            share = hint_m / (away * cell_m)
+        i, j = int(row + share * rows), int(column + share * columns)
+        if not (0 < i < size and 0 < j < size):
+            continue  # nothing is known there
+        line_m = eye[2] + share * (rise_m - (1.0 - share) * sag_m)
+        if lowest_amsl_m[i, j] <= line_m:
+            continue
+        if not around or lowest_amsl_m[i - 1 : i + 2, j - 1 : j + 2].min() > line_m:
+            return share * away * cell_m
+    return -1.0
+
+
+@compiled(_blocked_m)
+def _in_sight(
+    eye: Eye, points_nea_m: FloatArray, lowest_amsl_m: FloatArray, south_west_cell_m: Eye
+) -> NDArray[np.bool_]:
+    """Whether lines to points are free.  (K, 3), the grid -> (K,)."""
+    free = np.zeros(len(points_nea_m), dtype=np.bool_)
+    hint_m = 0.0
+    for k in range(len(points_nea_m)):
+        to = (points_nea_m[k, 0], points_nea_m[k, 1], points_nea_m[k, 2])
+        blocked_m = _blocked_m(eye, to, lowest_amsl_m, south_west_cell_m, False, hint_m)
+        free[k] = blocked_m < 0.0
+        hint_m = hint_m if free[k] else blocked_m
+    return free
+
+
+@compiled(_blocked_m)
+def _may_be_seen(
+    eye: Eye,
+    corners_ne_m: FloatArray,
+    highest_amsl_m: FloatArray,
+    lowest_amsl_m: FloatArray,
+    south_west_cell_m: Eye,
+) -> NDArray[np.bool_]:
+    """Whether a line to some point of a quadrilateral may be free.  (K, 4, 2), (K,) -> (K,)."""
+    seen = np.zeros(len(corners_ne_m), dtype=np.bool_)
+    cell_m, hint_m = south_west_cell_m[2], 0.0
+    for k in range(len(corners_ne_m)):
+        north_m = corners_ne_m[k, :, 0].mean() - eye[0]
+        east_m = corners_ne_m[k, :, 1].mean() - eye[1]
+        half_m, away_m = 0.0, math.hypot(north_m, east_m)
+        for corner in corners_ne_m[k]:
+            off_n, off_e = corner[0] - eye[0] - north_m, corner[1] - eye[1] - east_m
+            half_m = max(half_m, math.hypot(off_n, off_e))
+        nearest_m = max(away_m - half_m, cell_m)
+        seen[k] = away_m <= 2.0 * half_m + 2.0 * cell_m  # next to the eye
+        rise_m = highest_amsl_m[k] - eye[2]
+        slope = rise_m / (nearest_m if rise_m > 0.0 else away_m + half_m)
+        across_rad = math.asin(min(half_m / max(away_m, 1e-9), 1.0))
+        lines = max(math.ceil(half_m / cell_m), 1)
+        line = 0
+        while line < lines and not seen[k]:
+            share = (2.0 * line + 1.0) / lines - 1.0  # of the way from the middle to the side
+            at_rad = math.atan2(east_m, north_m) + across_rad * share
+            north, east = nearest_m * math.cos(at_rad), nearest_m * math.sin(at_rad)
+            to = (eye[0] + north, eye[1] + east, eye[2] + slope * nearest_m)
+            blocked_m = _blocked_m(eye, to, lowest_amsl_m, south_west_cell_m, True, hint_m)
+            seen[k] = blocked_m < 0.0
+            hint_m = hint_m if seen[k] else blocked_m
+            line += 1
+    return seen
 
 
 def _divided(corners_ne_m: FloatArray) -> FloatArray:
