@@ -4,7 +4,7 @@ Unknown ground, and what lies off the map, has no top.  Every distance between t
 known ground is a distance to columns: of many points at once (`distances_to_terrain_m`), and of a
 segment for the proof.
 
-What is about a segment is plain scalar code that numba can compile as it is (`planner.kernels`).
+What is about a segment is plain scalar code that numba compiles as it is (`companion.jit`).
 A column is convex, so the distance to one is a convex function along the segment.
 """
 
@@ -107,7 +107,7 @@ def distances_to_terrain_m(
     return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)
 
 
-# --- a segment: compiled with the planner's kernel
+# --- a segment: compiled
 
 
 def column_gap(at: float, segment: Segment, box: Box) -> tuple[float, float]:

@@ -33,10 +33,8 @@ class Comparison:
     """Cases that are flown, and how what came of them is told."""
 
     cases: Sequence[Case]
-    tables: Mapping[str, Row]
-    """By their titles."""
-    remarks: Callable[[Sequence[Outcome]], list[str]]
-    """What the tables cannot say by themselves."""
+    tables: Mapping[str, Row]  # by their titles
+    remarks: Callable[[Sequence[Outcome]], list[str]]  # what the tables cannot say by themselves
     more: Callable[[Outcome], dict[str, Any]] = lambda _: {}
     """What is told beside the numbers of an outcome, for --json."""
 
