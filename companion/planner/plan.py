@@ -211,14 +211,12 @@ class _Plan:
         task, before = request.task, request.progress
         self._range_m = task.settings.scan_range_m
         owed = _OWED_NEAR if task.settings.is_near else _OWED
-        self._allowed_m = max(task.stop_m, owed * self._range_m)
-        """What may be owed."""
+        self._allowed_m = max(task.stop_m, owed * self._range_m)  # what may be owed
         self._progress = self._guided(before)
         self._scene = _scene(request, self._field)
         self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
-        self._is_cut = False
-        """Whether time was up before all was searched."""
+        self._is_cut = False  # whether time was up before all was searched
         self._broken: tuple[str, ...] = ()
 
     def _guided(self, before: Progress) -> Progress:

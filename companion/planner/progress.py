@@ -84,5 +84,4 @@ class Progress:
         return replace(self, owed_m=owed_m, expected_m=expected_m)
 
 
-NO_PROGRESS = Progress()
-"""On the way to a new target."""
+NO_PROGRESS = Progress()  # on the way to a new target

@@ -27,8 +27,7 @@ from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import Zone
 
-Place = tuple[float, float]
-"""North and east in the local frame, metres."""
+Place = tuple[float, float]  # north and east in the local frame, metres
 CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
 _AIMS = 1.1  # errors that the search keeps beyond d_s: a proof needs a little to spare
 

@@ -17,8 +17,7 @@ from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
 from companion.world.lattice import IntArray
 
-_FAR_M = 1e12
-"""Farther than anything on earth, and small enough to calculate with."""
+_FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _BRACKETINGS = 60
 """Of `column_distance`, which halves its bracket at least every other time: double precision."""
 Segment = tuple[float, float, float, float, float, float]

@@ -21,21 +21,16 @@ from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.columns import Segment
 
-_GROUP = 16
-"""Edges to a box: 16 is faster than 8, with 50 x 100 corners and with 2,000 (measured)."""
+_GROUP = 16  # edges to a box: 16 is faster than 8, with 50 x 100 corners and with 2,000 (measured)
 _AT_ONCE = 60_000
 """Pairs of a point and an edge: arrays of 0.5 MB, twice as fast as of 3 MB (measured)."""
-_MOST_CELLS = 512
-"""Cells of `near_cells` across: 0.25 MB, made in some 0.1 s."""
-_NO_LENGTH_M2 = 1e-12
-"""An edge shorter than a micrometre is a point."""
-_FAR_M = 1e12
-"""Farther than anything on earth, and small enough to calculate with."""
+_MOST_CELLS = 512  # cells of `near_cells` across: 0.25 MB, made in some 0.1 s
+_NO_LENGTH_M2 = 1e-12  # an edge shorter than a micrometre is a point
+_FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _TOUCHING_M = 1e-9
 """Looked for at least so far from a segment, so that edges that touch it are seen (rounding)."""
 Row = tuple[float, ...]
-Box = tuple[Any, Any, Any, Any]
-"""Edges to the south, north, west and east."""
+Box = tuple[Any, Any, Any, Any]  # edges to the south, north, west and east
 
 
 @final

@@ -23,8 +23,7 @@ from companion.world.terrain import Peak, PeakTerrain
 
 PER_SECOND = 1000
 """Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
-Row = Callable[[Outcome], dict[str, str]]
-"""What a table says of an outcome, by its columns."""
+Row = Callable[[Outcome], dict[str, str]]  # what a table says of an outcome, by its columns
 
 
 @final
