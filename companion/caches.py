@@ -3,10 +3,7 @@
 import os
 import stat
 import tempfile
-from collections.abc import Callable
-from functools import cache
 from pathlib import Path
-from typing import Any, cast
 
 from platformdirs import user_cache_dir
 
@@ -38,11 +35,3 @@ def _is_private(folder: Path) -> bool:
         and about.st_uid == os.geteuid()
         and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     )
-
-
-@cache
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is not of the planner's kernel (`planner.kernels`), compiled; not kept."""
-    import numba  # half a second
-
-    return cast("Callable[..., Any]", numba.njit(function))

@@ -187,6 +187,6 @@ def deg(degrees_e7: int) -> float:
     return degrees_e7 * 1e-7
 
 
-def wrap_rad(angle_rad: float) -> float:
-    """The same angle between -pi and pi."""
+def wrap_rad(angle_rad: Places) -> Places:
+    """The same angle from -pi to pi: numbers, or (...) of them."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi

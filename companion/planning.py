@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 from companion.paper.plan import plan_as_published
 from companion.paper.rivals.routes import PLANNERS, leg_by_leg
-from companion.planner import kernels
 from companion.planner import plan as flight
 from companion.planner.request import PlanOutcome, PlanRequest
 
@@ -18,7 +17,7 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
     stop: asked now and then; true: time is up (profile `flight`; `paper` spends its budget).
     """
     if request.flown is None and not request.task.settings.profile.verified:
-        return plan_as_published(request, kernels.compiled().prove)
+        return plan_as_published(request)
     return flight.plan(request, stop)
 
 
@@ -26,4 +25,4 @@ def planner_of(name: str, field: str = "planner") -> Planner:
     """What plans under this name: ours, or a rival; InputError about a field if there is none."""
     if name == OURS:
         return plan
-    return leg_by_leg(PLANNERS.chosen(name, field), kernels.compiled().prove)
+    return leg_by_leg(PLANNERS.chosen(name, field))

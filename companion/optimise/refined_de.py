@@ -36,8 +36,7 @@ from companion.optimise.loop import first_members
 
 IntArray = npt.NDArray[np.int64]
 
-FEWEST = 4
-"""Members that eq. 17 needs: a parent and three others."""
+FEWEST = 4  # members that eq. 17 needs: a parent and three others
 _PER_ROOT = 1.1  # members at the start for each square root of an evaluation
 _LEAST, _MOST = 20, 150  # members at the start
 _MAX_GAIN = 1e9  # counts for one success: it may be infinite
@@ -46,8 +45,7 @@ _COLLAPSED = 1e-5  # widest edge of a simplex that is begun anew
 SPENT, PHASE, SIZE, KEPT, NEXT = range(5)
 """Of `State.now`: evaluations, what the trials under way are, members, archived parents, the slot
 of the memory that is written next."""
-START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)
-"""What trials are."""
+START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)  # what trials are
 SLOT, P_BEST, R1, R2, R3, CERTAIN, ARCHIVE, CROSS = range(8)
 """Columns of `State.uniforms`: slot of the memory, x_best, x_r1, x_r2 and x_r3 of eq. 17, the
 variable that certainly changes, whose place in the archive is taken; from CROSS on, eq. 13."""

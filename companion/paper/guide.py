@@ -10,8 +10,7 @@ from companion.world.radars import Radar
 
 _WIDEST_RAD = math.radians(135.0)  # row 15: a cluster may span more than half a turn
 
-Place = tuple[float, ...]
-"""North and east, metres; more does not count."""
+Place = tuple[float, ...]  # north and east, metres; more does not count
 
 
 def tangent_guide_rad(

@@ -12,23 +12,21 @@ from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.paper.guide import tangent_guide_rad
 from companion.paper.terms import VARIABLES, Scene, control_points, cost, cost_table
-from companion.path.certificate import Prover, certify
+from companion.path.certificate import certify
 from companion.path.subpath import Subpath
 from companion.planner.procedure import hover_pose
 from companion.planner.request import REACH, Planned, PlanRequest
 from companion.world.clearance import terrain_surface
 
 
-def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
+def plan_as_published(request: PlanRequest) -> Planned:
     """The best candidate of one search."""
     settings, scene = request.task.settings, scene_of(request)
     make = OPTIMISERS[settings.optimiser or settings.profile.optimiser]
     optimiser = make(VARIABLES, settings.evaluations, request.rng(0), None)
     ranked = minimise(optimiser, lambda x: cost(x, scene), settings.evaluations)
     best, reaches_target = ranked.x[:1], scene.final_ne_m is not None
-    planned = reported(
-        request, control_points(best, scene)[0], prove, reaches_target=reaches_target
-    )
+    planned = reported(request, control_points(best, scene)[0], reaches_target=reaches_target)
     return replace(
         planned,
         cost=float(ranked.costs[0]),
@@ -38,9 +36,7 @@ def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
     )
 
 
-def reported(
-    request: PlanRequest, control_nea_m: FloatArray, prove: Prover, *, reaches_target: bool
-) -> Planned:
+def reported(request: PlanRequest, control_nea_m: FloatArray, *, reaches_target: bool) -> Planned:
     """A subpath (K, 3) that is flown as it is; its certificate says what could be proven."""
     task, subpath = request.task, Subpath(control_nea_m=control_nea_m)
     reach_m = REACH * task.settings.scan_range_m
@@ -50,14 +46,7 @@ def reported(
         kernel="numpy",
         subpath=subpath,
         reaches_target=reaches_target,
-        cost=0.0,
-        to_go=0.0,
-        terms={},
-        certificate=certify(subpath, surroundings, from_rest=request.from_rest, prover=prove),
-        guide_rad=0.0,
-        route_ne_m=(),
-        evaluations=0,
-        rank=0,
+        certificate=certify(subpath, surroundings, from_rest=request.from_rest),
         tries=1,
     )
 

@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from companion.geodesy import FloatArray
+from companion.geodesy import FloatArray, wrap_rad
 from companion.path.bspline import uniform_basis
 from companion.path.subpath import Pose
 from companion.planner.settings import Task
@@ -32,18 +32,12 @@ _CHORD_TURN_RAD = math.radians(30.0)  # row 21: between chords of R / 10
 class Scene:
     """Everything that the paper's cost of one subpath depends on."""
 
-    task: Task
-    """Its weights, R (the unit of r2 and r3), d_s, limits, radars and zones."""
-    start: Pose
-    """p_prog and the tangent there: the first control point and the line of the second."""
-    scan_ne_m: tuple[float, float]
-    """p_scan: the centre of the circle on which the subpath ends."""
-    guide_rad: float
-    """Bearing of the guide direction."""
-    final_ne_m: tuple[float, float] | None
-    """The target, when this subpath ends there."""
-    surface: Surface
-    """The known terrain."""
+    task: Task  # its weights, R (the unit of r2 and r3), d_s, limits, radars and zones
+    start: Pose  # p_prog and the tangent there: the first control point and the line of the second
+    scan_ne_m: tuple[float, float]  # p_scan: the centre of the circle on which the subpath ends
+    guide_rad: float  # bearing of the guide direction
+    final_ne_m: tuple[float, float] | None  # the target, when this subpath ends there
+    surface: Surface  # the known terrain
 
 
 def control_points(x: FloatArray, scene: Scene) -> FloatArray:
@@ -96,7 +90,7 @@ def cost_table(x: FloatArray, scene: Scene) -> dict[str, FloatArray]:
     # eq. 8: the angle at p_scan between the end and the guide direction, in plan view (row 26),
     # 100 for pi
     end = control[:, -1, :2] - np.asarray(scene.scan_ne_m)
-    off = np.abs(_wrapped(np.arctan2(end[:, 1], end[:, 0]) - scene.guide_rad))
+    off = np.abs(wrap_rad(np.arctan2(end[:, 1], end[:, 0]) - scene.guide_rad))
     # eq. 9 with eq. 2: how far samples are short of d_s, by the first-order normal distance
     # d = (z - h) / sqrt(1 + |grad h|^2) (row 12), linear below 0 too (row 11).  The terrain is one
     # surface, as the radar shows it, so the sum over peaks has one member (row 27).
@@ -128,7 +122,7 @@ def constraints(points: FloatArray, scene: Scene) -> FloatArray:
     settings, limits = scene.task.settings, scene.task.limits
     # k1 alpha + k2 beta: what the chords between samples turn, climb and dive too much
     chords = np.diff(points, axis=1)  # (P, S, 3)
-    turn = np.abs(_wrapped(np.diff(np.arctan2(chords[..., 1], chords[..., 0]), axis=1)))
+    turn = np.abs(wrap_rad(np.diff(np.arctan2(chords[..., 1], chords[..., 0]), axis=1)))
     alpha = np.maximum(turn - _CHORD_TURN_RAD, 0.0).sum(axis=1)
     climb_rad = np.arctan2(chords[..., 2], np.hypot(chords[..., 0], chords[..., 1]))
     beta = _beyond(climb_rad, (-limits.dive_angle_rad, limits.climb_angle_rad))
@@ -147,7 +141,3 @@ def constraints(points: FloatArray, scene: Scene) -> FloatArray:
 
 def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
     return np.maximum(bounds[0] - values, 0.0) + np.maximum(values - bounds[1], 0.0)
-
-
-def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    return np.asarray((angle_rad + math.pi) % (2.0 * math.pi) - math.pi)

@@ -6,13 +6,12 @@ stop, holds on a circle about a point of the curve: its bounds hold for the circ
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from companion.geodesy import FloatArray
+from companion import jit
 from companion.path.bspline import cubics_of
 from companion.path.envelope import Envelope, flown_on_m
 from companion.path.limits import Limits
@@ -22,9 +21,6 @@ from companion.world.columns import pack_columns
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import Zone, packed
-
-Prover = Callable[[FloatArray, Surroundings, bool], Bounds]
-"""`proof.prove`, or the same compiled."""
 
 _SANE_M = 1e8  # no control point is farther out than this: the arithmetic of the proof stays finite
 _SETTINGS = {
@@ -102,9 +98,7 @@ class Certificate:
         return not self.broken
 
 
-def certify(
-    subpath: Subpath, around: Surroundings, *, from_rest: bool, prover: Prover = prove
-) -> Certificate:
+def certify(subpath: Subpath, around: Surroundings, *, from_rest: bool) -> Certificate:
     """Prove a subpath, its tail included, against its surroundings.
 
     from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
@@ -112,7 +106,8 @@ def certify(
     """
     control, told = subpath.control_nea_m, Bounds._make([math.nan] * 11 + [0.0])
     if np.all(np.abs(control) < _SANE_M):
-        told = Bounds._make(map(float, prover(cubics_of(control), around, from_rest)))
+        found = jit.compiled(prove)(cubics_of(control), around, from_rest)
+        told = Bounds._make(map(float, found))
     steeper = 1.0 + 2.0 * ROUNDING
     kept = {
         "terrain clearance": told.clearance_m >= around.clearance_m - ROUNDING_M,

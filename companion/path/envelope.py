@@ -34,10 +34,8 @@ class Handling:
     the point later, does not fly past the end."""
     lag_s: float = 0.0
     """How much later than the point the vehicle slows down: it counts as dead-man time, too."""
-    steady_m: float
-    """How far it is from a straight path at a steady speed, in wind and gusts."""
-    turning_s2: float
-    """How far it is beside a bent path, metres for each m/s2 across."""
+    steady_m: float  # how far it is from a straight path at a steady speed, in wind and gusts
+    turning_s2: float  # how far it is beside a bent path, metres for each m/s2 across
     leading_s2: float = 0.0
     """How far inside of a bend its setpoints are, metres for each m/s2 across, as it is flown out
     of turns by as much.  When they end it stops as far inside."""
@@ -69,35 +67,23 @@ PLANE = Handling(name="plane", eased=1.0, settling_s=0.0, steady_m=0.0, turning_
 class Envelope(NamedTuple):
     """The motion of a vehicle on a leg."""
 
-    speed_m_s: float
-    """V: the reference point is nowhere faster."""
-    braking_m_s2: float
-    """What the autopilot brakes with by itself, and the reference point at high speed."""
-    gaining_m_s2: float
-    """What the reference point gains speed with."""
+    speed_m_s: float  # V: the reference point is nowhere faster
+    braking_m_s2: float  # what the autopilot brakes with by itself, the point at high speed, too
+    gaining_m_s2: float  # what the reference point gains speed with
     settling_s: float
-    dead_man_s: float
-    """How long the autopilot flies on straight after the last setpoint, before it brakes."""
-    overrun_m: float
-    """How far beyond the end of a leg it may come if the companion ends meanwhile."""
+    dead_man_s: float  # how long it flies on straight after the last setpoint, before it brakes
+    overrun_m: float  # how far beyond the end of a leg it may come if the companion ends meanwhile
     climb_rate_m_s: float
     climb_angle_rad: float
     dive_angle_rad: float
     turn_radius_m: float
-    lateral_m_s2: float
-    """The reference point takes no turn harder, so that the vehicle stays in its tube."""
-    tube_m: float
-    """How far the vehicle may be from where it was told to be: across the path and past its end."""
-    aside_m: float
-    """How far beside a straight dead-man stretch it may end, beyond its tube."""
-    lag_m: float
-    """How far behind the reference point it may be: the point waits for it when it is farther."""
-    navigation_m: float
-    """How wrong its position may be."""
-    lead_m: float
-    """Of a plane: how far ahead along the path the point lies that it is sent to."""
-    loiter_m: float
-    """Of a plane: how far from its last point it may circle; 0: it hovers."""
+    lateral_m_s2: float  # the point takes no turn harder, so that the vehicle stays in its tube
+    tube_m: float  # how far it may be from where it was told to be: across the path, past its end
+    aside_m: float  # how far beside a straight dead-man stretch it may end, beyond its tube
+    lag_m: float  # how far behind the point it may be: that waits for it when it is farther
+    navigation_m: float  # how wrong its position may be
+    lead_m: float  # of a plane: how far ahead along the path the point lies that it is sent to
+    loiter_m: float  # of a plane: how far from its last point it may circle; 0: it hovers
 
     @property
     def error_m(self) -> float:

@@ -35,8 +35,7 @@ _TERRAIN, _ZONES, _DEAD_MAN = 0, 1, 2
 class Surroundings(NamedTuple):
     """What a proof is about: terrain, zones, radars and bounds, as plain numbers and arrays."""
 
-    columns: Columns
-    """Of a plane's terrain its circle is dealt with in `registration_m`."""
+    columns: Columns  # of a plane's terrain its circle is dealt with in `registration_m`
     zones: ZoneTable
     radars: FloatArray  # (N, 4): north, east, altitude, range
     clearance_m: float
@@ -46,8 +45,7 @@ class Surroundings(NamedTuple):
     stops: bool
     """Whether the vehicle stops at the end of the curve; if not, it may be at full speed there."""
     curvature_1_m: float
-    climb: float
-    """Tangent of the largest climb angle; `dive` likewise."""
+    climb: float  # tangent of the largest climb angle; `dive` likewise
     dive: float
     lowest_nea_m: tuple[float, float, float]
     """The south-western corner of the map, and the floor; `highest_nea_m` likewise."""
@@ -61,20 +59,17 @@ class Question(NamedTuple):
     around: Surroundings
     rows: FloatArray  # (N, 5), of `first_pieces`
     from_rest: bool
-    found: FloatArray
-    """Scratch of `terrain_distance`."""
+    found: FloatArray  # scratch of `terrain_distance`
 
 
 class Piece(NamedTuple):
     """A piece of a curve, as its chord and what surrounds that."""
 
     chord: Segment
-    sag: float
-    """How far the piece may be from its chord, metres."""
+    sag: float  # how far the piece may be from its chord, metres
     cosine: float
     """Of the half-angle of the cone about the chord that holds the tangents of the piece."""
-    length: float
-    """At most, metres."""
+    length: float  # at most, metres
 
 
 class Bounds(NamedTuple):
@@ -84,8 +79,7 @@ class Bounds(NamedTuple):
     keep_out_m: float
     dead_man_m: float
     curvature_1_m: float
-    climb: float
-    """As a tangent; `dive` likewise."""
+    climb: float  # as a tangent; `dive` likewise
     dive: float
     lowest_m: float
     highest_m: float

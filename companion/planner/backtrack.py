@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.bspline import cubics_of, samples_at
-from companion.path.certificate import Prover, certify
+from companion.path.certificate import certify
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
@@ -24,7 +24,7 @@ _SMOOTH = 1e-6  # of the unit tangent: more is a corner, at which the vehicle st
 
 
 def backtrack(
-    flown: tuple[FlownSegment, ...], task: Task, known: KnownMap, prover: Prover, plan_id: int = 0
+    flown: tuple[FlownSegment, ...], task: Task, known: KnownMap, plan_id: int = 0
 ) -> Backtrack:
     """Subpaths back along the flown segments, from their end to their start.
 
@@ -37,7 +37,7 @@ def backtrack(
     from_rest = True
     for (control, speed_m_s), follows in zip_longest(curves, curves[1:]):
         subpath, slow = Subpath(control_nea_m=control), task.at_speed(speed_m_s)
-        is_proven = partial(_is_proven, subpath, slow, known, prover, from_rest=from_rest)
+        is_proven = partial(_is_proven, subpath, slow, known, from_rest=from_rest)
         through = follows is not None and follows[1] >= speed_m_s  # else it would come too fast
         through = through and _is_smooth(control, follows[0]) and is_proven(stops=False)
         if not (through or is_proven(stops=True)):
@@ -95,7 +95,7 @@ def _is_smooth(control: FloatArray, follows: FloatArray) -> bool:
 
 
 def _is_proven(
-    subpath: Subpath, task: Task, known: KnownMap, prover: Prover, *, from_rest: bool, stops: bool
+    subpath: Subpath, task: Task, known: KnownMap, *, from_rest: bool, stops: bool
 ) -> bool:
     motion, control = task.envelope, subpath.control_nea_m[:, :2]
     if task.limits.hovers:  # it climbs as steeply as it dives, only slower: `allowed_speed_m_s`
@@ -105,4 +105,4 @@ def _is_proven(
     reach_m = float(np.linalg.norm(control - centre, axis=-1).max())
     place = float(centre[0]), float(centre[1])
     surroundings = task.surroundings(known, place, reach_m, motion=motion, radars=(), stops=stops)
-    return certify(subpath, surroundings, from_rest=from_rest, prover=prover).proven
+    return certify(subpath, surroundings, from_rest=from_rest).proven

@@ -281,8 +281,8 @@ def _shut(task: Task, known: KnownMap, step_m: float, shape: tuple[int, int]) ->
     north, east = (low + step_m * np.arange(n) for low, n in zip(corner_m, shape, strict=True))
     shut = np.zeros(shape, dtype=bool)
     if task.zones:
-        places, near = (tuple(north.tolist()), tuple(east.tolist())), kernels.compiled().near_zones
-        shut |= too_near(task.zones, *places, task.zone_search_clearance_m, near)
+        places = tuple(north.tolist()), tuple(east.tolist())
+        shut |= too_near(task.zones, *places, task.zone_search_clearance_m)
     for axis, at in enumerate((north, east)):
         low, size_m = corner_m[axis], known.upper_m.shape[axis] * known.cell_m
         is_near = np.minimum(at - low, low + size_m - at) < task.search_clearance_m

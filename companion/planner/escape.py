@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.certificate import Certificate, Prover, certify
+from companion.path.certificate import Certificate, certify
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath, straight
 from companion.planner.request import PlanRequest
@@ -43,12 +43,9 @@ _NO_GROUND_M = -1e4  # altitude AMSL of ground that no proof meets: no ground on
 class StartViolation:
     """Why no certificate can begin at the vehicle's position."""
 
-    terrain_m: float
-    """Distance to the known terrain, at most the required clearance."""
-    unknown: bool
-    """Whether unknown ground, or the edge of the map, is too near."""
-    zones: tuple[Zone, ...]
-    """Keep-outs that are too near, or around the vehicle."""
+    terrain_m: float  # distance to the known terrain, at most the required clearance
+    unknown: bool  # whether unknown ground, or the edge of the map, is too near
+    zones: tuple[Zone, ...]  # keep-outs that are too near, or around the vehicle
 
 
 def start_violation(request: PlanRequest) -> StartViolation | None:
@@ -66,9 +63,7 @@ def start_violation(request: PlanRequest) -> StartViolation | None:
     )
 
 
-def escape_path(
-    request: PlanRequest, found: StartViolation, prover: Prover
-) -> tuple[Subpath, Certificate] | None:
+def escape_path(request: PlanRequest, found: StartViolation) -> tuple[Subpath, Certificate] | None:
     """The shortest straight escape path and its certificate; None: there is none.
 
     Proven: no nearer to the terrain than the vehicle is now, and with the whole clearance from
@@ -91,17 +86,16 @@ def escape_path(
     seen = (end for end in ends if distance_to_terrain_m(around, end, least_m) >= least_m)
     for end in islice(seen, _CERTIFIED):
         whole = straight(start, end)
-        if others and not certify(whole, off_zones, from_rest=True, prover=prover).proven:
+        if others and not certify(whole, off_zones, from_rest=True).proven:
             continue
         along = start + np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None] * (end - start)
         short = distances_to_terrain_m(around, along, required_m) < required_m
         if short.any():  # the rest is proven at full speed, as it does not begin there at rest
             split = along[min(int(np.flatnonzero(short)[-1]) + 1, _SAMPLES)]
             rest = straight(split, end)
-            proven = certify(rest, clear, from_rest=False, prover=prover).proven
-            if not (proven or rest.length_m <= 1.0):
+            if not (certify(rest, clear, from_rest=False).proven or rest.length_m <= 1.0):
                 continue
-        certificate = certify(whole, ground, from_rest=True, prover=prover)
+        certificate = certify(whole, ground, from_rest=True)
         if certificate.proven:
             return whole, certificate
     return None

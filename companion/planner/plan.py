@@ -11,6 +11,7 @@ from typing import final
 
 import numpy as np
 
+from companion import jit
 from companion.geodesy import FloatArray
 from companion.objective.kernel import control_points
 from companion.objective.scene import (
@@ -25,10 +26,10 @@ from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import Certificate, certify
-from companion.path.envelope import Envelope, slowing_m
+from companion.path.envelope import slowing_m
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath
-from companion.planner import kernels
+from companion.planner import kernels, rules
 from companion.planner.backtrack import backtrack
 from companion.planner.cost_grid import Place, descent_m
 from companion.planner.escape import StartViolation, escape_path, start_violation
@@ -72,16 +73,11 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
     best so far is taken, if it can be proven.
     """
     if request.flown is not None:
-        prove = kernels.compiled().prove
-        return backtrack(request.flown, request.task, request.known, prove, request.plan_id)
+        return backtrack(request.flown, request.task, request.known, request.plan_id)
     refusal = _impossible(request)
-    if refusal is not None:
-        return NotPlanned(plan_id=request.plan_id, refusal=refusal)
-    found = start_violation(request)
-    if found is not None:
+    if refusal is None and (found := start_violation(request)) is not None:
         return _escape(request, found)
-    refusal = _unreachable(request)
-    if refusal is not None:
+    if (refusal := refusal or _unreachable(request)) is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
     patience = _TimeBudget(stop)
     outcome = _Plan(request, patience).outcome()
@@ -137,14 +133,9 @@ def _impossible(request: PlanRequest) -> Refusal | None:
 
 def _unreachable(request: PlanRequest) -> Refusal | None:
     """Why the target is invalid; None if it is not."""
-    task, limits = request.task, request.task.limits
-    target = np.array(request.target_ne_m)
-    edges = zip(target, (limits.north_m, limits.east_m), strict=True)
-    if min(min(at - low, high - at) for at, (low, high) in edges) < task.zone_search_clearance_m:
-        return Refusal.TARGET_AT_EDGE
-    for zone in task.zones:
-        if float(zone.distance_m(target[0], target[1])) < task.zone_search_clearance_m:
-            return Refusal.TARGET_IN_KEEP_OUT
+    task, target = request.task, "target"
+    for broken, *_ in rules.of_target(task, request.target_ne_m, target):
+        return Refusal.TARGET_IN_KEEP_OUT if broken == target else Refusal.TARGET_AT_EDGE
     highest = np.array([*request.target_ne_m, task.band_amsl_m[1]])
     required_m = task.required_clearance_m
     if distance_to_terrain_m(request.around, highest, required_m, seen_only=True) < required_m:
@@ -154,14 +145,8 @@ def _unreachable(request: PlanRequest) -> Refusal | None:
 
 def _is_sane(request: PlanRequest) -> bool:
     """Whether all numbers are finite, and the limits leave room to plan."""
-    limits, task, start = request.task.limits, request.task, request.start
-    numbers = (
-        *request.scan_nea_m,
-        *request.target_ne_m,
-        *start.position_nea_m,
-        *start.tangent_nea,
-        *start.curvature_nea_1_m,
-    )
+    limits, task = request.task.limits, request.task
+    numbers = *request.scan_nea_m, *request.target_ne_m, *rows_of(request.start).ravel()
     low, high = task.band_amsl_m
     positive = (
         high - low,
@@ -178,8 +163,7 @@ def _is_sane(request: PlanRequest) -> bool:
 
 def _escape(request: PlanRequest, found: StartViolation) -> PlanOutcome:
     """The shortest escape path from a place where no certificate can begin."""
-    prove = kernels.compiled().prove
-    escape = escape_path(request, found, prove) if request.from_rest else None
+    escape = escape_path(request, found) if request.from_rest else None
     if escape is None:
         refusal = Refusal.START_IN_KEEP_OUT if found.zones else Refusal.START_NEAR_TERRAIN
         if not found.zones and request.task.settings.is_near:
@@ -198,15 +182,9 @@ def _straight_plan(request: PlanRequest, subpath: Subpath, certificate: Certific
         kernel=kernels.signature(),
         subpath=subpath,
         reaches_target=math.dist(end[:2], request.target_ne_m) < _AT_TARGET_M,
-        cost=0.0,
-        to_go=0.0,
-        terms={},
         certificate=certificate,
         guide_rad=math.atan2(tangent[1], tangent[0]),
         route_ne_m=request.route_ne_m,
-        evaluations=0,
-        rank=0,
-        tries=0,
     )
 
 
@@ -229,18 +207,16 @@ class _Plan:
     """One plan in progress: the common data of its searches."""
 
     def __init__(self, request: PlanRequest, stop: Callable[[], bool]) -> None:
-        self._request, self._stop, self._kernel = request, stop, kernels.compiled()
+        self._request, self._stop = request, stop
         task, before = request.task, request.progress
         self._range_m = task.settings.scan_range_m
         owed = _OWED_NEAR if task.settings.is_near else _OWED
-        self._allowed_m = max(task.stop_m, owed * self._range_m)
-        """What may be owed."""
+        self._allowed_m = max(task.stop_m, owed * self._range_m)  # what may be owed
         self._progress = self._guided(before)
         self._scene = _scene(request, self._field)
         self._surroundings: dict[float, Surroundings] = {}
         self._evaluations = self._tries = 0
-        self._is_cut = False
-        """Whether time was up before all was searched."""
+        self._is_cut = False  # whether time was up before all was searched
         self._broken: tuple[str, ...] = ()
 
     def _guided(self, before: Progress) -> Progress:
@@ -333,11 +309,10 @@ class _Plan:
 
     def _at_speed(self, speed_m_s: float) -> Scene:
         """The scene of a subpath that is flown no faster than this."""
-        scene, task = self._scene, self._request.task.at_speed(speed_m_s)
-        return scene._replace(
-            motion=task.envelope,
-            shortest_m=0.0 if scene.from_rest else _shortest_m(task.envelope),
-        )
+        motion = self._request.task.at_speed(speed_m_s).envelope
+        shortest_m = float(max(slowing_m(motion, motion.speed_m_s), motion.lead_m))
+        shortest_m = 0.0 if self._scene.from_rest else shortest_m
+        return self._scene._replace(motion=motion, shortest_m=shortest_m)
 
     def _way_out(self, *, looks: bool, strays: bool) -> tuple[Planned, float] | None:
         """A straight piece to where less is left to fly, or (looks) more is seen; its price."""
@@ -363,12 +338,12 @@ class _Plan:
     def _certified(self, subpath: Subpath, speed_m_s: float, *, from_rest: bool) -> Certificate:
         if (here := self._surroundings.get(speed_m_s)) is None:
             here = self._surroundings[speed_m_s] = _surroundings(self._request, speed_m_s)
-        return certify(subpath, here, from_rest=from_rest, prover=self._kernel.prove)
+        return certify(subpath, here, from_rest=from_rest)
 
     def ranked_nea_m(self, most: int) -> FloatArray:
         """Control points of the best candidates of the first search.  -> (M, points, 3)."""
-        found = [control_points(x, self._scene) for x in self._search(self._scene)[:most]]
-        return np.array(found)
+        scene = self._at_speed(self._request.task.limits.speed_m_s)
+        return np.array([control_points(x, scene) for x in self._search(scene)[:most]])
 
     def _refused(self, refusal: Refusal, place_ne_m: Place | None = None) -> NotPlanned:
         return NotPlanned(
@@ -436,15 +411,14 @@ class _Plan:
         seeds = seeds_of(scene, ways_of(scene, self._field.route_ne_m, request.known.cell_m, tail))
         if name != "refined-de":
             optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)
-            ranked = minimise(
-                optimiser, lambda x: self._kernel.costs(x, scene), evaluations, self._stop
-            )
+            costs = jit.compiled(kernels.costs)
+            ranked = minimise(optimiser, lambda x: costs(x, scene), evaluations, self._stop)
             self._evaluations += ranked.evaluations
             self._is_cut |= ranked.evaluations < evaluations
             return ranked.x
         state = refined_de.begin(scene.variables, evaluations, seeds, refined_de.Settings(), rng)
         for until in range(_CHUNK, evaluations + _CHUNK, _CHUNK):
-            self._kernel.search(state, scene, min(until, evaluations))
+            jit.compiled(kernels.search)(state, scene, min(until, evaluations))
             if self._stop():
                 self._is_cut |= until < evaluations
                 break
@@ -453,7 +427,7 @@ class _Plan:
 
     def _first_proven(self, candidates: FloatArray, scene: Scene) -> Planned | None:
         """The best candidate with a certificate."""
-        request = self._request
+        request, weights = self._request, self._scene.weights
         for rank, x in enumerate(candidates[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=control_points(x, scene))
             if not subpath.is_longer_than(scene.shortest_m):
@@ -461,11 +435,9 @@ class _Plan:
             speed_m_s = scene.motion.speed_m_s
             certificate = self._certified(subpath, speed_m_s, from_rest=scene.from_rest)
             if certificate.proven:
-                terms = self._kernel.terms(x, scene)
-                costs = {
-                    name: a * terms[name]
-                    for name, a in zip(TERMS, self._scene.weights, strict=True)
-                }
+                jit.compiled(kernels.costs)(x[None], scene)
+                terms = dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
+                costs = {name: a * terms[name] for name, a in zip(TERMS, weights, strict=True)}
                 return Planned(
                     plan_id=request.plan_id,
                     kernel=kernels.signature(),
@@ -499,7 +471,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
         margin=settings.profile.margin,
         start=rows_of(request.start),
         from_rest=request.from_rest,
-        shortest_m=0.0 if request.from_rest else _shortest_m(task.envelope),
+        shortest_m=0.0,  # as of its speed: `_at_speed`
         scan_ne_m=scan_ne,
         scan_range_m=float(settings.scan_range_m),
         end_radius_m=float(end_radius),
@@ -523,11 +495,6 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
     )
 
 
-def _shortest_m(motion: Envelope) -> float:
-    """The length in which a vehicle that enters a subpath at full speed stops, or holds."""
-    return float(max(slowing_m(motion, motion.speed_m_s), motion.lead_m))
-
-
 def _strict(scene: Scene) -> Scene:
     """The scene in which what breaks a bound counts more, so that it is not traded for way."""
     a = list(scene.weights)
@@ -538,8 +505,9 @@ def _strict(scene: Scene) -> Scene:
 
 def _near_polygons(task: Task) -> NearCells:
     polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
-    area, clearance_m = (task.limits.north_m, task.limits.east_m), task.zone_search_clearance_m
-    return near_cells(polygons, *area, clearance_m, kernels.compiled().near_zones)
+    return near_cells(
+        polygons, task.limits.north_m, task.limits.east_m, task.zone_search_clearance_m
+    )
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:
@@ -569,7 +537,6 @@ def _past_target(scene: Scene) -> Scene:
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     return safe_surface(
         request.around,
-        kernels.compiled().dilated_m,
         centre_ne_m=request.scan_nea_m[:2],
         reach_m=REACH * request.task.settings.scan_range_m,
         clearance_m=clearance_m,

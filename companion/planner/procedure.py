@@ -43,18 +43,15 @@ Vector = tuple[float, float, float]
 class Leg:
     """A subpath in flight."""
 
-    number: int
-    """Counted from 1."""
+    number: int  # counted from 1
     plan_id: int
     subpath: Subpath
     reaches_target: bool
     through: bool = False
     """Whether it may be flown to its end at full speed, into the leg that begins there (only for
     the backtrack, which is known in advance)."""
-    rules: Task | None = None
-    """The task it was proven under; None if unknown."""
-    speed_m_s: float | None = None
-    """The highest speed that it is proven for; None: V."""
+    rules: Task | None = None  # the task it was proven under; None if unknown
+    speed_m_s: float | None = None  # the highest speed that it is proven for; None: V
 
     @staticmethod
     def of(planned: Planned, number: int, rules: Task | None = None) -> "Leg":

@@ -48,20 +48,12 @@ given up; counted with what scans show, too, dead ends are looked into to the en
 class Progress:
     """Of the way to one target, in metres of level flight at the floor of the band."""
 
-    record_m: float = math.inf
-    """The least that was left to fly from any start of a leg."""
-    owed_m: float = 0.0
-    """What legs since then cost beyond what was promised."""
-    expected_m: float = math.inf
-    """What the plan before thought to be left from where this one starts."""
-
-    doubt_m: float = 0.0
-    """How much more was left, in all, than plans had thought, though nothing new was seen."""
-    seen: int = 0
-    """Cells of the map that the plan before knew."""
-
-    believed_below_m: float = math.inf
-    """Guesses are believed where less than this is left by them; infinite: everywhere."""
+    record_m: float = math.inf  # the least that was left to fly from any start of a leg
+    owed_m: float = 0.0  # what legs since then cost beyond what was promised
+    expected_m: float = math.inf  # what the plan before thought to be left from here
+    doubt_m: float = 0.0  # by how much plans were wrong about that, in all, with nothing new seen
+    seen: int = 0  # cells of the map that the plan before knew
+    believed_below_m: float = math.inf  # guesses are believed where less is left by them
 
     def at(self, left_m: float, least_m: float, *, seen: int, few: float) -> "Progress":
         """At the start of a plan, from where so much is left by the map as it is now.
@@ -92,5 +84,4 @@ class Progress:
         return replace(self, owed_m=owed_m, expected_m=expected_m)
 
 
-NO_PROGRESS = Progress()
-"""On the way to a new target."""
+NO_PROGRESS = Progress()  # on the way to a new target

@@ -5,12 +5,13 @@ import math
 import numpy as np
 import scipy
 
+from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.cost_grid import Place, sampled
 from companion.planner.field import CostToGo
-from companion.planner.kernels import compiled
 from companion.planner.settings import Task
+from companion.world.clearance import dilated_m
 from companion.world.known_map import KnownMap
 from companion.world.zones import too_near
 
@@ -67,11 +68,11 @@ def _barred(known: KnownMap, task: Task, across: int) -> BoolArray:
     rises_m = np.sqrt(np.maximum(clearance_m**2 - away_m**2, 0.0))
     rises_m[away_m >= clearance_m] = -np.inf
     upper_m = np.where(known.surveyed, known.upper_m, -np.inf)
-    barred = compiled().dilated_m(upper_m, rises_m, across, -np.inf) > ceiling_m
+    barred = jit.compiled(dilated_m)(upper_m, rises_m, across, -np.inf) > ceiling_m
     if task.zones:
         rows, columns = barred.shape
         north_m = known.north_min_m + (np.arange(rows) + 0.5) * part_m
         east_m = known.east_min_m + (np.arange(columns) + 0.5) * part_m
         lattice, deep_m = (tuple(north_m), tuple(east_m)), task.zone_clearance_m - half_m
-        barred |= too_near(task.zones, *lattice, deep_m, compiled().near_zones)
+        barred |= too_near(task.zones, *lattice, deep_m)
     return np.asarray(barred)

@@ -1,7 +1,7 @@
 """The plan request and its possible answers, also as plain values."""
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 import msgspec
@@ -27,8 +27,7 @@ class FlownSegment:
     control_nea_m: FloatArray  # (points, 3)
     from_m: float
     until_m: float
-    speed_m_s: float | None = None
-    """At which it was flown at most; None: V."""
+    speed_m_s: float | None = None  # at which it was flown at most; None: V
 
 
 @final
@@ -97,20 +96,21 @@ class Planned:
     """The kernel that computed it, for replay."""
     subpath: Subpath
     reaches_target: bool
-    cost: float
+    cost: float = 0.0
     """Eq. 5."""
-    to_go: float
+    to_go: float = 0.0
     """Cost-to-go from the end, in the same unit."""
-    terms: dict[str, float]
+    terms: dict[str, float] = field(default_factory=dict)
+    """None of what no search has made."""
     certificate: Certificate
-    guide_rad: float
-    route_ne_m: tuple[tuple[float, float], ...]
+    guide_rad: float = 0.0
+    route_ne_m: tuple[tuple[float, float], ...] = ()
     progress: Progress = NO_PROGRESS
-    evaluations: int
+    evaluations: int = 0
     """Of all searches of the plan, as `tries`."""
-    rank: int
+    rank: int = 0
     """Rank by cost in its search: 0 is the cheapest, more if cheaper ones could not be proven."""
-    tries: int
+    tries: int = 0
     """How many searches there were, whichever found it."""
     speed_m_s: float | None = None
     """The highest speed that it is proven for; None: V."""

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from companion.geodesy import FloatArray
+from companion.geodesy import FloatArray, wrap_rad
 from companion.objective import kernel
 from companion.objective.scene import Scene
 from companion.planner.cost_grid import Place, sampled
@@ -57,11 +57,11 @@ def seeds_of(scene: Scene, ways_ne_m: list[FloatArray]) -> FloatArray:
         if scene.from_rest and rho < 1.0:
             ends += [(scene.guide_rad + turn, 0.0) for turn in _ROUND_RAD]
         elif not scene.from_rest and altitude == level and rho == 1.0:
-            ends += [(ahead, 0.0), (ahead + 0.6 * _between(ahead, scene.guide_rad), 0.0)]
+            ends += [(ahead, 0.0), (ahead + 0.6 * wrap_rad(scene.guide_rad - ahead), 0.0)]
         for bearing, bend in ends:
             first = bearing if scene.from_rest else ahead
             share = np.linspace(0.0, 1.0, scene.points)[1:, None]
-            turned = first + share * _between(first, bearing) + bend * (share < 1.0)
+            turned = first + share * wrap_rad(bearing - first) + bend * (share < 1.0)
             far = rho * scene.end_radius_m * share
             steps = np.hstack([np.cos(turned), np.sin(turned)])
             rows.append(_along(scene, ahead, at[:2] + far * steps, altitude))
@@ -90,7 +90,7 @@ def _along(scene: Scene, ahead_rad: float, way_ne_m: FloatArray, altitude: float
         row += [r, _azimuth(ahead_rad, math.atan2(e, n)), altitude]
     row.append(altitude)
     if scene.from_rest:
-        row.append(0.5 + 0.5 * _between(scene.guide_rad, ahead_rad) / math.pi)
+        row.append(0.5 + 0.5 * wrap_rad(ahead_rad - scene.guide_rad) / math.pi)
     if not scene.is_final:
         row.append(_azimuth(ahead_rad, math.atan2(east, north)))
         row.append((rho - kernel.SHORTEST_END) / (1.0 - kernel.SHORTEST_END))
@@ -106,9 +106,4 @@ def _safe(scene: Scene, way_ne_m: FloatArray) -> float:
 
 def _azimuth(ahead_rad: float, bearing_rad: float) -> float:
     """The search variable of a bearing."""
-    return 0.5 + 0.5 * _between(ahead_rad, bearing_rad) / kernel.SPREAD_RAD
-
-
-def _between(from_rad: float, to_rad: float) -> float:
-    """The turn from one bearing to another, at most half a turn."""
-    return (to_rad - from_rad + math.pi) % (2.0 * math.pi) - math.pi
+    return 0.5 + 0.5 * wrap_rad(bearing_rad - ahead_rad) / kernel.SPREAD_RAD

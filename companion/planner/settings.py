@@ -4,7 +4,7 @@ import hashlib
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, final
+from typing import Annotated, TypedDict, Unpack, final
 
 from annotated_types import Ge, Le
 
@@ -27,6 +27,7 @@ from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
 from companion.world.zones import Zone
 
+Place = tuple[float, float]  # north and east in the local frame, metres
 CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
 _AIMS = 1.1  # errors that the search keeps beyond d_s: a proof needs a little to spare
 
@@ -65,6 +66,17 @@ class PlannerSettings:
         return self.cell_m is not None
 
 
+class Kept(TypedDict, total=False):
+    """What certificates are about, where it is not what a task says: as of `pack_surroundings`."""
+
+    motion: Envelope
+    clearance_m: float
+    contact_m: float
+    zones: tuple[Zone, ...]
+    radars: tuple[Radar, ...]
+    stops: bool
+
+
 @final
 @dataclass(frozen=True, kw_only=True)  # no slots: what is asked for with every position is kept
 class Task:
@@ -98,7 +110,7 @@ class Task:
         settings = self.settings
         return settings.cell_m or float(max(round(settings.scan_range_m / CELLS_PER_RANGE), 1))
 
-    def radars_near(self, place_ne_m: tuple[float, float], reach_m: float) -> tuple[Radar, ...]:
+    def radars_near(self, place_ne_m: Place, reach_m: float) -> tuple[Radar, ...]:
         """The radars whose range comes within reach of a place."""
         away_m = (math.dist(radar.centre_nea_m[:2], place_ne_m) for radar in self.radars)
         near = zip(self.radars, away_m, strict=True)
@@ -146,13 +158,13 @@ class Task:
         )
 
     def surroundings(
-        self, known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float, **otherwise: Any
+        self, known: KnownMap, centre_ne_m: Place, reach_m: float, **otherwise: Unpack[Kept]
     ) -> Surroundings:
-        """What certificates of its paths are about; otherwise: as of `pack_surroundings`."""
-        asked: dict[str, Any] = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
-        asked |= {"zones": self.zones, "radars": self.radars} | otherwise
+        """What certificates of its paths are about, within reach of a place."""
+        kept: Kept = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
+        kept |= {"zones": self.zones, "radars": self.radars}
         return pack_surroundings(
-            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **asked
+            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **(kept | otherwise)
         )
 
     @cached_property

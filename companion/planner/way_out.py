@@ -20,7 +20,6 @@ from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.cost_grid import descent_m
 from companion.planner.field import CostToGo
-from companion.planner.kernels import compiled
 from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import safe_surface
 from companion.world.known_map import KnownMap
@@ -50,8 +49,7 @@ class _End:
     """Of a straight piece."""
 
     place_nea_m: FloatArray
-    stops_m: float
-    """What the stops cost that are to be expected behind it."""
+    stops_m: float  # what the stops cost that are to be expected behind it
     least_m: float = 0.0
     """What the way costs that it is the first piece of; 0: it is a climb for itself."""
 
@@ -182,7 +180,6 @@ class _Search:
         known, cell_m = request.around, self._cell_m
         surface = safe_surface(
             known,
-            compiled().dilated_m,
             centre_ne_m=request.scan_nea_m[:2],
             reach_m=task.settings.scan_range_m,
             clearance_m=task.required_clearance_m,
@@ -194,7 +191,7 @@ class _Search:
         if task.zones:
             lattice = tuple(north), tuple(east)
             kept_m = task.zone_clearance_m + 0.5 * surface.cell_m
-            free &= ~too_near(task.zones, *lattice, kept_m, compiled().near_zones)
+            free &= ~too_near(task.zones, *lattice, kept_m)
         offset_m = np.hypot((north - here[0])[:, None], (east - here[1])[None, :])
         begin = int(np.argmin(np.where(free, offset_m, math.inf)))
         if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * cell_m:

@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 
+from companion import jit
 from companion.path.limits import Limits
-from companion.planner import kernels
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
@@ -29,11 +29,11 @@ def load_kernel() -> None:
     try:
         _warm_up()
     except Exception:
-        folder = kernels.cache_on_disk()
+        folder = jit.cache_on_disk()
         if folder is None or not any(folder.iterdir()):
             raise
         shutil.rmtree(folder, ignore_errors=True)
-        kernels.compiled.cache_clear()
+        jit.compiled.cache_clear()
         _warm_up()
 
 

@@ -7,11 +7,11 @@ The search reads it; what it finds is proven against the map itself (`path.certi
 """
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from companion import jit
 from companion.geodesy import FloatArray
 from companion.world.known_map import KnownMap
 
@@ -54,7 +54,6 @@ class Surface(NamedTuple):
 
 def safe_surface(
     known: KnownMap,
-    dilated: Callable[..., FloatArray],
     *,
     centre_ne_m: tuple[float, float],
     reach_m: float,
@@ -69,7 +68,7 @@ def safe_surface(
     square, grown by the registration error.  Unknown ground counts as terrain of altitude
     unknown_m.  Up to a cell wider than need be: `path.certificate` is exact.
 
-    dilated: `dilated_m`, compiled.  floor_m: at lower altitudes it need not be right.
+    floor_m: at lower altitudes it need not be right.
     """
     radius = clearance_m + known.registration_m
     south, west, upper_m = known.square_m(centre_ne_m, reach_m + radius)
@@ -82,7 +81,8 @@ def safe_surface(
     away_m = np.hypot(gap[:, None], gap[None, :]) * known.cell_m - known.registration_m
     rises_m = np.sqrt(np.maximum(clearance_m**2 - np.maximum(away_m, 0.0) ** 2, 0.0))
     rises_m[away_m >= clearance_m] = -np.inf
-    padded = np.pad(dilated(upper_m, rises_m, refine, floor_m - clearance_m), 1, mode="edge")
+    wide = jit.compiled(dilated_m)(upper_m, rises_m, refine, floor_m - clearance_m)
+    padded = np.pad(wide, 1, mode="edge")
     by_rows = np.maximum(padded[1:, :], padded[:-1, :])
     return Surface(
         north_min_m=south,
@@ -95,7 +95,7 @@ def safe_surface(
 def dilated_m(upper_m: FloatArray, rises_m: FloatArray, refine: int, least_m: float) -> FloatArray:
     """Cells dilated: for each part of a cell the most that a cell about it asks for.
 
-    Plain Python that numba compiles as it is.  (N, M) -> (N refine, M refine).
+    Compiled.  (N, M) -> (N refine, M refine).
     rises_m: (K, K), by how much over a cell, for the parts of the cells about it from the
     southernmost and westernmost on; -inf where it asks for nothing.
     least_m: what cells that are no higher ask for of others does not matter.

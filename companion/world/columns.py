@@ -4,7 +4,7 @@ Unknown ground, and what lies off the map, has no top.  Every distance between t
 known ground is a distance to columns: of many points at once (`distances_to_terrain_m`), and of a
 segment for the proof.
 
-What is about a segment is plain scalar code that numba can compile as it is (`planner.kernels`).
+What is about a segment is plain scalar code that numba compiles as it is (`companion.jit`).
 A column is convex, so the distance to one is a convex function along the segment.
 """
 
@@ -17,8 +17,7 @@ from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
 from companion.world.lattice import IntArray
 
-_FAR_M = 1e12
-"""Farther than anything on earth, and small enough to calculate with."""
+_FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _BRACKETINGS = 60
 """Of `column_distance`, which halves its bracket at least every other time: double precision."""
 Segment = tuple[float, float, float, float, float, float]
@@ -107,7 +106,7 @@ def distances_to_terrain_m(
     return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)
 
 
-# --- a segment: compiled with the planner's kernel
+# --- a segment: compiled
 
 
 def column_gap(at: float, segment: Segment, box: Box) -> tuple[float, float]:

@@ -23,8 +23,7 @@ from companion.world.sight_lines import SLACK_CELLS, sight_line_m
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
-_NO_LENGTH = -(2**52)
-"""Millimetres that no length has: 4.5 million km below the sea."""
+_NO_LENGTH = -(2**52)  # millimetres that no length has: 4.5 million km below the sea
 
 
 @final

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from companion.geodesy import FloatArray
 
 IntArray = NDArray[np.intp]
-Window = tuple[slice, slice]
-"""Rows and columns of a lattice, start and stop on it."""
+Window = tuple[slice, slice]  # rows and columns of a lattice, start and stop on it
 
 _ON_EDGE_M = 1e-3
 """So near below an edge between cells a point is taken to be on it: far above rounding of positions

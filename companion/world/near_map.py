@@ -30,22 +30,15 @@ from companion.ranges import NotNegative, Positive
 from companion.world.known_map import NO_ANSWER, Scan
 from companion.world.lattice import IntArray, Lattice, Window
 
-_NO_GAP_RAD = 1e-6
-"""What is left of a turn that sectors go all round."""
-_MOST = 255
-"""Counts of sweeps go no farther: they are bytes."""
-_NO_DRIFT_S = 1.0
-"""From one second to the next `position_error_m` says how wrong the position is."""
-SIGHTINGS = 3
-"""A cell is free that so many sweeps in a row have passed."""
+_NO_GAP_RAD = 1e-6  # what is left of a turn that sectors go all round
+_MOST = 255  # counts of sweeps go no farther: they are bytes
+_NO_DRIFT_S = 1.0  # from one second to the next `position_error_m` says how wrong the position is
+SIGHTINGS = 3  # a cell is free that so many sweeps in a row have passed
 _WIPED_AFTER_S = 1.0
 """An occupied cell is free again only if all sweeps over so long have passed it."""
-LOOKS = 10
-"""A cell that so many sweeps from near by have not shown to be free will not be."""
-_NEAR_BY = 0.4
-"""From within this share of the sensor's range."""
-_SHARP_M = 1.5
-"""The place of a thing is known that was met by a sector no wider than this there."""
+LOOKS = 10  # a cell that so many sweeps from near by have not shown to be free will not be
+_NEAR_BY = 0.4  # from within this share of the sensor's range
+_SHARP_M = 1.5  # the place of a thing is known that was met by a sector no wider than this there
 _STANDING_AFTER_S = 3.0
 """What was met again and again over so long stands there: it is not forgotten."""
 FORGOTTEN_AFTER_S = 60.0
@@ -54,8 +47,7 @@ FORGOTTEN_AFTER_S = 60.0
 Long enough to fly out of a dead end: what is unknown is an open way.
 """
 CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6
-Kind = Literal["obstacle_distance", "distance_sensor"]
-"""What the messages of a sensor are called."""
+Kind = Literal["obstacle_distance", "distance_sensor"]  # what the messages of a sensor are called
 
 
 class Sight(enum.Enum):
@@ -177,26 +169,20 @@ class NearMap:
         """
         self.lattice, self.free_for_s = lattice, free_for_s
         shape = lattice.shape
+        # of each cell: how many sweeps in a row have passed it, until it is free; when the first
+        # of them was, and when one has passed it last
         self.passes = np.zeros(shape, dtype=np.uint8)
-        """How many sweeps in a row have passed the cell, until it is free."""
-        self.passed_since_s = np.full(shape, np.inf)
-        """When the first of them was,"""
-        self.passed_s = np.full(shape, -np.inf)
-        """and when a sweep has passed it last."""
-        self.met_since_s = np.full(shape, np.inf)
-        """When something was first met in the cell; inf: nothing was, or it has gone."""
-        self.met_s = np.full(shape, -np.inf)
-        """When it was met last."""
+        self.passed_since_s, self.passed_s = np.full(shape, np.inf), np.full(shape, -np.inf)
+        # when something was first met there (inf: nothing was, or it has gone), and last; whether
+        # by a sector that tells where it is
+        self.met_since_s, self.met_s = np.full(shape, np.inf), np.full(shape, -np.inf)
         self.sharp = np.zeros(shape, dtype=bool)
-        """Whether by a sector that tells where it is."""
-        self.looks = np.zeros(shape, dtype=np.uint8)
-        """How many sweeps from near by had the cell, or what is before it, in sight."""
-        self.inside = np.zeros(shape, dtype=np.uint8)
-        """How many sweeps in a row had an echo from here, and here no cell that is not free."""
-        self.changed: Window | None = None
-        """Where something may have changed since the last scan; None: nowhere."""
+        # how many sweeps from near by had the cell, or what is before it, in sight; how many in a
+        # row had an echo from here, and here no cell that is not free
+        self.looks, self.inside = np.zeros((2, *shape), dtype=np.uint8)
+        self.changed: Window | None = None  # where something may have since the last scan
+        # when and where sweeps were that may have passed a cell last
         self._swept: collections.deque[tuple[float, Window]] = collections.deque()
-        """When and where sweeps were that may have passed a cell last."""
 
     def occupied(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or stood just now."""

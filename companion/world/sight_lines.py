@@ -12,8 +12,7 @@ import scipy
 from companion.geodesy import LEAST_RADIUS_M, FloatArray
 from companion.world.lattice import IntArray, Lattice
 
-RAY_CELLS = 0.3
-"""Between neighbouring rays at the farthest point, in cells."""
+RAY_CELLS = 0.3  # between neighbouring rays at the farthest point, in cells
 SLACK_CELLS = 1.5
 """Of a sight line, for the lattice alone (`known_map._hidden_bound_m`, `_line_from_one_m`)."""
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1

@@ -8,8 +8,7 @@ from companion.world.lattice import Lattice
 from companion.world.sight_lines import march
 from companion.world.terrain import Terrain
 
-_NEAR_CELLS = 2.0
-"""What is so near is always seen: no ray has a step before it."""
+_NEAR_CELLS = 2.0  # what is so near is always seen: no ray has a step before it
 
 
 def true_map(terrain: Terrain, like: Lattice) -> KnownMap:

@@ -48,8 +48,7 @@ class NearScene:
             pieces += [(a, b, thing.half_width_m) for a, b in zip(line, ends, strict=False)]
         begin, end, half = np.array(pieces, dtype=np.complex128).reshape(-1, 3).T
         self._begin, self._length_m, self._half_width_m = begin, np.abs(end - begin), half.real
-        self._ahead = (end - begin) / np.maximum(self._length_m, _TINY)
-        """Directions of the pieces."""
+        self._ahead = (end - begin) / np.maximum(self._length_m, _TINY)  # directions of the pieces
 
     def gaps_m(self, points_ne_m: FloatArray) -> FloatArray:
         """From points to the nearest thing, 0 where they touch.  (P, 2) -> (P,)."""

@@ -15,16 +15,12 @@ import scipy
 
 from companion.geodesy import FloatArray, LocalFrame, wrap_deg
 
-_FEW = 400
-"""Points that are projected one by one; more of them on a lattice are interpolated."""
-_NODES = 12
-"""Chebyshev nodes a side: 0.1 mm on windows of 200 km below 70 degrees of latitude."""
+_FEW = 400  # points that are projected one by one; more of them on a lattice are interpolated
+_NODES = 12  # Chebyshev nodes a side: 0.1 mm on windows of 200 km below 70 degrees of latitude
 _FINE_LINES = 2
 """Lines of a grid in a box up to which patches are cut at them: exact, at 16 points a box."""
-_EARTH_M = 6.3e6
-"""Less than any radius of the earth: what bends is taken to bend more."""
-_Places = tuple[FloatArray, FloatArray]
-"""Fractional rows and columns of a grid."""
+_EARTH_M = 6.3e6  # less than any radius of the earth: what bends is taken to bend more
+_Places = tuple[FloatArray, FloatArray]  # fractional rows and columns of a grid
 
 
 class Terrain(Protocol):

@@ -5,37 +5,32 @@ edge, and negative where it forbids to be; that from several zones is the least 
 
 It is written down twice, over the same `ZoneTable`, and tests hold the two against each other:
 `gaps_m` for arrays of points, in numpy, for the part that decides; and for a point or a segment
-plain scalar code that the planner compiles (`planner.kernels`), for search, guidance and proof.
+plain scalar code that is compiled (`companion.jit`), for search, guidance and proof.
 There edges of polygons lie in groups with a box about each: a fence of hundreds of edges costs
 little more than one of ten.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.columns import Segment
 
-_GROUP = 16
-"""Edges to a box: 16 is faster than 8, with 50 x 100 corners and with 2,000 (measured)."""
+_GROUP = 16  # edges to a box: 16 is faster than 8, with 50 x 100 corners and with 2,000 (measured)
 _AT_ONCE = 60_000
 """Pairs of a point and an edge: arrays of 0.5 MB, twice as fast as of 3 MB (measured)."""
-_MOST_CELLS = 512
-"""Cells of `near_cells` across: 0.25 MB, made in some 0.1 s."""
-_NO_LENGTH_M2 = 1e-12
-"""An edge shorter than a micrometre is a point."""
-_FAR_M = 1e12
-"""Farther than anything on earth, and small enough to calculate with."""
+_MOST_CELLS = 512  # cells of `near_cells` across: 0.25 MB, made in some 0.1 s
+_NO_LENGTH_M2 = 1e-12  # an edge shorter than a micrometre is a point
+_FAR_M = 1e12  # farther than anything on earth, and small enough to calculate with
 _TOUCHING_M = 1e-9
 """Looked for at least so far from a segment, so that edges that touch it are seen (rounding)."""
 Row = tuple[float, ...]
-Box = tuple[Any, Any, Any, Any]
-"""Edges to the south, north, west and east."""
+Box = tuple[Any, Any, Any, Any]  # edges to the south, north, west and east
 
 
 @final
@@ -190,7 +185,7 @@ def nearest(zones: tuple[Zone, ...], north_m: float, east_m: float) -> tuple[Zon
     return found
 
 
-# --- one point or one segment: compiled with the planner's kernel
+# --- one point or one segment: compiled
 
 
 def point_gap(n: float, e: float, n0: float, e0: float, dn: float, de: float) -> float:
@@ -320,7 +315,7 @@ def near_on_lattice(
 ) -> BoolArray:
     """Where a zone is nearer than a distance, or with one below 0 forbids so deep.
 
-    North (rows,), east (columns,) -> (rows, columns).  Compiled, too.
+    North (rows,), east (columns,) -> (rows, columns).  Compiled.
     """
     result = np.empty((len(north_m), len(east_m)), dtype=np.bool_)
     most = abs(distance_m) + 1.0
@@ -341,15 +336,13 @@ def too_near(
     north_m: tuple[float, ...],
     east_m: tuple[float, ...],
     distance_m: float,
-    on_lattice: Callable[..., BoolArray] = near_on_lattice,
 ) -> BoolArray:
-    """The same, kept, and not to be changed: zones and lattice are often those of the plan before.
-
-    on_lattice: `near_on_lattice`, or the same compiled.
-    """
-    found = on_lattice(packed(zones), np.array(north_m), np.array(east_m), float(distance_m))
-    found.setflags(write=False)
-    return found
+    """The same, kept, and not to be changed: zones and lattice are often those of before."""
+    near: BoolArray = jit.compiled(near_on_lattice)(
+        packed(zones), np.array(north_m), np.array(east_m), float(distance_m)
+    )
+    near.setflags(write=False)
+    return near
 
 
 class NearCells(NamedTuple):
@@ -366,7 +359,6 @@ def near_cells(
     north_m: tuple[float, float],
     east_m: tuple[float, float],
     distance_m: float,
-    on_lattice: Callable[..., BoolArray] = near_on_lattice,
 ) -> NearCells:
     """The cells of an area with points nearer to a zone than a distance, or forbidden by it."""
     most_m = max(north_m[1] - north_m[0], east_m[1] - east_m[0])
@@ -376,5 +368,5 @@ def near_cells(
         for low, high in (north_m, east_m)
     )
     near_m = distance_m + math.sqrt(0.5) * cell_m
-    near = too_near(zones, north, east, near_m, on_lattice)
+    near = too_near(zones, north, east, near_m)
     return NearCells(float(north_m[0]), float(east_m[0]), float(cell_m), near)

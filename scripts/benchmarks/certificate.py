@@ -6,6 +6,7 @@ python scripts/benchmarks/certificate.py [--cases 10000] [--seed 1] [--json FILE
 import math
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,11 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 import brute_force as brute
 from brute_force import Case, FloatArray, Truth, broken_by, random_case, truth
 
-from companion.path.certificate import Certificate, Prover, certify
-from companion.path.proof import prove
+from companion import jit
+from companion.path.bspline import cubics_of
+from companion.path.certificate import Certificate, certify
+from companion.path.proof import Bounds, prove
 from companion.path.subpath import Subpath
-from companion.planner import kernels
 from companion.planner import plan as planning
 
 
@@ -125,14 +127,10 @@ def _zones_m(case: Case) -> float:
     return min((float(zone.distance_m(n, e).min()) for zone in case.task.zones), default=np.inf)
 
 
-def measure(case: Case, prover: Prover, tally: Tally) -> None:
+def measure(case: Case, tally: Tally) -> None:
     """One more case."""
-    told = certify(
-        Subpath(control_nea_m=case.control_nea_m),
-        case.surroundings(),
-        from_rest=case.from_rest,
-        prover=prover,
-    )
+    subpath = Subpath(control_nea_m=case.control_nea_m)
+    told = certify(subpath, case.surroundings(), from_rest=case.from_rest)
     real = truth(case, samples=120)
     tally.cases += 1
     tally.proven += told.proven
@@ -147,13 +145,13 @@ def measure(case: Case, prover: Prover, tally: Tally) -> None:
             tally.safe_rejected.append(", ".join(told.broken))
 
 
-def ms_each(prover: Prover, rounds: int) -> list[float]:
-    """Time of certificates of subpaths of 20 km amid the 20 obstacles of `speed`."""
+def ms_each(prover: Callable[..., Bounds], rounds: int) -> list[float]:
+    """Time of proofs of subpaths of 20 km amid the 20 obstacles of `speed`."""
     rng, asked = np.random.default_rng(5), request(0)
     here, taken = planning._surroundings(asked, asked.task.limits.speed_m_s), []
     for _ in range(50):
-        subpath = Subpath(control_nea_m=gentle(rng, asked.scan_nea_m))
-        times, _ = timed(lambda s=subpath: certify(s, here, from_rest=False, prover=prover), rounds)
+        cubics = cubics_of(gentle(rng, asked.scan_nea_m))
+        times, _ = timed(lambda c=cubics: prover(c, here, False), rounds)
         taken.append(min(times)[0])
     return taken
 
@@ -191,10 +189,10 @@ def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
 
 def main() -> int:
     asked, console = running.begin(__doc__, cases=10_000, seed=1)
-    fast, tally = kernels.compiled().prove, Tally()
+    tally = Tally()
     for k in range(asked.cases):
-        measure(random_case(np.random.default_rng([asked.seed, k])), fast, tally)
-    times = {"plain": ms_each(prove, 1), "compiled": ms_each(fast, 20)}
+        measure(random_case(np.random.default_rng([asked.seed, k])), tally)
+    times = {"plain": ms_each(prove, 1), "compiled": ms_each(jit.compiled(prove), 20)}
     table = rows(tally, times)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")

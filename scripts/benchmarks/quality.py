@@ -26,8 +26,8 @@ from rich.table import Table
 from running import Bar
 from subpaths import Problem
 
-from companion.caches import compiled
 from companion.geodesy import FloatArray
+from companion.jit import compiled
 from companion.objective.scene import Scene
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
@@ -151,7 +151,7 @@ OURS = "refined-de"
 def refine(state: refined_de.State, problem: Problem, budget: int) -> tuple[float, FloatArray]:
     """Our search, from its beginning until the budget is spent: the best cost, and where."""
     if isinstance(problem.scene, Scene):
-        kernels.compiled().search(state, problem.scene, budget)
+        compiled(kernels.search)(state, problem.scene, budget)
     else:
         ask, tell = map(compiled, (refined_de.ask, refined_de.tell))
         while refined_de.spent(state) < budget:

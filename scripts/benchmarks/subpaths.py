@@ -19,6 +19,7 @@ import numpy as np
 from companion.campaign import drawn_world, families
 from companion.campaign.drawn_world import DrawnWorld
 from companion.geodesy import FloatArray, wrap_rad
+from companion.jit import compiled
 from companion.objective.scene import Scene
 from companion.paper import terms
 from companion.paper.plan import scene_of
@@ -64,7 +65,7 @@ class Problem:
     def costs(self, x: FloatArray) -> FloatArray:
         """Costs of candidates, (P, D) -> (P,)."""
         if isinstance(self.scene, Scene):
-            return kernels.compiled().costs(np.ascontiguousarray(x), self.scene)
+            return compiled(kernels.costs)(np.ascontiguousarray(x), self.scene)
         return terms.cost(x, self.scene)
 
     def fingerprint(self) -> str:

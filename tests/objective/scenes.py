@@ -10,7 +10,6 @@ from planning import ARDUCOPTER, limits
 from companion.objective.scene import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
 from companion.path.envelope import envelope_of
 from companion.path.subpath import Pose, Subpath
-from companion.planner.kernels import compiled
 from companion.profiles import Weights
 from companion.world.clearance import Surface
 from companion.world.radars import Radar
@@ -65,16 +64,11 @@ def random_scene(
     north, east, _ = start.point_nea_m
     weights = rng.uniform(0.05, 1.0, len(fields(Weights))).tolist()
     zones = random_zones(rng)
-    near = near_cells(
-        tuple(zone for zone in zones if isinstance(zone, PolygonZone)),
-        LIMITS.north_m,
-        LIMITS.east_m,
-        75.0,
-        compiled().near_zones,
-    )
+    polygons = tuple(zone for zone in zones if isinstance(zone, PolygonZone))
+    near = near_cells(polygons, LIMITS.north_m, LIMITS.east_m, 75.0)
     drawn = Weights(**dict(zip(TERMS, weights, strict=False)))
     table = packed(zones)
-    polygons, count = len(table.polygons), points or int(rng.integers(5, 7))
+    count = points or int(rng.integers(5, 7))
     radars = tuple(
         Radar(name="r", centre_nea_m=(*rng.uniform(2e3, 5e3, 2), 100.0), range_m=1_200.0)
         for _ in range(rng.integers(0, 4))
@@ -106,7 +100,7 @@ def random_scene(
         radars=radar_table(radars, RADAR_MARGIN_M),
         zones=table,
         near_polygons=near if rng.random() < 0.5 else near._replace(near=near.near[:0, :0]),
-        at=Workspace.of(count, samples or int(rng.choice([12, 13, 40])), polygons),
+        at=Workspace.of(count, samples or int(rng.choice([12, 13, 40])), len(polygons)),
     )
 
 

@@ -6,11 +6,11 @@ from brute_force import Case, FloatArray, column_distance_m, curve, fastest_m_s,
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion import jit
 from companion.path import proof
 from companion.path.bspline import cubics_of
 from companion.path.proof import exposure, first_pieces, piece_of, stretch_of
 from companion.path.proof_shape import extremes, largest, runs_forward
-from companion.planner import kernels
 from companion.world.columns import column_distance, terrain_distance
 
 seeds = st.integers(0, 10**6)
@@ -204,12 +204,12 @@ def test_exposure_is_the_chord_once_and_the_detection_that_of_the_nearest_point(
 
 
 def test_compiled_and_plain_agree_to_1e_9() -> None:
-    kernel = kernels.compiled()
+    compiled = jit.compiled(proof.prove)
     for seed in range(30):
         case = a_case(seed)
         cubics, here = cubics_of(case.control_nea_m), case.surroundings()
         np.testing.assert_allclose(
-            kernel.prove(cubics, here, case.from_rest),
+            compiled(cubics, here, case.from_rest),
             proof.prove(cubics, here, case.from_rest),
             rtol=1e-9,
             atol=1e-9,

@@ -6,7 +6,6 @@ import pytest
 from brute_force import violations
 from planning import ask, fly, spline
 
-from companion.path import proof
 from companion.path.subpath import Subpath
 from companion.planner.backtrack import backtrack
 from companion.planner.offline import OfflineFlight
@@ -35,7 +34,7 @@ def flown(flight: OfflineFlight) -> tuple[FlownSegment, ...]:
 
 
 def test_it_leads_back_to_the_start_along_the_same_curve(flight: OfflineFlight, task: Task) -> None:
-    back = backtrack(flown(flight), task, flight.known, proof.prove, plan_id=9)
+    back = backtrack(flown(flight), task, flight.known, plan_id=9)
     assert back.reaches_start
     assert back.plan_id == 9
     ends = [subpath.control_nea_m[[0, -1]] for subpath in back.subpaths]
@@ -59,7 +58,7 @@ def test_it_leads_back_to_the_start_along_the_same_curve(flight: OfflineFlight, 
 def test_every_part_of_it_is_safe_also_for_a_vehicle_that_dies_at_full_speed(
     flight: OfflineFlight, task: Task
 ) -> None:
-    back = backtrack(flown(flight), task, flight.known, proof.prove)
+    back = backtrack(flown(flight), task, flight.known)
     assert back.through == (True,) * (len(back.subpaths) - 1) + (False,)
     steep = max(task.limits.climb_angle_rad, task.limits.dive_angle_rad)
     both = replace(task, limits=replace(task.limits, climb_angle_rad=steep, dive_angle_rad=steep))
@@ -70,7 +69,7 @@ def test_every_part_of_it_is_safe_also_for_a_vehicle_that_dies_at_full_speed(
 def test_the_curves_meet_in_the_same_direction_where_the_vehicle_does_not_stop(
     flight: OfflineFlight, task: Task
 ) -> None:
-    back = backtrack(flown(flight), task, flight.known, proof.prove)
+    back = backtrack(flown(flight), task, flight.known)
     for before, after in pairwise(back.subpaths):
         end, start = before.pose(before.length_m), after.pose(0.0)
         assert end.tangent_nea == pytest.approx(start.tangent_nea, abs=1e-5)
@@ -81,7 +80,7 @@ def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight, task: 
     north, east, _ = flight.legs[1].subpath.pose(200.0).point_nea_m
     zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=100.0)
     fenced = replace(task, zones=(*task.zones, zone))
-    back = backtrack(flown(flight), fenced, flight.known, proof.prove)
+    back = backtrack(flown(flight), fenced, flight.known)
     assert not back.reaches_start
     assert back.subpaths
     for subpath in back.subpaths:
@@ -102,7 +101,7 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined(task: Task, truth: Kn
         FlownSegment(control_nea_m=second, from_m=0.0, until_m=400.0),
         FlownSegment(control_nea_m=third, from_m=0.0, until_m=300.0),
     )
-    back = backtrack(parts, task, truth, proof.prove)
+    back = backtrack(parts, task, truth)
     assert back.reaches_start
     ends = [subpath.control_nea_m[-1].tolist() for subpath in back.subpaths]
     corners = [(1_700.0, 1_420.0), (1_700.0, 1_400.0), (1_700.0, 1_000.0), (1_100.0, 1_000.0)]
@@ -118,7 +117,7 @@ def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined(task: Task, truth: Kn
 
 
 def test_nothing_flown_is_no_way_and_at_home(task: Task, truth: KnownMap) -> None:
-    back = backtrack((), task, truth, proof.prove)
+    back = backtrack((), task, truth)
     assert back.subpaths == ()
     assert back.reaches_start
 
@@ -142,5 +141,5 @@ def test_what_begins_below_what_is_asked_above_the_floor_is_not_proven_though_it
     low_m = task.limits.floor_amsl_m + task.error_m + above_m
     control = np.linspace((1_000.0, 600.0, low_m), (1_600.0, 600.0, low_m + 20.0), 4)
     stretch = FlownSegment(control_nea_m=control, from_m=0.0, until_m=600.0)
-    back = backtrack((stretch,), task, truth, proof.prove)
+    back = backtrack((stretch,), task, truth)
     assert (len(back.subpaths), back.reaches_start) == (parts, bool(parts))

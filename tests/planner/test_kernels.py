@@ -1,13 +1,13 @@
 import ast
 import math
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from planning import ask
 from scenes import cube, random_scene
 
+from companion import jit
 from companion.optimise import refined_de
 from companion.planner import kernels
 from companion.planner.plan import plan
@@ -15,18 +15,17 @@ from companion.planner.request import Planned
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
-PLAIN = kernels.kernel_by(lambda function: function)
-"""The same source, uncompiled."""
-
 
 def test_compiled_costs_and_terms_are_those_of_plain_python() -> None:
-    compiled = kernels.compiled()
+    compiled = jit.compiled(kernels.costs)
     for seed in range(50):
         rng = np.random.default_rng(seed)
         scene = random_scene(rng)
         x = cube(rng, scene, 10)
-        np.testing.assert_allclose(compiled.costs(x, scene), PLAIN.costs(x, scene), rtol=1e-9)
-        assert compiled.terms(x[0], scene) == pytest.approx(PLAIN.terms(x[0], scene), rel=1e-9)
+        np.testing.assert_allclose(compiled(x, scene), kernels.costs(x, scene), rtol=1e-9)
+        terms = scene.at.terms.copy()  # of the last one
+        compiled(x, scene)
+        np.testing.assert_allclose(scene.at.terms, terms, rtol=1e-9)
 
 
 @pytest.mark.sample(3)  # from rest here, in flight there
@@ -41,7 +40,7 @@ def test_plain_python_makes_the_same_plan(
 ) -> None:
     request = ask(task, truth, start, from_rest=from_rest)
     fast = plan(request)
-    monkeypatch.setattr(kernels, "compiled", lambda: PLAIN)
+    monkeypatch.setattr(jit, "compiled", lambda function: function)
     slow = plan(request)
     assert isinstance(slow, Planned)
     assert isinstance(fast, Planned)
@@ -63,7 +62,7 @@ def test_a_search_ends_with_the_generation_in_which_its_evaluations_are_spent() 
     state = refined_de.begin(scene.variables, 900, cube(rng, scene, 5), refined_de.Settings(), rng)
     generation = len(state.population)
     for until in (300, 600, 900):
-        PLAIN.search(state, scene, until)
+        kernels.search(state, scene, until)
         assert until <= refined_de.spent(state) <= min(until + generation, 900)
     assert math.isfinite(float(refined_de.ranked(state)[1][0]))
 
@@ -71,13 +70,12 @@ def test_a_search_ends_with_the_generation_in_which_its_evaluations_are_spent() 
 # --- what the cache on disk depends on
 
 
-@pytest.mark.parametrize("module", kernels.SOURCES, ids=lambda m: m.__name__)
-def test_a_constant_that_compiled_code_imports_comes_from_such_a_source_too(
-    module: ModuleType,
-) -> None:
+@pytest.mark.parametrize("source", jit.SOURCES)
+def test_a_constant_that_compiled_code_imports_comes_from_such_a_source_too(source: str) -> None:
     """numba freezes constants into the machine code."""
-    known = {each.__name__ for each in kernels.SOURCES}
-    for node in ast.walk(ast.parse(Path(str(module.__file__)).read_text("utf-8"))):
+    known = {"companion." + each.replace("/", ".") for each in jit.SOURCES}
+    file = Path(jit.__file__).parent / f"{source}.py"
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("companion"):
             constants = [each.name for each in node.names if each.name.lstrip("_").isupper()]
             assert not constants or node.module in known, constants

@@ -1,6 +1,5 @@
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -9,13 +8,10 @@ from hypothesis import strategies as st
 from planning import LARGE as LIMITS
 
 from companion.path.envelope import ending_m_s, slowing_m
-from companion.planner import kernels
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import FLIGHT, PAPER, PROFILES
-from companion.world import clearance
+from companion.world.clearance import safe_surface
 from companion.world.known_map import empty_map
-
-safe_surface = partial(clearance.safe_surface, dilated=kernels.compiled().dilated_m)
 
 ENVIRONMENT_1 = Task(
     limits=LIMITS,

@@ -6,14 +6,16 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
-from companion import caches
-from companion.planner import field, kernels
+from companion import caches, jit
+from companion.path.proof import prove
+from companion.planner import cheapest_ways, cost_samples, field, kernels
 from companion.runtime import compiler
+from companion.world.clearance import dilated_m
+from companion.world.zones import near_on_lattice
 
 
 @pytest.fixture(autouse=True)
@@ -36,25 +38,20 @@ def breaks(monkeypatch: pytest.MonkeyPatch, *errors: type[Exception]) -> list[in
 
 
 def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel, called = kernels.compiled(), set[str]()
+    compiled, called = jit.compiled, set[Any]()
     monkeypatch.setattr(field, "_idle", [])
 
-    def noted(name: str, function: Any) -> Any:
+    def noted(function: Any) -> Any:
         def call(*arguments: Any) -> Any:
-            called.add(name)
-            return function(*arguments)
+            called.add(function)
+            return compiled(function)(*arguments)
 
         return call
 
-    parts = {name: getattr(kernel, name) for name in kernels.Kernel.__dataclass_fields__}
-    guidance = vars(parts.pop("guidance"))
-    watched = kernels.Kernel(
-        **{name: noted(name, part) for name, part in parts.items()},
-        guidance=SimpleNamespace(**{name: noted(name, each) for name, each in guidance.items()}),
-    )
-    monkeypatch.setattr(kernels, "compiled", lambda: watched)
+    monkeypatch.setattr(jit, "compiled", noted)
     compiler.load_kernel()
-    assert called == {*parts, *guidance}
+    parts = kernels.search, kernels.costs, prove, dilated_m, near_on_lattice
+    assert called == {*parts, *cheapest_ways.ENTRIES, *cost_samples.ENTRIES}
 
 
 def test_a_cache_that_cannot_be_read_is_thrown_away_and_made_anew(
@@ -91,7 +88,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def folder_of_cache(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(home))
-    assert kernels.cache_on_disk()
+    assert jit.cache_on_disk()
     return Path(os.environ["NUMBA_CACHE_DIR"])
 
 
@@ -109,21 +106,18 @@ def test_a_process_that_inherits_the_folder_uses_it_as_it_is(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = folder_of_cache(home, monkeypatch)
-    assert kernels.cache_on_disk()
+    assert jit.cache_on_disk()
     assert Path(os.environ["NUMBA_CACHE_DIR"]) == folder
 
 
-@pytest.mark.parametrize("index", range(len(kernels.SOURCES)))
+@pytest.mark.parametrize("index", range(len(jit.SOURCES)))
 def test_a_change_in_any_source_has_another_folder(
     index: int, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = folder_of_cache(home, monkeypatch)
-    changed = ModuleType("changed")
-    changed.__file__ = str(home / "changed.py")
-    shutil.copy(str(kernels.SOURCES[index].__file__), changed.__file__)
-    sources = list(kernels.SOURCES)
-    sources[index] = changed
-    monkeypatch.setattr(kernels, "SOURCES", tuple(sources))
+    before, sources = folder_of_cache(home, monkeypatch), list(jit.SOURCES)
+    shutil.copy(Path(jit.__file__).parent / f"{sources[index]}.py", home / "changed.py")
+    sources[index] = str(home / "changed")
+    monkeypatch.setattr(jit, "SOURCES", tuple(sources))
     assert folder_of_cache(home, monkeypatch) == before  # the same text elsewhere
     with (home / "changed.py").open("a", encoding="utf-8") as file:
         file.write("# another comment\n")
@@ -135,7 +129,7 @@ def test_without_a_given_folder_the_users_own_cache_is_used(
 ) -> None:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(caches, "user_cache_dir", lambda name: str(tmp_path / name))
-    assert kernels.cache_on_disk()
+    assert jit.cache_on_disk()
     assert Path(os.environ["NUMBA_CACHE_DIR"]).parent == tmp_path / "companion"
 
 
@@ -144,19 +138,20 @@ def test_where_nothing_can_be_written_there_is_no_cache(
 ) -> None:
     (tmp_path / "file").write_text("not a folder")  # not even root can write below it
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
-    assert kernels.cache_on_disk() is None
+    assert jit.cache_on_disk() is None
 
 
 UNCACHED = """
 import tempfile
 tempfile.tempdir = "{nowhere}"
+from companion import jit
 from companion.planner import kernels
 from companion.runtime import compiler
-assert kernels.cache_on_disk() is None
+assert jit.cache_on_disk() is None
 if {whole}:
     compiler.load_kernel()
 else:
-    kernels.compiled()
+    jit.compiled(kernels.search)
 """
 
 

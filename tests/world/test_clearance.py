@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -9,13 +8,9 @@ from numpy.typing import NDArray
 from planning import column_distance_m
 from scipy.interpolate import RegularGridInterpolator
 
-from companion.planner import kernels
-from companion.world import clearance
-from companion.world.clearance import Surface, terrain_surface
+from companion.world.clearance import Surface, safe_surface, terrain_surface
 from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
 from companion.world.known_map import KnownMap, empty_map
-
-safe_surface = partial(clearance.safe_surface, dilated=kernels.compiled().dilated_m)
 
 FloatArray = NDArray[np.float64]
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -10,12 +9,10 @@ from scipy.interpolate import RBFInterpolator
 
 from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
-from companion.planner import kernels
-from companion.world import clearance, guess
+from companion.world import guess
+from companion.world.clearance import safe_surface
 from companion.world.guess import guessed_m
 from companion.world.known_map import KnownMap, empty_map
-
-safe_surface = partial(clearance.safe_surface, dilated=kernels.compiled().dilated_m)
 
 R = 20_000.0
 CELL = 250.0

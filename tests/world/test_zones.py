@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from planning import zone_distance_m
 
 from companion.objective.kernel import may_be_near
-from companion.planner.kernels import compiled
 from companion.world import zones as module
 from companion.world.zones import (
     CircleZone,
@@ -19,6 +18,7 @@ from companion.world.zones import (
     Zone,
     gaps_m,
     near_cells,
+    near_on_lattice,
     nearest,
     packed,
     polygon_at,
@@ -141,18 +141,18 @@ def test_a_segment_is_as_far_as_its_nearest_point_and_no_bound_is_optimistic(see
 @given(seed=seeds, distance_m=st.floats(-60.0, 300.0))
 def test_no_place_near_a_zone_is_left_out_of_a_lattice(seed: int, distance_m: float) -> None:
     rng = np.random.default_rng(seed)
-    zones, fast = some_zones(rng), compiled().near_zones
+    zones = some_zones(rng)
     axes = np.arange(-1_300.0, 1_300.0, 90.0), np.arange(-1_200.0, 1_100.0, 70.0)
     places = tuple(axes[0].tolist()), tuple(axes[1].tolist())
     north, east = np.meshgrid(*axes, indexing="ij")
     truth = truth_m(zones, np.stack([north.ravel(), east.ravel()], axis=-1)).reshape(north.shape)
-    found = too_near(zones, *places, distance_m, fast)
+    found = too_near(zones, *places, distance_m)
     sure = np.abs(truth - distance_m) > 1e-6
     assert (found == (truth < distance_m))[sure].all()
-    few = places[0][:5], places[1][:5]
-    assert (too_near(zones, *few, distance_m) == found[:5, :5]).all()  # not compiled
+    plain = near_on_lattice(packed(zones), axes[0][:5], axes[1][:5], distance_m)
+    assert (plain == found[:5, :5]).all()
     if distance_m > 20.0:
-        cells = near_cells(zones, (-2_000.0, 2_000.0), (-1_000.0, 2_000.0), distance_m, fast)
+        cells = near_cells(zones, (-2_000.0, 2_000.0), (-1_000.0, 2_000.0), distance_m)
         points = rng.uniform(-2_500.0, 2_500.0, (300, 2))
         told = np.array([may_be_near(cells, *point) for point in points])
         assert told[truth_m(zones, points) < distance_m].all()

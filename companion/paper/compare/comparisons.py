@@ -23,8 +23,7 @@ from companion.world.terrain import Peak, PeakTerrain
 
 PER_SECOND = 1000
 """Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
-Row = Callable[[Outcome], dict[str, str]]
-"""What a table says of an outcome, by its columns."""
+Row = Callable[[Outcome], dict[str, str]]  # what a table says of an outcome, by its columns
 
 
 @final
@@ -33,10 +32,8 @@ class Comparison:
     """Cases that are flown, and how what came of them is told."""
 
     cases: Sequence[Case]
-    tables: Mapping[str, Row]
-    """By their titles."""
-    remarks: Callable[[Sequence[Outcome]], list[str]]
-    """What the tables cannot say by themselves."""
+    tables: Mapping[str, Row]  # by their titles
+    remarks: Callable[[Sequence[Outcome]], list[str]]  # what the tables cannot say by themselves
     more: Callable[[Outcome], dict[str, Any]] = lambda _: {}
     """What is told beside the numbers of an outcome, for --json."""
 

@@ -53,12 +53,10 @@ class Case:
     task: Task
     start_nea_m: tuple[float, float, float]
     target_ne_m: tuple[float, float]
-    planner: str = OURS
-    """Who plans (`planning.planner_of`): ours plans by the task's profile."""
+    planner: str = OURS  # who plans (`planning.planner_of`): ours plans by the task's profile
     papers_cost: tuple[float, float] = (math.nan, math.nan)
     """The mean and the standard deviation that the paper has."""
-    papers_way: str = ""
-    """Which way the paper's route goes."""
+    papers_way: str = ""  # which way the paper's route goes
 
 
 def bundled_case(name: str, **settings: Any) -> Case:
@@ -86,20 +84,15 @@ class Run:
     """How a case went with one seed."""
 
     arrived: bool
-    cost: float
-    """Sum of the subpaths' f: the "fitness from start to target" (row 24)."""
+    cost: float  # sum of the subpaths' f: the "fitness from start to target" (row 24)
     legs: int
     length_m: float
     highest_amsl_m: float
-    j: float
-    """Length, height and radar of eq. 5 along what was flown (`library.route_terms`)."""
-    took_s: float
-    """Processor time."""
-    route_nea_m: FloatArray  # (S, 3)
-    """The path as flown, every 100 m."""
+    j: float  # length, height and radar of eq. 5 along what was flown (`library.route_terms`)
+    took_s: float  # processor time
+    route_nea_m: FloatArray  # (S, 3); the path as flown, every 100 m
     scans_nea_m: tuple[tuple[float, float, float], ...]
-    violations: dict[str, float]
-    """Metres of each kind."""
+    violations: dict[str, float]  # metres of each kind
 
 
 def fly(case: Case, seed: int) -> Run:

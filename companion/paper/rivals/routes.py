@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from companion.caches import compiled
 from companion.entry_points import Parts
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.paper.plan import reported
-from companion.path.certificate import Prover
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
-from companion.world.clearance import Surface, dilated_m, safe_surface
+from companion.world.clearance import Surface, safe_surface
 from companion.world.known_map import KnownMap
 from companion.world.radars import detection_probability
 
@@ -46,14 +44,12 @@ class RouteProblem:
 
     start_ne_m: FloatArray
     target_ne_m: FloatArray
-    corner_ne_m: FloatArray
-    """Of point (0, 0), the south-west corner of the map."""
+    corner_ne_m: FloatArray  # of point (0, 0), the south-west corner of the map
     spacing_m: float
     rate: FloatArray
     """(rows, columns): what a metre costs at the lowest safe altitude, in metres of level flight at
     the floor, so never below 1; infinite: no one may be there."""
-    lines: int
-    """How many lines may be costed; a planner that does not sample needs no limit."""
+    lines: int  # how many lines may be costed; a planner that does not sample needs no limit
     ahead_m: float
     """How far ahead it will be flown before the next question: further on, details do not count."""
 
@@ -124,9 +120,7 @@ PLANNERS = Parts[RoutePlanner](
 """Every planner of whole routes by its name; other distributions add theirs."""
 
 
-def leg_by_leg(
-    route_planner: RoutePlanner, prove: Prover
-) -> Callable[[PlanRequest], Planned | NotPlanned]:
+def leg_by_leg(route_planner: RoutePlanner) -> Callable[[PlanRequest], Planned | NotPlanned]:
     """A planner of whole routes as one of subpaths: of each route, what may be flown by the map."""
 
     def plan(request: PlanRequest) -> Planned | NotPlanned:
@@ -135,7 +129,7 @@ def leg_by_leg(
         if not isinstance(route, str):
             control, arrives = _flown(_checked(route, problem), problem, request)
             if len(control):
-                return reported(request, control, prove, reaches_target=arrives)
+                return reported(request, control, reaches_target=arrives)
         return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE)
 
     return plan
@@ -187,7 +181,7 @@ def _clear_m(request: PlanRequest) -> float:
 
 
 def _safe_surface(request: PlanRequest, known: KnownMap, **where: Any) -> Surface:
-    return safe_surface(known, compiled(dilated_m), clearance_m=_clear_m(request), **where)
+    return safe_surface(known, clearance_m=_clear_m(request), **where)
 
 
 def _checked(answer: FloatArray, problem: RouteProblem) -> FloatArray:
