@@ -226,6 +226,8 @@ class AutopilotClient:
                 if self.origin_nea_m is not None and _moved(self.origin_nea_m, origin):
                     self.notes.append("the autopilot's origin has moved")
                 self.origin_nea_m = origin
+            case _:
+                pass
 
     def journal_entry(self, message: Message) -> dict[str, Any] | None:
         """The journal entry of a message, besides that of its event; None if there is none."""
