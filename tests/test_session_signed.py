@@ -159,10 +159,8 @@ def test_in_flight_only_signed_and_new_orders_are_obeyed(on_its_way: Flight) -> 
         return any(m.get_type() == "COMMAND_ACK" and m.command == 193 for m in messages)
 
     assert not obeyed(pause.pack(station))
-    signing(key=WRONG_KEY).attach(station)
-    assert not obeyed(pause.pack(station))
-    signing(NOW + 10_000_000).attach(station)
-    order = pause.pack(station)
+    assert not obeyed(signing(key=WRONG_KEY).sign(pause.pack(station)))
+    order = signing(NOW + 10_000_000).sign(pause.pack(station))
     assert obeyed(order)
     assert not obeyed(order)  # replayed
     ours = flight.session.signing

@@ -5,19 +5,16 @@ messages and events out.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace as replace_value
 from typing import Any, Final, final
-
-from msgspec.structs import replace
 
 from companion.mavlink import fence, parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of
 from companion.mavlink.autopilots.messages import NO_HEADING, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, EventMessage, Message, wire
 from companion.mavlink.near_scanner import streams_hz
+from companion.mavlink.own_fence import OwnFence
 from companion.mavlink.parameter_client import ParameterClient
-from companion.mavlink.plan_client import FENCE, MISSION, PlanClient
+from companion.mavlink.plan_client import MISSION, PlanClient
 from companion.mavlink.rules import Finding, findings_of, names_of
 from companion.mavlink.streams import StreamRequests
 from companion.mission.decisions import Context
@@ -26,8 +23,6 @@ from companion.mission.events import (
     Disarm,
     Event,
     FenceBreach,
-    FenceChanged,
-    FenceReading,
     GpsFix,
     Home,
     Item,
@@ -77,12 +72,11 @@ class AutopilotClient:
     ) -> None:
         """sets_parameters: False only reports what to set."""
         self.system_id, self.autopilot = system_id, autopilot
-        self._firmware = autopilot.firmware
-        self.streams = StreamRequests(
-            system_id, autopilot, mission.position_rate_hz, streams_hz(mission)
-        )
+        rate_hz, more_hz = mission.position_rate_hz, streams_hz(mission)
+        self.streams = StreamRequests(system_id, autopilot, rate_hz, more_hz)
         wanted = names_of(rule for rule in autopilot.rules if rule.matters(mission))
-        self.parameters = ParameterClient(system_id, wanted, bytewise=self._firmware.is_bytewise)
+        bytewise = autopilot.firmware.is_bytewise
+        self.parameters = ParameterClient(system_id, wanted, bytewise=bytewise)
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
@@ -92,12 +86,12 @@ class AutopilotClient:
         self.round_trip_s: float | None = None
         self.geoid_m: float | None = None
         """How far its mean sea level lies above the ellipsoid, as its GPS has it."""
-        self.notes: list[str] = []
-        """What a person should hear of, since last looked at."""
-        self.warnings: list[str] = []
-        """The same, of what is grave."""
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
+        self.here_ne_m: tuple[float, float] | None = None
+        self._own_fence = OwnFence(mission, autopilot, self.plans)
+        self.notes, self.warnings = self._own_fence.notes, self._own_fence.warnings
+        """What a person should hear of, since last looked at; warnings: of what is grave."""
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: Vector | None = None
@@ -106,19 +100,7 @@ class AutopilotClient:
         self._sets: dict[str, int] = {}
         """How often each parameter was set."""
         self._refusal_told = ""
-        self._drawing_of: tuple[int, float] | None = None
-        self._drawing: fence.FenceBuilder | None = None
-        self._drawn: fence.Fence | None = None
-        """The newest list of the fence, once all of it is drawn."""
-        self._fence_made_of: object = None
-        self._fence_told: FenceChanged | None = None
-        self._fence_said: tuple[str, ...] = ()
-        self._reading_told = 0
-        self.fence: fence.Fence | None = None
-        """Its own fence, once it was read."""
-        self.here_ne_m: tuple[float, float] | None = None
-        self._plans_told = False
-        self._began = False
+        self._plans_told = self._began = False
         self._asked_time_s = self._told_round_trip_s = -1e9
         self._outstanding: dict[int, float] = {}
         self._speed: list[Message] = []
@@ -142,6 +124,11 @@ class AutopilotClient:
             sets_parameters=not context.shadow,
         )
 
+    @property
+    def fence(self) -> fence.Fence | None:
+        """Its own fence, once it was read."""
+        return self._own_fence.fence
+
     def begin(self, now_s: float) -> list[Message]:
         """Begin all requests."""
         self._began = True
@@ -149,38 +136,33 @@ class AutopilotClient:
 
     def rebase_time(self, shift_s: float) -> None:
         """Shift all stored times by this much: the clock was replaced."""
-        self.streams.rebase_time(shift_s)
-        self.parameters.rebase_time(shift_s)
-        self.plans.rebase_time(shift_s)
+        for client in (self.streams, self.parameters, self.plans):
+            client.rebase_time(shift_s)
 
     def rebooted(self) -> None:
         """The autopilot has rebooted: request everything again."""
         self.streams.forget()
         self.parameters.restart()
         self.plans.refresh()
-        self._plans_told, self._reading_told = False, 0
+        self._own_fence.rebooted()
+        self._plans_told = False
         self.origin_nea_m = self._home_nea_m = None
         self._sets.clear()
         self._refusal_told = ""
         self._speed = []
-        if self._fence_told is not None and self._fence_told.zones:
-            count = len(self._fence_told.zones)
-            self.notes.append(f"fence: read again, {count} zones stay in force")
 
     # --- in
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
         """Handle a message of the autopilot; returns the replies."""
         self.count(number := message.get_msgId(), now_s)
-        client: ParameterClient | PlanClient | None = None
         if number in parameter_client.MESSAGES:
-            client = self.parameters
-        elif number in plan_client.MESSAGES:
-            client = self.plans
-        if client is None:
-            return []
-        self.is_news = True
-        return client.on_message(message, now_s)
+            self.is_news = True
+            return self.parameters.on_message(message, now_s)
+        if number in plan_client.MESSAGES:
+            self.is_news = True
+            return self.plans.on_message(message, now_s)
+        return []
 
     def count(self, number: int, now_s: float) -> None:
         """It has sent a message of this kind."""
@@ -200,57 +182,52 @@ class AutopilotClient:
 
     def event_of(self, message: Message, now_s: float) -> Event | None:
         """The mission event of one of its messages; None if there is none."""
-        number = message.get_msgId()
-        if (handler := _HANDLERS.get(number)) is not None:
-            return handler(self, message, now_s)
-        frame = self._mission.frame
-        event = self.autopilot.event_of(message, now_s, frame, self.origin_nea_m)
-        if isinstance(event, GpsFix) and message.alt_ellipsoid:
-            self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
-        self._remember(event)
-        return event
+        firmware, breached = self.autopilot.firmware, False
+        match message.get_msgId():
+            case wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+                return self.on_position(message, now_s)
+            case wire.MAVLINK_MSG_ID_COMMAND_ACK:
+                return self._on_command_ack(message.command, message.result, now_s)
+            case wire.MAVLINK_MSG_ID_STATUSTEXT:
+                self.said = now_s, message.text
+                breached = firmware.breached.search(message.text) is not None
+            case EventMessage.id:  # PX4 says no text to a companion, but this
+                breached = message.id_of_event & 0xFFFFFF in firmware.breach_events
+            case wire.MAVLINK_MSG_ID_FENCE_STATUS:
+                before, self._breaches = self._breaches, message.breach_count
+                breached = bool(message.breach_status) and message.breach_count != before
+            case _:
+                frame, origin = self._mission.frame, self.origin_nea_m
+                event = self.autopilot.event_of(message, now_s, frame, origin)
+                if isinstance(event, GpsFix) and message.alt_ellipsoid:
+                    self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
+                self._remember(event)
+                return event
+        return FenceBreach(time_s=now_s) if breached else None
 
-    def _on_command_ack(self, message: Message, now_s: float) -> Event | None:
+    def _on_command_ack(self, command: int, result: int, now_s: float) -> Event | None:
         """ACK of a speed change: turns and stopping distance are proven for that speed."""
-        asked = any(message.command == each.command for each in self._speed)
-        if asked and message.result not in _NOT_YET:
+        asked = any(command == each.command for each in self._speed)
+        if asked and result not in _NOT_YET:
             self._speed = []
-            if message.result != wire.MAV_RESULT_ACCEPTED:
+            if result != wire.MAV_RESULT_ACCEPTED:
                 self.notes.append("the autopilot does not take the mission's speed")
-        accepted = message.result == wire.MAV_RESULT_ACCEPTED
-        if message.command == wire.MAV_CMD_NAV_TAKEOFF and accepted:
+        if (command, result) == (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_RESULT_ACCEPTED):
             return TakeOffTaken(time_s=now_s)
         return None
 
-    def _on_statustext(self, message: Message, now_s: float) -> Event | None:
-        self.said = now_s, message.text
-        breached = self._firmware.breached.search(message.text)
-        return None if breached is None else FenceBreach(time_s=now_s)
-
-    def _on_its_event(self, message: Message, now_s: float) -> Event | None:
-        """EVENT: PX4 says no text to a companion, but this."""
-        of_fence = message.id_of_event & 0xFFFFFF in self._firmware.breach_events
-        return FenceBreach(time_s=now_s) if of_fence else None
-
-    def _on_fence_status(self, message: Message, now_s: float) -> Event | None:
-        before, self._breaches = self._breaches, message.breach_count
-        news = message.breach_status and message.breach_count != before
-        return FenceBreach(time_s=now_s) if news else None
-
     def _remember(self, event: Event | None) -> None:
-        if isinstance(event, VehicleStatus) and event.mode is not Mode.GUIDED:
-            self._speed = []  # it, or another controller, decides now
-        elif isinstance(event, Home):
-            before = self._home_nea_m
-            if before is None or _apart(before, event.position_nea_m):
-                self._home_nea_m, self.is_news = event.position_nea_m, True
-        elif isinstance(event, Origin):
-            moved = self.origin_nea_m is not None and _apart(
-                self.origin_nea_m, event.position_nea_m
-            )
-            if moved:
-                self.notes.append("the autopilot's origin has moved")
-            self.origin_nea_m = event.position_nea_m
+        match event:
+            case VehicleStatus(mode=mode) if mode is not Mode.GUIDED:
+                self._speed = []  # it, or another controller, decides now
+            case Home(position_nea_m=home) if _moved(self._home_nea_m, home):
+                self._home_nea_m, self.is_news = home, True
+            case Origin(position_nea_m=origin):
+                if self.origin_nea_m is not None and _moved(self.origin_nea_m, origin):
+                    self.notes.append("the autopilot's origin has moved")
+                self.origin_nea_m = origin
+            case _:
+                pass
 
     def journal_entry(self, message: Message) -> dict[str, Any] | None:
         """The journal entry of a message, besides that of its event; None if there is none."""
@@ -273,13 +250,12 @@ class AutopilotClient:
         if asked_s is None:
             return None
         took_s = max(at_s - asked_s, 0.0)
-        before_s = self.round_trip_s
-        smooth_s = took_s if before_s is None else before_s + _SMOOTH * (took_s - before_s)
-        self.round_trip_s = smooth_s
-        if abs(smooth_s - self._told_round_trip_s) < _NEWS_S:
+        before_s = took_s if self.round_trip_s is None else self.round_trip_s
+        self.round_trip_s = before_s + _SMOOTH * (took_s - before_s)
+        if abs(self.round_trip_s - self._told_round_trip_s) < _NEWS_S:
             return None
-        self._told_round_trip_s = smooth_s
-        return LinkDelay(time_s=now_s, round_trip_s=smooth_s)
+        self._told_round_trip_s = self.round_trip_s
+        return LinkDelay(time_s=now_s, round_trip_s=self.round_trip_s)
 
     # --- out
 
@@ -301,9 +277,8 @@ class AutopilotClient:
                 here = state.vehicle.position_nea_m
                 if here is None:
                     return []
-                place = LaunchPose(
-                    position_nea_m=here, heading_rad=math.radians(self._heading_cdeg * 0.01)
-                )
+                heading_rad = math.radians(self._heading_cdeg * 0.01)
+                place = LaunchPose(position_nea_m=here, heading_rad=heading_rad)
                 return autopilot.take_off(command, place, frame, system)
 
     @property
@@ -343,30 +318,19 @@ class AutopilotClient:
         self._asked_time_s = at_s
         ts1 = max(round(at_s * 1e9), 1)
         self._outstanding[ts1] = at_s
-        while len(self._outstanding) > _MAX_OUTSTANDING:
-            self._outstanding.pop(next(iter(self._outstanding)))
+        if len(self._outstanding) > _MAX_OUTSTANDING:
+            del self._outstanding[next(iter(self._outstanding))]
         return [wire.MAVLink_timesync_message(0, ts1)]
 
     def events(self, now_s: float) -> list[Event]:
         """New events since the last call."""
         if not (self._began and self.is_news):
             return []
-        events = self._checked_parameters(now_s) + self._read_plans(now_s)
-        events += self._reading(now_s)
-        self.is_news = self._drawing is not None  # some of a fence with each message
+        events = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
+        if self._mission.fence_from_vehicle and self._plans_told:
+            events += self._own_fence.reading(now_s)
+        self.is_news = self._own_fence.is_drawing  # some of a fence with each message
         return events
-
-    def _reading(self, now_s: float) -> list[Event]:
-        """Whether a fence that has changed is being read, and drawn, by now."""
-        if not (self._mission.fence_from_vehicle and self._plans_told):
-            return []
-        items = self.plans.changing.get(FENCE, 0)
-        if not items and self._drawing is not None:
-            items = self._reading_told
-        if items == self._reading_told:
-            return []
-        self._reading_told = items
-        return [FenceReading(time_s=now_s, items=items)]
 
     def _checked_parameters(self, now_s: float) -> list[Event]:
         client = self.parameters
@@ -374,11 +338,10 @@ class AutopilotClient:
             return []
         self._judged = client.version
         home = None if self._home_nea_m is None else self._home_nea_m[2]
-        findings = findings_of(self.autopilot.rules, client.values, self._mission, home)
-        self.findings = findings
-        if self._set(findings):
+        self.findings = findings_of(self.autopilot.rules, client.values, self._mission, home)
+        if self._sets_parameters and self._set(self.findings):
             return []  # they are judged again once they are read back
-        refused = [each for each in findings if each.set_to is None or self._sets_parameters]
+        refused = [each for each in self.findings if each.set_to is None or self._sets_parameters]
         refusal = self._in_words(refused[0]) if refused else ""
         again, self._refusal_told = refusal == self._refusal_told != "", refusal
         return [] if again else [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
@@ -389,7 +352,7 @@ class AutopilotClient:
         A parameter that another client keeps setting back is refused instead.
         """
         client, any_set = self.parameters, False
-        for finding in findings if self._sets_parameters else ():
+        for finding in findings:
             name, times = finding.name, self._sets.get(finding.name, 0)
             if finding.set_to is None or name in client.failed_sets or times >= _MAX_SETS:
                 continue
@@ -407,85 +370,33 @@ class AutopilotClient:
         return str(finding)
 
     def _read_plans(self, now_s: float) -> list[Event]:
-        plans, mission = self.plans, self._mission
+        plans, mission, own = self.plans, self._mission, self._own_fence
         if not plans.is_done or not self.parameters.is_done:
             return []
         told, refusal = list[Event](), ""
         if mission.fence_from_vehicle:
-            settings = self._firmware.fence(self.parameters.values)
-            if not self._build_fence(settings.margin_m):
+            values, home, here = self.parameters.values, self._home_nea_m, self.here_ne_m
+            news = own.update(values, home, here, now_s)
+            if news is None:
                 return []
-            made_of = (plans.plans[FENCE].version, self.parameters.version, self._home_nea_m)
-            if made_of != self._fence_made_of:
-                self._fence_made_of = made_of
-                refusal = self._update_fence(settings, now_s, told)
-        version = plans.plans[MISSION].version
-        if mission.targets_from_vehicle and version != self._targets_version:
-            self._targets_version = version
-            route = fence.targets_of(
-                plans.plans[MISSION].items, mission.frame, home_first=self._firmware.home_first
-            )
+            told += news[0]
+            refusal = news[1]
+        plan = plans.plans[MISSION]
+        if mission.targets_from_vehicle and plan.version != self._targets_version:
+            self._targets_version = plan.version
+            home_first = self.autopilot.firmware.home_first
+            route = fence.targets_of(plan.items, mission.frame, home_first=home_first)
             self.notes += route.notes
             if route.end_action not in (None, mission.end_action):
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
             told.append(TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
-        waits = mission.fence_from_vehicle and self.fence is not None and self.fence.needs_home
-        if refusal or not (self._plans_told or waits):
+        if refusal or not (self._plans_told or (mission.fence_from_vehicle and own.needs_home)):
             self._plans_told = True
             told.append(Prepared(time_s=now_s, item=Item.PLANS, refusal=refusal))
         return told
 
-    def _build_fence(self, margin_m: float) -> bool:
-        """Build more zones of the fence; whether it is complete."""
-        plan = self.plans.plans[FENCE]
-        if (plan.version, margin_m) != self._drawing_of:
-            self._drawing_of = (plan.version, margin_m)
-            self._drawing = fence.FenceBuilder(plan.items, self._mission.frame, margin_m)
-        if self._drawing is not None and (drawn := self._drawing.build_some()) is not None:
-            self._drawn, self._drawing = drawn, None
-        return self._drawing is None
 
-    def _update_fence(self, settings: fence.FenceSettings, now_s: float, told: list[Event]) -> str:
-        """Report the current fence; returns why the mission conflicts with it, if it does.
-
-        Until all of it is known the previously reported one stays in force.
-        """
-        assert self._drawn is not None
-        mission = self._mission
-        firmware, items = self._firmware, self.plans.plans[FENCE].items
-        name = self.autopilot.traits.name
-        misread = fence.misread(items, name) if firmware.polygons_first else ""
-        whole = fence.in_force(
-            replace_value(self._drawn, misread=misread),
-            settings,
-            home_nea_m=self._home_nea_m,
-            here_ne_m=self.here_ne_m,
-        )
-        self.fence = whole
-        event = whole.changed(now_s)
-        is_new = self._fence_told is None or replace(event, time_s=0.0) != self._fence_told
-        if is_new and not whole.needs_home:
-            self._fence_told = replace(event, time_s=0.0)
-            told.append(event)
-        said = (*whole.notes, whole.misread)
-        self.notes += [each for each in whole.notes if each not in self._fence_said]
-        if misread and misread not in self._fence_said:
-            self.warnings.append(misread)
-        self._fence_said = said
-        against = fence.conflicts(whole, mission.task, mission.targets_ne_m)
-        return against[0] if against else ""
-
-
-def _apart(one: Vector, other: Vector) -> bool:
-    return max(abs(a - b) for a, b in zip(one, other, strict=True)) > _HOME_MOVED_M
-
-
-_Handler = Callable[[AutopilotClient, Message, float], Event | None]
-_HANDLERS: Final[Mapping[int, _Handler]] = {
-    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: AutopilotClient.on_position,
-    wire.MAVLINK_MSG_ID_COMMAND_ACK: AutopilotClient._on_command_ack,
-    wire.MAVLINK_MSG_ID_STATUSTEXT: AutopilotClient._on_statustext,
-    wire.MAVLINK_MSG_ID_FENCE_STATUS: AutopilotClient._on_fence_status,
-    EventMessage.id: AutopilotClient._on_its_event,
-}
+def _moved(one: Vector | None, other: Vector) -> bool:
+    """Whether a place is not yet known, or not where it was."""
+    return one is None or max(abs(a - b) for a, b in zip(one, other, strict=True)) > _HOME_MOVED_M

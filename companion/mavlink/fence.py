@@ -8,11 +8,11 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from companion.geodesy import BoolArray, FloatArray, LocalFrame, deg, parts_within, short_way
+from companion.geodesy import LocalFrame, deg, parts_within, short_way
 from companion.mavlink.dialect import wire
 from companion.mavlink.mission_items import not_done
 from companion.mavlink.plan_client import PlanItem
@@ -46,6 +46,7 @@ _AROUND_M = (-5e5, 5e5)
 """Of what has corners beyond that, the part so near: farther than any flight."""
 _STRAIGHT_M = 0.5
 """Allowed distance between an edge straight in degrees and one straight in the local frame."""
+_MOST_PARTS = 512
 
 
 @final
@@ -131,34 +132,23 @@ def _with_notes(fence: Fence, *what: str) -> Fence:
     return replace(fence, notes=(*fence.notes, *what))
 
 
-@final
-class FenceBuilder:
-    """Builds the zones of a fence list in small portions, so that nothing is delayed.
+def drawn(items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> Iterator[Fence | None]:
+    """The zones of a fence list, in small portions, so that nothing is delayed: at last the fence.
 
     Items that cannot be decoded prevent a flight, and are only noted during one.
     """
-
-    def __init__(self, items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> None:
-        self._frame, self._margin_m = frame, margin_m
-        self._left = enumerate(_shapes(items), start=1)
-        self._zones: list[Zone] = []
-        self._said: list[str] = []
-        self._wrongs: list[str] = []
-
-    def build_some(self) -> Fence | None:
-        """Build the next zones; returns the fence once it is complete."""
-        corners = 0
-        for number, shape in self._left:
-            zone, word, wrong = _zone(shape, self._frame, self._margin_m, number)
-            self._zones += [zone] if zone is not None else []
-            self._said += [word] if word else []
-            self._wrongs += [wrong] if wrong else []
-            corners += len(shape)
-            if corners >= _CORNERS_AT_ONCE:
-                return None
-        refusal = self._wrongs[0] if self._wrongs else ""
-        said = (*self._said, *self._wrongs[1:])
-        return Fence(zones=tuple(self._zones), notes=said, refusal=refusal)
+    zones, said, wrongs, corners = list[Zone](), list[str](), list[str](), 0
+    for number, shape in enumerate(_shapes(items), start=1):
+        one = _drawn_one(shape, frame, margin_m, number)
+        zones += [] if one.zone is None else [one.zone]
+        said += [one.note] if one.note else []
+        wrongs += [one.wrong] if one.wrong else []
+        corners += len(shape)
+        if corners >= _CORNERS_AT_ONCE:
+            corners = 0
+            yield None
+    notes = (*said, *wrongs[1:])
+    yield Fence(zones=tuple(zones), notes=notes, refusal=wrongs[0] if wrongs else "")
 
 
 def misread(items: Sequence[PlanItem], who: str) -> str:
@@ -202,149 +192,119 @@ def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
         index += count
 
 
-def _zone(
-    shape: tuple[PlanItem, ...], frame: LocalFrame, margin_m: float, number: int
-) -> tuple[Zone | None, str, str]:
+class _One(NamedTuple):
     """The zone of one shape, a note about it, and why it cannot be respected."""
-    first = shape[0]
+
+    zone: Zone | None = None
+    note: str = ""
+    wrong: str = ""
+
+
+def _unfit(why: str) -> _One:
+    return _One(wrong=f"{why}. Draw it again")
+
+
+def _drawn_one(
+    shape: tuple[PlanItem, ...], frame: LocalFrame, margin_m: float, number: int
+) -> _One:
+    first, wanted = shape[0], shape[0].parameters[0]
     keep_in = first.command in (POLYGON_IN, CIRCLE_IN)
     name = f"fence {'inclusion' if keep_in else 'exclusion'} {number}"
     if first.command not in (POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT):
-        return None, "", f"fence item {number} is no fence ({_name(first.command)}). Draw it again"
-    frames = {item.frame for item in shape} - _FRAMES
-    if frames:
-        rule = f"{name}: frame {min(frames)} has no latitude and longitude"
-        return None, "", f"{rule}. Draw it again"
+        return _unfit(f"fence item {number} is no fence ({_name(first.command)})")
+    if frames := {item.frame for item in shape} - _FRAMES:
+        return _unfit(f"{name}: frame {min(frames)} has no latitude and longitude")
     places = _places(shape, frame)
     if places is None or any(item.x == item.y == 0 for item in shape):
-        return None, "", f"{name} has a corner that is nowhere on Earth. Draw it again"
-    if first.command in (CIRCLE_IN, CIRCLE_OUT):
-        return _circle(places[0], first.parameters[0], name, margin_m, keep_in=keep_in)
-    wanted = first.parameters[0]
-    whole = len(shape) == wanted and all(item.parameters[0] == wanted for item in shape)
-    vertices, said, wrong = _polygon(places, name, margin_m, keep_in=keep_in, whole=whole)
-    if len(vertices) < 3:
-        return None, said, wrong
-    return PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in), said, wrong
-
-
-def _circle(
-    centre_ne_m: Point, radius_m: float, name: str, margin_m: float, *, keep_in: bool
-) -> tuple[Zone | None, str, str]:
-    """As `_zone`; a negative radius, or one larger than the Earth, is refused."""
-    if not 0.0 < radius_m <= _LARGEST_M:
-        return None, "", f"{name}: a circle needs a radius, it has {radius_m:g} m. Draw it again"
-    radius_m += -margin_m if keep_in else margin_m
+        return _unfit(f"{name} has a corner that is nowhere on Earth")
+    if first.command in (POLYGON_IN, POLYGON_OUT):
+        whole = len(shape) == wanted and all(item.parameters[0] == wanted for item in shape)
+        return _polygon(places, name, margin_m, keep_in=keep_in, whole=whole)
+    if not 0.0 < wanted <= _LARGEST_M:
+        return _unfit(f"{name}: a circle needs a radius, it has {wanted:g} m")
+    radius_m = wanted - margin_m if keep_in else wanted + margin_m
     if radius_m <= 0.0:
-        return None, "", f"{name} is smaller than FENCE_MARGIN. Draw it larger"
-    (north_m, east_m) = centre_ne_m
-    circle = CircleZone(
-        name=name, north_m=north_m, east_m=east_m, radius_m=radius_m, keep_in=keep_in
-    )
-    return circle, "", ""
+        return _One(wrong=f"{name} is smaller than FENCE_MARGIN. Draw it larger")
+    return _One(_circle(name, places[0], radius_m, keep_in=keep_in))
+
+
+def _circle(name: str, centre_ne_m: Point, radius_m: float, *, keep_in: bool) -> CircleZone:
+    north_m, east_m = centre_ne_m
+    return CircleZone(name=name, north_m=north_m, east_m=east_m, radius_m=radius_m, keep_in=keep_in)
 
 
 def _polygon(
     places: Sequence[Point], name: str, margin_m: float, *, keep_in: bool, whole: bool
-) -> tuple[tuple[Point, ...], str, str]:
-    """The corners of the zone, a note, and why it cannot be respected.
+) -> _One:
+    """The zone of a polygon: its hull, where a margin or the rule of autopilots needs that.
 
-    Out of a polygon that crosses itself autopilots keep by the even-odd rule, so it has holes:
-    its hull has none.  Inside of one they keep by the same rule as the zone.
+    Out of one that crosses itself they keep by the even-odd rule, so it has holes: its hull has
+    none.  Inside of one they keep by the same rule as the zone.
     """
-    vertices = cleaned(places)
+    vertices, note, wrong = cleaned(places), "", ""
     if len(vertices) < 3:
-        return (), "", f"{name} has {len(vertices)} corners, it needs 3. Draw it again"
-    said, wrong = "", ""
+        return _unfit(f"{name} has {len(vertices)} corners, it needs 3")
     if not whole:
         wrong = f"{name} is incomplete: its corners are not as many as it says"
         if keep_in:
-            return (), "", wrong + ". Draw it again"
+            return _unfit(wrong)
         wrong += ", the vehicle keeps out of their hull. Draw it again"
     elif crosses_itself(vertices):
-        said = f"{name} crosses itself: "
         if keep_in:
-            return vertices, said + "it is kept by the even-odd rule, without FENCE_MARGIN", ""
-        said += "the vehicle keeps out of its hull"
-    if said or wrong:
+            note = f"{name} crosses itself: it is kept by the even-odd rule, without FENCE_MARGIN"
+            return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=True), note)
+        note = f"{name} crosses itself: the vehicle keeps out of its hull"
+    if note or wrong:
         vertices = hull(vertices)
         if len(vertices) < 3:
-            return (), "", f"{name} has no area. Draw it again"
-    if margin_m == 0.0:
-        return vertices, said, wrong
-    moved = offset(vertices, -margin_m if keep_in else margin_m)
-    if moved is None and not keep_in:
-        moved = offset(hull(vertices), margin_m)
-        said = said or f"{name} is too jagged for FENCE_MARGIN: the vehicle keeps out of its hull"
-    if moved is None:
-        return vertices, f"{name} is too jagged for FENCE_MARGIN: it is kept without", wrong
-    return moved, said, wrong
+            return _unfit(f"{name} has no area")
+    if margin_m != 0.0:
+        moved = offset(vertices, -margin_m if keep_in else margin_m)
+        jagged = f"{name} is too jagged for FENCE_MARGIN: "
+        if moved is None and not keep_in:
+            moved = offset(hull(vertices), margin_m)
+            note = note or jagged + "the vehicle keeps out of its hull"
+        if moved is None:
+            note = jagged + "it is kept without"
+        vertices = moved or vertices
+    return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in), note, wrong)
 
 
-def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...] | None:
+def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> list[Point] | None:
     """Its corners here, with more between where a side that is straight in degrees is not here."""
     if any(abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000 for item in shape):
         return None
     corners = [(deg(item.x), deg(item.y)) for item in shape]
     if len(corners) >= 3:
-        corners = _part_near(short_way(corners) or corners, frame)
-    latitude, longitude = np.array(corners).T
-    places = np.stack(frame.to_local_m(latitude, longitude), axis=-1)
+        corners = _straight(_part_near(short_way(corners) or corners, frame))
+    places = np.stack(frame.to_local_m(*np.array(corners).T), axis=-1)
     if not np.isfinite(places).all():
         return None
-    found: list[Point] = [(north, east) for north, east in places.tolist()]
-    if len(corners) < 3:
-        return tuple(found)
-    long = np.flatnonzero(~_surely_straight(places, latitude)).tolist()
-    for k in reversed(long):
-        between = _between(corners[k], corners[(k + 1) % len(corners)], frame)
-        found[k + 1 : k + 1] = between
-    if not all(math.isfinite(value) for place in found for value in place):
-        return None
-    return tuple(found)
+    return [(north, east) for north, east in places.tolist()]
 
 
 def _part_near(corners_deg: list[Point], frame: LocalFrame) -> list[Point]:
     """Of a polygon with far corners, the part about the origin; all of it if none is near."""
-    latitude, longitude = np.array(corners_deg).T
-    if np.hypot(*frame.to_local_m(latitude, longitude)).max() <= _NEAR_M:
+    if np.hypot(*frame.to_local_m(*np.array(corners_deg).T)).max() <= _NEAR_M:
         return corners_deg
     parts = parts_within(corners_deg, frame, _AROUND_M, _AROUND_M)
     return parts[0] if len(parts) == 1 else corners_deg
 
 
-def _surely_straight(places_ne_m: FloatArray, latitude_deg: FloatArray) -> BoolArray:
-    """Which sides are too short to bulge: by length^2 tan(latitude) / (8 R), and eight times less.
+def _straight(corners_deg: list[Point]) -> list[Point]:
+    """With so many places on each side that what is straight in degrees is straight enough here.
 
-    (M, 2), (M,) -> (M,)
+    A side bulges by length^2 (tan(latitude) + 1) / (8 R) at most, and by a quarter in each half.
     """
-    length_m = np.hypot(*(np.roll(places_ne_m, -1, axis=0) - places_ne_m).T)
-    steepest = np.tan(np.radians(np.abs(latitude_deg).max())) + 1.0
-    near = np.abs(places_ne_m).max() < _NEAR_M
-    return near & (length_m**2 * steepest < _STRAIGHT_M * _EARTH_M)
-
-
-def _between(one: Point, other: Point, frame: LocalFrame, deepest: int = 9) -> list[Point]:
-    """Points of the side, latitudes and longitudes in degrees, so that it is straight enough.
-
-    Looked at in three places: over the equator its middle lies on the straight line.
-    """
-    if deepest == 0 or abs(one[1] - other[1]) > 180.0:
-        return []
-    middle = _on_the_way(one, other, 0.5)
-    a, b, m = (frame.to_local_m(*place) for place in (one, other, middle))
-    bulge_m = max(
-        math.dist(frame.to_local_m(*_on_the_way(one, other, part)), _on_the_way(a, b, part))
-        for part in (0.25, 0.5, 0.75)
-    )
-    if not bulge_m > _STRAIGHT_M:
-        return []
-    before = _between(one, middle, frame, deepest - 1)
-    return [*before, m, *_between(middle, other, frame, deepest - 1)]
-
-
-def _on_the_way(one: Point, other: Point, part: float) -> Point:
-    return one[0] + part * (other[0] - one[0]), one[1] + part * (other[1] - one[1])
+    begin = np.array(corners_deg)
+    along = np.roll(begin, -1, axis=0) - begin
+    latitude = np.radians(np.abs(begin[:, 0]).max())
+    length_m = np.radians(np.hypot(along[:, 0], along[:, 1] * np.cos(latitude))) * _EARTH_M
+    bulge_m = length_m**2 * (np.tan(latitude) + 1.0) / (8.0 * _EARTH_M)
+    parts = np.clip(np.ceil(np.sqrt(bulge_m / _STRAIGHT_M)), 1, _MOST_PARTS).astype(int)
+    share = np.concatenate([np.arange(count) / count for count in parts])
+    places = np.repeat(begin, parts, axis=0) + share[:, None] * np.repeat(along, parts, axis=0)
+    return [(latitude, longitude) for latitude, longitude in places.tolist()]
 
 
 def _one_is_enough(fence: Fence, settings: FenceSettings, here_ne_m: Point | None) -> Fence:
@@ -384,13 +344,8 @@ def _about_home(fence: Fence, settings: FenceSettings, home_nea_m: Vector | None
         if radius_m <= margin_m:
             wrong = f"{name} has a radius of {radius_m:g} m, no more than its margin. Widen it"
             return replace(fence, refusal=fence.refusal or wrong)
-        circle = CircleZone(
-            name=f"{name} (radius {radius_m:g} m)",
-            north_m=north_m,
-            east_m=east_m,
-            radius_m=radius_m - margin_m,
-            keep_in=True,
-        )
+        named = f"{name} (radius {radius_m:g} m)"
+        circle = _circle(named, (north_m, east_m), radius_m - margin_m, keep_in=True)
         fence = replace(fence, zones=(*fence.zones, circle))
     return replace(
         fence,

@@ -93,8 +93,6 @@ class FrameEncoder:
         self._signing = signing
         self.duplicates = DuplicateIdDetector()
         """Hears of other processes with our ids."""
-        if signing is not None:
-            signing.attach(self._codec)
         self.out = Output()
         """What has come together since it was last taken."""
 
@@ -108,9 +106,9 @@ class FrameEncoder:
         for message in messages:
             frame = message.pack(self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
-            self.out.frames.append(frame)
+            self.out.frames.append(frame if self._signing is None else self._signing.sign(frame))
             self.duplicates.sent(frame)
-            self.out.record.append((now_s, strip_signature(frame)))
+            self.out.record.append((now_s, frame))
 
     def encode_unsent(self, messages: Iterable[Message]) -> list[bytes]:
         """Encode messages that may never be sent, unsigned: no sequence numbers are used up."""

@@ -10,7 +10,8 @@ from typing import Final, final
 from companion.geodesy import LocalFrame
 from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensing, Poses
+from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensing
+from companion.mavlink.poses import Poses
 from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State

@@ -5,18 +5,16 @@ the silence of a lidar behind an autopilot means that nothing is in reach, or th
 does not mean empty; a value is repeated for up to 1.75 s; what we send comes back from others.
 """
 
-import bisect
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from companion.geodesy import FloatArray, wrap_rad
+from companion.geodesy import FloatArray
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mission.events import Vector
+from companion.mavlink.poses import Pose, Poses
 from companion.world.near_map import Kind, NearSensor, Sight, Sweep
 
 _BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
@@ -33,8 +31,6 @@ MESSAGES: Final[dict[Kind, int]] = {
 _SECTOR_RAD: Final = math.tau / _SECTORS
 _HORIZONTAL: Final = range(_SECTORS)  # orientations of DISTANCE_SENSOR, clockwise from the nose
 _FIRST_SECTOR_ID: Final = 10  # of ArduPilot's proximity: less are rangefinders, of one beam each
-_KEPT_S = 3.0
-_GAP_S = 0.3  # between two positions or attitudes of which a pose is made
 _APART_S = 0.03  # what is nearer in time is one sweep told twice, or a flood
 _OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
 _EMPTY_AFTER_S = 1.2  # the longest row of wrong "max" took 0.9 s, the shortest true one 2.9 s
@@ -43,6 +39,7 @@ _SET_S = 0.1  # in which the messages of one stamp come: a stamp may stand still
 _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
 _OTHER_CLOCK: Final = "a stamp of another clock"
+_NO_LIMITS: Final = "max_distance is no more than min_distance"
 _STRANGE: Final = "a distance is outside its limits"
 _NO_ROOM: Final = "a link had no room for all sectors"
 _USED: Final = {
@@ -79,118 +76,29 @@ def _is_sector(message: Message) -> bool:
     return message.orientation in _HORIZONTAL and not one_beam
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pose:
-    """Where the vehicle was at a time, and how it was turned."""
+class _Told(NamedTuple):
+    """What one message, or one set of messages, tells of its sectors; distances in centimetres."""
 
-    position_nea_m: Vector
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
-    """Clockwise from grid north."""
-    grid_north_rad: float
-    """True azimuth of grid north there."""
-    speed_m_s: float
-    """Over ground."""
-    yaw_rate_rad_s: float
-    """Without a sign."""
+    told_cm: FloatArray
+    least_cm: FloatArray
+    most_cm: FloatArray
+    empty_cm: float
+    """From this on a sector is empty."""
+    first_rad: float
+    """Where the first sector begins, from the nose or from true north."""
+    width_rad: float
+    from_nose: bool
 
 
-@final
-class Poses:
-    """The last few seconds of a vehicle's poses, to be asked for at the time of a measurement."""
-
-    def __init__(self) -> None:
-        self._positions = _Track(angles=False)
-        self._attitudes = _Track(angles=True)
-
-    def on_position(self, time_s: float, position_nea_m: Vector, grid_north_rad: float) -> None:
-        """A position; grid_north_rad: the true azimuth of the frame's north there."""
-        self._positions.keep(time_s, (*position_nea_m, grid_north_rad))
-
-    def on_attitude(self, time_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
-        """An attitude; yaw from true north."""
-        self._attitudes.keep(time_s, (roll_rad, pitch_rad, yaw_rad))
-
-    def at(self, time_s: float) -> Pose | None:
-        """Between those told before and after; None: there are none, or too far apart."""
-        position, attitude = self._positions.at(time_s), self._attitudes.at(time_s)
-        if position is None or attitude is None:
-            return None
-        (north, east, altitude, grid_north_rad), velocity = position
-        (roll_rad, pitch_rad, yaw_rad), rates = attitude
-        return Pose(
-            position_nea_m=(north, east, altitude),
-            roll_rad=roll_rad,
-            pitch_rad=pitch_rad,
-            yaw_rad=wrap_rad(yaw_rad - grid_north_rad),
-            grid_north_rad=grid_north_rad,
-            speed_m_s=math.hypot(velocity[0], velocity[1]),
-            yaw_rate_rad_s=abs(rates[2]),
-        )
-
-    def is_over(self, time_s: float) -> bool:
-        """Whether what is told from now on is of later times."""
-        return min(self._positions.newest_s, self._attitudes.newest_s) >= time_s
-
-
-@final
-class _Track:
-    """Values over time."""
-
-    def __init__(self, *, angles: bool) -> None:
-        self._angles = angles
-        self._times: list[float] = []
-        self._values: list[tuple[float, ...]] = []
-
-    @property
-    def newest_s(self) -> float:
-        return self._times[-1] if self._times else -math.inf
-
-    def keep(self, time_s: float, values: tuple[float, ...]) -> None:
-        """In order of time: what is overtaken is left out, a clock that fell begins anew."""
-        if time_s < self.newest_s - _KEPT_S:
-            self._times, self._values = [], []
-        if time_s <= self.newest_s or not all(map(math.isfinite, values)):
-            return
-        self._times.append(time_s)
-        self._values.append(values)
-        old = bisect.bisect_left(self._times, time_s - _KEPT_S)
-        del self._times[:old], self._values[:old]
-
-    def at(self, time_s: float) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """The values at a time, and how fast they changed."""
-        after = bisect.bisect_left(self._times, time_s)
-        if after == len(self._times) or (after == 0 and self._times[0] != time_s):
-            return None
-        before = max(after - 1, 0)
-        span_s = self._times[after] - self._times[before]
-        if span_s > _GAP_S:
-            if self._times[after] != time_s:
-                return None
-            before, span_s = after, 0.0
-        steps = [b - a for a, b in zip(self._values[before], self._values[after], strict=True)]
-        if self._angles:
-            steps = [wrap_rad(step) for step in steps]
-        since_s = time_s - self._times[before]
-        rates = tuple(step / span_s if span_s > 0.0 else 0.0 for step in steps)
-        pairs = zip(self._values[before], rates, strict=True)
-        return tuple(value + since_s * rate for value, rate in pairs), rates
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    """What the sectors of one message, or of one set of messages, say; before the pose is known."""
+class _Look(NamedTuple):
+    """What it says of them, before the pose is known."""
 
     time_s: float
     first_rad: float
-    """From the nose, or from true north."""
     width_rad: float
+    from_nose: bool
     clear_m: FloatArray
     echo_m: FloatArray
-    from_nose: bool
 
 
 @final
@@ -228,17 +136,6 @@ class NearSensing:
         self._well = False
         """By its last word, at `_health_s`."""
 
-    def on_message(self, message: Message, now_s: float) -> None:
-        """A message of its kind, of its component; or SYS_STATUS of the autopilot."""
-        number = message.get_msgId()
-        if number == MESSAGES[self._sensor.kind]:
-            if number == SECTORS:
-                self.on_distance_sensor(message, now_s)
-            else:
-                self.on_obstacle_distance(message, now_s)
-        elif number == HEALTH and self._sensor.kind == "distance_sensor":
-            self.on_health(message, now_s)
-
     @property
     def limits_m(self) -> tuple[float, float] | None:
         """Least and greatest distance that it measures in all directions; None: it told of none."""
@@ -247,42 +144,80 @@ class NearSensing:
         least_cm, most_cm = zip(*self._limits_cm.values(), strict=True)
         return max(least_cm) * 0.01, min(most_cm) * 0.01
 
+    def sight(self, now_s: float) -> Sight:
+        """Whether the sensor sees, or what its silence means.
+
+        A clock that fell counts as silence.
+        """
+        if 0.0 <= now_s - self._heard_s <= _SILENT_S:
+            return Sight.SEES
+        if self._well and 0.0 <= now_s - self._health_s <= _HEALTH_S:
+            return Sight.NOTHING_THERE
+        return Sight.NEVER_HEARD if math.isinf(self._heard_s) else Sight.DEAD
+
+    def sweeps(self) -> list[Sweep]:
+        """What has been said of times whose pose is known by now, in order."""
+        result = []
+        while self._looks and self._poses.is_over(self._looks[0].time_s):
+            look = self._looks.popleft()
+            pose = self._poses.at(look.time_s)
+            if pose is None:
+                self.refused["where the vehicle was is not known"] += 1
+            else:
+                north, east, altitude = pose.position_nea_m
+                height_m = max(altitude - self._ground_amsl_m(north, east), 0.0)
+                result.append(_sweep(look, pose, self._sensor, height_m))
+        return result
+
+    # --- messages
+
+    def on_message(self, message: Message, now_s: float) -> None:
+        """A message of its kind, of its component; or SYS_STATUS of the autopilot."""
+        number = message.get_msgId()
+        if number == HEALTH and self._sensor.kind == "distance_sensor":
+            self.on_health(message, now_s)
+        elif number != MESSAGES[self._sensor.kind]:
+            return
+        elif number == SECTORS:
+            self.on_distance_sensor(message, now_s)
+        else:
+            self.on_obstacle_distance(message, now_s)
+
     def on_obstacle_distance(self, message: Message, now_s: float) -> None:
         """OBSTACLE_DISTANCE of the sensor's component, at vehicle time now_s."""
-        width_deg = message.increment_f or float(message.increment)
-        if not (math.isfinite(width_deg) and math.isfinite(message.angle_offset)):
-            return self._refuse("an angle is not finite")
-        if not 0.0 < abs(width_deg) <= 360.0:
-            return self._refuse("increment is 0 or more than a turn")
-        if message.frame not in (*_BODY, *_NORTH):
-            return self._refuse("frame is neither the body's nor north's")
-        if not 0 <= message.min_distance < message.max_distance:
-            return self._refuse("max_distance is no more than min_distance")
+        width_deg, offset_deg = (
+            message.increment_f or float(message.increment),
+            message.angle_offset,
+        )
+        least, most = message.min_distance, message.max_distance
+        wrong = (
+            (not math.isfinite(width_deg + offset_deg), "an angle is not finite"),
+            (not 0.0 < abs(width_deg) <= 360.0, "increment is 0 or more than a turn"),
+            (message.frame not in (*_BODY, *_NORTH), "frame is neither the body's nor north's"),
+            (not 0 <= least < most, _NO_LIMITS),
+        )
+        if why := next((why for is_so, why in wrong if is_so), ""):
+            self.refused[why] += 1
+            return
         count = min(len(message.distances), math.floor(360.0 / abs(width_deg) + 1e-6))
         told_cm = np.array(message.distances[:count], dtype=np.float64)
-        offset_deg = message.angle_offset
         if width_deg < 0.0:  # counter-clockwise: the last comes first
             told_cm, offset_deg = told_cm[::-1], offset_deg + (count - 1) * width_deg
-        width_rad = math.radians(abs(width_deg))
         if (told_cm != _UNKNOWN_CM).any():  # one that knows nothing at all is blind
             self._heard_s = now_s
-        self._limits_cm[0] = message.min_distance, message.max_distance
-        self._take(
-            told_cm,
-            np.full(count, float(message.min_distance)),
-            np.full(count, float(message.max_distance)),
-            empty_cm=message.max_distance + 1,
-            time_s=self._time_of(message.time_usec * 1e-6, now_s),
-            first_rad=math.radians(offset_deg) - 0.5 * width_rad,
-            width_rad=width_rad,
-            from_nose=message.frame in _BODY,
-        )
+        self._limits_cm[0] = least, most
+        width_rad = math.radians(abs(width_deg))
+        first_rad = math.radians(offset_deg) - 0.5 * width_rad
+        limits = np.full(count, float(least)), np.full(count, float(most))
+        from_nose = message.frame in _BODY
+        told = _Told(told_cm, *limits, most + 1, first_rad, width_rad, from_nose)
+        self._take(told, message.time_usec * 1e-6, now_s)
 
     def on_distance_sensor(self, message: Message, now_s: float) -> None:
         """One of ArduPilot's eight sectors; those of one stamp belong together."""
         if not _is_sector(message):
             if message.orientation in _HORIZONTAL:
-                self._refuse("one beam does not speak for a sector")
+                self.refused["one beam does not speak for a sector"] += 1
             return
         if self._set and (
             message.time_boot_ms != self._set[0].time_boot_ms
@@ -303,23 +238,36 @@ class NearSensing:
         all that was ever told has come for a while, at even intervals: a cut before the first one
         leaves out the whole set.
         """
-        messages, self._set = self._set, []
-        messages = [m for m in messages if 0 <= m.min_distance < m.max_distance]
+        messages = [m for m in self._set if 0 <= m.min_distance < m.max_distance]
+        self._set = []
         if not messages:
-            return self._refuse("max_distance is no more than min_distance")
+            self.refused[_NO_LIMITS] += 1
+            return
+        for each in messages:
+            self._limits_cm[each.orientation] = each.min_distance, each.max_distance
         told_cm = np.full(_SECTORS, float(_UNKNOWN_CM))
-        for message in messages:
-            told_cm[message.orientation] = message.current_distance
-            self._limits_cm[message.orientation] = message.min_distance, message.max_distance
         least_cm = np.full(_SECTORS, max(least for least, _ in self._limits_cm.values()))
         most_cm = np.full(_SECTORS, min(most for _, most in self._limits_cm.values()))
-        for message in messages:
-            most_cm[message.orientation] = message.max_distance
-            least_cm[message.orientation] = message.min_distance
-        one, last = messages[0], max(message.orientation for message in messages)
+        for each in messages:
+            told_cm[each.orientation] = each.current_distance
+            least_cm[each.orientation] = each.min_distance
+            most_cm[each.orientation] = each.max_distance
+        told = {each.orientation for each in messages}
+        stamp_s = messages[0].time_boot_ms * 1e-3
+        whole_s = self._whole_for_s(told, stamp_s)
+        if self._sensor.component_id == AUTOPILOT_COMPONENT:  # of other drivers that is not known
+            end = _SECTORS if whole_s >= _WHOLE_S else max(told)
+            silent = [k for k in range(end) if k not in self._sectors]
+            told_cm[silent] = most_cm[silent]
+        sectors = _Told(
+            told_cm, least_cm, most_cm, math.inf, -0.5 * _SECTOR_RAD, _SECTOR_RAD, from_nose=True
+        )
+        self._take(sectors, stamp_s, self._set_s)
+
+    def _whole_for_s(self, told: set[int], stamp_s: float) -> float:
+        """For how long all sectors that were ever told have come, at even intervals."""
         since_s, until_s = self._whole_s
-        is_cut = last < max(self._sectors, default=0)
-        stamp_s = one.time_boot_ms * 1e-3
+        is_cut = max(told) < max(self._sectors, default=0)
         gap_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
         is_late = gap_s > _EVEN * self._period_s
         if is_late or 0.0 < gap_s < self._period_s:
@@ -331,136 +279,60 @@ class NearSensing:
         if self._set_s < until_s:  # the autopilot has begun anew, and what it has told
             self._sectors.clear()
         self._whole_s = since_s, self._set_s
-        self._sectors.update(message.orientation for message in messages)
-        if self._sensor.component_id == AUTOPILOT_COMPONENT:  # of other drivers that is not known
-            end = _SECTORS if self._set_s - since_s >= _WHOLE_S else last
-            silent = [k for k in range(end) if k not in self._sectors]
-            told_cm[silent] = most_cm[silent]
-        self._take(
-            told_cm,
-            least_cm,
-            most_cm,
-            empty_cm=math.inf,
-            time_s=self._time_of(one.time_boot_ms * 1e-3, self._set_s),
-            first_rad=-0.5 * _SECTOR_RAD,
-            width_rad=_SECTOR_RAD,
-            from_nose=True,
-        )
+        self._sectors |= told
+        return self._set_s - since_s
 
     def on_health(self, message: Message, now_s: float) -> None:
         """SYS_STATUS of the autopilot that the sensor is connected to.
 
-        While it is well and says nothing, nothing is in its reach.
+        While it is well and says nothing, nothing is in its reach: R, or less by its own word.
         """
-        bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
-        well = bool(message.onboard_control_sensors_health & bit)
-        well = well and bool(message.onboard_control_sensors_enabled & bit)
+        of_sensor = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+        enabled, health = (
+            message.onboard_control_sensors_enabled,
+            message.onboard_control_sensors_health,
+        )
         was_well = self._well and self._health_s > self._heard_s
-        self._health_s, self._well = now_s, well
-        if well and was_well and now_s - self._heard_s > _EMPTY_AFTER_S:
-            nothing = np.full(_SECTORS, np.inf)
-            self._looks.append(
-                _Look(
-                    time_s=now_s - self._sensor.latency_s,
-                    first_rad=-0.5 * _SECTOR_RAD,
-                    width_rad=_SECTOR_RAD,
-                    clear_m=np.full(_SECTORS, self._range_m),
-                    echo_m=nothing,
-                    from_nose=True,
-                )
-            )
+        self._health_s, self._well = now_s, bool(enabled & health & of_sensor)
+        if self._well and was_well and now_s - self._heard_s > _EMPTY_AFTER_S:
+            range_m = self._sensor.range_m
+            range_m = range_m if self.limits_m is None else min(range_m, self.limits_m[1])
+            clear_m, nothing = np.full(_SECTORS, range_m), np.full(_SECTORS, np.inf)
+            at_s, first_rad = now_s - self._sensor.latency_s, -0.5 * _SECTOR_RAD
+            self._looks.append(_Look(at_s, first_rad, _SECTOR_RAD, True, clear_m, nothing))
 
-    @property
-    def _range_m(self) -> float:
-        """How far it sees in all directions: R, or less by its own word."""
-        limits_m = self.limits_m
-        return self._sensor.range_m if limits_m is None else min(self._sensor.range_m, limits_m[1])
+    # --- what it says
 
-    def sight(self, now_s: float) -> Sight:
-        """Whether the sensor sees, or what its silence means.
+    def _take(self, told: _Told, stamp_s: float, now_s: float) -> None:
+        """Distances of sectors: empty from empty_cm on, or where "max" has stood for long enough.
 
-        A clock that fell counts as silence.
-        """
-        if 0.0 <= now_s - self._heard_s <= _SILENT_S:
-            return Sight.SEES
-        if self._well and 0.0 <= now_s - self._health_s <= _HEALTH_S:
-            return Sight.NOTHING_THERE
-        return Sight.NEVER_HEARD if math.isinf(self._heard_s) else Sight.DEAD
-
-    def sweeps(self) -> list[Sweep]:
-        """What has been said of times whose pose is known by now, in order."""
-        result = []
-        while self._looks and self._poses.is_over(self._looks[0].time_s):
-            look = self._looks.popleft()
-            pose = self._poses.at(look.time_s)
-            if pose is None:
-                self._refuse("where the vehicle was is not known")
-            else:
-                north, east, altitude = pose.position_nea_m
-                height_m = max(altitude - self._ground_amsl_m(north, east), 0.0)
-                result.append(_sweep(look, pose, self._sensor, height_m))
-        return result
-
-    def _time_of(self, stamp_s: float, now_s: float) -> float | None:
-        """When it was measured; None: there is one of that time.
-
-        A stamp of another clock counts as now; one that stands still is taken all the same.
+        Any other value outside the limits says nothing.  A stamp of another clock counts as now;
+        one that stands still is taken all the same.
         """
         if abs(stamp_s - now_s) > _OTHER_CLOCK_S:
             self.refused[_OTHER_CLOCK] += 1
             stamp_s = now_s
         before_s, came_s = self._taken_s
         if 0.0 <= stamp_s - before_s < _APART_S and 0.0 <= now_s - came_s < _SET_S:
-            self._refuse("more than 30 sweeps a second")
-            return None
-        self._taken_s = stamp_s, now_s
-        return stamp_s - self._sensor.latency_s
-
-    def _refuse(self, why: str) -> None:
-        self.refused[why] += 1
-
-    def _take(
-        self,
-        told_cm: FloatArray,
-        least_cm: FloatArray,
-        most_cm: FloatArray,
-        *,
-        empty_cm: float,
-        time_s: float | None,
-        first_rad: float,
-        width_rad: float,
-        from_nose: bool,
-    ) -> None:
-        """Distances of sectors: empty from empty_cm on, or where "max" has stood for long enough.
-
-        Any other value outside the limits says nothing.
-        """
-        if time_s is None:
+            self.refused["more than 30 sweeps a second"] += 1
             return
-        full = (told_cm == most_cm) | ((told_cm >= empty_cm) & (told_cm != _UNKNOWN_CM))
+        self._taken_s = stamp_s, now_s
+        time_s, cm = stamp_s - self._sensor.latency_s, told.told_cm
+        beyond = (cm >= told.empty_cm) & (cm != _UNKNOWN_CM)
+        full = (cm == told.most_cm) | beyond
         if len(self._full_since_s) != len(full):
             self._full_since_s = np.full(len(full), np.inf)
-        since = np.where(full, np.minimum(self._full_since_s, time_s), np.inf)
-        self._full_since_s = since
-        empty = full & (time_s - since >= _EMPTY_AFTER_S)
-        if math.isfinite(empty_cm):
-            empty |= full & (told_cm >= empty_cm)
-        met = (told_cm >= np.maximum(least_cm, 1.0)) & (told_cm < most_cm)
-        strange = ~(met | full) & (told_cm != _UNKNOWN_CM)
-        if strange.any():
+        since_s = np.where(full, np.minimum(self._full_since_s, time_s), np.inf)
+        self._full_since_s = since_s
+        empty = full & (time_s - since_s >= _EMPTY_AFTER_S) | beyond
+        met = (cm >= np.maximum(told.least_cm, 1.0)) & (cm < told.most_cm)
+        if np.any(~(met | full) & (cm != _UNKNOWN_CM)):
             self.refused[_STRANGE] += 1
-        range_m = np.minimum(most_cm * 0.01, self._sensor.range_m)
-        echo_m = np.where(met, told_cm * 0.01, np.inf)
-        self._looks.append(
-            _Look(
-                time_s=time_s,
-                first_rad=first_rad,
-                width_rad=width_rad,
-                clear_m=np.where(met, echo_m, np.where(empty, range_m, 0.0)),
-                echo_m=echo_m,
-                from_nose=from_nose,
-            )
-        )
+        range_m = np.minimum(told.most_cm * 0.01, self._sensor.range_m)
+        echo_m = np.where(met, cm * 0.01, np.inf)
+        clear_m = np.where(met, echo_m, np.where(empty, range_m, 0.0))
+        where = told.first_rad, told.width_rad, told.from_nose
+        self._looks.append(_Look(time_s, *where, clear_m, echo_m))
 
 
 def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Sweep:

@@ -18,12 +18,11 @@ FENCE: Final = wire.MAV_MISSION_TYPE_FENCE
 RALLY: Final = wire.MAV_MISSION_TYPE_RALLY
 KINDS: Final = (FENCE, RALLY, MISSION)
 """In the order in which they are read: what is safety first."""
-MESSAGES: Final = (
-    wire.MAVLINK_MSG_ID_MISSION_CURRENT,
-    wire.MAVLINK_MSG_ID_MISSION_COUNT,
-    wire.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-    wire.MAVLINK_MSG_ID_MISSION_ACK,
-)
+_CURRENT: Final = wire.MAVLINK_MSG_ID_MISSION_CURRENT
+_COUNT: Final = wire.MAVLINK_MSG_ID_MISSION_COUNT
+_ITEM: Final = wire.MAVLINK_MSG_ID_MISSION_ITEM_INT
+_ACK: Final = wire.MAVLINK_MSG_ID_MISSION_ACK
+MESSAGES: Final = (_CURRENT, _COUNT, _ITEM, _ACK)
 LOOK_S: Final = 4.0
 """Period of the polls of the item count."""
 READ_ALL_S: Final = 30.0
@@ -94,8 +93,8 @@ class _Transfer:
     tries: int = 0
     count: int = 0
     items: list[PlanItem] = field(default_factory=list)
-    keys: list[bytes] = field(default_factory=list)
-    """Keys of the items, computed as they arrive: thousands at once would take too long."""
+    key: bytes = b""
+    """Of the items, as they arrive: that of thousands at once would take too long."""
     opaque_id: int = 0
     item_s: float = _ITEM_S
     smooth: bool = True
@@ -130,15 +129,13 @@ class PlanClient:
 
     def __init__(self, system_id: int, ours: tuple[int, int]) -> None:
         """ours: the system and component that we send as."""
-        self._system_id, self._ours = system_id, ours
+        self._to, self._ours = (system_id, AUTOPILOT_COMPONENT), ours
         self.plans: dict[int, Plan] = {kind: Plan() for kind in KINDS}
         """By MAV_MISSION_TYPE."""
         self.trouble: dict[int, str] = {}
         """Kinds whose last transfer did not succeed, and why, in words."""
         self.changing: dict[int, int] = {}
         """Kinds that have changed and are being read, and how many items they have now."""
-        self.read_at_s: dict[int, float] = {}
-        """When each was known last to be as it stands here."""
         self._watches = {kind: _Watch() for kind in KINDS}
         self._transfer: _Transfer | None = None
         self._list_s = _LIST_S
@@ -161,10 +158,7 @@ class PlanClient:
         """Download everything again now, after a reboot or on request."""
         self._transfer = None
         self.changing.clear()
-        for watch in self._watches.values():
-            watch.due_s = watch.read_s = -math.inf
-            watch.opaque_id = 0
-            watch.candidate, watch.rebooted = None, True
+        self._watches = {k: _Watch(key=v.key, rebooted=True) for k, v in self._watches.items()}
         for kind, plan in self.plans.items():
             if not plan.supported:
                 self.plans[kind] = Plan(version=plan.version)
@@ -176,45 +170,37 @@ class PlanClient:
         for watch in self._watches.values():
             watch.due_s += shift_s
             watch.read_s += shift_s
-        self.read_at_s = {kind: at_s + shift_s for kind, at_s in self.read_at_s.items()}
 
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
         """Handle an answer; returns the next request."""
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        if source != (self._system_id, AUTOPILOT_COMPONENT):
+        if (message.get_srcSystem(), message.get_srcComponent()) != self._to:
             return []
-        name = message.get_type()
-        if name == "MISSION_CURRENT":
+        number, transfer = message.get_msgId(), self._transfer
+        if number == _CURRENT:
             self._on_ids(message)
-            return []
-        transfer = self._transfer
-        if transfer is None or name not in ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
+        if transfer is None or number not in (_COUNT, _ITEM, _ACK):
             return []
         target = (message.target_system, message.target_component)
         if target != self._ours or message.mission_type != transfer.kind:
             return []
-        match name:
-            case "MISSION_COUNT":
-                return self._on_count(transfer, message, now_s)
-            case "MISSION_ITEM_INT":
-                return self._on_item(transfer, message, now_s)
-            case _:
-                return self._on_ack(transfer, message, now_s)
+        if number == _ACK:
+            return self._on_ack(transfer, message.type, now_s)
+        if transfer.reads != (number == _ITEM):
+            return []
+        answer = self._on_item if transfer.reads else self._on_count
+        return answer(transfer, message, now_s)
 
     def _on_ids(self, message: Message) -> None:
         """PX4 reports the ids of its lists once a second: download a list whose id is new."""
-        ids = payload_as_sent(message, 18)
-        for kind, at in ((MISSION, 6), (FENCE, 10), (RALLY, 14)):
-            told = int.from_bytes(ids[at : at + 4], "little")
+        told = struct.unpack("<3I", payload_as_sent(message, 18)[6:] or bytes(12))
+        for kind, opaque_id in zip((MISSION, FENCE, RALLY), told, strict=True):
             watch = self._watches[kind]
-            if told and watch.opaque_id and told != watch.opaque_id:
+            if opaque_id and watch.opaque_id and opaque_id != watch.opaque_id:
                 watch.due_s = watch.read_s = -math.inf
 
     def _on_count(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
-        if transfer.reads:
-            return []
         opaque_id = int.from_bytes(payload_as_sent(message, 9)[5:9], "little")
         if transfer.tries == 1:  # so this is the answer to that request
             waited_s = now_s - transfer.asked_s
@@ -223,13 +209,13 @@ class PlanClient:
         if message.count > _LONGEST:
             return self._fail(transfer, f"{message.count} items are too many", now_s)
         plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
-        known = plan.version > 0 and plan.supported
-        same = known and message.count == len(plan.items) and opaque_id == watch.opaque_id
-        if same and transfer.only_look:
-            return self._looked(transfer, now_s)
+        known, as_many = plan.version > 0 and plan.supported, message.count == len(plan.items)
+        if known and as_many and opaque_id == watch.opaque_id and transfer.only_look:
+            self.changing.pop(transfer.kind, None)  # no change, and no items are requested
+            self._done(transfer, now_s)
+            return self._end(transfer, wire.MAV_MISSION_OPERATION_CANCELLED, now_s)
         transfer.count, transfer.opaque_id = message.count, opaque_id
-        another = watch.opaque_id not in (0, opaque_id) or message.count != len(plan.items)
-        if known and message.count and another:
+        if known and message.count and not (as_many and watch.opaque_id in (0, opaque_id)):
             self.changing[transfer.kind] = message.count
         if message.count == 0:
             return self._complete(transfer, now_s)
@@ -237,78 +223,68 @@ class PlanClient:
         return [self._ask(transfer, now_s)]
 
     def _on_item(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
-        if not transfer.reads or message.seq != len(transfer.items):
+        if message.seq != len(transfer.items):
             return []  # one that has come already, after it was asked for twice
         transfer.smooth &= now_s - transfer.asked_s <= _ITEM_S
-        transfer.items.append(
-            PlanItem(
-                frame=message.frame,
-                command=message.command,
-                parameters=(message.param1, message.param2, message.param3, message.param4),
-                x=message.x,
-                y=message.y,
-                z_m=message.z,
-            )
+        item = PlanItem(
+            frame=message.frame,
+            command=message.command,
+            parameters=(message.param1, message.param2, message.param3, message.param4),
+            x=message.x,
+            y=message.y,
+            z_m=message.z,
         )
-        transfer.keys.append(transfer.items[-1].key)
-        plan = self.plans[transfer.kind]
+        key, plan = item.key, self.plans[transfer.kind]
+        transfer.items.append(item)
+        transfer.key += key
         if plan.version and transfer.kind not in self.changing:
             before = plan.items[message.seq : message.seq + 1]
-            if not before or before[0].key != transfer.keys[-1]:
+            if not before or before[0].key != key:
                 self.changing[transfer.kind] = transfer.count
         if len(transfer.items) == transfer.count:
             return self._complete(transfer, now_s)
         transfer.tries = 0
         return [self._ask(transfer, now_s)]
 
-    def _on_ack(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
+    def _on_ack(self, transfer: _Transfer, result: int, now_s: float) -> list[Message]:
         """Instead of an answer: refused."""
-        if message.type == wire.MAV_MISSION_UNSUPPORTED:
+        if result == wire.MAV_MISSION_UNSUPPORTED:
             plan = self.plans[transfer.kind]
             self._done(transfer, now_s, READ_ALL_S)
             if plan.supported:
                 self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
                 self._watches[transfer.kind].key = b""
             return self.on_time(now_s)
-        if message.type == wire.MAV_MISSION_ACCEPTED:
+        if result == wire.MAV_MISSION_ACCEPTED:
             return []  # of something that we did not ask for
-        why = _REFUSED.get(message.type, f"refused with MAV_MISSION_RESULT {message.type}")
+        why = _REFUSED.get(result, f"refused with MAV_MISSION_RESULT {result}")
         return self._fail(transfer, why, now_s)
 
     # --- how a transfer ends ------------------------------------------------------------------
-
-    def _looked(self, transfer: _Transfer, now_s: float) -> list[Message]:
-        """No change; end the transfer, as no items will be requested."""
-        self.changing.pop(transfer.kind, None)
-        self._done(transfer, now_s)
-        over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
-        return [over, *self.on_time(now_s)]
 
     def _complete(self, transfer: _Transfer, now_s: float) -> list[Message]:
         plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
         self._done(transfer, now_s)
         watch.read_s, watch.opaque_id = now_s, transfer.opaque_id
-        items = tuple(transfer.items)
-        key = b"".join(transfer.keys)
         # An autopilot may answer before it has loaded its lists: then they look empty.
-        early = watch.rebooted and not items and bool(plan.items)
-        sure = key == watch.candidate or (transfer.smooth and not early)
-        new = key != watch.key or not plan.version or not plan.supported
+        early = watch.rebooted and not transfer.items and bool(plan.items)
+        sure = transfer.key == watch.candidate or (transfer.smooth and not early)
+        new = transfer.key != watch.key or not plan.version or not plan.supported
         if new and (sure or not plan.version):  # the first is better than none
+            items = tuple(transfer.items)
             self.plans[transfer.kind] = Plan(items=items, version=plan.version + 1)
-            watch.key = key
+            watch.key = transfer.key
         if new and not sure:  # in the gaps it may have become half of one and half of another
-            watch.candidate, watch.read_s = key, -math.inf
+            watch.candidate, watch.read_s = transfer.key, -math.inf
             watch.due_s = now_s + LOOK_S if early else now_s
         else:
             watch.candidate, watch.rebooted = None, False
             self.changing.pop(transfer.kind, None)
-        return [self._ack(transfer.kind, wire.MAV_MISSION_ACCEPTED), *self.on_time(now_s)]
+        return self._end(transfer, wire.MAV_MISSION_ACCEPTED, now_s)
 
     def _done(self, transfer: _Transfer, now_s: float, pause_s: float = LOOK_S) -> None:
         self._transfer = None
         self.trouble.pop(transfer.kind, None)
-        self.read_at_s[transfer.kind] = now_s
         self._watches[transfer.kind].due_s = now_s + pause_s
 
     def _fail(self, transfer: _Transfer, why: str, now_s: float) -> list[Message]:
@@ -318,6 +294,11 @@ class PlanClient:
         self._watches[transfer.kind].due_s = now_s + _LATER_S
         return self.on_time(now_s)
 
+    def _end(self, transfer: _Transfer, result: int, now_s: float) -> list[Message]:
+        """The ACK that ends it for the autopilot, and what is due then."""
+        ack = wire.MAVLink_mission_ack_message(*self._to, result, transfer.kind)
+        return [ack, *self.on_time(now_s)]
+
     # --- out ----------------------------------------------------------------------------------
 
     def on_time(self, now_s: float) -> list[Message]:
@@ -326,23 +307,24 @@ class PlanClient:
         if transfer is None:
             transfer = self._transfer = self._next(now_s)
             return [] if transfer is None else [self._ask(transfer, now_s)]
-        wait_s = transfer.item_s if transfer.reads else self._list_s
-        if now_s - transfer.asked_s < wait_s:
+        if now_s - transfer.asked_s < self._wait_s(transfer):
             return []
         transfer.smooth = False
         if transfer.tries < (_MAX_ITEM_TRIES if transfer.reads else _MAX_LIST_TRIES):
             return [self._ask(transfer, now_s)]
-        over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
-        return [over, *self._fail(transfer, "no answer", now_s)]
+        over = wire.MAV_MISSION_OPERATION_CANCELLED
+        ack = wire.MAVLink_mission_ack_message(*self._to, over, transfer.kind)
+        return [ack, *self._fail(transfer, "no answer", now_s)]
 
     @property
     def due_s(self) -> float:
         """When `on_time` has something to do, at the latest."""
-        transfer = self._transfer
-        if transfer is None:
+        if self._transfer is None:
             return min(watch.due_s for watch in self._watches.values())
-        wait_s = transfer.item_s if transfer.reads else self._list_s
-        return transfer.asked_s + wait_s
+        return self._transfer.asked_s + self._wait_s(self._transfer)
+
+    def _wait_s(self, transfer: _Transfer) -> float:
+        return transfer.item_s if transfer.reads else self._list_s
 
     def _next(self, now_s: float) -> _Transfer | None:
         """The next list to poll: one never read first, then the one not polled for longest."""
@@ -359,11 +341,7 @@ class PlanClient:
     def _ask(self, transfer: _Transfer, now_s: float) -> Message:
         transfer.asked_s = now_s
         transfer.tries += 1
-        to = (self._system_id, AUTOPILOT_COMPONENT)
         if not transfer.reads:
-            return wire.MAVLink_mission_request_list_message(*to, transfer.kind)
+            return wire.MAVLink_mission_request_list_message(*self._to, transfer.kind)
         seq = len(transfer.items)
-        return wire.MAVLink_mission_request_int_message(*to, seq, transfer.kind)
-
-    def _ack(self, kind: int, result: int) -> Message:
-        return wire.MAVLink_mission_ack_message(self._system_id, AUTOPILOT_COMPONENT, result, kind)
+        return wire.MAVLink_mission_request_int_message(*self._to, seq, transfer.kind)

@@ -6,7 +6,7 @@ from typing import Final, final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.near_sensing import Poses
+from companion.mavlink.poses import Poses
 from companion.mission.events import GroundSeen, Vector
 from companion.mission.mission import Mission
 from companion.world.known_map import KnownMap

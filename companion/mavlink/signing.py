@@ -5,9 +5,9 @@ microseconds since 2015, and the first 48 bits of SHA-256(key + frame + link id 
 stream (link id, system, component) must rise; a new one may be a minute behind us.  A time stamp
 ahead of ours is accepted, and ours follows it: ArduPilot's runs a minute ahead.
 
-pymavlink 2.4.50 signs what we send.  It does not check what comes in: it lets messages that its
-dialect lacks pass unchecked, and lets a forged frame move a stream's time before its signature
-has been looked at, which locks out the real sender.
+pymavlink 2.4.50 does not check what comes in: it lets messages that its dialect lacks pass
+unchecked, and lets a forged frame move a stream's time before its signature has been looked at,
+which locks out the real sender.  Nor can it sign a frame that was packed before.
 """
 
 import enum
@@ -108,35 +108,24 @@ class Signing:
         self._told_at_s = -math.inf
         self._streams: dict[tuple[int, int, int], int] = {}
         """The newest time stamp of each link id, system and component."""
-        self._ours = wire.MAVLinkSigning()
-        self._ours.secret_key = key
-        self._ours.link_id = link_id
-        self._ours.timestamp = timestamp
-        self._ours.sign_outgoing = True
+        self._link_id, self._next = link_id, timestamp
         self._hash = hashlib.sha256(key)
         self._began: tuple[float, int] | None = None
 
     @property
     def timestamp(self) -> int:
         """Of the next frame: to be kept, so that it never falls."""
-        return min(self._ours.timestamp, _LAST)
-
-    def attach(self, codec: wire.MAVLink) -> None:
-        """From now on this codec signs what it packs."""
-        codec.signing = self._ours
+        return min(self._next, _LAST)
 
     def sign(self, frame: bytes) -> bytes:
         """A whole unsigned MAVLink 2 frame signed: newer than any before.  For any thread."""
         if frame[0] != _MARKER or is_signed(frame):
             return frame
-        self._raise_to(self._ours.timestamp + 1)  # pymavlink raises it only after it has signed
         timestamp = self.timestamp
         self._raise_to(timestamp + 1)
-        stamp = bytes((self._ours.link_id,)) + timestamp.to_bytes(6, "little")
+        stamp = bytes((self._link_id,)) + timestamp.to_bytes(6, "little")
         signed = _flag_flipped(frame) + stamp
-        digest = self._hash.copy()
-        digest.update(signed)
-        return signed + digest.digest()[:_HASH]
+        return signed + self._signature(signed)
 
     def on_time(self, at_s: float) -> None:
         """Advance the time stamp by a clock, of which only differences matter, seconds."""
@@ -153,9 +142,7 @@ class Signing:
         if not is_signed(frame):
             number = frame[7] | frame[8] << 8 | frame[9] << 16 if frame[0] == _MARKER else frame[5]
             return number in ACCEPTED_UNSIGNED or self._refuse(Refusal.UNSIGNED)
-        digest = self._hash.copy()
-        digest.update(frame[:-_HASH])
-        if not hmac.compare_digest(digest.digest()[:_HASH], frame[-_HASH:]):
+        if not hmac.compare_digest(self._signature(frame[:-_HASH]), frame[-_HASH:]):
             return self._refuse(Refusal.WRONG)
         timestamp = int.from_bytes(frame[1 - _TAIL : -_HASH], "little")
         stream = (frame[-_TAIL], frame[5], frame[6])
@@ -184,7 +171,13 @@ class Signing:
         return False
 
     def _raise_to(self, timestamp: int) -> None:
-        self._ours.timestamp = max(self._ours.timestamp, timestamp)
+        self._next = max(self._next, timestamp)
+
+    def _signature(self, signed: bytes) -> bytes:
+        """The last bytes of a frame, over all before them."""
+        digest = self._hash.copy()
+        digest.update(signed)
+        return digest.digest()[:_HASH]
 
 
 def _bounded(timestamp: float) -> int:

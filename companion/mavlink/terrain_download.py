@@ -9,8 +9,7 @@ off is part of the answer (design section 4).
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -34,9 +33,7 @@ _TICKS = 2.0  # a radar's answer may be older by so many positions
 _ALIKE_M = 0.01  # distances that differ by less are the same: what is asked hangs on no last digit
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Area:
+class Area(NamedTuple):
     """The area of one TERRAIN_REQUEST."""
 
     row: int
@@ -99,14 +96,7 @@ def _placed(known: KnownMap, row: int, column: int, mask: int, frame: LocalFrame
         for east in (0.0, width):
             place = offset_deg(deg(latitude_e7), deg(longitude_e7), north, east)
             off = max(off, math.dist(frame.to_local_m(*place), (south + north, west + east)))
-    return Area(
-        row=row,
-        column=column,
-        mask=mask,
-        latitude_e7=latitude_e7,
-        longitude_e7=longitude_e7,
-        registration_m=off,
-    )
+    return Area(row, column, mask, latitude_e7, longitude_e7, off)
 
 
 def _ahead_ne_m(
@@ -233,7 +223,7 @@ class TerrainDownload:
         area = self._area
         assert area is not None
         if self._left and self._tries[area.row, area.column] < _MAX_REQUESTS:
-            self._waiting.append(replace(area, mask=self._left))
+            self._waiting.append(area._replace(mask=self._left))
         self._area = None
 
     def scan(self) -> Scan:
@@ -256,27 +246,26 @@ class TerrainDownload:
 
 @final
 class ScanClient:
-    """The scan that is under way.  Sans-IO."""
+    """The scan that is under way; of a vehicle without a radar, one that is over at once."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
         self._download: TerrainDownload | None = None
-        self._done: ScanDone | None = None
-        self.is_on = False
+
+    @property
+    def is_on(self) -> bool:
         """Whether there is a scan under way, or one that is over and was not told yet."""
+        return self._download is not None
 
     def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
         """Begin a scan around a point.  -> blocks of terrain to request."""
         mission, task, flight = self._mission, state.task, state.flight
-        self.is_on = True
-        if mission.scanner_component_id is None:
-            self._done = ScanDone(time_s=now_s, scan=_no_scan(), asked=0, answered=0)
-            return 0
+        has_radar = mission.scanner_component_id is not None
         self._download = TerrainDownload(
             flight.known,
             centre_ne_m=centre_nea_m[:2],
             towards_ne_m=state.targets_ne_m[flight.target],
-            range_m=task.settings.scan_range_m,
+            range_m=task.settings.scan_range_m if has_radar else 0.0,
             deadline_s=now_s + task.settings.scan_time_s,
             drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
             frame=mission.frame,
@@ -286,8 +275,7 @@ class ScanClient:
 
     def stop(self) -> None:
         """Forget it."""
-        self._download = self._done = None
-        self.is_on = False
+        self._download = None
 
     def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
         """One of `MESSAGES`."""
@@ -300,26 +288,8 @@ class ScanClient:
 
     def done(self, now_s: float) -> ScanDone | None:
         """The scan, once it is over."""
-        download = self._download
-        if download is not None and download.is_over(now_s):
-            self.stop()
-            return ScanDone(
-                time_s=now_s,
-                scan=download.scan(),
-                asked=download.asked,
-                answered=download.answered,
-            )
-        done, self._done = self._done, None
-        self.is_on = download is not None
-        return done
-
-
-def _no_scan() -> Scan:
-    """The empty scan of a vehicle without a radar."""
-    return Scan(
-        row=0,
-        column=0,
-        heights_m=np.full((1, 1), NO_ANSWER),
-        radar_nea_m=np.zeros((1, 1, 3)),
-        range_m=0.0,
-    )
+        over = self._download
+        if over is None or not over.is_over(now_s):
+            return None
+        self.stop()
+        return ScanDone(time_s=now_s, scan=over.scan(), asked=over.asked, answered=over.answered)

@@ -1,6 +1,7 @@
 """What a person hears of a vehicle's own fence, drawn by a ground station in flight or before."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -200,18 +201,18 @@ def test_a_long_fence_is_drawn_a_few_corners_at_a_time_and_told_when_it_is_whole
     held = Held("ardupilot")
     held.upload(FENCE, [*polygon(30), *polygon(31), *polygon(32)])
     client = Side(held, "sitl-arducopter")
-    drawn: list[int] = []
-    draw = fence.FenceBuilder.build_some
+    portions: list[int] = []
+    draw = fence.drawn
 
-    def counted(drawing: fence.FenceBuilder) -> fence.Fence | None:
-        found = draw(drawing)
-        drawn.append(0 if found is None else len(found.zones))
-        return found
+    def counted(*of: Any) -> Iterator[fence.Fence | None]:
+        for found in draw(*of):
+            portions.append(0 if found is None else len(found.zones))
+            yield found
 
     monkeypatch.setattr(fence, "_CORNERS_AT_ONCE", 20)
-    monkeypatch.setattr(fence.FenceBuilder, "build_some", counted)
+    monkeypatch.setattr(fence, "drawn", counted)
     held.run(8.0, client)
-    assert drawn == [0, 0, 0, 3]
+    assert portions == [0, 0, 0, 3]
     assert fences_told(client) == [3]
 
 

@@ -16,8 +16,8 @@ from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER
 from companion.mavlink.fence import (
     Fence,
-    FenceBuilder,
     conflicts,
+    drawn,
     in_force,
     misread,
     targets_of,
@@ -49,10 +49,9 @@ def zones_of(
     """A fence drawn to its end, and what parameters make of it."""
     is_px4 = not any(name.startswith("FENCE_") for name in parameters)
     settings = (PX4_MULTICOPTER if is_px4 else ARDUCOPTER).firmware.fence(parameters)
-    drawing = FenceBuilder(items, frame, settings.margin_m)
-    while (drawn := drawing.build_some()) is None:
-        pass
-    return in_force(drawn, settings, **where)
+    *_, whole = drawn(items, frame, settings.margin_m)
+    assert whole is not None
+    return in_force(whole, settings, **where)
 
 
 def item(command: int, north_m: float, east_m: float, parameter: float) -> PlanItem:

@@ -4,7 +4,17 @@ import math
 from typing import Any
 
 import pytest
-from geodesics import CORNER, FRAME, GEOD, PLACES, SYSTEM, geodetic, over_the_wire, true_course_rad
+from geodesics import (
+    CORNER,
+    FRAME,
+    GEOD,
+    PLACES,
+    SYSTEM,
+    angle_between,
+    geodetic,
+    over_the_wire,
+    true_course_rad,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
@@ -17,7 +27,6 @@ from companion.mavlink.autopilots import (
     PX4_MULTICOPTER,
     Autopilot,
 )
-from companion.mavlink.autopilots.messages import heading_rad
 from companion.mission.events import (
     Battery,
     Echo,
@@ -66,15 +75,21 @@ def test_a_position_is_read_where_it_was_with_velocity_along_the_frame(
             vx=round(15_000 * math.cos(course)),
             vy=round(15_000 * math.sin(course)),
             vz=-250,
+            hdg=round(math.degrees(course) * 100),
         )
     )
     assert isinstance(read, Position)
+    assert read.heading_rad is not None
+    assert angle_between(read.heading_rad, bearing) < 3e-4
     assert read.time_s == 12.3
     assert read.position_nea_m == pytest.approx(place, abs=0.02)
     north, east, up = read.velocity_nea_m_s
     assert math.hypot(north, east) == pytest.approx(150.0, abs=0.01)
     assert math.atan2(east, north) == pytest.approx(bearing, abs=2e-4)
     assert up == pytest.approx(2.5)
+    unknown = event(at(round(latitude * 1e7), round(longitude * 1e7), hdg=65_535))
+    assert isinstance(unknown, Position)
+    assert unknown.heading_rad is None
 
 
 @given(bearing=st.floats(-math.pi, math.pi), speed=st.floats(0.0, 300.0))
@@ -189,15 +204,6 @@ def test_what_is_left_in_the_battery_is_a_share_or_unknown(
     expected = None if remaining is None else Battery(time_s=1.5, remaining=remaining)
     assert event(status) == event(battery) == expected
     assert event(second) is None
-
-
-@pytest.mark.parametrize("hdg", [0, 9000, 35_999])
-def test_the_heading_is_from_true_north(hdg: int) -> None:
-    assert heading_rad(over_the_wire(at(1, 1, hdg=hdg))) == pytest.approx(math.radians(hdg / 100))
-
-
-def test_a_heading_that_is_not_known_is_none() -> None:
-    assert heading_rad(over_the_wire(at(1, 1, hdg=65_535))) is None
 
 
 @each

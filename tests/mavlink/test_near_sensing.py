@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
 
-from companion.mavlink.near_sensing import NearSensing, Poses, Sight, in_words
+from companion.mavlink.near_sensing import NearSensing, Sight, in_words
+from companion.mavlink.poses import Poses
 from companion.world.near_map import NearSensor, Sweep
 
 LIDAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=40.0, latency_s=0.0)

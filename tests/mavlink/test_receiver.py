@@ -196,7 +196,8 @@ def test_nothing_piles_up_while_every_portion_ends_within_a_frame() -> None:
 
 def signer(timestamp: int = 100) -> wire.MAVLink:
     speaker = codec(1)
-    Signing(key=bytes(32), timestamp=timestamp).attach(speaker)
+    speaker.signing.secret_key, speaker.signing.timestamp = bytes(32), timestamp
+    speaker.signing.sign_outgoing = True
     return speaker
 
 

@@ -14,7 +14,8 @@ from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import position
 from companion.mavlink.frames import Receiver, number_of, sender_of
 from companion.mavlink.near_scanner import ATTITUDE, OF_AUTOPILOT
-from companion.mavlink.near_sensing import NearSensing, Poses, Sight
+from companion.mavlink.near_sensing import NearSensing, Sight
+from companion.mavlink.poses import Poses
 from companion.telemetry.logs import open_log
 from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap, NearSensor

@@ -26,6 +26,7 @@ _WIDER_M = 20.0
 _CIRCLE_M = 60.0
 """Radius to request if no limit is given."""
 _FASTEST_M_S = 300.0
+_CLOCKWISE = 0.0
 
 
 def _take_off(
@@ -59,12 +60,8 @@ def _setpoint(
     if setpoint.stay:
         narrower_m = max(loiter_radius_m - _WIDER_M, 0.5 * loiter_radius_m)
         radius_m = narrower_m if loiter_radius_m > 0.0 else _CIRCLE_M
-    place, altitude_m, clockwise = aimed[0], setpoint.position_nea_m[2], 0.0
-    return [
-        messages.reposition(
-            system_id, place, altitude_m, switch=False, radius_m=radius_m, yaw_rad=clockwise
-        )
-    ]
+    to = system_id, aimed[0], setpoint.position_nea_m[2]
+    return [messages.reposition(*to, switch=False, radius_m=radius_m, yaw_rad=_CLOCKWISE)]
 
 
 def _echo(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Echo | None:

@@ -22,20 +22,14 @@ from companion.mission.events import (
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.limits import Limits, VehicleKind
 
-KINDS: dict[int, VehicleKind] = {wire.MAV_TYPE_FIXED_WING: "plane"} | dict.fromkeys(
-    (
-        wire.MAV_TYPE_QUADROTOR,
-        wire.MAV_TYPE_COAXIAL,
-        wire.MAV_TYPE_HELICOPTER,
-        wire.MAV_TYPE_HEXAROTOR,
-        wire.MAV_TYPE_OCTOROTOR,
-        wire.MAV_TYPE_TRICOPTER,
-        wire.MAV_TYPE_DODECAROTOR,
-        wire.MAV_TYPE_DECAROTOR,
-        wire.MAV_TYPE_GENERIC_MULTIROTOR,
-    ),
-    "copter",
+_COPTERS = (
+    *("QUADROTOR", "HEXAROTOR", "OCTOROTOR", "TRICOPTER", "DODECAROTOR", "DECAROTOR"),
+    *("COAXIAL", "HELICOPTER", "GENERIC_MULTIROTOR"),
 )
+KINDS: dict[int, VehicleKind] = {
+    wire.MAV_TYPE_FIXED_WING: "plane",
+    **{getattr(wire, f"MAV_TYPE_{name}"): "copter" for name in _COPTERS},
+}
 """Kinds of vehicle by MAV_TYPE.  A VTOL is neither, and is not supported."""
 
 _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)

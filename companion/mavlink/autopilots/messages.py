@@ -74,11 +74,6 @@ def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> 
     )
 
 
-def heading_rad(message: Message) -> float | None:
-    """Heading of GLOBAL_POSITION_INT, from true north; None if not given."""
-    return None if message.hdg == NO_HEADING else math.radians(message.hdg * 0.01)
-
-
 def _landed(message: Message, now_s: float, *_: object) -> LandedState:
     landed = _LANDED.get(message.landed_state, Landed.UNKNOWN)
     return LandedState(time_s=now_s, landed=landed)
@@ -89,15 +84,18 @@ def _gps(message: Message, now_s: float, *_: object) -> GpsFix:
 
 
 def _home(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Home | None:
-    latitude, longitude = message.latitude * _E7, message.longitude * _E7
-    place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
+    place = _place(message, frame)
     return None if place is None else Home(time_s=now_s, position_nea_m=place)
 
 
 def _origin(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Origin | None:
-    latitude, longitude = message.latitude * _E7, message.longitude * _E7
-    place = place_of(latitude, longitude, message.altitude * 1e-3, frame)
+    place = _place(message, frame)
     return None if place is None else Origin(time_s=now_s, position_nea_m=place)
+
+
+def _place(message: Message, frame: LocalFrame) -> Vector | None:
+    latitude, longitude = message.latitude * _E7, message.longitude * _E7
+    return place_of(latitude, longitude, message.altitude * 1e-3, frame)
 
 
 def _battery(message: Message, now_s: float, *_: object) -> Battery | None:
@@ -140,8 +138,8 @@ def echo_at(
 def place_of(
     latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
 ) -> Vector | None:
-    """A position from the wire; None near latitude = longitude = 0, which means "none yet"."""
-    if max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG or not abs(longitude_deg) <= 180.0:
+    """A position from the wire; None if there is none yet, or it is nowhere on Earth."""
+    if is_nowhere(latitude_deg, longitude_deg) or not abs(longitude_deg) <= 180.0:
         return None
     place = (*frame.to_local_m(latitude_deg, longitude_deg), altitude_m)
     return place if all(map(math.isfinite, place)) else None  # beyond a pole it is not
@@ -205,22 +203,13 @@ def position_target(
     if aimed is None:
         return None
     place_e7, velocity_ned_m_s, yaw_rad = aimed
+    nothing = (0.0, 0.0, 0.0)
     stands = setpoint.stay and type_mask == POSITION_VELOCITY_YAW
+    to = system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, type_mask
+    where = *place_e7, setpoint.position_nea_m[2], *(nothing if stands else velocity_ned_m_s)
     return [
         wire.MAVLink_set_position_target_global_int_message(
-            round(setpoint.time_s * 1e3),
-            system_id,
-            AUTOPILOT_COMPONENT,
-            wire.MAV_FRAME_GLOBAL_INT,
-            type_mask,
-            *place_e7,
-            setpoint.position_nea_m[2],
-            *((0.0, 0.0, 0.0) if stands else velocity_ned_m_s),
-            0.0,
-            0.0,
-            0.0,
-            yaw_rad,
-            0.0,
+            round(setpoint.time_s * 1e3), *to, *where, *nothing, yaw_rad, 0.0
         )
     ]
 
@@ -239,17 +228,8 @@ def command_int(
     altitude_amsl_m: float = 0.0,
 ) -> Message:
     """COMMAND_INT to the autopilot, in frame 5 (AMSL); place_e7: latitude, longitude."""
-    return wire.MAVLink_command_int_message(
-        system_id,
-        AUTOPILOT_COMPONENT,
-        wire.MAV_FRAME_GLOBAL_INT,
-        command,
-        0,
-        0,
-        *parameters,
-        *place_e7,
-        altitude_amsl_m,
-    )
+    head = system_id, AUTOPILOT_COMPONENT, wire.MAV_FRAME_GLOBAL_INT, command, 0, 0
+    return wire.MAVLink_command_int_message(*head, *parameters, *place_e7, altitude_amsl_m)
 
 
 def set_mode(system_id: int, *numbers: int) -> Message:
@@ -272,7 +252,6 @@ def reposition(
     switch: whether it is to go into the mode for this; yaw_rad: to a plane of ArduPilot's the sense
     of its circles, 0 clockwise.
     """
-    as_it_is = -1.0
-    parameters = (as_it_is, float(switch), radius_m, yaw_rad)
+    parameters = (-1.0, float(switch), radius_m, yaw_rad)  # -1: the speed that it has
     number = wire.MAV_CMD_DO_REPOSITION
     return command_int(system_id, number, parameters, place_e7, altitude_amsl_m)

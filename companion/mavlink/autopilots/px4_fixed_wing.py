@@ -29,19 +29,11 @@ steady_m is of its altitude: in gusts it is up to 9 m high, and in Hold rises as
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
     """DO_REPOSITION with the switch to AUTO.LOITER, on the circle that it has set."""
-    place = messages.wire_place(at_nea_m, frame)
+    place, altitude_m = messages.wire_place(at_nea_m, frame), at_nea_m[2]
     if place is None:
         return []
-    return [
-        messages.reposition(
-            system_id,
-            place,
-            at_nea_m[2],
-            switch=True,
-            radius_m=0.0,
-            yaw_rad=px4.KEEP_YAW,
-        )
-    ]
+    to, yaw_rad = (system_id, place, altitude_m), px4.KEEP_YAW
+    return [messages.reposition(*to, switch=True, radius_m=0.0, yaw_rad=yaw_rad)]
 
 
 def _take_off(

@@ -1,0 +1,110 @@
+"""Where a vehicle was, and how it was turned, at the time of a measurement of the last seconds."""
+
+import bisect
+import math
+from dataclasses import dataclass
+from typing import final
+
+from companion.geodesy import wrap_rad
+from companion.mission.events import Vector
+
+_KEPT_S = 3.0
+_GAP_S = 0.3  # between two positions or attitudes of which a pose is made
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Where the vehicle was at a time, and how it was turned."""
+
+    position_nea_m: Vector
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    """Clockwise from grid north."""
+    grid_north_rad: float
+    """True azimuth of grid north there."""
+    speed_m_s: float
+    """Over ground."""
+    yaw_rate_rad_s: float
+    """Without a sign."""
+
+
+@final
+class Poses:
+    """The last few seconds of a vehicle's poses, to be asked for at the time of a measurement."""
+
+    def __init__(self) -> None:
+        self._positions = _Track(angles=False)
+        self._attitudes = _Track(angles=True)
+
+    def on_position(self, time_s: float, position_nea_m: Vector, grid_north_rad: float) -> None:
+        """A position; grid_north_rad: the true azimuth of the frame's north there."""
+        self._positions.keep(time_s, (*position_nea_m, grid_north_rad))
+
+    def on_attitude(self, time_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
+        """An attitude; yaw from true north."""
+        self._attitudes.keep(time_s, (roll_rad, pitch_rad, yaw_rad))
+
+    def at(self, time_s: float) -> Pose | None:
+        """Between those told before and after; None: there are none, or too far apart."""
+        position, attitude = self._positions.at(time_s), self._attitudes.at(time_s)
+        if position is None or attitude is None:
+            return None
+        (north, east, altitude, grid_north_rad), velocity = position
+        (roll_rad, pitch_rad, yaw_rad), rates = attitude
+        return Pose(
+            position_nea_m=(north, east, altitude),
+            roll_rad=roll_rad,
+            pitch_rad=pitch_rad,
+            yaw_rad=wrap_rad(yaw_rad - grid_north_rad),
+            grid_north_rad=grid_north_rad,
+            speed_m_s=math.hypot(velocity[0], velocity[1]),
+            yaw_rate_rad_s=abs(rates[2]),
+        )
+
+    def is_over(self, time_s: float) -> bool:
+        """Whether what is told from now on is of later times."""
+        return min(self._positions.newest_s, self._attitudes.newest_s) >= time_s
+
+
+@final
+class _Track:
+    """Values over time."""
+
+    def __init__(self, *, angles: bool) -> None:
+        self._angles = angles
+        self._times: list[float] = []
+        self._values: list[tuple[float, ...]] = []
+
+    @property
+    def newest_s(self) -> float:
+        return self._times[-1] if self._times else -math.inf
+
+    def keep(self, time_s: float, values: tuple[float, ...]) -> None:
+        """In order of time: what is overtaken is left out, a clock that fell begins anew."""
+        if time_s < self.newest_s - _KEPT_S:
+            self._times, self._values = [], []
+        if time_s <= self.newest_s or not all(map(math.isfinite, values)):
+            return
+        self._times.append(time_s)
+        self._values.append(values)
+        old = bisect.bisect_left(self._times, time_s - _KEPT_S)
+        del self._times[:old], self._values[:old]
+
+    def at(self, time_s: float) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """The values at a time, and how fast they changed."""
+        after = bisect.bisect_left(self._times, time_s)
+        if after == len(self._times) or (after == 0 and self._times[0] != time_s):
+            return None
+        before = max(after - 1, 0)
+        span_s = self._times[after] - self._times[before]
+        if span_s > _GAP_S:
+            if self._times[after] != time_s:
+                return None
+            before, span_s = after, 0.0
+        since_s, was = time_s - self._times[before], self._values[before]
+        steps = [b - a for a, b in zip(was, self._values[after], strict=True)]
+        steps = [wrap_rad(step) for step in steps] if self._angles else steps
+        rates = tuple(step / span_s if span_s > 0.0 else 0.0 for step in steps)
+        return tuple(a + since_s * rate for a, rate in zip(was, rates, strict=True)), rates
