@@ -27,19 +27,13 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import Limitation, ShadowReport
 from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, SLOW_S, OnOutput, Watch
-from companion.telemetry.logs import Anomaly, Log, Missing, open_log
+from companion.telemetry.logs import Log, Missing, Odd, open_log
 
 _SHOWN_BYTES: Final = 65_536
 _PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
 _FAR_M: Final = 50_000.0
 _RANGE_M: Final = 20_000.0
-_LOSSES: Final = (
-    Anomaly.GARBAGE,
-    Anomaly.CHECKSUM,
-    Anomaly.DAMAGED,
-    Anomaly.ZERO_STAMP,
-    Anomaly.WRONG_STAMP,
-)
+_LOSSES: Final = (Odd.GARBAGE, Odd.CHECKSUM, Odd.DAMAGED, Odd.WRONG_STAMP)
 """What may be why a message is not in a log."""
 _TERRAIN: Final = wire.MAVLINK_MSG_ID_TERRAIN_DATA
 
@@ -195,8 +189,8 @@ def _of_no_use(log: Log, name: str) -> InputError:
     missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
     if missing is not None:
         rule = f"it has no {missing.message}: {missing.without}"
-        lost = [str(each) for each in log.findings if each.oddity in _LOSSES]
-        lost += [each.detail for each in log.findings if name in each.detail]
+        lost = [each.said(count) for each in _LOSSES if (count := log.odd[each]) > 0]
+        lost += [each for each in log.substitutes if name in each]
         rule = "; ".join([rule, *lost])
         return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
     rule = "its vehicle never knew where it was: each position is 0, 0"

@@ -14,7 +14,7 @@ from rich.console import RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from companion.telemetry.logs import LogAnomaly, Missing
+from companion.telemetry.logs import Missing
 
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""
@@ -209,7 +209,7 @@ class ShadowReport(Struct, kw_only=True):
     said: list[VehicleReport] = []
     could_not: list[Limitation] = []
     missing: tuple[Missing, ...] = ()
-    log_findings: tuple[LogAnomaly, ...] = ()
+    log_findings: tuple[str, ...] = ()
     notes: list[str] = []
     left_out: Counter[str] = field(default_factory=Counter)
     """Number of dropped items of limited lists."""
@@ -230,9 +230,7 @@ class ShadowReport(Struct, kw_only=True):
 
     def as_json(self) -> dict[str, Any]:
         """For `--json`: plain values, units in the names."""
-        anomalies = [each.as_json() for each in self.log_findings]
-        values = {**asdict(self), "log_findings": anomalies}
-        return msgspec.to_builtins({"schema": SCHEMA, "own_path": self.own_path, **values})
+        return msgspec.to_builtins({"schema": SCHEMA, "own_path": self.own_path, **asdict(self)})
 
 
 # --- for people

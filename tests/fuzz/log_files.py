@@ -12,7 +12,7 @@ from pathlib import Path
 
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import Receiver
-from companion.telemetry.logs import Anomaly, Log, Record, open_log
+from companion.telemetry.logs import Log, Odd, Record, open_log
 
 _GPS_EPOCH_S = 315_964_800
 _LETTERS = {"n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I"}
@@ -98,9 +98,9 @@ def of(messages: list[Message], kind: str) -> list[Message]:
     return [message for message in messages if message.get_type() == kind]
 
 
-def counts(log: Log) -> dict[Anomaly, int]:
+def counts(log: Log) -> dict[Odd, int]:
     """How often each oddity was met, as far as the log has been read."""
-    return {finding.oddity: finding.count for finding in log.findings}
+    return {odd: count for odd, count in log.odd.items() if count}
 
 
 def bin_of(path: Path, *, without: Iterable[str] = (), most: int | None = None) -> bytes:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from companion.geodesy import FloatArray
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
 from companion.mavlink.frames import number_of, payload_of, sender_of
-from companion.telemetry.logs.record import Record
+from companion.telemetry.logs import Record
 
 IntArray = npt.NDArray[np.int64]
 

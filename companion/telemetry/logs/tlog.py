@@ -1,217 +1,189 @@
 """MAVLink frames as ground stations, routers and companions log them: .tlog, .raw, .rlog.
 
-A .tlog has 8 bytes before each frame: microseconds since 1970, big-endian.  What is known of those
-who write it otherwise: MAVProxy and pymavlink keep the number of a link in the last two bits;
-old QGroundControls wrote the stamps little-endian, and the time since boot without a clock;
-Mission Planner's stamps are in steps of a millisecond, and out of order by some microseconds;
-MAVProxy's .raw and Mission Planner's .rlog have no stamps.
+A .tlog has 8 bytes before each frame: microseconds since 1970, big-endian (MAVProxy and pymavlink
+keep the number of a link in the last two bits; Mission Planner's are out of order by some
+microseconds).  MAVProxy's .raw and Mission Planner's .rlog have none.  Where there are no stamps,
+or they are no dates, time is the vehicle's clock.
 """
 
+import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS
-from companion.mavlink.frames import LONGEST, V1, V2, boot_ms_of, frame_extent, intact_end
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, wire
+from companion.mavlink.frames import (
+    LONGEST,
+    V1,
+    V2,
+    boot_ms_of,
+    find_marker,
+    frame_extent,
+    intact_end,
+    number_of,
+    payload_of,
+    sender_of,
+)
 from companion.mavlink.signing import SECRETS, is_signed
-from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
-from companion.telemetry.logs.record import Log, Record, chosen
-from companion.telemetry.logs.search import STAMP_BYTES, find_intact
-from companion.telemetry.logs.survey import Stamps, Survey, survey
-from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, Timeline
-from companion.telemetry.logs.window import Window
+from companion.telemetry.logs.log import (
+    YEAR_2000_US,
+    YEAR_2100_US,
+    Clock,
+    Log,
+    Odd,
+    Record,
+    chosen,
+    earliest,
+)
 
-_AHEAD: Final = STAMP_BYTES + LONGEST + STAMP_BYTES + LONGEST
+_PORTION: Final = 1 << 20
+"""Bytes that are read at a time: memory does not grow with a log."""
+_STAMP: Final = 8
+_AHEAD: Final = 2 * (_STAMP + LONGEST)
 """A record, and the one after it."""
-_ABOUT_STAMPS: Final = {
-    Stamps.LITTLE_ENDIAN: (Anomaly.LITTLE_ENDIAN,),
-    Stamps.MILLISECONDS: (Anomaly.MILLISECONDS,),
-    Stamps.LITTLE_MILLISECONDS: (Anomaly.LITTLE_ENDIAN, Anomaly.MILLISECONDS),
-    Stamps.SINCE_BOOT: (Anomaly.NO_DATE,),
-    Stamps.SENSELESS: (Anomaly.NO_STAMPS,),
-    Stamps.NONE: (Anomaly.NO_STAMPS,),
-}
+_SAMPLE: Final = 200
+"""Frames that tell what the stamps are."""
+_HEARTBEAT: Final = re.compile(
+    rb"\xfd[\x06-\x09][\x00\x01]..[^\x00].\x00\x00\x00|\xfe\x09.[^\x00].\x00", re.DOTALL
+)
+"""Of any component, in either protocol."""
+_NO_AUTOPILOTS: Final = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
 
 
-def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
+def opened(path: Path, system_id: int | None) -> Log | None:
     """A log of MAVLink frames; None: there is none in it.
 
     InputError if it is not clear which vehicle is meant.
     """
-    looked = survey(path)
-    if looked is None:
+    stamp_bytes, start_us = _stamps_of(path)
+    if stamp_bytes is None:
         return None
-    systems = tuple(sorted(looked.autopilots))
-    vehicle = chosen(path, systems, system_id, looked.elsewhere)
+    autopilots, elsewhere = _autopilots_of(path)
+    systems = tuple(sorted(autopilots))
+    vehicle = chosen(path, systems, system_id, elsewhere)
     return Log(
         kind="tlog",
         path=path,
-        size_bytes=size_bytes,
         systems=systems,
         system_id=vehicle,
-        autopilot=looked.autopilots.get(vehicle or 0),
-        begin=partial(_TlogReader, looked, vehicle),
-        elsewhere=looked.elsewhere,
+        autopilot=autopilots.get(vehicle or 0),
+        read=partial(_records, stamp_bytes, start_us),
+        elsewhere=elsewhere,
     )
 
 
-class _Found(NamedTuple):
-    """A place to go on from, in bytes of the file: the frame there, or if empty only the place."""
+# --- the first look
 
-    begin: int
+
+def _stamps_of(path: Path) -> tuple[int | None, int | None]:
+    """How many bytes a stamp has, and the earliest; None, None: there is no intact frame.
+
+    None for the earliest: they are no dates.
+    """
+    frames = (each for each in _framed(path, 0, Counter()) if each.is_known)
+    stamps = [each.stamp for each in islice(frames, _SAMPLE)]
+    if not stamps:
+        return None, None
+    if stamps.count(b"") > sum(len(each) == _STAMP for each in stamps):
+        return 0, None
+    times_us = [int.from_bytes(each) for each in stamps if len(each) == _STAMP]
+    dates_us = [each for each in times_us if YEAR_2000_US <= each < YEAR_2100_US]
+    is_dated = bool(dates_us) and 2 * len(dates_us) >= sum(each > 0 for each in times_us)
+    return _STAMP, earliest(dates_us) if is_dated else None
+
+
+def _autopilots_of(path: Path) -> tuple[dict[int, int], frozenset[tuple[int, int]]]:
+    """MAV_AUTOPILOT by system id of all autopilots, and those that are not component 1."""
+    found, elsewhere = dict[int, int](), set[tuple[int, int]]()
+    data = b""
+    with path.open("rb") as file:
+        while portion := file.read(_PORTION):
+            data = data[-LONGEST:] + portion
+            for match in _HEARTBEAT.finditer(data):
+                frame = data[match.start() : intact_end(data, match.start())]
+                payload = payload_of(frame, 9) if frame else bytes(9)
+                is_autopilot = payload[5] != wire.MAV_AUTOPILOT_INVALID
+                if not frame or payload[4] in _NO_AUTOPILOTS or not is_autopilot:
+                    continue
+                system, component = sender_of(frame)
+                if component == AUTOPILOT_COMPONENT:
+                    found.setdefault(system, payload[5])
+                else:
+                    elsewhere.add((system, component))
+    return found, frozenset(elsewhere)
+
+
+# --- frames in the bytes of a file
+
+
+class _Framed(NamedTuple):
+    """A frame of a file, and what stands around it."""
+
+    stamp: bytes
+    """What is before it, since the last frame: the last 8 bytes at most."""
+    frame: bytes
     end: int
-    stamped: bool = True
-    known: bool = True
+    """Where it ends in the file."""
+    is_known: bool = True
+    """Else its kind is not, and so neither whether its checksum is right."""
 
 
-@final
-class _TlogReader:
-    """One pass through a log; see `record.Reading`."""
+def _framed(path: Path, stamp_bytes: int, odd: Counter[Odd]) -> Iterator[_Framed]:
+    """The frames of a file in order, in bounded memory; what is passed over is counted.
 
-    def __init__(
-        self, looked: Survey, vehicle: int | None, findings: AnomalyCounter, heard: set[int]
-    ) -> None:
-        self._vehicle, self._findings, self._heard = vehicle, findings, heard
-        self._others = frozenset(looked.autopilots) - {vehicle}
-        self.byte = 0
-        self._stamps = looked.stamps
-        self._stamp_bytes = 0 if looked.stamps is Stamps.NONE else STAMP_BYTES
-        self._by_vehicle = looked.stamps in (Stamps.NONE, Stamps.SENSELESS)
-        self._boot_us = looked.boot_us or 0
-        dated = not self._by_vehicle and looked.stamps is not Stamps.SINCE_BOOT
-        self.timeline = Timeline(
-            findings,
-            first_us=YEAR_2000_US if dated else 0,
-            last_us=YEAR_2100_US,
-            start_us=looked.start_us,
-            is_sure=not self._by_vehicle,
-        )
-        for oddity in _ABOUT_STAMPS.get(looked.stamps, ()):
-            findings.note(oddity, 0, None)
-        if self._by_vehicle and looked.boot_us is None:
-            findings.note(Anomaly.NO_DATE, 0, None)
-
-    def records(self, window: Window) -> Iterator[Record]:
-        """All frames, but those of other vehicles and those with secrets."""
-        at, stamp_bytes = 0, self._stamp_bytes
-        while True:
-            data = window.data
-            if at + _AHEAD > len(data) and window.more(at):
-                at = 0
+    stamp_bytes: before each frame.  One wrong byte costs two frames at most.
+    """
+    data, base, at, more = b"", 0, 0, True
+    with path.open("rb") as file:
+        while more or at < len(data):
+            if more and at + _AHEAD > len(data):
+                portion = file.read(_PORTION)
+                data, base, at, more = data[at:] + portion, base + at, 0, bool(portion)
                 continue
             begin = at + stamp_bytes
             end = intact_end(data, begin)
             if end:
-                record = self._record(data, begin, end, window.base)
+                yield _Framed(data[at:begin], data[begin:end], base + end)
+                at = end
+                continue
+            end, number = frame_extent(data, begin) if _may_begin(data, begin) else (0, None)
+            is_whole, is_last = number is not None and end <= len(data), end == len(data)
+            after = end + stamp_bytes
+            if is_whole and number not in KINDS and (is_last or _may_begin(data, after)):
+                yield _Framed(data[at:begin], data[begin:end], base + end, is_known=False)
+                at = end
+            elif is_whole and number in KINDS and (is_last or intact_end(data, after)):
+                odd[Odd.CHECKSUM] += 1
+                at = end
             else:
-                found = self._recover(window, at)
-                if found is None:
-                    break
-                begin, end = found.begin - window.base, found.end - window.base
-                record = None
-                if begin < end:
-                    record = self._record(
-                        window.data,
-                        begin,
-                        end,
-                        window.base,
-                        stamped=found.stamped,
-                        known=found.known,
-                    )
-            at = end
-            if record is not None:
-                self.byte = window.base + end
-                yield record
-        self.byte = window.base + len(window.data)
+                is_cut = not is_whole and (end > len(data) or begin >= len(data))
+                until = len(data) - LONGEST if more else len(data)  # beyond, more may be needed
+                begin, end = _next_intact(data, at, until)
+                stamp = data[max(at, begin - _STAMP) : begin]
+                passed = begin - at - (stamp_bytes if len(stamp) == _STAMP else 0)
+                if end:
+                    odd[Odd.GARBAGE] += passed
+                    yield _Framed(stamp, data[begin:end], base + end)
+                    at = end
+                elif more:  # the stamp of the next one may be among the last bytes
+                    odd[Odd.GARBAGE] += until - _STAMP - at
+                    at = until - _STAMP
+                else:
+                    odd[Odd.CUT_SHORT if is_cut else Odd.GARBAGE] += until - at
+                    at = until
 
-    def _record(
-        self,
-        data: bytes,
-        begin: int,
-        end: int,
-        base: int,
-        *,
-        stamped: bool = True,
-        known: bool = True,
-    ) -> Record | None:
-        """The frame there with its time; None: it is left out."""
-        frame = data[begin:end]
-        if frame[0] == V2:
-            number = frame[7] | frame[8] << 8 | frame[9] << 16
-            system, component = frame[5], frame[6]
-        else:
-            number, system, component = frame[5], frame[3], frame[4]
-        if self._by_vehicle:
-            time_us = self._by_clock(frame, number, (system, component), base + begin)
-        elif stamped and self._stamp_bytes:
-            stamp = data[begin - STAMP_BYTES : begin]
-            time_us, _ = self.timeline.read(self._stamps.read(stamp), base + begin)
-        else:
-            self._findings.note(Anomaly.NO_STAMP, base + begin, self.timeline.now_us)
-            time_us = self.timeline.last_us
-        if not known:
-            self._findings.note(Anomaly.UNKNOWN, base + begin, time_us)
-        plain = frame[0] == V2 and not frame[2] and number not in SECRETS
-        if (not plain or system in self._others) and self._is_left_out(
-            frame, number, system, (base + begin, time_us)
-        ):
-            return None
-        if component == AUTOPILOT_COMPONENT and self._vehicle in (None, system):
-            self._heard.add(number)
-        return Record(time_us, frame)
 
-    def _is_left_out(self, frame: bytes, number: int, system: int, place: tuple[int, int]) -> bool:
-        """Note a frame's anomalies; whether it is left out."""
-        if system in self._others:
-            self._findings.note(Anomaly.OTHER_VEHICLE, *place)
-            return True
-        if number in SECRETS:
-            self._findings.note(Anomaly.SECRET, *place)
-            return True
-        if frame[0] == V1:
-            self._findings.note(Anomaly.MAVLINK_1, *place)
-        elif is_signed(frame):
-            self._findings.note(Anomaly.SIGNED, *place)
-        return False
-
-    def _by_clock(self, frame: bytes, number: int, sender: tuple[int, int], byte: int) -> int:
-        """The vehicle's clock, as it was told last."""
-        is_ours = sender[1] == AUTOPILOT_COMPONENT and self._vehicle in (None, sender[0])
-        boot_ms = boot_ms_of(frame, number) if is_ours else None
-        if boot_ms is None:
-            return self.timeline.last_us
-        return self.timeline.read(self._boot_us + boot_ms * 1000, byte)[0]
-
-    def _recover(self, window: Window, at: int) -> _Found | None:
-        """Where to go on if no intact frame follows; None: the log has ended."""
-        data, begin, now_us = window.data, at + self._stamp_bytes, self.timeline.now_us
-        if at >= len(data):
-            return None
-        end, number = frame_extent(data, begin) if _may_begin(data, begin) else (0, None)
-        whole = number is not None and end <= len(data)
-        byte = window.base + at
-        if whole:
-            last, following = end == len(data), end + self._stamp_bytes
-            place = (window.base + begin, window.base + end)
-            if number not in KINDS:
-                if last or _may_begin(data, following):
-                    return _Found(*place, known=False)
-            elif last or intact_end(data, following):
-                self._findings.note(Anomaly.CHECKSUM, place[0], now_us)
-                return _Found(place[1], place[1])
-        cut_short = not whole and (end > len(data) or begin >= len(data))
-        found = find_intact(window, byte)
-        if found is None:
-            rest = window.base + len(window.data) - byte
-            oddity = Anomaly.CUT_SHORT if cut_short else Anomaly.GARBAGE
-            self._findings.note(oddity, byte, now_us, rest)
-            return None
-        gap = found[0] - byte
-        stamped = gap >= self._stamp_bytes
-        if passed := gap - self._stamp_bytes if stamped else gap:
-            self._findings.note(Anomaly.GARBAGE, byte, now_us, passed)
-        return _Found(*found, stamped=stamped)
+def _next_intact(data: bytes, at: int, until: int) -> tuple[int, int]:
+    """Where the next intact frame begins and ends; an end of 0: none begins before `until`."""
+    while (found := find_marker(data, at)) is not None and found.start() < until:
+        at = found.start()
+        if end := intact_end(data, at):
+            return at, end
+        at += 1
+    return until, 0
 
 
 def _may_begin(data: bytes, at: int) -> bool:
@@ -221,3 +193,42 @@ def _may_begin(data: bytes, at: int) -> bool:
     if data[at] == V2:
         return at + 2 >= len(data) or data[at + 2] <= 1
     return data[at] == V1
+
+
+def _records(stamp_bytes: int, start_us: int | None, log: Log) -> Iterator[Record]:
+    """All frames, but those of other vehicles and those with secrets.
+
+    start_us: the earliest stamp; None: stamps are no dates, and time is the vehicle's.
+    """
+    odd, first_us = log.odd, 0 if start_us is None else YEAR_2000_US
+    clock = Clock(odd, first_us=first_us, last_us=YEAR_2100_US, start_us=start_us)
+    if start_us is None:
+        odd[Odd.NO_STAMPS] = 1
+    others = frozenset(log.systems) - {log.system_id}
+    for stamp, frame, end, is_known in _framed(log.path, stamp_bytes, odd):
+        log.read_bytes = end
+        number, (system, component) = number_of(frame), sender_of(frame)
+        is_ours = component == AUTOPILOT_COMPONENT and log.system_id in (None, system)
+        if start_us is None:
+            boot_ms = boot_ms_of(frame, number) if is_ours else None
+            if boot_ms is not None:
+                clock.read(boot_ms * 1000)
+        elif len(stamp) == _STAMP:
+            clock.read(int.from_bytes(stamp))
+        else:
+            odd[Odd.NO_STAMP] += 1
+        if not is_known:
+            odd[Odd.UNKNOWN] += 1
+        if system in others:
+            odd[Odd.OTHER_VEHICLE] += 1
+        elif number in SECRETS:
+            odd[Odd.SECRET] += 1
+        else:
+            if frame[0] == V1:
+                odd[Odd.MAVLINK_1] += 1
+            elif is_signed(frame):
+                odd[Odd.SIGNED] += 1
+            if is_ours:
+                log.heard.add(number)
+            yield Record(clock.now_us, frame)
+    log.read_bytes = log.path.stat().st_size

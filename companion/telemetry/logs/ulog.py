@@ -1,36 +1,80 @@
-"""PX4's .ulg, as pyulog reads it: the topics that are wanted, in memory, by time."""
+"""PX4's .ulg, as pyulog reads it, told as MAVLink; the topics that are wanted are in memory."""
 
 import heapq
-from collections.abc import Collection, Iterator
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 from pyulog import ULog, core
 from pyulog.exceptions import ULogIncompatibleFlagException
 
 from companion.errors import InputError
-from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
-from companion.telemetry.logs.translated import Row
+from companion.mavlink.dialect import Message, wire
+from companion.mavlink.parameter_client import encoded
+from companion.telemetry.logs.log import (
+    YEAR_2000_US,
+    YEAR_2100_US,
+    Log,
+    Odd,
+    Record,
+    chosen,
+    earliest,
+)
+from companion.telemetry.logs.made import (
+    LONGEST_US,
+    Pace,
+    Row,
+    Values,
+    battery,
+    boot_ms,
+    made,
+    parameter,
+    refuse_older,
+    system_time,
+    texts,
+    whole,
+)
 
-MAGIC: Final = b"ULog\x01\x12\x35"
-PARAMETER: Final = "(parameter)"
-TEXT: Final = "(text)"
+_PARAMETER, _TEXT = "(parameter)", "(text)"
 """Names of the rows that are of no topic."""
+_OLDEST: Final = (1, 13)
+_SAMPLE: Final = 200
+"""Rows that tell when the log begins."""
 _CHUNK: Final = 4096
 """Messages of a topic that are made rows at a time."""
+_ARMED: Final = 2
+"""vehicle_status.arming_state."""
+_TERMINATION, _TAKEOFF, _LAND, _VTOL_TAKEOFF = 13, 17, 18, 22
+_AUTO = {3: 4, 4: 3, 5: 5, 12: 6, 17: 2, 18: 6, 19: 8, 20: 9}
+_AUTO |= {22 + k: 10 + k for k in range(9)}
+"""nav_state -> sub mode, of main mode 4; the failsafe DESCEND (12) is told as LAND."""
+_OTHERS: Final = {0: 1, 1: 2, 2: 3, 8: 11, 10: 5, 13: 10, 14: 6, 15: 7, 16: 8}
+_MODES: Final = {
+    **{state: (4, sub) for state, sub in _AUTO.items()},
+    **{state: (main, 0) for state, main in _OTHERS.items()},
+    6: (3, 2),
+    21: (3, 1),
+}
+"""nav_state -> main and sub mode of custom_mode."""
+_NO_DIRECTION: Final = 65535
+_COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 core.print = lambda *_, **__: None  # it prints what it takes for damage
 
 
-def read(path: Path, topics: Collection[str]) -> ULog | None:
-    """A log with these of its topics; None: it cannot be read.
+# --- rows
 
-    InputError if it is of a later format.
-    """
+
+def _read(path: Path) -> ULog | None:
+    """A log; None: it cannot be read.  InputError if it is of a later format."""
     with path.open("rb") as file:  # pyulog would not close it when it fails
         try:
-            return ULog(file, topics)
+            return ULog(file, TOPICS)
         except ULogIncompatibleFlagException as error:
             rule = "its flags say that it must not be read by who does not know them"
             remedy = "Convert it to the present ULog format."
@@ -39,71 +83,378 @@ def read(path: Path, topics: Collection[str]) -> ULog | None:
             return None
 
 
-def first_instances(log: ULog) -> list[ULog.Data]:
-    """The data of its topics, of each the first instance.
+def _topics(log: ULog) -> dict[str, ULog.Data]:
+    """The data of its topics by name, of each the first instance.
 
-    In reverse order of their names: what is known of a moment is the vehicle's status first, then
-    its local position, then the global one that is made of it.
+    In reverse order: what is known of a moment is the vehicle's status first, then its local
+    position, then the global one that is made of it.
     """
-    found = [
-        each
+    found = {
+        each.name: each
         for each in log.data_list
         if each.multi_id == 0 and each.data.get("timestamp", np.zeros(0)).dtype.kind == "u"
-    ]
-    return sorted(found, key=lambda each: each.name, reverse=True)
-
-
-def parameters(log: ULog) -> dict[str, float]:
-    """By name, as they were in the end."""
-    changed = {name: value for _, name, value in log.changed_parameters}
-    return {
-        name: value
-        for name, value in (log.initial_parameters | changed).items()
-        if isinstance(value, (int, float))
     }
+    return {name: found[name] for name in sorted(found, reverse=True)}
 
 
-def rows(log: ULog, findings: AnomalyCounter) -> Iterator[Row]:
-    """Data, parameters and texts, by time; damage and losses are noted."""
-    if log.file_corruption:
-        findings.note(Anomaly.CORRUPT, 0, None)
-    for lost in log.dropouts:
-        findings.note(Anomaly.LOST_TIME, 0, None, lost.duration)
+def _rows(log: ULog, size: int) -> Iterator[Row]:
+    """Parameters, texts and data, by time; size: of the file."""
+    rows = [
+        (each.timestamp, _TEXT, {"level": each.log_level, "text": each.message})
+        for each in (*log.logged_messages, *itertools.chain(*log.logged_messages_tagged.values()))
+    ]
+    for time_us, name, value in log.changed_parameters:
+        rows.append((time_us, _PARAMETER, {"key": name, "value": value}))
+    rows.sort(key=_time_us)
+    topics = _topics(log).values()
+    count = max(len(rows) + sum(len(each.data["timestamp"]) for each in topics), 1)
     for name, value in log.initial_parameters.items():
-        yield _parameter(None, name, value)
-    texts = [*log.logged_messages]
-    for tagged in log.logged_messages_tagged.values():
-        texts += tagged
-    others = [_parameter(*each) for each in log.changed_parameters]
-    for each in texts:
-        values = {"level": each.log_level, "text": each.message}
-        others.append(Row(TEXT, each.timestamp, values, 0))
-    others.sort(key=_time_us)
-    yield from heapq.merge(others, *map(_data, first_instances(log)), key=_time_us)
+        yield Row(_PARAMETER, None, {"key": name, "value": value}, 0)
+    merged = heapq.merge(rows, *map(_data, topics), key=_time_us)
+    for number, (time_us, name, values) in enumerate(merged):
+        yield Row(name, time_us, values, size * number // count)
 
 
-def _time_us(row: Row) -> int:
-    return row.time_us or 0
+_Timed = tuple[int, str, dict[str, Any]]
 
 
-def _parameter(time_us: int | None, name: str, value: Any) -> Row:
-    return Row(PARAMETER, time_us, {"key": name, "value": value}, 0)
+def _time_us(row: _Timed) -> int:
+    return row[0]
 
 
-def _data(topic: ULog.Data) -> Iterator[Row]:
-    """The messages of a topic by time; arrays, which pyulog takes apart, are lists."""
-    singles, arrays = dict[str, Any](), dict[str, list[Any]]()
-    for name, column in topic.data.items():
-        if name.endswith("]"):
-            arrays.setdefault(name[: name.rindex("[")], []).append(column)
-        else:
-            singles[name] = column
+def _data(topic: ULog.Data) -> Iterator[_Timed]:
+    """The messages of a topic by time."""
     order = np.argsort(topic.data["timestamp"], kind="stable")
     for begin in range(0, len(order), _CHUNK):
         some = order[begin : begin + _CHUNK]
-        columns = {name: column[some].tolist() for name, column in singles.items()}
-        for name, parts in arrays.items():
-            columns[name] = np.stack([part[some] for part in parts], axis=1).tolist()
-        for row in zip(*columns.values(), strict=True):
-            values = dict(zip(columns, row, strict=True))
-            yield Row(topic.name, values["timestamp"], values, 0)
+        columns = [column[some].tolist() for column in topic.data.values()]
+        for row in zip(*columns, strict=True):
+            values = dict(zip(topic.data, row, strict=True))
+            yield values["timestamp"], topic.name, values
+
+
+# --- the first look
+
+
+def opened(path: Path, system_id: int | None) -> Log | None:
+    """A .ulg; None: nothing in it can be read.
+
+    InputError: it is of a later format, of firmware before 1.13, or not whose is asked for.
+    """
+    log = _read(path)
+    if log is None:
+        return None
+    release = log.msg_info_dict.get("ver_sw_release")
+    if isinstance(release, int) and release >= 1 << 24:  # else built from no release
+        refuse_older(path, "PX4", (release >> 24, release >> 16 & 0xFF), _OLDEST)
+    stamps = (row.time_us for row in _rows(log, 0) if row.time_us is not None)
+    known_us = list(itertools.islice(stamps, _SAMPLE))
+    if not known_us and not log.initial_parameters:
+        return None
+    start_us, begun_us = earliest(known_us) if known_us else 0, log.start_timestamp
+    if known_us and 0 <= known_us[len(known_us) // 2] - begun_us < LONGEST_US:
+        start_us = begun_us
+    system = _parameters(log).get("MAV_SYS_ID", 1)
+    systems = (int(system) if 1 <= system <= 255 else 1,)
+    return Log(
+        kind="ulg",
+        path=path,
+        systems=systems,
+        system_id=chosen(path, systems, system_id),
+        autopilot=int(wire.MAV_AUTOPILOT_PX4),
+        read=partial(_records, log, start_us),
+        substitutes=tuple(_substitutes(log, is_dated=start_us >= YEAR_2000_US)),
+    )
+
+
+def _parameters(log: ULog) -> dict[str, float]:
+    """By name, as they were in the end."""
+    changed = {name: value for _, name, value in log.changed_parameters}
+    everything = log.initial_parameters | changed
+    return {name: value for name, value in everything.items() if isinstance(value, int | float)}
+
+
+def _substitutes(log: ULog, *, is_dated: bool) -> Iterator[str]:
+    if is_dated:
+        yield "the vehicle's clock is a date: its boot is taken to be the log's beginning"
+    topics = _topics(log)
+    if "vehicle_local_position" in topics and "estimator_status" not in topics:
+        yield (
+            "ESTIMATOR_STATUS is made of vehicle_local_position and "
+            "estimator_status_flags: there is no estimator_status"
+        )
+
+
+def _epoch_us(log: ULog) -> int | None:
+    """When the vehicle booted, microseconds since 1970: by its GPS, or else by its own clock."""
+    dates = [log.msg_info_dict.get("boot_time_utc_us", 0)]
+    fixes = _topics(log).get("sensor_gps")
+    if fixes is not None and "time_utc_usec" in fixes.data:
+        utc_us, time_us = (fixes.data[each].tolist() for each in ("time_utc_usec", "timestamp"))
+        dates[:0] = [date - at for date, at in zip(utc_us, time_us, strict=True)]
+    return next((date for date in dates if YEAR_2000_US <= date < YEAR_2100_US), None)
+
+
+# --- what it says
+
+
+def _records(ulog: ULog, start_us: int, log: Log) -> Iterator[Record]:
+    """start_us: when the log begins, by the vehicle's clock, which may be a date."""
+    zero_us = start_us if start_us >= YEAR_2000_US else 0  # then that is taken for its boot
+    if ulog.file_corruption:
+        log.odd[Odd.CORRUPT] = 1
+    if ulog.dropouts:
+        log.odd[Odd.LOST_TIME] = sum(lost.duration for lost in ulog.dropouts)
+    epoch_us = _epoch_us(ulog) or zero_us or None
+    rows = (_begun(row, start_us, zero_us) for row in _rows(ulog, log.size_bytes))
+    messages = _Messages(epoch_us, has_estimator="estimator_status" in _topics(ulog))
+    return made(log, rows, messages.of, epoch_us=epoch_us, start_us=start_us - zero_us)
+
+
+def _begun(row: Row, start_us: int, zero_us: int) -> Row:
+    """What was published before the log began is told at its beginning."""
+    if row.time_us is None or row.time_us < start_us:
+        return row._replace(time_us=None)
+    return row._replace(time_us=row.time_us - zero_us)
+
+
+@final
+class _Messages:
+    """The messages of the rows of one pass, from first to last."""
+
+    def __init__(self, epoch_us: int | None, *, has_estimator: bool) -> None:
+        self._epoch_us, self._has_estimator = epoch_us, has_estimator
+        self._pace = Pace()
+        self._status: Values = {}
+        self._landed: bool | None = None
+        self._local: Values = {}
+        self._home_alt_m: float | None = None
+        self._origin: tuple[float, float, float] | None = None
+        self._flags: Values = {}
+        self._texts = 0
+
+    def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
+        """Messages of one row."""
+        yield from _HANDLERS[name](self, values, boot_us)
+        if self._status and self._pace.is_due("heartbeat", boot_us):
+            yield from self._state()
+        if self._status and self._pace.is_due("clock", boot_us):
+            yield system_time(self._epoch_us, boot_us)
+
+    # --- its state
+
+    def _on_status(self, values: Values, _: int) -> Iterable[Message]:
+        seen = ("nav_state", "arming_state", "failsafe")
+        changed = any(values.get(each) != self._status.get(each) for each in seen)
+        self._status = values
+        if values["nav_state"] not in _MODES:
+            raise ValueError("no such nav_state")
+        return self._state() if changed else ()
+
+    def _on_landed(self, values: Values, _: int) -> Iterable[Message]:
+        before, self._landed = self._landed, bool(values["landed"])
+        return self._state() if self._status and before != self._landed else ()
+
+    def _state(self) -> Iterator[Message]:
+        """HEARTBEAT and EXTENDED_SYS_STATE."""
+        values, mode = self._status, self._status["nav_state"]
+        if mode in _MODES:
+            armed = values["arming_state"] == _ARMED
+            state = wire.MAV_STATE_STANDBY
+            if mode == _TERMINATION:
+                state = wire.MAV_STATE_FLIGHT_TERMINATION
+            elif armed:
+                state = wire.MAV_STATE_CRITICAL if values.get("failsafe") else wire.MAV_STATE_ACTIVE
+            flags = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            flags |= wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+            main, sub = _MODES[mode]
+            yield wire.MAVLink_heartbeat_message(
+                _mav_type(values), wire.MAV_AUTOPILOT_PX4, flags, main << 16 | sub << 24, state, 3
+            )
+        if self._landed is not None:
+            landed = wire.MAV_LANDED_STATE_IN_AIR
+            if self._landed:
+                landed = wire.MAV_LANDED_STATE_ON_GROUND
+            elif mode in (_TAKEOFF, _VTOL_TAKEOFF):
+                landed = wire.MAV_LANDED_STATE_TAKEOFF
+            elif mode == _LAND:
+                landed = wire.MAV_LANDED_STATE_LANDING
+            vtol = wire.MAV_VTOL_STATE_UNDEFINED
+            yield wire.MAVLink_extended_sys_state_message(vtol, landed)
+
+    # --- where it is
+
+    def _on_local(self, values: Values, boot_us: int) -> Iterator[Message]:
+        self._local = values
+        origin = (values["ref_lat"], values["ref_lon"], values["ref_alt"])
+        is_known = values["xy_global"] and values["z_global"] and all(map(math.isfinite, origin))
+        if is_known and origin != self._origin:
+            if abs(origin[0]) > 90.0 or abs(origin[1]) > 180.0:
+                raise ValueError("no such place")
+            self._origin = origin
+            yield wire.MAVLink_gps_global_origin_message(*_wired(*origin), boot_us)
+        if not self._has_estimator:
+            yield from self._made_estimator(values, boot_us)
+
+    def _on_global(self, values: Values, boot_us: int) -> Iterator[Message]:
+        """GLOBAL_POSITION_INT, with height, velocity and heading of the local position."""
+        local = self._local
+        if not local or not self._pace.is_due("position", boot_us):
+            return
+        altitude_m = values["alt"]
+        if local["z_valid"] and local["z_global"]:
+            altitude_m = local["ref_alt"] - local["z"]
+        above_m = 0.0 if self._home_alt_m is None else altitude_m - self._home_alt_m
+        yield wire.MAVLink_global_position_int_message(
+            boot_ms(boot_us),
+            *_wired(values["lat"], values["lon"], altitude_m),
+            round(above_m * 1e3),
+            *(round(local[each] * 100) for each in ("vx", "vy", "vz")),
+            direction(local["heading"]),
+        )
+
+    def _on_home(self, values: Values, boot_us: int) -> Iterator[Message]:
+        if not values.get("valid_hpos", True):
+            return
+        self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
+        if self._pace.is_due("home", boot_us):
+            half = 0.5 * values.get("yaw", 0.0)
+            yield wire.MAVLink_home_position_message(
+                *_wired(values["lat"], values["lon"], values["alt"]),
+                *(values[each] for each in ("x", "y", "z")),
+                [math.cos(half), 0.0, 0.0, math.sin(half)],
+                *(0.0, 0.0, 0.0),
+                boot_us,
+            )
+
+    # --- how well it knows
+
+    def _on_gps(self, values: Values, boot_us: int) -> Iterator[Message]:
+        if "latitude_deg" in values:
+            place_deg = values["latitude_deg"], values["longitude_deg"]
+            place = _wired(*place_deg, values["altitude_msl_m"])
+            ellipsoid_mm = values["altitude_ellipsoid_m"] * 1e3
+        else:  # before 1.14
+            place = (values["lat"], values["lon"], values["alt"])
+            ellipsoid_mm = values["alt_ellipsoid"]
+        yield wire.MAVLink_gps_raw_int_message(
+            boot_us,
+            values["fix_type"],
+            *place,
+            whole(values["hdop"] * 100, 0, 65535),
+            whole(values["vdop"] * 100, 0, 65535),
+            whole(values["vel_m_s"] * 100, 0, 65535),
+            direction(values["cog_rad"]),
+            values["satellites_used"],
+            alt_ellipsoid=round(ellipsoid_mm),
+            h_acc=whole(values["eph"] * 1e3, 0, 0xFFFFFFFF),
+            v_acc=whole(values["epv"] * 1e3, 0, 0xFFFFFFFF),
+            vel_acc=whole(values["s_variance_m_s"] * 1e3, 0, 0xFFFFFFFF),
+        )
+
+    def _on_estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
+        if not self._pace.is_due("estimator", boot_us):
+            return
+        ratios = ("vel", "pos", "hgt", "mag", "hagl", "tas")
+        yield wire.MAVLink_estimator_status_message(
+            boot_us,
+            values["solution_status_flags"],
+            *(values.get(f"{each}_test_ratio", math.nan) for each in ratios),
+            values["pos_horiz_accuracy"],
+            values["pos_vert_accuracy"],
+        )
+
+    def _on_flags(self, values: Values, _: int) -> Iterable[Message]:
+        self._flags = values
+        return ()
+
+    def _made_estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
+        """ESTIMATOR_STATUS of what vehicle_local_position calls valid, and rejections."""
+        flags = self._flags
+        if not flags or not self._pace.is_due("estimator", boot_us):
+            return
+        horizontal, placed = bool(values["v_xy_valid"]), bool(values["xy_valid"])
+        absolute = placed and bool(values["xy_global"])
+        said = (
+            (wire.ESTIMATOR_ATTITUDE, flags["cs_tilt_align"]),
+            (wire.ESTIMATOR_VELOCITY_HORIZ, horizontal),
+            (wire.ESTIMATOR_VELOCITY_VERT, values["v_z_valid"]),
+            (wire.ESTIMATOR_POS_HORIZ_REL, placed),
+            (wire.ESTIMATOR_POS_HORIZ_ABS, absolute),
+            (wire.ESTIMATOR_POS_VERT_ABS, values["z_valid"]),
+            (wire.ESTIMATOR_POS_VERT_AGL, values["dist_bottom_valid"]),
+            (wire.ESTIMATOR_CONST_POS_MODE, not horizontal),
+            (wire.ESTIMATOR_PRED_POS_HORIZ_REL, placed),
+            (wire.ESTIMATOR_PRED_POS_HORIZ_ABS, absolute),
+            (wire.ESTIMATOR_ACCEL_ERROR, flags["fs_bad_acc_vertical"]),
+        )
+        rejected = [
+            1.0 if flags.get(f"reject_{each}") else math.nan
+            for each in ("hor_vel", "hor_pos", "ver_pos")
+        ]
+        yield wire.MAVLink_estimator_status_message(
+            boot_us,
+            sum(flag for flag, holds in said if holds),
+            *rejected,
+            *(math.nan, math.nan, math.nan),
+            values["eph"],
+            values["epv"],
+        )
+
+    # --- the rest
+
+    def _on_battery(self, values: Values, boot_us: int) -> Iterator[Message]:
+        if self._pace.is_due("battery", boot_us):
+            left, amperes = values["remaining"], values["current_a"]
+            is_known = values.get("connected", True) and 0.0 <= left <= 1.0
+            percent = math.ceil(left * 100) if is_known else -1
+            yield battery(values["voltage_v"], amperes if amperes >= 0.0 else -0.01, percent)
+
+    def _on_parameter(self, values: Values, _: int) -> Iterator[Message]:
+        value, kind = values["value"], wire.MAV_PARAM_TYPE_REAL32
+        if isinstance(value, int):
+            kind = wire.MAV_PARAM_TYPE_INT32
+            value = encoded(value, kind, bytewise=True)
+        yield parameter(values["key"], value, kind)
+
+    def _on_text(self, values: Values, _: int) -> Iterable[Message]:
+        self._texts = self._texts % 0xFFFF + 1
+        severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
+        return texts(_COLOURS.sub("", values["text"]), severity, self._texts)
+
+
+def _wired(latitude_deg: float, longitude_deg: float, altitude_m: float) -> tuple[int, int, int]:
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)
+
+
+def direction(angle_rad: float) -> int:
+    """In hundredths of a degree; receivers that stand still may have none."""
+    finite = math.isfinite(angle_rad)
+    return round(math.degrees(angle_rad) * 100) % 36000 if finite else _NO_DIRECTION
+
+
+def _mav_type(status: Values) -> int:
+    """MAV_TYPE of a vehicle_status."""
+    if status.get("system_type"):
+        return int(status["system_type"])
+    if status.get("is_vtol"):
+        return int(wire.MAV_TYPE_VTOL_RESERVED5)
+    is_rotary = status.get("vehicle_type") == 1
+    return int(wire.MAV_TYPE_QUADROTOR if is_rotary else wire.MAV_TYPE_FIXED_WING)
+
+
+_HANDLERS: Final[dict[str, Callable[[_Messages, Values, int], Iterable[Message]]]] = {
+    _PARAMETER: _Messages._on_parameter,
+    _TEXT: _Messages._on_text,
+    "battery_status": _Messages._on_battery,
+    "estimator_status": _Messages._on_estimator,
+    "estimator_status_flags": _Messages._on_flags,
+    "home_position": _Messages._on_home,
+    "sensor_gps": _Messages._on_gps,
+    "vehicle_global_position": _Messages._on_global,
+    "vehicle_land_detected": _Messages._on_landed,
+    "vehicle_local_position": _Messages._on_local,
+    "vehicle_status": _Messages._on_status,
+}
+TOPICS: Final = frozenset(_HANDLERS)
+"""Names of what is translated."""

@@ -1,0 +1,201 @@
+"""What logs of all kinds have in common: records, a clock that never falls, what is odd."""
+
+import enum
+import itertools
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple, final
+
+from companion.errors import InputError
+from companion.mavlink.dialect import KINDS, wire
+from companion.mavlink.who import TO_COMPONENT_1, ids_in_words
+from companion.telemetry.logs.needed import Kind, Missing, missing_of
+
+YEAR_2000_US: Final = 946_684_800_000_000
+YEAR_2100_US: Final = 4_102_444_800_000_000
+"""Microseconds since 1970, between which a stamp is a date."""
+_BACK_US: Final = 1_000_000
+"""A clock that falls by more was set, or replaced."""
+_GAP_US: Final = 600_000_000
+"""A step ahead by more is doubted."""
+_JITTER_US: Final = 1_000
+"""Programs that log in several threads, or a link's number in the last bits, make less."""
+
+
+@final
+class Record(NamedTuple):
+    """One MAVLink frame of a log, and when it was logged."""
+
+    time_us: int
+    """Microseconds since 1970; it never falls from one record to the next."""
+    frame: bytes
+    """As it stood in the log, MAVLink 1 or 2, signed or not."""
+
+
+class Odd(enum.StrEnum):
+    """What may be odd about a log: the text, with `{}` for how often."""
+
+    GARBAGE = "{} bytes that belong to nothing were passed over"
+    CHECKSUM = "{} messages with a wrong checksum were left out"
+    DAMAGED = "{} entries that cannot be what the log says they are were left out"
+    UNKNOWN = "{} messages of kinds that this program does not know: their checksum is not checked"
+    CUT_SHORT = "the end is cut short: its last {} bytes are no whole entry"
+    CORRUPT = "parts of it are damaged, and left out"
+    UNREADABLE = "the file could not be read on"
+    SECRET = "{} messages with a key or password were left out"
+    SIGNED = "{} messages are signed: no signature was checked"
+    MAVLINK_1 = "{} messages are of MAVLink 1"
+    OTHER_VEHICLE = "{} messages of other vehicles were left out"
+    NO_STAMPS = "no time stamps that are dates: time is the vehicle's clock, as if booted in 1970"
+    NO_STAMP = "{} messages without a time stamp: each has the time of the one before"
+    WRONG_STAMP = "{} time stamps make no sense: not believed"
+    NO_DATE = "nothing tells the date: time counts from the vehicle's boot, as if in 1970"
+    TIME_BACK = "time falls back by more than a second, {} in all: read on without a step"
+    TIME_JITTER = "{} time stamps are up to a second before the one before"
+    TIME_GAP = "{} gaps of more than ten minutes"
+    LOST_TIME = "the vehicle says that it could not write its log for {} milliseconds"
+    LOST_ENTRIES = "the vehicle says that it could not write {} entries of its log"
+
+    def said(self, count: int) -> str:
+        """The text."""
+        return self.value.format(f"{count:,}")
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Log:
+    """A log of any kind, opened."""
+
+    kind: Kind
+    """tlog: MAVLink frames; bin: ArduPilot's own log; ulg: PX4's own."""
+    path: Path
+    systems: tuple[int, ...]
+    """System ids of all autopilots in it."""
+    system_id: int | None
+    """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
+    autopilot: int | None
+    """MAV_AUTOPILOT; None: nothing tells."""
+    read: Callable[["Log"], Iterator[Record]]
+    """One pass through it: notes in the log how far it is, what is odd and what it heard."""
+    substitutes: tuple[str, ...] = ()
+    """What is made of something else than usual, in words."""
+    elsewhere: frozenset[tuple[int, int]] = frozenset()
+    """System and component of what sends an autopilot's heartbeat and is not component 1."""
+    size_bytes: int = 0
+    """Of the file, when it was opened."""
+    read_bytes: int = 0
+    """How far `records` has come."""
+    odd: Counter[Odd] = field(default_factory=Counter)
+    """How often each oddity was met, as far as `records` has come."""
+    heard: set[int] = field(default_factory=set)
+    """Message numbers of the autopilot, likewise."""
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What is odd about it, as far as `records` has come."""
+        return (*self.substitutes, *(odd.said(n) for odd, n in self.odd.items() if n > 0))
+
+    def missing(self) -> tuple[Missing, ...]:
+        """What the companion listens to and never came; once `records` has come to the end."""
+        names = {KINDS[each].msgname for each in self.heard if each in wire.mavlink_map}
+        return missing_of(self.kind, self.autopilot, names)
+
+    def records(self) -> Iterator[Record]:
+        """All of it, in order; each call begins again, and so do the findings.
+
+        Frames of other vehicles, and those with secrets, are left out.
+        """
+        self.odd.clear()
+        self.heard.clear()
+        self.read_bytes = 0
+        try:
+            yield from self.read(self)
+        except OSError:
+            self.odd[Odd.UNREADABLE] = 1
+
+
+def chosen(
+    path: Path,
+    systems: tuple[int, ...],
+    asked: int | None,
+    elsewhere: frozenset[tuple[int, int]] = frozenset(),
+) -> int | None:
+    """The selected vehicle; InputError if it is ambiguous.  elsewhere: as of `Log`."""
+    those = ", ".join(str(each) for each in systems)
+    if asked is not None:
+        if asked not in systems:
+            rule = f"there is no such vehicle in {path.name}"
+            if those_elsewhere := sorted(each for each in elsewhere if each[0] == asked):
+                rule += f": its autopilot is {ids_in_words(those_elsewhere)}, not component 1"
+                raise InputError("--system", asked, rule, TO_COMPONENT_1)
+            there = f"There is system {those}" if len(systems) == 1 else f"There are {those}"
+            none = "There is no autopilot's heartbeat in it: leave --system out"
+            raise InputError("--system", asked, rule, f"{there if systems else none}.")
+        return asked
+    if len(systems) > 1:
+        rule = f"several vehicles are in it, systems {those}"
+        raise InputError("log", str(path), rule, "Choose one with --system.")
+    return systems[0] if systems else None
+
+
+@final
+class Clock:
+    """Makes a time that never falls of a log's stamps.
+
+    A stamp that leaps is believed once the next one agrees with it; until then the last time
+    goes on.  After a fall time continues from where it was.
+    """
+
+    def __init__(
+        self,
+        odd: Counter[Odd],
+        *,
+        first_us: int,
+        last_us: int,
+        start_us: int | None = None,
+        jitter_us: int = _JITTER_US,
+    ) -> None:
+        """first_us, last_us: the stamps that make sense at all.
+
+        start_us: the first one, from which others are doubted; None: the first that makes sense.
+        jitter_us: a step back by less is not worth a word.
+        """
+        self._odd, self._first_us, self._last_us = odd, first_us, last_us
+        self._jitter_us = jitter_us
+        self._stamp_us, self._shift_us = start_us, 0
+        self._doubted_us: int | None = None
+        self.now_us = first_us if start_us is None else start_us
+
+    def read(self, stamp_us: int) -> bool:
+        """Go on to a stamp, in microseconds; whether it is believed."""
+        if not self._first_us <= stamp_us < self._last_us:
+            self._odd[Odd.WRONG_STAMP] += 1
+            return False
+        step_us = 0 if self._stamp_us is None else stamp_us - self._stamp_us
+        if not -_BACK_US <= step_us <= _GAP_US:
+            if self._doubted_us is None or not agree(self._doubted_us, stamp_us):
+                self._doubted_us = stamp_us
+                self._odd[Odd.WRONG_STAMP] += 1
+                return False
+            self._odd[Odd.WRONG_STAMP] -= 1
+            self._odd[Odd.TIME_BACK if step_us < 0 else Odd.TIME_GAP] += 1
+            # no more of a shift than keeps it from falling: what leaps on and on stays bounded
+            self._shift_us = max(self.now_us - stamp_us, 0)
+        elif step_us < -self._jitter_us:
+            self._odd[Odd.TIME_JITTER] += 1
+        self._stamp_us, self._doubted_us = stamp_us, None
+        self.now_us = max(self.now_us, stamp_us + self._shift_us)
+        return True
+
+
+def agree(stamp_us: int, next_us: int) -> bool:
+    """Whether a stamp may follow another."""
+    return -_BACK_US <= next_us - stamp_us <= _GAP_US
+
+
+def earliest(stamps_us: list[int]) -> int:
+    """Where a log begins, by its first stamps: the first that the one after it agrees with."""
+    pairs = itertools.pairwise(stamps_us)
+    return next((now for now, after in pairs if agree(now, after)), stamps_us[0])

@@ -1,0 +1,154 @@
+"""Makes of the entries of an autopilot's own log the MAVLink messages that it would have sent.
+
+Made is what the companion reads (docs/reference/log-messages.md), no more.
+"""
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple, final
+
+from companion.errors import InputError
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.telemetry.logs.log import Clock, Log, Odd, Record
+
+LONGEST_US: Final = 366 * 86_400 * 1_000_000
+"""No vehicle is up for longer than a year."""
+_JITTER_US: Final = 1_000_000
+"""Entries are written by several tasks: a step back by less is not worth a word."""
+_TEXT_BYTES: Final = 50
+_MAX_CHUNKS: Final = 6
+_PERIODS_US: Final = {
+    "heartbeat": 1_000_000,
+    "clock": 95_000,  # as often as the companion looks whether a position is late
+    "position": 19_000,  # 50 a second are enough
+    "estimator": 95_000,
+    "battery": 490_000,
+    "home": 490_000,
+}
+"""The least between two messages of a kind, microseconds: a link has no more."""
+
+Values = Mapping[str, Any]
+MessagesOf = Callable[[str, Values, int], Iterable[Message]]
+"""Messages of an entry: its name, its values and the microseconds since boot.
+
+ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
+"""
+
+
+class Row(NamedTuple):
+    """One entry of a log."""
+
+    name: str
+    """Of its kind: GPS, vehicle_status."""
+    time_us: int | None
+    """Microseconds since boot; None: that of the entry before."""
+    values: Values
+    byte: int
+    """How far the file has been read."""
+
+
+def made(
+    log: Log, rows: Iterable[Row], messages_of: MessagesOf, *, epoch_us: int | None, start_us: int
+) -> Iterator[Record]:
+    """What the vehicle would have sent.
+
+    epoch_us: when it booted, microseconds since 1970, None if nothing tells; start_us: when the
+    log begins, microseconds since boot.
+    """
+    if epoch_us is None:
+        log.odd[Odd.NO_DATE] = 1
+    boot_us = epoch_us or 0
+    clock = Clock(
+        log.odd,
+        first_us=boot_us,
+        last_us=boot_us + LONGEST_US,
+        start_us=boot_us + start_us,
+        jitter_us=_JITTER_US,
+    )
+    codec = wire.MAVLink(None, srcSystem=log.system_id, srcComponent=AUTOPILOT_COMPONENT)
+    for row in rows:
+        log.read_bytes = row.byte
+        if row.time_us is not None and not clock.read(boot_us + row.time_us):
+            continue
+        try:
+            messages = list(messages_of(row.name, row.values, clock.now_us - boot_us))
+            frames = [bytes(message.pack(codec)) for message in messages]
+        except (ArithmeticError, KeyError, TypeError, ValueError, struct.error):
+            # nothing protects an entry: damaged, its numbers fit into no message, or it is no text
+            log.odd[Odd.DAMAGED] += 1
+            continue
+        log.heard.update(message.get_msgId() for message in messages)
+        for frame in frames:
+            yield Record(clock.now_us, frame)
+    log.read_bytes = log.path.stat().st_size
+
+
+def refuse_older(
+    path: Path, firmware: str, version: tuple[int, int] | None, oldest: tuple[int, int]
+) -> None:
+    """InputError if a log is of a version before the oldest that is known; None: it tells none."""
+    if version is not None and version < oldest:
+        rule = f"it is of {firmware} {version[0]}.{version[1]}"
+        rule += f", and logs are read from {oldest[0]}.{oldest[1]} on"
+        remedy = "Fly newer firmware, or use companion 0.2.0 for it."
+        raise InputError("log", str(path), rule, remedy)
+
+
+@final
+@dataclass(slots=True)
+class Pace:
+    """Limits the rate of messages to that of a link."""
+
+    _sent_us: dict[str, int] = field(default_factory=dict)
+
+    def is_due(self, what: str, time_us: int) -> bool:
+        """Whether the period of such a message has passed; then it counts as sent now."""
+        before_us = self._sent_us.get(what)
+        if before_us is not None and 0 <= time_us - before_us < _PERIODS_US[what]:
+            return False
+        self._sent_us[what] = time_us
+        return True
+
+
+def parameter(name: str, value: float, kind: int = wire.MAV_PARAM_TYPE_REAL32) -> Message:
+    """PARAM_VALUE, without its place among the others."""
+    return wire.MAVLink_param_value_message(
+        name.encode("ascii", "replace")[:16], value, kind, 0, 65535
+    )
+
+
+def texts(text: str, severity: int, identity: int) -> list[Message]:
+    """STATUSTEXTs of a text of any length; identity: of its parts, if there are several."""
+    content = "".join(c for c in text if c.isprintable()).encode("ascii", "replace")
+    content = content[: _MAX_CHUNKS * _TEXT_BYTES - 1]
+    if len(content) <= _TEXT_BYTES:
+        return [wire.MAVLink_statustext_message(severity, content)] if content else []
+    parts = range(0, len(content) + 1, _TEXT_BYTES)
+    return [
+        wire.MAVLink_statustext_message(severity, content[at : at + _TEXT_BYTES], identity, number)
+        for number, at in enumerate(parts)
+    ]
+
+
+def battery(volts: float, amperes: float, percent: int) -> Message:
+    """SYS_STATUS, of which the sensor bits are 0; -1 A or %: not known."""
+    milli_v, centi_a = whole(volts * 1e3, 0, 65534), whole(amperes * 100, -1, 32767)
+    return wire.MAVLink_sys_status_message(0, 0, 0, 0, milli_v, centi_a, percent, *[0] * 6)
+
+
+def system_time(epoch_us: int | None, boot_us: int) -> Message:
+    """SYSTEM_TIME; epoch_us: when it booted, microseconds since 1970."""
+    unix_us = 0 if epoch_us is None else epoch_us + boot_us
+    return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
+
+
+def boot_ms(boot_us: int) -> int:
+    """As MAVLink has it: 32 bits, which begin again after 49.7 days."""
+    return boot_us // 1000 & 0xFFFFFFFF
+
+
+def whole(value: float, least: int, most: int) -> int:
+    """Rounded, for a field that says only so much.  ValueError if it is not finite."""
+    return min(max(round(value), least), most)
