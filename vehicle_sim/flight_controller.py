@@ -6,7 +6,7 @@ one on the same radio.
 
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final, final
+from typing import Any, final
 
 from vehicle_sim.autopilots import (
     Ack,
@@ -22,7 +22,7 @@ from vehicle_sim.autopilots import (
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix
-from vehicle_sim.wire import messages, telemetry_ardupilot, telemetry_px4
+from vehicle_sim.wire import messages, telemetry
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
@@ -36,7 +36,6 @@ _RANGES = (DISTANCE_SENSOR, RANGEFINDER)
 _CURRENT_MODE_US = 500_000
 _GROUND_STATION = 6
 _SET_MODE = 11
-_BUILDERS: Final = {"ardupilot": telemetry_ardupilot.MESSAGES, "px4": telemetry_px4.MESSAGES}
 _EPOCH_US = 1_795_000_000_000_000
 """UTC at the start of every run: the same seed gives the same bytes."""
 
@@ -67,7 +66,7 @@ class FlightController:
         self._radio, self._on_text = radio, on_text
         self.now_us = boot_us
         self._firmware = profile.firmware
-        self._builders = _BUILDERS[profile.firmware]
+        self._builders = telemetry.MESSAGES[profile.firmware]
         self._parameter_protocol = ParameterProtocol(autopilot)
         self._mission_protocol = Missions(autopilot)
         self.transfers = False

@@ -15,7 +15,7 @@ from vehicle_sim.autopilots import Battery
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import ARDUCOPTER, Gps
-from vehicle_sim.wire.telemetry_ardupilot import MESSAGES
+from vehicle_sim.wire.telemetry import MESSAGES
 
 ORIGIN_DEG = (47.0, 8.0)
 METRES_PER_DEG_NORTH = 111_181.0  # of the meridian near 47 N: the tests stay within 1 km of it
@@ -127,7 +127,7 @@ def test_guided_is_had_without_a_position_but_armed_in_only_with_one() -> None:
 
 
 def test_what_can_be_said_can_be_asked_for_but_for_timesync() -> None:
-    assert set(MESSAGES) - STREAMABLE == {111}
+    assert set(MESSAGES["ardupilot"]) - STREAMABLE == {111}
 
 
 def test_motors_that_idle_for_ten_seconds_are_disarmed() -> None:

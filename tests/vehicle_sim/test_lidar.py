@@ -12,6 +12,7 @@ from test_near_scene import GROUND_M, world
 
 from vehicle_sim.errors import InputError
 from vehicle_sim.simulation import Simulation
+from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.proximity import BY_MAVLINK, RPLIDAR, Proximity
 
 NOT_THERE, NOT_KNOWN = 1601, 65535
@@ -357,10 +358,16 @@ def told(distances: dict[int, int], **fields: Any) -> Any:
     return mavlink.MAVLink_obstacle_distance_message(**(values | {"distances": cm} | fields))
 
 
+def read(said: Any) -> Any:
+    """As pymavlink reads it out of its frame."""
+    return mavlink.MAVLink(None).decode(bytearray(Packer(1, 1).frame(said)))
+
+
 def heard(message: Any) -> dict[int, int]:
     proximity = Proximity(BY_MAVLINK)
     proximity.on_obstacle_distance(message, 1_000_000)
-    return {m.orientation: m.current_distance for m in proximity.messages(1_100_000)}
+    said = map(read, proximity.messages(1_100_000))
+    return {m.orientation: m.current_distance for m in said}
 
 
 def test_with_angle_offset_0_the_wall_straight_ahead_is_lost() -> None:
@@ -373,7 +380,7 @@ def test_what_says_nothing_is_not_read_and_precision_is_a_centimetre_cut_off() -
     assert heard(told({9: 0, 18: NOT_KNOWN, 27: 20, 36: 2001})) == {}
     proximity = Proximity(BY_MAVLINK)
     proximity.on_obstacle_distance(told({18: 583}), 0)
-    (message,) = proximity.messages(100_000)
+    (message,) = map(read, proximity.messages(100_000))
     assert message.min_distance == 29
     assert message.current_distance in (582, 583)
     assert not proximity.messages(600_000)  # lost after half a second

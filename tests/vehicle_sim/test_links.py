@@ -41,28 +41,16 @@ def udp_client() -> socket.socket:
     return client
 
 
-@pytest.mark.parametrize("text", ["", "udp:1:2", "udpin:host", "tcpin:h:99999", "udpout:h:0", "x"])
-def test_what_is_not_an_endpoint_is_said_to_be_none(text: str) -> None:
-    with pytest.raises(InputError, match="udpin:HOST:PORT"):
-        parse_endpoint(text)
-
-
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("tcp:127.0.0.1:5760", "this one is written tcpin:127.0.0.1:5760"),
-        ("tcpout://127.0.0.1:5760", "this one is written tcpin:127.0.0.1:5760"),
-        ("udps:0.0.0.0:14550", "this one is written udpin:0.0.0.0:14550"),
-        ("udp://:14540", "this one is written udpin:0.0.0.0:14540"),
-        ("udp://127.0.0.1:14540", "this one is written udpout:127.0.0.1:14540"),
-        ("UDPOUT:127.0.0.1:14540", "this one is written udpout:127.0.0.1:14540"),
-        ("udpout:::1:14540", r"in brackets: udpout:\[::1\]:14540"),
-        ("serial:///dev/ttyACM0:57600", "no serial port"),
-        ("/dev/ttyACM0,57600", "no serial port"),
+        *("", "x", "udp:1:2", "udpin:host", "tcpin:h:99999", "udpout:h:0", "udpout:::1:14540"),
+        *("tcp:127.0.0.1:5760", "udp://:14540", "UDPOUT:127.0.0.1:14540", "/dev/ttyACM0,57600"),
+        *("udpin:a@b:1", "udpin:h:²", "udpout:h:1 ", "udpin:[::1:5"),
     ],
 )
-def test_what_others_write_is_told_as_it_is_written_here(text: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_what_is_not_an_endpoint_is_said_to_be_none(text: str) -> None:
+    with pytest.raises(InputError, match=r"udpin:HOST:PORT or tcpin:.*Try udpout:127.0.0.1:14540"):
         parse_endpoint(text)
 
 

@@ -82,7 +82,7 @@ def number_of(frame: bytes) -> int:
 def _read(frame: bytes, kind: Any) -> Any:
     """The message of a frame; None if the frame is not intact.
 
-    As pymavlink decodes it, in half the time: what is common is a frame of MAVLink 2 without arrays.
+    As pymavlink decodes it, and in half the time where there are no arrays.
     """
     end = len(frame) - (_SIGNATURE_BYTES if frame[0] == _MARKER_2 and frame[2] else 0) - 2
     if mcrf4xx(frame[1:end] + bytes([kind.crc_extra])) != frame[end] | frame[end + 1] << 8:

@@ -14,8 +14,6 @@ from vehicle_sim.wire.frames import Prepared, make
 
 VALUES_PER_S = 1348 / 1.5
 """ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""
-_MAX_AT_ONCE = 20
-"""Values in one step, however late it is: no burst that a socket cannot take."""
 _UNASKED = 65535
 """param_index of a value that ArduPilot sends after a PARAM_SET or a read by name."""
 
@@ -68,7 +66,7 @@ class ParameterProtocol:
         answers = list[Reply]()
         for link, listing in list(self._listings.items()):
             due = int((now_us - listing.begun_us) * 1e-6 * VALUES_PER_S)
-            last = min(due, listing.sent + _MAX_AT_ONCE, len(self._names))
+            last = min(due, len(self._names))
             values = (self._value(index, index) for index in range(listing.sent, last))
             answers += [SendMessage(message=value, to=listing.to) for value in values]
             listing.sent = max(listing.sent, last)

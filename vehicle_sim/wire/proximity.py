@@ -15,6 +15,7 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.parameters import Parameters
+from vehicle_sim.wire.frames import make
 
 DISTANCE_SENSOR, RANGEFINDER = 132, 173
 RPLIDAR, BY_MAVLINK = 5, 2
@@ -24,7 +25,9 @@ _FIRST_ID: Final = 10
 _TIMEOUT_US, _CHECK_US = 1_000_000, 750_000
 _LOST_AFTER_US: Final = {RPLIDAR: 200_000, BY_MAVLINK: 500_000}
 _UNKNOWN: Final = 65535
-_DOWN: Final = 25
+_DOWN, _LASER = 25, mavlink.MAV_DISTANCE_SENSOR_LASER
+_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
+_DOWN_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION
 
 
 @final
@@ -103,17 +106,9 @@ class Proximity:
             return []
         self._told.update(np.flatnonzero(valid).tolist())
         shown_m = np.where(valid, self._distance_m, self._max_m)
+        head = (now_us // 1000, _cm(self._min_m), _cm(self._max_m))
         return [
-            mavlink.MAVLink_distance_sensor_message(
-                time_boot_ms=now_us // 1000,
-                min_distance=_cm(self._min_m),
-                max_distance=_cm(self._max_m),
-                current_distance=_cm(shown_m[sector]),
-                type=mavlink.MAV_DISTANCE_SENSOR_LASER,
-                id=_FIRST_ID + sector,
-                orientation=sector,
-                covariance=0,
-            )
+            make("DISTANCE_SENSOR", *head, _cm(shown_m[sector]), _LASER, _FIRST_ID + sector, sector)
             for sector in sorted(self._told)
         ]
 
@@ -135,35 +130,22 @@ class RangeSensors:
 
     def bits(self, now_us: int) -> tuple[int, int]:
         """Of SYS_STATUS: what is there, and what of it is not well."""
-        there = lost = 0
-        if self.proximity.kind:
-            there |= mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
-            lost |= 0 if self.proximity.healthy(now_us) else mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
-        if self._has_rangefinder:
-            there |= mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION
-            lost |= mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION if self.rangefinder_off else 0
-        return there, lost
+        there = (_BIT if self.proximity.kind else 0) | (_DOWN_BIT if self._has_rangefinder else 0)
+        lost = 0 if self.proximity.healthy(now_us) else _BIT
+        return there, there & (lost | (_DOWN_BIT if self.rangefinder_off else 0))
 
     def messages(self, number: int, now_us: int) -> list[Any]:
         """All DISTANCE_SENSOR of now, or the RANGEFINDER."""
-        found = list[Any]()
-        if self._has_rangefinder and number == RANGEFINDER:
-            distance_m = 0.0 if self.rangefinder_off else self._look_down()
-            found.append(mavlink.MAVLink_rangefinder_message(distance_m, 0.0))
-        elif self._has_rangefinder and not self.rangefinder_off:
-            found.append(
-                mavlink.MAVLink_distance_sensor_message(
-                    time_boot_ms=now_us // 1000,
-                    min_distance=round(self._least_m * 100.0),
-                    max_distance=round(self._most_m * 100.0),
-                    current_distance=min(_cm(np.float32(self._look_down())), _UNKNOWN),
-                    type=mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
-                    id=0,
-                    orientation=_DOWN,
-                    covariance=0,
-                )
-            )
-        return found if number == RANGEFINDER else found + self.proximity.messages(now_us)
+        has_one, is_off = self._has_rangefinder, self.rangefinder_off
+        if number == RANGEFINDER:
+            return [make("RANGEFINDER", 0.0 if is_off else self._look_down())] if has_one else []
+        found = self.proximity.messages(now_us)
+        if has_one and not is_off:
+            limits_cm = (round(self._least_m * 100.0), round(self._most_m * 100.0))
+            range_cm = min(_cm(np.float32(self._look_down())), _UNKNOWN)
+            rest = (*limits_cm, range_cm, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN, 0, _DOWN)
+            found.insert(0, make("DISTANCE_SENSOR", now_us // 1000, *rest))
+        return found
 
 
 def _sector_of(angle_deg: float) -> int:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Result, Sender
 from vehicle_sim.conditions import RadarConditions
@@ -22,6 +21,7 @@ from vehicle_sim.sensors.terrain_radar import (
     Viewpoint,
 )
 from vehicle_sim.wire import messages
+from vehicle_sim.wire.frames import Prepared, make
 from vehicle_sim.wire.radio import Radio
 
 HEARTBEAT_US = 1_000_000
@@ -69,40 +69,34 @@ class RadarComponent:
                 self.send_heartbeat()
         if conditions.silent:
             self._asked = self._answer = None
-        if self._asked is not None and self._answer is None:
-            self._look(*self._asked, now_us, tick, vehicle, conditions)
+        if (
+            self._asked is not None
+            and self._answer is None
+            and self._looks(now_us, conditions, tick)
+        ):
+            (asked, link), self._asked = self._asked, None
+            view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
+            see = self._scanned if asked.get_type() == "TERRAIN_REQUEST" else self._checked
+            self._answer = see(asked, view, conditions), link
+            self._answer_us = now_us + round(conditions.delay_s * 1e6)
         if self._answer is not None and now_us >= self._answer_us:
-            replies, link = self._answer
-            self._answer = None
+            (replies, link), self._answer = self._answer, None
             for reply in replies:
                 self._radio.send(reply, link, self._id)
         idle = self._asked is None and self._answer is None
         self.due_us = self._beat_us if idle else 0
 
-    def _look(
-        self,
-        asked: Any,
-        link: int,
-        now_us: int,
-        ends_tick: bool,
-        vehicle: Vehicle,
-        conditions: RadarConditions,
-    ) -> None:
-        """Answer what was asked if the time has come; the answer waits for the delay."""
-        if conditions.rate_hz:
-            if now_us < self._sweep_us:
-                return
-            interval_us = max(round(1e6 / conditions.rate_hz), 1)
-            self._sweep_us = now_us - now_us % interval_us + interval_us
-        elif not ends_tick:
-            return
-        self._asked = None
-        view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
-        look = self._scanned if asked.get_type() == "TERRAIN_REQUEST" else self._checked
-        self._answer = look(asked, view, conditions), link
-        self._answer_us = now_us + round(conditions.delay_s * 1e6)
+    def _looks(self, now_us: int, conditions: RadarConditions, ends_tick: bool) -> bool:
+        """Whether now is the time to look: at the end of a tick, or of a sweep."""
+        if not conditions.rate_hz:
+            return ends_tick
+        if now_us < self._sweep_us:
+            return False
+        interval_us = max(round(1e6 / conditions.rate_hz), 1)
+        self._sweep_us = now_us - now_us % interval_us + interval_us
+        return True
 
-    def _scanned(self, asked: Any, view: Viewpoint, conditions: RadarConditions) -> Sequence[Any]:
+    def _scanned(self, asked: Any, view: Viewpoint, conditions: RadarConditions) -> list[Prepared]:
         """TERRAIN_DATA of all blocks, then the report that says that this was all."""
         request = ScanRequest(
             latitude_deg=asked.lat / 1e7,
@@ -110,21 +104,21 @@ class RadarComponent:
             spacing_m=asked.grid_spacing,
             mask=asked.mask,
         )
-        blocks = self._radar.answer(request, view)
+        head = (asked.lat, asked.lon, asked.grid_spacing)
         replies = [
-            mavlink.MAVLink_terrain_data_message(
-                *(asked.lat, asked.lon, asked.grid_spacing),
-                *(block.gridbit, self._spoilt(block.heights_amsl_m, conditions)),
+            make(
+                "TERRAIN_DATA", *head, block.gridbit, self._spoilt(block.heights_amsl_m, conditions)
             )
-            for block in blocks
+            for block in self._radar.answer(request, view)
         ]
+        count = len(replies)
         if conditions.frames_lost:
-            kept = self._rng.random(len(replies)) >= conditions.frames_lost
+            kept = self._rng.random(count) >= conditions.frames_lost
             replies = [reply for reply, keep in zip(replies, kept, strict=True) if keep]
         ground_amsl_m = self._radar.height_amsl_m(request.latitude_deg, request.longitude_deg)
-        return [*replies, _report(asked, request.spacing_m, ground_amsl_m, view, len(blocks))]
+        return [*replies, _report(asked, request.spacing_m, ground_amsl_m, view, count)]
 
-    def _checked(self, asked: Any, view: Viewpoint, conditions: RadarConditions) -> Sequence[Any]:
+    def _checked(self, asked: Any, view: Viewpoint, conditions: RadarConditions) -> list[Prepared]:
         """The height of one place, with a spacing of 0 if the radar does not see it."""
         place = asked.lat / 1e7, asked.lon / 1e7
         height = UNSEEN_M
@@ -133,13 +127,13 @@ class RadarComponent:
             height = min(max(-int(-height_m // 1), _LOWEST_M), _HIGHEST_M)
         (height,) = self._spoilt((height,), conditions)
         if height == UNSEEN_M:
-            return [mavlink.MAVLink_terrain_report_message(asked.lat, asked.lon, 0, 0.0, 0.0, 0, 0)]
+            return [make("TERRAIN_REPORT", asked.lat, asked.lon)]
         return [_report(asked, 1, float(height), view, 0)]
 
-    def _spoilt(self, heights_amsl_m: Sequence[int], conditions: RadarConditions) -> Sequence[int]:
+    def _spoilt(self, heights_amsl_m: Sequence[int], conditions: RadarConditions) -> list[int]:
         """The heights as a radar in this state has them."""
         if not (conditions.blind or conditions.cells_missed or conditions.noise_m):
-            return heights_amsl_m
+            return list(heights_amsl_m)
         heights = np.array(heights_amsl_m)
         seen = heights != UNSEEN_M
         if conditions.blind:
@@ -160,9 +154,7 @@ class RadarComponent:
 
 def _report(
     asked: Any, spacing_m: int, ground_amsl_m: float, view: Viewpoint, blocks: int
-) -> mavlink.MAVLink_terrain_report_message:
+) -> Prepared:
     """TERRAIN_REPORT: nothing is pending; lost blocks are counted too."""
-    above_ground_m = view.altitude_amsl_m - ground_amsl_m
-    return mavlink.MAVLink_terrain_report_message(
-        asked.lat, asked.lon, spacing_m, ground_amsl_m, above_ground_m, 0, blocks
-    )
+    heights_m = (ground_amsl_m, view.altitude_amsl_m - ground_amsl_m)
+    return make("TERRAIN_REPORT", asked.lat, asked.lon, spacing_m, *heights_m, 0, blocks)

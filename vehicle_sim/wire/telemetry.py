@@ -1,8 +1,7 @@
 """An autopilot's report as MAVLink messages: a function each, which has the name of its message.
 
-Here is what every personality says in the same way; telemetry_ardupilot.py and telemetry_px4.py
-have the rest.  What a function does not fill is zero: nobody reads it.  None: there is nothing to
-say now.
+Fields that somebody reads are filled as in the recorded flights; what a function does not fill is
+zero.  None: there is nothing to say now.
 """
 
 import math
@@ -11,24 +10,36 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Estimate, Place, Report
+from vehicle_sim.autopilots import Landed, Report
+from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import Prepared, layout_of, make
-
-INT16, INT32, UINT16 = 32767, 2_147_483_647, 65535
-PLANE: Final = 1
-"""MAV_TYPE_FIXED_WING."""
-NAN: Final = math.nan
-_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
-_IGNORE_YAW_RATE = 0x800
-_ZERO = (0.0, 0.0, 0.0)
 
 Builder = Callable[[Report], Prepared | None]
 
-
-def by_number(*builders: Builder) -> dict[int, Builder]:
-    """Those of all firmwares and these, by message number; a later one of the same name counts."""
-    every = {each.__name__.strip("_").upper(): each for each in (*_COMMON, *builders)}
-    return {layout_of(name).number: builder for name, builder in every.items()}
+_INT16, _INT32, _UINT16 = 32767, 2_147_483_647, 65535
+_FIXED_WING: Final = 1
+_NAN: Final = math.nan
+_NO_VECTOR: Final = (_NAN, _NAN, _NAN)
+_NO_CELL: Final = 65535
+_CENTIAMPERES_UNKNOWN: Final = -100
+"""As PX4's simulated battery says it."""
+_ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
+"""SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well."""
+_GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x1000_0000
+_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
+_IGNORE_YAW_RATE, _ONLY_POSITION = 0x800, 0xFDF8
+_TAKEOFF, _MISSION, _RETURN, _LAND = 0x0204_0000, 0x0404_0000, 0x0504_0000, 0x0604_0000
+_ALTITUDE, _POSITION = 0x0002_0000, 0x0003_0000
+_STANDARD_MODES: Final = {
+    _POSITION: 1,
+    _ALTITUDE: 4,
+    _RETURN: 5,
+    _MISSION: 6,
+    _LAND: 7,
+    _TAKEOFF: 8,
+}
+"""MAV_STANDARD_MODE by custom_mode of PX4: 7 and 8 as recorded, the others from the source."""
 
 
 # --- numbers --------------------------------------------------------------------------------------
@@ -41,34 +52,36 @@ def bounded(value: float, most: int) -> int:
     return (most if value > 0.0 else -most) if math.isfinite(value) else 0
 
 
-def place_e7(place: Any) -> tuple[int, int]:
+def _e7(place: Any) -> tuple[int, int]:
     """Latitude and longitude of anything that has them, in 1e-7 degrees."""
-    return bounded(place.latitude_deg * 1e7, INT32), bounded(place.longitude_deg * 1e7, INT32)
+    return bounded(place.latitude_deg * 1e7, _INT32), bounded(place.longitude_deg * 1e7, _INT32)
 
 
-def place_e7_mm(place: Place | Estimate) -> tuple[int, int, int]:
+def _e7_mm(place: Any) -> tuple[int, int, int]:
     """Latitude, longitude and height above the sea."""
-    return *place_e7(place), bounded(place.altitude_amsl_m * 1e3, INT32)
+    return *_e7(place), bounded(place.altitude_amsl_m * 1e3, _INT32)
 
 
-def is_plane(report: Report) -> bool:
-    """A fixed wing."""
-    return report.profile.vehicle_type == PLANE
+def _is_px4(now: Report) -> bool:
+    return now.profile.firmware == "px4"
 
 
-def boot_ms(report: Report) -> int:
-    """time_boot_ms."""
-    return report.time_us // 1000 & 0xFFFFFFFF
+def _is_plane(now: Report) -> bool:
+    return now.profile.vehicle_type == _FIXED_WING
 
 
-def heading_cdeg(report: Report) -> int:
+def _boot_ms(now: Report) -> int:
+    return now.time_us // 1000 & 0xFFFFFFFF
+
+
+def _heading_cdeg(now: Report) -> int:
     """Where the nose points, 0 to 35999."""
-    return round(math.degrees(report.vehicle.heading_rad) * 100.0) % 36000
+    return round(math.degrees(now.vehicle.heading_rad) * 100.0) % 36000
 
 
-def quaternion(report: Report) -> tuple[float, float, float, float]:
+def _quaternion(now: Report) -> tuple[float, float, float, float]:
     """Attitude, scalar first."""
-    vehicle = report.vehicle
+    vehicle = now.vehicle
     cr, sr = math.cos(vehicle.roll_rad / 2.0), math.sin(vehicle.roll_rad / 2.0)
     cp, sp = math.cos(vehicle.pitch_rad / 2.0), math.sin(vehicle.pitch_rad / 2.0)
     yaw_rad = math.remainder(vehicle.heading_rad, math.tau)
@@ -81,139 +94,353 @@ def quaternion(report: Report) -> tuple[float, float, float, float]:
     )
 
 
-def velocity_ned_m_s(report: Report) -> tuple[float, float, float]:
+def _velocity_ned_m_s(now: Report) -> tuple[float, float, float]:
     """The estimate's."""
-    estimate = report.estimate
-    return (estimate.velocity_north_m_s, estimate.velocity_east_m_s, -estimate.velocity_up_m_s)
+    estimate = now.estimate
+    return estimate.velocity_north_m_s, estimate.velocity_east_m_s, -estimate.velocity_up_m_s
 
 
-def per_cent_left(report: Report) -> float:
+def _altitude_amsl_m(now: Report) -> float:
+    """ArduPilot's stands still with the position; the height above home does not."""
+    frozen_m = now.estimate.frozen_altitude_amsl_m
+    return now.estimate.altitude_amsl_m if frozen_m is None else frozen_m
+
+
+def _per_cent_left(now: Report) -> float:
     """Of the battery's charge."""
-    return min(max(report.battery.remaining, 0.0), 1.0) * 100.0
+    return min(max(now.battery.remaining, 0.0), 1.0) * 100.0
 
 
-# --- the same of everybody ------------------------------------------------------------------------
+# --- what and how it is ---------------------------------------------------------------------------
 
 
-def _heartbeat(report: Report) -> Prepared:
-    profile, status = report.profile, report.status
+def _heartbeat(now: Report) -> Prepared:
+    profile, status = now.profile, now.status
     modes = (status.base_mode, status.mode, status.system_status)
     return make("HEARTBEAT", profile.vehicle_type, profile.autopilot, *modes, 3)
 
 
-def _system_time(report: Report) -> Prepared:
-    return make("SYSTEM_TIME", report.unix_us, boot_ms(report))
+def _current_mode(now: Report) -> Prepared:
+    status = now.status
+    standard = 0 if status.failsafe else _STANDARD_MODES.get(status.mode, 0)
+    intended = status.mode if status.intended_mode is None else status.intended_mode
+    return make("CURRENT_MODE", standard, status.mode, intended)
 
 
-def _attitude(report: Report) -> Prepared:
-    vehicle = report.vehicle
+def _extended_sys_state(now: Report) -> Prepared:
+    vtol = 0 if _is_px4(now) or _is_plane(now) else mavlink.MAV_VTOL_STATE_MC
+    return make("EXTENDED_SYS_STATE", vtol, now.status.landed_state)
+
+
+def _system_time(now: Report) -> Prepared:
+    return make("SYSTEM_TIME", now.unix_us, _boot_ms(now))
+
+
+def _timesync(now: Report) -> Prepared:
+    """A question; the last digit tells ArduPilot's from those of others."""
+    return make("TIMESYNC", 0, now.time_us * 1000 + (0 if _is_px4(now) else 1))
+
+
+def _autopilot_version(now: Report) -> Prepared:
+    profile, custom = now.profile, list(now.profile.custom_version)
+    head = (profile.capabilities, profile.software_version)
+    if _is_px4(now):
+        middle = (profile.software_version, 101854463, 1, custom, custom)
+        return make("AUTOPILOT_VERSION", *head, *middle, uid=now.hardware_id)
+    uid2 = list(now.hardware_id.to_bytes(18, "little"))
+    return make("AUTOPILOT_VERSION", *head, flight_custom_version=custom, uid2=uid2)
+
+
+def _protocol_version(_: Report) -> Prepared:
+    return make("PROTOCOL_VERSION", 200, 100, 200)
+
+
+def _sys_status(now: Report) -> Prepared:
+    prearm = _PREARM_BIT if now.status.prearm_ok else 0
+    if _is_px4(now):
+        there = _PX4_SENSORS | (_GPS_BIT if now.status.fusing else 0)
+        well = there | prearm | (_POSITION_BIT if now.estimate.position_ok else 0)
+        wanted = there | _POSITION_BIT | _PREARM_BIT
+        volts = bounded(now.battery.voltage_v * 1e3, _UINT16)
+        battery = (volts, _CENTIAMPERES_UNKNOWN, math.ceil(_per_cent_left(now)))
+    else:
+        there, lost = now.range_sensors
+        there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
+        wanted, well = there | _PREARM_BIT, there & ~lost | prearm
+        battery = _gauge(now)
+    extended = {"onboard_control_sensors_health_extended": int(_is_px4(now))}
+    return make("SYS_STATUS", wanted, wanted, well, 0, *battery, **extended)
+
+
+def _gauge(now: Report) -> tuple[int, int, int]:
+    """ArduPilot's millivolts, centiamperes and per cent."""
+    volts = bounded(now.battery.voltage_v * 1e3, _INT16)
+    amperes = bounded(now.battery.current_a * 100.0, _INT16)
+    return volts, amperes, math.floor(_per_cent_left(now) + 1e-9)
+
+
+def _battery_status(now: Report) -> Prepared:
+    volts, amperes, left = _gauge(now)
+    kind, energy = (0, 0, 0), 0
+    if _is_px4(now):
+        volts, amperes = bounded(now.battery.voltage_v * 1e3, _UINT16 - 1), _CENTIAMPERES_UNKNOWN
+        left, kind, energy = math.floor(_per_cent_left(now)), (0, 1, 1), -1
+    cells, consumed = [volts, *[_NO_CELL] * 9], bounded(now.battery.consumed_mah, _INT32)
+    return make("BATTERY_STATUS", *kind, _INT16, cells, amperes, consumed, energy, left, 0, 1)
+
+
+# --- where it is ----------------------------------------------------------------------------------
+
+
+def _attitude(now: Report) -> Prepared:
+    vehicle = now.vehicle
     yaw_rad = math.remainder(vehicle.heading_rad, math.tau)
     angles_rad = (vehicle.roll_rad, vehicle.pitch_rad, yaw_rad)
-    return make("ATTITUDE", boot_ms(report), *angles_rad, *report.autopilot.rates_rad_s)
+    return make("ATTITUDE", _boot_ms(now), *angles_rad, *now.autopilot.rates_rad_s)
 
 
-def _attitude_quaternion(report: Report) -> Prepared:
-    rates_rad_s = report.autopilot.rates_rad_s
-    return make("ATTITUDE_QUATERNION", boot_ms(report), *quaternion(report), *rates_rad_s)
+def _attitude_quaternion(now: Report) -> Prepared:
+    rates_rad_s = now.autopilot.rates_rad_s
+    return make("ATTITUDE_QUATERNION", _boot_ms(now), *_quaternion(now), *rates_rad_s)
 
 
-def _local_position_ned(report: Report) -> Prepared | None:
-    here_m = report.autopilot.local_ned_m()
-    if here_m is None:
-        return None
-    return make("LOCAL_POSITION_NED", boot_ms(report), *here_m, *velocity_ned_m_s(report))
+def _local_position_ned(now: Report) -> Prepared | None:
+    here_m, velocity = now.autopilot.local_ned_m(), _velocity_ned_m_s(now)
+    return here_m and make("LOCAL_POSITION_NED", _boot_ms(now), *here_m, *velocity)
 
 
-def _gps_global_origin(report: Report) -> Prepared | None:
-    origin = report.status.origin
-    return origin and make("GPS_GLOBAL_ORIGIN", *place_e7_mm(origin), report.time_us)
-
-
-def _position_target_local_ned(report: Report) -> Prepared | None:
-    target = report.autopilot.target_echo()
-    if target is None:
-        return None
-    position, velocity, acceleration = target[:3]
-    mask = target.type_mask
-    if mask is None:
-        mask = _IGNORE_YAW_RATE
-        mask |= 0 if position else _IGNORE_POSITION
-        mask |= 0 if velocity else _IGNORE_VELOCITY
-        mask |= 0 if acceleration else _IGNORE_ACCELERATION
-    return make(
-        "POSITION_TARGET_LOCAL_NED",
-        *(boot_ms(report), mavlink.MAV_FRAME_LOCAL_NED, mask),
-        *(*(position or _ZERO), *(velocity or _ZERO), *(acceleration or _ZERO)),
-        *(target.yaw_rad, target.yaw_rate_rad_s),
+def _odometry(now: Report) -> Prepared | None:
+    here_m, frame = now.autopilot.local_ned_m(), mavlink.MAV_FRAME_LOCAL_NED
+    return here_m and make(
+        "ODOMETRY",
+        *(now.time_us, frame, frame, *here_m, list(_quaternion(now)), *_velocity_ned_m_s(now)),
+        *(*now.autopilot.rates_rad_s, [_NAN] * 21, [_NAN] * 21),
+        estimator_type=mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
     )
 
 
-_COMMON: Final[tuple[Builder, ...]] = (
-    *(_heartbeat, _system_time, _attitude, _attitude_quaternion, _local_position_ned),
-    *(_gps_global_origin, _position_target_local_ned),
-)
-
-
-# --- alike but for what is given ------------------------------------------------------------------
-
-
-def global_position(report: Report, altitude_amsl_m: float) -> Prepared:
-    """GLOBAL_POSITION_INT."""
-    home, amsl_m = report.autopilot.home, report.estimate.altitude_amsl_m
+def _global_position_int(now: Report) -> Prepared | None:
+    """Of PX4 once it has an origin."""
+    home, amsl_m = now.autopilot.home, now.estimate.altitude_amsl_m
+    if _is_px4(now) and now.status.origin is None:
+        return None
     above_home_m = 0.0 if home is None else amsl_m - home.altitude_amsl_m
     return make(
         "GLOBAL_POSITION_INT",
-        *(boot_ms(report), *place_e7(report.estimate)),
-        *(bounded(altitude_amsl_m * 1e3, INT32), bounded(above_home_m * 1e3, INT32)),
-        *(bounded(speed_m_s * 100.0, INT16) for speed_m_s in velocity_ned_m_s(report)),
-        heading_cdeg(report),
+        *(_boot_ms(now), *_e7(now.estimate), bounded(_altitude_amsl_m(now) * 1e3, _INT32)),
+        bounded(above_home_m * 1e3, _INT32),
+        *(bounded(speed_m_s * 100.0, _INT16) for speed_m_s in _velocity_ned_m_s(now)),
+        _heading_cdeg(now),
     )
 
 
-def gps_raw(report: Report, *, known: bool = True) -> Prepared:
-    """GPS_RAW_INT; without a solution to tell, of one that is not known."""
-    fix = report.fix
+def _gps_raw_int(now: Report) -> Prepared | None:
+    """Before the receiver speaks ArduPilot knows nothing, and PX4 says nothing."""
+    fix = now.fix
+    if _is_px4(now) and not fix.time_us:
+        return None
     north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
     solution = (
-        *(fix.fix_type, *place_e7(fix), bounded(fix.altitude_amsl_m * 1e3, INT32)),
-        min(round(fix.horizontal_dilution * 100.0), UINT16),
-        min(round(fix.vertical_dilution * 100.0), UINT16),
-        bounded(math.hypot(north, east) * 100.0, UINT16 - 1),
+        *(fix.fix_type, *_e7_mm(fix)),
+        min(round(fix.horizontal_dilution * 100.0), _UINT16),
+        min(round(fix.vertical_dilution * 100.0), _UINT16),
+        bounded(math.hypot(north, east) * 100.0, _UINT16 - 1),
         round(math.degrees(math.atan2(east, north)) * 100.0) % 36000,
     )
     all_m = (fix.altitude_amsl_m, fix.horizontal_accuracy_m, fix.vertical_accuracy_m)
     return make(
         "GPS_RAW_INT",
         fix.time_us,
-        *(solution if known else (0, 0, 0, 0, UINT16, UINT16, 0, 0)),
+        *(solution if _is_px4(now) or fix.fix_type else (0, 0, 0, 0, _UINT16, _UINT16, 0, 0)),
         min(fix.satellites, 255),
-        *(bounded(each * 1e3, INT32) for each in (*all_m, fix.speed_accuracy_m_s)),
+        *(bounded(each * 1e3, _INT32) for each in (*all_m, fix.speed_accuracy_m_s)),
     )
 
 
-def vfr_hud(report: Report, airspeed_m_s: float, altitude_m: float) -> Prepared:
-    """VFR_HUD."""
-    estimate = report.estimate
+def _vfr_hud(now: Report) -> Prepared:
+    """A plane says its indicated airspeed, a copter of PX4 none."""
+    airspeed_m_s, altitude_m = now.vehicle.airspeed_m_s, now.estimate.altitude_amsl_m
+    if _is_px4(now):
+        airspeed_m_s = airspeed_m_s if _is_plane(now) else _NAN
+    else:
+        indicated_m_s, known = now.status.airspeed_m_s, now.fix.fix_type or now.time_us > 10_000_000
+        airspeed_m_s = airspeed_m_s if indicated_m_s is None else indicated_m_s
+        altitude_m = round(_altitude_amsl_m(now), 2) if known else 0.0
+    north, east, down = _velocity_ned_m_s(now)
+    throttle = round(min(max(now.vehicle.throttle, 0.0), 1.0) * 100.0)
+    speeds_m_s = (airspeed_m_s, math.hypot(north, east))
+    return make("VFR_HUD", *speeds_m_s, _heading_cdeg(now) // 100, throttle, altitude_m, -down)
+
+
+def _altitude(now: Report) -> Prepared:
+    """Above the sea, the origin, home and the ground's own height; and above the ground."""
+    status, amsl_m = now.status, now.estimate.altitude_amsl_m
+    origin, home = status.origin, now.autopilot.home
+    above_m = _NAN if status.above_ground_m is None else status.above_ground_m
+    local_m = _NAN if origin is None else amsl_m - origin.altitude_amsl_m
+    above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
+    truly_m, known_m = now.vehicle.altitude_amsl_m, _NAN if origin is None else amsl_m
+    heights_m = (truly_m, known_m, local_m, above_home_m, local_m - above_m, above_m)
+    return make("ALTITUDE", now.time_us, *heights_m)
+
+
+def _distance_sensor(now: Report) -> Prepared | None:
+    """PX4's; of ArduPilot's proximity.py says more."""
+    above_m = now.status.above_ground_m
+    if above_m is None:
+        return None
+    range_cm = min(max(round(above_m * 100.0), 0), 10000)
+    return make("DISTANCE_SENSOR", _boot_ms(now), 0, 10000, range_cm, orientation=25)
+
+
+def _ekf_status_report(now: Report) -> Prepared:
+    estimate = now.estimate
+    variances = (estimate.velocity_variance, estimate.horizontal_variance)
+    return make("EKF_STATUS_REPORT", estimate.flags, *variances)
+
+
+def _estimator_status(now: Report) -> Prepared:
+    estimate, accuracy_m = now.estimate, now.estimate.horizontal_accuracy_m
+    ratios = (estimate.velocity_variance, estimate.horizontal_variance)
+    head = (now.time_us, estimate.flags, *ratios)
+    return make("ESTIMATOR_STATUS", *head, pos_horiz_accuracy=accuracy_m)
+
+
+def _gps_global_origin(now: Report) -> Prepared | None:
+    origin = now.status.origin
+    return origin and make("GPS_GLOBAL_ORIGIN", *_e7_mm(origin), now.time_us)
+
+
+def _home_position(now: Report) -> Prepared | None:
+    """Seen from the origin; ArduPilot knows no attitude of the surface."""
+    home, origin, ned_m, time_us = now.autopilot.home, now.status.origin, _NO_VECTOR, now.time_us
+    if home is None or (_is_px4(now) and origin is None):
+        return None
+    if origin is not None:
+        per_deg, shrink = ARDUPILOT_M_PER_DEG, math.cos(math.radians(origin.latitude_deg))
+        north_m = (home.latitude_deg - origin.latitude_deg) * per_deg
+        east_m = degrees_east(origin.longitude_deg, home.longitude_deg) * per_deg * shrink
+        north_m, east_m = (0.0, 0.0) if _is_px4(now) else (north_m, east_m)
+        ned_m = (north_m, east_m, origin.altitude_amsl_m - home.altitude_amsl_m)
+    q = [1.0, 0.0, 0.0, 0.0] if _is_px4(now) else [_NAN] * 4
+    return make("HOME_POSITION", *_e7_mm(home), *ned_m, q, time_usec=time_us)
+
+
+def _simstate(now: Report) -> Prepared:
+    """The truth: SITL says it too."""
+    latitude, longitude = _e7(now.vehicle)
+    return make("SIMSTATE", lat=latitude, lng=longitude)
+
+
+def _wind(now: Report) -> Prepared:
+    """The air as it is, as a direction that it comes from."""
+    north, east = now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s
+    direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
+    return make("WIND", direction_deg, math.hypot(north, east))
+
+
+def _wind_cov(now: Report) -> Prepared | None:
+    """Of a plane, once in the air."""
+    if not _is_plane(now) or now.status.landed_state == Landed.ON_GROUND:
+        return None
+    wind = (now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s)
+    return make("WIND_COV", now.time_us, *wind, wind_alt=now.estimate.altitude_amsl_m)
+
+
+# --- where it flies to ----------------------------------------------------------------------------
+
+
+def _position_target_local_ned(now: Report) -> Prepared | None:
+    target, zero = now.autopilot.target_echo(), (0.0, 0.0, 0.0)
+    if target is None:
+        return None
+    position, velocity, acceleration = target[:3]
+    mask = target.type_mask
+    if mask is None:
+        mask = _IGNORE_YAW_RATE | (0 if position else _IGNORE_POSITION)
+        mask |= (0 if velocity else _IGNORE_VELOCITY) | (
+            0 if acceleration else _IGNORE_ACCELERATION
+        )
     return make(
-        "VFR_HUD",
-        airspeed_m_s,
-        math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s),
-        heading_cdeg(report) // 100,
-        round(min(max(report.vehicle.throttle, 0.0), 1.0) * 100.0),
-        altitude_m,
-        estimate.velocity_up_m_s,
+        "POSITION_TARGET_LOCAL_NED",
+        *(_boot_ms(now), mavlink.MAV_FRAME_LOCAL_NED, mask),
+        *(*(position or zero), *(velocity or zero), *(acceleration or zero)),
+        *(target.yaw_rad, target.yaw_rate_rad_s),
     )
 
 
-def mission_current(report: Report, mode: int = 0) -> Prepared:
-    """MISSION_CURRENT."""
-    status = report.status
+def _position_target_global_int(now: Report) -> Prepared | None:
+    """The navigator's place; PX4 with the controller's velocity, acceleration, yaw and its rate."""
+    waypoint, target = now.status.waypoint, now.autopilot.target_echo()
+    if waypoint is None:
+        return None
+    frame, mask, height_m = mavlink.MAV_FRAME_GLOBAL, _ONLY_POSITION, waypoint.place.altitude_amsl_m
+    aim: tuple[float, ...] = ()
+    if _is_px4(now):
+        frame, mask = mavlink.MAV_FRAME_GLOBAL_INT, 0
+        lands = now.status.mode == _LAND and not _is_plane(now)
+        height_m = 0.0 if lands else height_m
+        aim = (*_NO_VECTOR, *_NO_VECTOR, _NAN, _NAN)
+        if target is not None:
+            vectors = (target.velocity_ned_m_s, target.acceleration_ned_m_s2)
+            aim = tuple(value for vector in vectors for value in vector or _NO_VECTOR)
+            aim = (*aim, target.yaw_rad, target.yaw_rate_rad_s)
+    place = (*_e7(waypoint.place), height_m)
+    return make("POSITION_TARGET_GLOBAL_INT", _boot_ms(now), frame, mask, *place, *aim)
+
+
+def _nav_controller_output(now: Report) -> Prepared | None:
+    """A copter has a target everywhere."""
+    vehicle, waypoint = now.vehicle, now.status.waypoint
+    attitude_deg = (math.degrees(vehicle.roll_rad), math.degrees(vehicle.pitch_rad))
+    if waypoint is None:
+        return None if _is_plane(now) else make("NAV_CONTROLLER_OUTPUT", *attitude_deg)
+    bearing_deg = round(math.degrees(math.remainder(waypoint.bearing_rad, math.tau)))
+    return make(
+        "NAV_CONTROLLER_OUTPUT",
+        *(*attitude_deg, bearing_deg, bearing_deg, bounded(waypoint.distance_m, _UINT16)),
+        *(waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0, waypoint.cross_track_m),
+    )
+
+
+def _mission_current(now: Report) -> Prepared:
+    """Mode of PX4: 1 while the navigator lands, takes off or flies the mission, else 2."""
+    status = now.status
+    flies = status.waypoint is not None and status.mode in (_LAND, _TAKEOFF, _MISSION)
+    mode = (1 if flies else 2) if _is_px4(now) else 0
     numbers = (status.mission_current, status.mission_total, status.mission_state)
     return make("MISSION_CURRENT", *numbers, mode)
 
 
-def home_position(report: Report, ned_m: tuple[float, ...], q: list[float]) -> Prepared | None:
-    """HOME_POSITION; of a surface whose attitude is this quaternion."""
-    home = report.autopilot.home
-    time_us = report.time_us
-    return home and make("HOME_POSITION", *place_e7_mm(home), *ned_m, q, time_usec=time_us)
+def _fence_status(now: Report) -> Prepared | None:
+    status = now.status
+    numbers = (int(status.fence_breached), status.fence_breaches, status.fence_breach_type)
+    present = status.fence_present
+    return make("FENCE_STATUS", *numbers, status.fence_breach_ms) if present else None
+
+
+# --- who says what --------------------------------------------------------------------------------
+
+
+def _by_number(*builders: Builder) -> dict[int, Builder]:
+    return {layout_of(each.__name__.strip("_").upper()).number: each for each in builders}
+
+
+_BOTH: Final = _by_number(
+    *(_heartbeat, _extended_sys_state, _system_time, _timesync, _autopilot_version, _sys_status),
+    *(_battery_status, _attitude, _attitude_quaternion, _local_position_ned, _global_position_int),
+    *(_gps_raw_int, _vfr_hud, _gps_global_origin, _home_position, _position_target_local_ned),
+    *(_position_target_global_int, _mission_current),
+)
+_OF_ARDUPILOT: Final = _by_number(
+    *(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
+)
+_OF_PX4: Final = _by_number(
+    *(_current_mode, _protocol_version, _odometry, _altitude, _distance_sensor, _estimator_status),
+    _wind_cov,
+)
+MESSAGES: Final[dict[Firmware, dict[int, Builder]]] = {
+    "ardupilot": _BOTH | _OF_ARDUPILOT,
+    "px4": _BOTH | _OF_PX4,
+}
+"""What can be said, by message number."""
