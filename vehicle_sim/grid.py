@@ -1,7 +1,7 @@
 """The true terrain as a grid of heights in latitude and longitude, bilinear between its points.
 
-Positions come in the local frame: geodesics are exact and slow, so the way from there to the grid is
-tabulated once, at places so close that it is straight between them.
+Positions come in the local frame: geodesics are exact and slow, so the way from there to the grid
+is tabulated once, at places so close that it is straight between them.
 """
 
 import math

@@ -40,7 +40,7 @@ class Scene:
 
     def __init__(self, terrain: Terrain, things: Sequence[Upright]) -> None:
         self._terrain = terrain
-        level = isinstance(terrain, PeakTerrain) and not len(terrain.peak_height_m)
+        level = isinstance(terrain, PeakTerrain) and terrain.level
         self._level_amsl_m = terrain.height_at_amsl_m(0.0, 0.0) if level else None
         self.things = tuple(things)
         rows = [row for number, thing in enumerate(things) for row in _pieces(thing, number)]

@@ -18,7 +18,7 @@ import select
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
 import pytest
 
@@ -28,12 +28,12 @@ from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, World, flat_world
 
-_TICK_STEPS = 5
+_TICK_STEPS: Final = 5
 _POLL_S, _AGAIN_S = 0.01, 1.0
 _PATIENCE_S = 30.0
 """Wall time that a lockstep tick waits for its answer."""
-_READY_S = 60.0
-_MAX_DATAGRAMS = 1000
+_READY_S: Final = 60.0
+_MAX_DATAGRAMS: Final = 1000
 
 
 @final
@@ -53,6 +53,11 @@ class Moment:
     mode: str
     armed: bool
     landed: bool
+
+    def away_m(self, latitude_deg: float, longitude_deg: float) -> float:
+        """Over the ground to a place."""
+        here = (self.longitude_deg, self.latitude_deg)
+        return float(WGS84.inv(*here, longitude_deg, latitude_deg)[2])
 
 
 @final
@@ -82,7 +87,7 @@ class Simulator:
         lockstep: bool = False,
         strict: bool = True,
     ) -> None:
-        self._world = world or flat_world(
+        world = world or flat_world(
             vehicle,
             autopilot,
             latitude_deg=home[0],
@@ -91,12 +96,13 @@ class Simulator:
             heading_deg=heading_deg,
             scan_range_m=scan_range_m,
         )
-        self.simulation = Simulation(self._world, seed=seed, faults=faults)
-        self.simulation.on_message = self._note
+        self.simulation = Simulation(world, seed=seed, faults=faults)
+        self.simulation.on_message = self._heard
         self._lockstep, self._strict = lockstep, strict
         self._lowest_m = math.inf
         self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
-        self._terrain = self._world.truth()
+        self.close = self._link.close
+        self._height_amsl_m = world.truth().height_at_amsl_m
         self.moments: list[Moment] = []
         """The whole flight so far."""
         self.heard_s: dict[str, list[float]] = {}
@@ -106,8 +112,6 @@ class Simulator:
                 self._step()
             assert self.simulation.armable, f"not ready after {_READY_S:.0f} s of vehicle time"
         self.simulation.take_frames()  # of the boot: no client yet
-
-    # --- where it is --------------------------------------------------------------------------
 
     @property
     def port(self) -> int:
@@ -144,6 +148,14 @@ class Simulator:
         """Whether it stands on the ground."""
         return self.simulation.landed
 
+    def fault(self, line: str) -> None:
+        """A fault from now on: a line of the timeline without its time, as "for 30 s: gps_off"."""
+        self.simulation.add_fault(line)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
+        self.simulation.set_parameter(name, value)
+
     # --- time ---------------------------------------------------------------------------------
 
     def advance(
@@ -176,81 +188,32 @@ class Simulator:
                 return
             for _ in range(_TICK_STEPS):
                 self._step()
-            self._exchange(meanwhile)
+            self._exchange(meanwhile or (lambda: None))
             if pace is not None:
-                flown_s = (self.simulation.now_us - start_us) * 1e-6
-                self._wait_until(start_s + flown_s / pace)
+                due_s = start_s + (self.simulation.now_us - start_us) * 1e-6 / pace
+                while (left_s := due_s - time.monotonic()) > 0.0:
+                    select.select(self._link.sockets, [], [], left_s)
+                    self._send_and_receive()
         if reached is not None and not reached():
             raise AssertionError(f"it never came to that within {within_s:g} s; {self._where()}")
 
     def _step(self) -> None:
         simulation = self.simulation
-        flown = simulation.vehicle
-        was_up_m = flown.altitude_amsl_m - simulation.ground_amsl_m
+        was_up_m = simulation.vehicle.altitude_amsl_m - simulation.ground_amsl_m
         simulation.step()
         simulation.take_notices()
-        up_m = flown.altitude_amsl_m - simulation.ground_amsl_m
         if was_up_m > 0.0:
+            up_m = simulation.vehicle.altitude_amsl_m - simulation.ground_amsl_m
             self._lowest_m = min(self._lowest_m, max(up_m, 0.0))
-        for line in simulation.take_truth():
-            self._remember(json.loads(line))
+        for row in map(json.loads, simulation.take_truth()):
+            if "t_s" in row:  # and not the header
+                self._remember(row)
         if self._strict and simulation.not_survived is not None:
             raise AssertionError(f"at {self.now_s:.2f} s: {simulation.not_survived}")
 
-    def _exchange(self, meanwhile: Callable[[], object] | None) -> None:
-        """What is to go out goes out; what has come in is handled; in lockstep, wait for it."""
-        simulation = self.simulation
-        waits = self._lockstep and simulation.companion is not None
-        question_ns = simulation.ask_for_sync() if waits else -1
-        self._send_and_receive()
-        if meanwhile is not None:
-            meanwhile()
-            self._send_and_receive()
-        start_s = again_s = time.monotonic()
-        while waits and simulation.answered_ns != question_ns:
-            select.select(self._link.sockets, [], [], _POLL_S)
-            self._send_and_receive()
-            if meanwhile is not None:
-                meanwhile()
-            now_s = time.monotonic()
-            if now_s - start_s > _PATIENCE_S:
-                raise AssertionError(
-                    f"no answer to TIMESYNC within {_PATIENCE_S:.0f} s; {self._where()}"
-                )
-            if now_s - again_s > _AGAIN_S:
-                again_s = now_s
-                simulation.ask_again()
-
-    def _wait_until(self, due_s: float) -> None:
-        while (left_s := due_s - time.monotonic()) > 0.0:
-            select.select(self._link.sockets, [], [], left_s)
-            self._send_and_receive()
-
-    def _send_and_receive(self) -> None:
-        self._link.send([frame for _, frame in self.simulation.take_frames()])
-        if self._receive():
-            self._link.send([frame for _, frame in self.simulation.take_frames()])
-
-    def _receive(self) -> bool:
-        heard = False
-        for _ in range(_MAX_DATAGRAMS):
-            datagram = self._link.receive()
-            if datagram is None:
-                break
-            heard = True
-            self.simulation.receive(0, datagram)
-        return heard
-
-    def _note(self, kind: str) -> None:
-        self.heard_s.setdefault(kind, []).append(self.now_s)
-
     def _remember(self, row: dict[str, Any]) -> None:
-        if "t_s" not in row:
-            return
-        ground_amsl_m = self._terrain.height_at_amsl_m(row["north_m"], row["east_m"])
-        above_m = row["altitude_amsl_m"] - ground_amsl_m
-        lowest_m = min(self._lowest_m, above_m) if math.isfinite(self._lowest_m) else above_m
-        self._lowest_m = math.inf
+        above_m = row["altitude_amsl_m"] - self._height_amsl_m(row["north_m"], row["east_m"])
+        lowest_m, self._lowest_m = min(self._lowest_m, above_m), math.inf
         self.moments.append(
             Moment(
                 t_s=row["t_s"],
@@ -266,15 +229,40 @@ class Simulator:
             )
         )
 
-    # --- what may go wrong --------------------------------------------------------------------
+    def _heard(self, kind: str) -> None:
+        self.heard_s.setdefault(kind, []).append(self.now_s)
 
-    def fault(self, line: str) -> None:
-        """A fault from now on: a line of the timeline without its time, as "for 30 s: gps_off"."""
-        self.simulation.add_fault(line)
+    def _exchange(self, meanwhile: Callable[[], object]) -> None:
+        """What is to go out goes out; what has come in is handled; in lockstep, wait for it."""
+        simulation = self.simulation
+        waits = self._lockstep and simulation.companion is not None
+        question_ns = simulation.ask_for_sync() if waits else -1
+        start_s = again_s = time.monotonic()
+        while True:
+            self._send_and_receive()
+            meanwhile()
+            self._send_and_receive()
+            if not waits or simulation.answered_ns == question_ns:
+                return
+            select.select(self._link.sockets, [], [], _POLL_S)
+            now_s = time.monotonic()
+            if now_s - start_s > _PATIENCE_S:
+                within = f"within {_PATIENCE_S:.0f} s; {self._where()}"
+                raise AssertionError(f"no answer to TIMESYNC {within}")
+            if now_s - again_s > _AGAIN_S:
+                again_s = now_s
+                simulation.ask_again()
 
-    def set_parameter(self, name: str, value: float) -> None:
-        """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
-        self.simulation.set_parameter(name, value)
+    def _send_and_receive(self) -> None:
+        self._link.send([frame for _, frame in self.simulation.take_frames()])
+        for _ in range(_MAX_DATAGRAMS):
+            if (datagram := self._link.receive()) is None:
+                break
+            self.simulation.receive(0, datagram)
+        self._link.send([frame for _, frame in self.simulation.take_frames()])
+
+    def _where(self) -> str:
+        return f"at {self.now_s:.1f} s: {self.simulation.outcome()}"
 
     # --- assertions ---------------------------------------------------------------------------
 
@@ -288,12 +276,10 @@ class Simulator:
     ) -> None:
         """It has never been within this radius of this point (below this height)."""
         for moment in self.moments:
-            away_m = _distance_m(moment, latitude_deg, longitude_deg)
+            away_m = moment.away_m(latitude_deg, longitude_deg)
             if away_m < radius_m and moment.altitude_amsl_m < below_amsl_m:
-                raise AssertionError(
-                    f"inside at {moment.t_s:.1f} s: {away_m:.1f} m from the middle, "
-                    f"not {radius_m:g} m"
-                )
+                where = f"{away_m:.1f} m from the middle, not {radius_m:g} m"
+                raise AssertionError(f"inside at {moment.t_s:.1f} s: {where}")
 
     def assert_clear_of_ground(self, metres: float, *, after_s: float = 0.0) -> None:
         """Whenever it was in the air, it was so high above the ground; a crash is not."""
@@ -301,20 +287,17 @@ class Simulator:
         flying = [m for m in self.moments if m.t_s >= after_s and not m.landed]
         lowest = min(flying, key=lambda moment: moment.lowest_m, default=None)
         if lowest is not None and lowest.lowest_m < metres:
-            raise AssertionError(
-                f"only {lowest.lowest_m:.1f} m above ground at {lowest.t_s:.1f} s, not {metres:g} m"
-            )
+            low = f"only {lowest.lowest_m:.1f} m above ground"
+            raise AssertionError(f"{low} at {lowest.t_s:.1f} s, not {metres:g} m")
 
     def assert_not_crashed(self) -> None:
         """It has hit nothing: no tree, and not the ground at more than 3 m/s in any direction.
 
         A plane on its wheels may be faster along a runway.
         """
-        crash = self.simulation.crash
-        if crash is not None:
-            raise AssertionError(
-                f"hit {crash.into} at {crash.speed_m_s:.1f} m/s at {crash.t_s:.2f} s"
-            )
+        if crash := self.simulation.crash:
+            speed = f"{crash.speed_m_s:.1f} m/s"
+            raise AssertionError(f"hit {crash.into} at {speed} at {crash.t_s:.2f} s")
 
     def assert_stream_gap(
         self, at_most_s: float, *, message: str, after_s: float = 0.0, before_s: float | None = None
@@ -327,39 +310,18 @@ class Simulator:
         gaps = zip(times, [*times[1:], until_s], strict=True)
         start_s, end_s = max(gaps, key=lambda gap: gap[1] - gap[0])
         if end_s - start_s > at_most_s:
-            raise AssertionError(
-                f"{end_s - start_s:.2f} s without {message} from {start_s:.2f} s on, "
-                f"not {at_most_s:g} s"
-            )
+            gap = f"{end_s - start_s:.2f} s without {message} from {start_s:.2f} s on"
+            raise AssertionError(f"{gap}, not {at_most_s:g} s")
 
     def assert_arrived(
         self, latitude_deg: float, longitude_deg: float, *, within_m: float, within_s: float
     ) -> None:
         """It has been within this distance of this point by this vehicle time."""
-        nearest_m = math.inf
-        for moment in self.moments:
-            if moment.t_s > within_s:
-                break
-            nearest_m = min(nearest_m, _distance_m(moment, latitude_deg, longitude_deg))
+        flown = [moment for moment in self.moments if moment.t_s <= within_s]
+        nearest_m = min((m.away_m(latitude_deg, longitude_deg) for m in flown), default=math.inf)
         if nearest_m > within_m:
-            raise AssertionError(
-                f"not nearer than {nearest_m:.1f} m by {within_s:g} s, not {within_m:g} m; "
-                f"{self._where()}"
-            )
-
-    def _where(self) -> str:
-        return f"at {self.now_s:.1f} s: {self.simulation.outcome()}"
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
-
-
-def _distance_m(moment: Moment, latitude_deg: float, longitude_deg: float) -> float:
-    _, _, distance_m = WGS84.inv(
-        moment.longitude_deg, moment.latitude_deg, longitude_deg, latitude_deg
-    )
-    return float(distance_m)
+            near = f"not nearer than {nearest_m:.1f} m by {within_s:g} s, not {within_m:g} m"
+            raise AssertionError(f"{near}; {self._where()}")
 
 
 @pytest.fixture

@@ -400,7 +400,7 @@ class World:
             (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
             for p in table.peaks
         ]
-        return PeakTerrain.of(rows, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
+        return PeakTerrain(rows, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
 
     def scene(self, terrain: Terrain | None = None) -> Scene:
         """Terrain and near things: `distance_m` of it is the true clearance of any points."""

@@ -1,12 +1,12 @@
 """The lidar, its driver, ArduPilot's proximity sectors and rangefinder, and who touches a tree."""
 
-import json
 import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from flown import Flown
 from pymavlink.dialects.v20 import all as mavlink
 from test_near_scene import GROUND_M, world
 
@@ -435,43 +435,13 @@ def test_without_one_nothing_is_said() -> None:
 
 def flown_into(near: dict[str, Any], autopilot: str) -> tuple[Simulation, Sequence[dict[str, Any]]]:
     """Armed in the air at 4 m/s to the north, 5 m above the ground."""
-    simulation = Simulation(world(vehicle={"kind": "copter", "autopilot": autopilot}, **near))
-    while not simulation.armable:
-        simulation.step()
-    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
-
-    def command(number: int, *values: float) -> None:
-        padded = [*values, *[0.0] * (7 - len(values))]
-        message = mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded)
-        simulation.receive(0, message.pack(mav))
-
-    def go(velocity: float) -> None:
-        fields = [0, 1, 1, 1, 0xDC7, 0, 0, 0, velocity, 0, 0, *[0] * 5]
-        message = mavlink.MAVLink_set_position_target_local_ned_message(*fields)
-        simulation.receive(0, message.pack(mav))
-
-    go(0.0)
-    simulation.step()
-    if autopilot == "px4":
-        for _ in range(200):
-            go(0.0)
-            simulation.step()
-        command(176, 1, 6)
-        command(400, 1)
-    else:
-        command(176, 1, 4)
-        command(400, 1)
-        command(22, *[0.0] * 6, 5.0)
-    climbing_m_s = 0.0 if autopilot == "ardupilot" else -1.5
-    for k in range(1500):
-        up = simulation.vehicle.altitude_amsl_m - GROUND_M > 4.8 or k > 1400
-        if k % 10 == 0:
-            fields = [0, 1, 1, 1, 0xDC7, 0, 0, 0, 4.0 if up else 0.0, 0, 0 if up else climbing_m_s]
-            if up or autopilot == "px4":
-                message = mavlink.MAVLink_set_position_target_local_ned_message(*fields, *[0] * 5)
-                simulation.receive(0, message.pack(mav))
-        simulation.step()
-    return simulation, [json.loads(line) for line in simulation.take_truth()][1:]
+    flown = Flown("copter", autopilot, **near)
+    flown.into_the_air(5.0)
+    for _ in range(40):
+        flown.go(4.0, 0.0)
+        for _ in range(20):
+            flown.simulation.step()
+    return flown.simulation, flown.truth()
 
 
 @pytest.mark.sample(5)
@@ -494,7 +464,7 @@ def test_who_touches_something_crashes(near: dict[str, Any], autopilot: str) -> 
     assert simulation.nearest_m == 0.0
     assert min(row["near_m"] for row in truth) == 0.0
     assert not simulation.armed
-    assert simulation.vehicle.altitude_amsl_m == pytest.approx(GROUND_M, abs=0.1)
+    assert simulation.vehicle.altitude_amsl_m == pytest.approx(400.0, abs=0.1)
     assert truth[-1]["north_m"] < 12.3
     assert any("hits" in notice for notice in simulation.take_notices())
 

@@ -119,7 +119,7 @@ def hills(seed: int, combine: str) -> tuple[PeakTerrain, Height]:
         return np.maximum(total, 100.0)
 
     literal = "maximum" if combine == "maximum" else "sum"
-    return PeakTerrain.of(rows, combine=literal, ground_amsl_m=100.0), height  # type: ignore[arg-type]
+    return PeakTerrain(rows, combine=literal, ground_amsl_m=100.0), height  # type: ignore[arg-type]
 
 
 def check(got: Look, *, steepest: float, range_m: float) -> None:

@@ -29,7 +29,7 @@ ALL_BLOCKS = (1 << 56) - 1
 FINE = RadarConditions()
 S = 1_000_000
 WALL = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
-TERRAIN = PeakTerrain.of(WALL, combine="maximum", ground_amsl_m=100.25)
+TERRAIN = PeakTerrain(WALL, combine="maximum", ground_amsl_m=100.25)
 
 
 def vehicle(north_m: float = 0.0, altitude_amsl_m: float = 500.0) -> Copter:

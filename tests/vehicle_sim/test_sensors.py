@@ -33,7 +33,7 @@ def hills(rng: np.random.Generator, centre_ne_m: tuple[float, float]) -> PeakTer
         )
         for _ in range(int(rng.integers(1, 8)))
     ]
-    return PeakTerrain.of(rows, combine="maximum", ground_amsl_m=100.0)
+    return PeakTerrain(rows, combine="maximum", ground_amsl_m=100.0)
 
 
 def viewpoint(centre_ne_m: tuple[float, float], altitude_amsl_m: float) -> Viewpoint:
@@ -118,7 +118,7 @@ def test_what_is_out_of_range_is_unseen(centre: tuple[float, float]) -> None:
 def test_a_wall_of_mountains_hides_what_lies_behind_it() -> None:
     wall = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
     behind = (3200.0, 0.0, 300.0, 100.0, 100.0)
-    terrain = PeakTerrain.of([*wall, behind], combine="maximum", ground_amsl_m=0.0)
+    terrain = PeakTerrain([*wall, behind], combine="maximum", ground_amsl_m=0.0)
     radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
     got = cells(radar, request_about((0.0, 0.0), 250), viewpoint((0.0, 0.0), 200.0))
     assert np.all(got[14:20, 8:24] != UNSEEN_M)  # the plain before it
@@ -133,9 +133,7 @@ def test_the_horizon_is_where_the_earth_curves_away(eye_m: float) -> None:
     mast_m, earth_m = 12.0, 6_371_000.0
     far_m = earth_m * math.acos(earth_m / (earth_m + eye_m))
     beyond_m = far_m + earth_m * math.acos(earth_m / (earth_m + mast_m))
-    plain = TerrainRadar(
-        PeakTerrain.of([], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4
-    )
+    plain = TerrainRadar(PeakTerrain([], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4)
     eye = viewpoint((0.0, 0.0), eye_m)
     for north, east in ((1.0, 0.0), (-0.6, 0.8)):
         at = {
@@ -147,7 +145,7 @@ def test_the_horizon_is_where_the_earth_curves_away(eye_m: float) -> None:
     for share, seen in ((0.97, True), (1.05, False)):
         mast = (share * beyond_m, 0.0, mast_m, 400.0, 400.0)
         radar = TerrainRadar(
-            PeakTerrain.of([mast], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4
+            PeakTerrain([mast], combine="maximum", ground_amsl_m=0.0), FRAME, range_m=5e4
         )
         assert radar.sees(*FRAME.to_geographic(mast[0], 0.0), eye) == seen
 
@@ -158,7 +156,7 @@ def test_a_peak_far_out_is_where_the_message_definition_puts_it() -> None:
     azimuth = math.degrees(math.atan2(950.0, 2250.0))
     lon, lat, _ = WGS84.fwd(9.0, 47.5, azimuth, math.hypot(2250.0, 950.0))
     north, east = FRAME.to_local(lat, lon)
-    terrain = PeakTerrain.of([(north, east, 700.0, 20.0, 20.0)], combine="maximum", ground_amsl_m=0)
+    terrain = PeakTerrain([(north, east, 700.0, 20.0, 20.0)], combine="maximum", ground_amsl_m=0)
     radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
     view = Viewpoint(latitude_deg=lat, longitude_deg=lon, altitude_amsl_m=3000.0)
     blocks = {block.gridbit: block.heights_amsl_m for block in radar.answer(request, view)}

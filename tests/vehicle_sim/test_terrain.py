@@ -17,11 +17,11 @@ def random_terrain(rng: np.random.Generator, combine: Combine) -> PeakTerrain:
         )
         for _ in range(int(rng.integers(0, 8)))
     ]
-    return PeakTerrain.of(rows, combine=combine, ground_amsl_m=50.0)
+    return PeakTerrain(rows, combine=combine, ground_amsl_m=50.0)
 
 
 def test_a_single_peak_is_equation_1_over_the_ground() -> None:
-    terrain = PeakTerrain.of(
+    terrain = PeakTerrain(
         [(1000.0, 2000.0, 900.0, 300.0, 500.0)], combine="maximum", ground_amsl_m=100.0
     )
     assert terrain.height_at_amsl_m(1000.0, 2000.0) == 900.0
@@ -33,7 +33,7 @@ def test_a_single_peak_is_equation_1_over_the_ground() -> None:
 @pytest.mark.parametrize("combine", ["maximum", "sum"])
 def test_two_peaks_at_one_place_count_once_or_twice(combine: Combine) -> None:
     peak = (0.0, 0.0, 400.0, 100.0, 100.0)
-    terrain = PeakTerrain.of([peak, peak], combine=combine, ground_amsl_m=0.0)
+    terrain = PeakTerrain([peak, peak], combine=combine, ground_amsl_m=0.0)
     assert terrain.height_at_amsl_m(0.0, 0.0) == (400.0 if combine == "maximum" else 800.0)
 
 
