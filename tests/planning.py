@@ -19,6 +19,7 @@ from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone, Zone
 
 ARDUCOPTER = named("ardupilot", "copter").traits.handling
@@ -111,6 +112,11 @@ def fly(
         planner=keywords.pop("planner", plan),
         **keywords,
     )
+
+
+def hills(*rows: tuple[float, ...], ground_m: float = 0.0) -> PeakTerrain:
+    """Peaks by north, east, height and their spreads to the north and east."""
+    return PeakTerrain(peaks=tuple(Peak(*row) for row in rows), ground_amsl_m=ground_m)
 
 
 def leg_of(control_nea_m: Any, **changes: Any) -> Leg:

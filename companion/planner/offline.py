@@ -54,21 +54,16 @@ class OfflineFlight:
 
     next: PlanRequest
     """The next request: where the vehicle is, what it knows by now, what it heads for."""
-    left_ne_m: list[tuple[float, float]]
-    """Targets that it has not reached."""
+    left_ne_m: list[tuple[float, float]]  # targets that it has not reached
     on_board: "OnBoard | None" = None
     legs: list[Leg] = field(default_factory=list)
-    flown_m: list[float] = field(default_factory=list)
-    """How far each leg was flown."""
+    flown_m: list[float] = field(default_factory=list)  # how far each leg was flown
     plans: list[Planned] = field(default_factory=list)
     scans_nea_m: list[Vector] = field(default_factory=list)
     """Where it scanned: the start is the first."""
-    failure: NotPlanned | None = None
-    """Why it ended before the target; None: it did not."""
-    holds: int = 0
-    """How often it had to stop, for want of a successor or for what it saw."""
-    seconds: float = 0.0
-    """An estimate of how long it took, from the first leg on, with its stops."""
+    failure: NotPlanned | None = None  # why it ended before the target; None: it did not
+    holds: int = 0  # how often it had to stop, for want of a successor or for what it saw
+    seconds: float = 0.0  # an estimate of how long it took, from the first leg on, with its stops
 
     @property
     def known(self) -> KnownMap:

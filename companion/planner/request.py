@@ -50,19 +50,15 @@ class PlanRequest:
     seed: int
     task: Task
     known: KnownMap
-    scan_nea_m: tuple[float, float, float]
-    """p_scan."""
-    start: Pose
-    """p_prog, the tangent and the curvature there."""
+    scan_nea_m: tuple[float, float, float]  # p_scan
+    start: Pose  # p_prog, the tangent and the curvature there
     from_rest: bool
     """Whether the vehicle hovers at the start, so that the path may leave in any direction."""
     target_ne_m: tuple[float, float]
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The route to the target of the last plan: not left for a small gain."""
-    progress: Progress = NO_PROGRESS
-    """As of the last plan on the way to the target."""
-    rest: Rest | None = None
-    """Of the current leg; None: the vehicle is at rest, or there is no leg."""
+    progress: Progress = NO_PROGRESS  # as of the last plan on the way to the target
+    rest: Rest | None = None  # of the current leg; None: the vehicle is at rest, or there is no leg
     flown: tuple[FlownSegment, ...] | None = None
     """The flown segments, to request a backtrack; None: the next subpath is requested."""
     attempt: int = 0
@@ -92,28 +88,21 @@ class Planned:
     """The next subpath."""
 
     plan_id: int
-    kernel: str
-    """The kernel that computed it, for replay."""
+    kernel: str  # the kernel that computed it, for replay
     subpath: Subpath
     reaches_target: bool
-    cost: float = 0.0
-    """Eq. 5."""
-    to_go: float = 0.0
-    """Cost-to-go from the end, in the same unit."""
-    terms: dict[str, float] = field(default_factory=dict)
-    """None of what no search has made."""
+    cost: float = 0.0  # eq. 5
+    to_go: float = 0.0  # cost-to-go from the end, in the same unit
+    terms: dict[str, float] = field(default_factory=dict)  # none of what no search has made
     certificate: Certificate
     guide_rad: float = 0.0
     route_ne_m: tuple[tuple[float, float], ...] = ()
     progress: Progress = NO_PROGRESS
-    evaluations: int = 0
-    """Of all searches of the plan, as `tries`."""
+    evaluations: int = 0  # of all searches of the plan, as `tries`
     rank: int = 0
     """Rank by cost in its search: 0 is the cheapest, more if cheaper ones could not be proven."""
-    tries: int = 0
-    """How many searches there were, whichever found it."""
-    speed_m_s: float | None = None
-    """The highest speed that it is proven for; None: V."""
+    tries: int = 0  # how many searches there were, whichever found it
+    speed_m_s: float | None = None  # the highest speed that it is proven for; None: V
     stopped_after: int | None = None
     """How often the search was continued before its time was up; None: it never was.
 
@@ -204,13 +193,10 @@ class NotPlanned:
     plan_id: int
     refusal: Refusal
     broken: tuple[str, ...] = ()
-    place_ne_m: tuple[float, float] | None = None
-    """Where all routes are blocked (`NO_WAY`)."""
+    place_ne_m: tuple[float, float] | None = None  # where all routes are blocked (`NO_WAY`)
     evaluations: int = 0
-    tries: int = 0
-    """How many searches there were."""
-    stopped_after: int | None = None
-    """As of Planned."""
+    tries: int = 0  # how many searches there were
+    stopped_after: int | None = None  # as of Planned
 
 
 @final

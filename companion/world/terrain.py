@@ -38,7 +38,7 @@ class Terrain(Protocol):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Peak:
     """One mountain of eq. 1: h exp(-((x - x0) / xs)^2 - ((y - y0) / ys)^2)."""
 

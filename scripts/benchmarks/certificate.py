@@ -22,9 +22,8 @@ from brute_force import Case, FloatArray, Truth, broken_by, random_case, truth
 
 from companion import jit
 from companion.path.bspline import cubics_of
-from companion.path.certificate import Certificate, certify
+from companion.path.certificate import Certificate
 from companion.path.proof import Bounds, prove
-from companion.path.subpath import Subpath
 from companion.planner import plan as planning
 
 
@@ -129,8 +128,7 @@ def _zones_m(case: Case) -> float:
 
 def measure(case: Case, tally: Tally) -> None:
     """One more case."""
-    subpath = Subpath(control_nea_m=case.control_nea_m)
-    told = certify(subpath, case.surroundings(), from_rest=case.from_rest)
+    told = case.certificate()
     real = truth(case, samples=120)
     tally.cases += 1
     tally.proven += told.proven

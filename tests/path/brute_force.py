@@ -16,14 +16,16 @@ from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
+from companion.path.certificate import Certificate, certify
 from companion.path.envelope import Envelope
 from companion.path.limits import Limits
 from companion.path.proof import Surroundings
+from companion.path.subpath import Subpath
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +38,10 @@ class Case:
     known: KnownMap
     peaks: PeakTerrain | None
     task: Task
+
+    def certificate(self) -> Certificate:
+        subpath = Subpath(control_nea_m=self.control_nea_m)
+        return certify(subpath, self.surroundings(), from_rest=self.from_rest)
 
     def surroundings(self) -> Surroundings:
         centre = self.control_nea_m.mean(axis=0)[:2]
@@ -126,19 +132,9 @@ def _terrain(
     registration = float(rng.choice([0.0, 0.0, 0.1, 0.35])) * scale.cell_m
     kind = rng.integers(3)
     if kind == 0:
-        peaks = PeakTerrain(
-            peaks=tuple(
-                Peak(
-                    north_m=rng.uniform(0, size),
-                    east_m=rng.uniform(0, size),
-                    height_amsl_m=scale.relief_m * rng.uniform(0.3, 1.0),
-                    spread_north_m=size * rng.uniform(0.08, 0.3),
-                    spread_east_m=size * rng.uniform(0.08, 0.3),
-                )
-                for _ in range(rng.integers(1, 7))
-            ),
-            ground_amsl_m=0.0,
-        )
+        low, high = (0.0, 0.0, 0.3, 0.08, 0.08), (1.0, 1.0, 1.0, 0.3, 0.3)
+        drawn = rng.uniform(low, high, (int(rng.integers(1, 7)), 5))
+        peaks = planning.hills(*(drawn * [size, size, scale.relief_m, size, size]).tolist())
         return true_map(peaks, like), peaks
     heights = rng.uniform(0.0, 0.15 * scale.relief_m, like.upper_m.shape)
     if kind == 1:  # pillars

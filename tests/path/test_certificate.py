@@ -326,10 +326,7 @@ def cases(request: pytest.FixtureRequest) -> int:
 def test_random_curves_keep_at_least_what_their_certificates_promise(cases: int) -> None:
     for seed in range(cases):
         case = random_case(np.random.default_rng([9, seed]))
-        told = certify(
-            Subpath(control_nea_m=case.control_nea_m), case.surroundings(), from_rest=case.from_rest
-        )
-        assert broken_by(told, truth(case, samples=100)) == [], seed
+        assert broken_by(case.certificate(), truth(case, samples=100)) == [], seed
 
 
 def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(cases: int) -> None:
@@ -337,9 +334,7 @@ def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven(
     for seed in range(cases):
         case = random_case(np.random.default_rng([10, seed]))
         spare = 0.02 * (case.task.required_clearance_m - case.task.envelope.contact_m)
-        told = certify(
-            Subpath(control_nea_m=case.control_nea_m), case.surroundings(), from_rest=case.from_rest
-        )
+        told = case.certificate()
         if case.task.limits.loiter_radius_m:
             continue  # the truth about a circle is that of some of its points only
         hopeless = {"keep-out zone", "turn radius"} & set(told.broken)

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import planning
 import pytest
 from nudge import nudged_questions
-from planning import limits
+from planning import hills, limits
 
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone
 
 
@@ -50,18 +50,12 @@ def task() -> Task:
 
 @pytest.fixture(scope="session")
 def terrain() -> PeakTerrain:
-    hills = [
+    return hills(
         (3_000.0, 2_600.0, 900.0, 500.0, 400.0),
         (4_300.0, 3_900.0, 650.0, 400.0, 700.0),
         (2_000.0, 6_000.0, 800.0, 500.0, 500.0),
         (6_000.0, 6_200.0, 500.0, 600.0, 300.0),
-    ]
-    return PeakTerrain(
-        peaks=tuple(
-            Peak(north_m=n, east_m=e, height_amsl_m=h, spread_north_m=sn, spread_east_m=se)
-            for n, e, h, sn, se in hills
-        ),
-        ground_amsl_m=100.0,
+        ground_m=100.0,
     )
 
 

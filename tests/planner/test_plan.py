@@ -8,7 +8,7 @@ import pytest
 from brute_force import violations
 from numpy.typing import NDArray
 from planning import ask as asked
-from planning import column_distance_m
+from planning import column_distance_m, hills
 
 from companion import jit
 from companion.objective.scene import Scene
@@ -24,7 +24,6 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal,
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import PolygonZone
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +35,13 @@ RANDOM_STARTS = 12
 
 def ask(task: Task, known: KnownMap, **changes: object) -> PlanRequest:
     return asked(task, known, START, **changes)
+
+
+def beside_a_hill(task: Task, known: KnownMap) -> PlanRequest:
+    """In flight, where no warm start is the best answer."""
+    place = (3_500.0, 3_100.0, 500.0)
+    pose = Pose(position_nea_m=np.array(place), **heading_to(20.0))
+    return ask(task, known, scan_nea_m=place, start=pose, from_rest=False)
 
 
 def planned(request: PlanRequest) -> Planned:
@@ -191,9 +197,7 @@ def test_the_same_question_has_the_same_answer(task: Task, truth: KnownMap) -> N
 def test_another_seed_plan_or_attempt_is_another_search(
     task: Task, truth: KnownMap, changes: dict[str, int]
 ) -> None:
-    beside_a_hill = (3_500.0, 3_100.0, 500.0)  # where no warm start is the best answer
-    pose = Pose(position_nea_m=np.array(beside_a_hill), **heading_to(20.0))
-    request = ask(task, truth, scan_nea_m=beside_a_hill, start=pose, from_rest=False)
+    request = beside_a_hill(task, truth)
     a, b = planned(request), planned(replace(request, **changes))  # type: ignore[arg-type]
     assert not np.array_equal(a.subpath.control_nea_m, b.subpath.control_nea_m)
 
@@ -286,9 +290,7 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported(
 def test_the_optimiser_that_the_settings_name_searches(
     task: Task, truth: KnownMap, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    beside_a_hill = (3_500.0, 3_100.0, 500.0)
-    pose = Pose(position_nea_m=np.array(beside_a_hill), **heading_to(20.0))
-    request = ask(task, truth, scan_nea_m=beside_a_hill, start=pose, from_rest=False)
+    request = beside_a_hill(task, truth)
     default = planned(request)
     asked: list[str] = []
     for each, make in OPTIMISERS.items():
@@ -329,14 +331,9 @@ def test_the_search_ends_with_the_first_look_at_the_clock_after_time_is_up(
 
 
 def test_the_longer_it_may_search_the_better_the_plan(task: Task, truth: KnownMap) -> None:
-    beside_a_hill = (3_500.0, 3_100.0, 500.0)
-    pose = Pose(position_nea_m=np.array(beside_a_hill), **heading_to(20.0))
     costs = []
     for looks in (1, 10):
-        asked = count(1)
-        request = ask(
-            with_budget(task, 3_000), truth, scan_nea_m=beside_a_hill, start=pose, from_rest=False
-        )
+        asked, request = count(1), beside_a_hill(with_budget(task, 3_000), truth)
         outcome = plan(request, stop=lambda: next(asked) >= looks)  # noqa: B023
         assert isinstance(outcome, Planned)
         costs.append(outcome.cost + outcome.to_go)
@@ -529,10 +526,7 @@ def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
     task: Task, blank: KnownMap, top_m: float, down_m: float, away_m: float
 ) -> None:
     """From the near end it could only fly past: the cost-to-go knows nothing of turns."""
-    hill = Peak(
-        north_m=4e3, east_m=4e3, height_amsl_m=top_m, spread_north_m=400.0, spread_east_m=400.0
-    )
-    known = true_map(PeakTerrain(peaks=(hill,), ground_amsl_m=100.0), blank)
+    known = true_map(hills((4e3, 4e3, top_m, 400.0, 400.0), ground_m=100.0), blank)
     target = (4_000.0 - down_m, 4_000.0)
     start = (target[0] - away_m, 4_000.0, 310.001)
     pose = Pose(position_nea_m=np.array(start), **heading_to(20.0))

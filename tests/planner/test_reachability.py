@@ -22,7 +22,6 @@ from companion.planner.request import Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone, Zone
 
 _BASE = load_mission("environment-1").task
@@ -168,16 +167,9 @@ def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
 def flown_past_a_ridge(gap_m: float) -> OfflineFlight:
     """All is known: of a ridge 6 km high from edge to edge two peaks are so far apart."""
     east = [40e3 + side * (0.5 * gap_m + 400.0 * i) for side in (-1, 1) for i in range(120)]
-    peaks = [
-        Peak(north_m=50e3, east_m=at, height_amsl_m=6e3, spread_north_m=800.0, spread_east_m=800.0)
-        for at in east
-        if -2e3 < at < 82e3
-    ]
+    ridge = planning.hills(*((50e3, at, 6e3, 800.0, 800.0) for at in east if -2e3 < at < 82e3))
     task = replace(TASK, limits=replace(TASK.limits, north_m=(-5e3, 105e3), east_m=(0.0, 80e3)))
-    truth = true_map(
-        PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0),
-        empty_map(CELL_M, task.limits.north_m, task.limits.east_m),
-    )
+    truth = true_map(ridge, empty_map(CELL_M, task.limits.north_m, task.limits.east_m))
     start = (0.0, 60e3, 3_100.0)
     return planning.fly(task, truth, start, (100e3, 60e3), blank=truth)
 

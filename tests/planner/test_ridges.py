@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from planning import fly
+from planning import fly, hills
 
 from companion.config import load_mission
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
 
 FloatArray = NDArray[np.float64]
 
@@ -54,20 +53,12 @@ def test_no_leg_comes_near_a_ridge_whose_faces_are_seen_at_a_grazing_angle(
     limits = replace(mission.task.limits, north_m=(0.0, SIDE_M), east_m=(0.0, SIDE_M))
     settings = replace(mission.task.settings, evaluations=400)
     task = replace(mission.task, limits=limits, settings=settings, radars=(), zones=())
-    peaks = tuple(
-        Peak(
-            north_m=MIDDLE_M,
-            east_m=float(east),
-            height_amsl_m=HEIGHT_M,
-            spread_north_m=spread_north_m,
-            spread_east_m=SPREAD_EAST_M,
-        )
-        for east in peaks_east_m()
-    )
+    shape = HEIGHT_M, spread_north_m, SPREAD_EAST_M
+    ridge = hills(*((MIDDLE_M, east, *shape) for east in peaks_east_m().tolist()))
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
     flight = fly(
         task,
-        true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), blank),
+        true_map(ridge, blank),
         (5_000.0, MIDDLE_M, mission.task.take_off_amsl_m),
         (SIDE_M - 5_000.0, MIDDLE_M),
         seed=seed,

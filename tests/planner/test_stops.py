@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-from planning import fly
+from planning import fly, hills
 
 from companion.config import load_mission
 from companion.world.known_map import empty_map
 from companion.world.radars import Radar
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
 
 # a saddle that nobody sees into before the vehicle is below it; behind it three radars
 PEAKS = (
@@ -34,13 +33,8 @@ def test_it_turns_round_rather_than_cross_a_radar() -> None:
         for north, east, range_m in RADARS
     )
     task = replace(base, radars=radars, zones=())
-    peaks = tuple(
-        Peak(north_m=n, east_m=e, height_amsl_m=h, spread_north_m=a, spread_east_m=b)
-        for n, e, h, a, b in PEAKS
-    )
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    truth = true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), blank)
-    flight = fly(task, truth, (0.0, 0.0, 3030.0), (100e3, 100e3))
+    flight = fly(task, true_map(hills(*PEAKS), blank), (0.0, 0.0, 3030.0), (100e3, 100e3))
     assert flight.failure is None
     assert max(each.certificate.radar_m for each in flight.plans) < 1_000.0
     assert sum(flight.flown_m) < 1.4 * 145.2e3  # of the way when all is known

@@ -14,13 +14,7 @@ CELL_M = 100.0
 
 def random_terrain(rng: np.random.Generator) -> PeakTerrain:
     peaks = tuple(
-        Peak(
-            north_m=float(rng.uniform(0, 4_000)),
-            east_m=float(rng.uniform(0, 4_000)),
-            height_amsl_m=float(rng.uniform(50, 1_200)),
-            spread_north_m=float(rng.uniform(200, 900)),
-            spread_east_m=float(rng.uniform(200, 900)),
-        )
+        Peak(*rng.uniform((0, 0, 50, 200, 200), (4_000, 4_000, 1_200, 900, 900)).tolist())
         for _ in range(int(rng.integers(1, 6)))
     )
     return PeakTerrain(peaks=peaks, ground_amsl_m=30.0)

@@ -12,17 +12,13 @@ from scipy.ndimage import map_coordinates
 from companion.geodesy import FloatArray, LocalFrame
 from companion.world.terrain import ArrayTerrain, GridTerrain, Peak, PeakTerrain
 
-FIELDS = ("north_m", "east_m", "height_amsl_m", "spread_north_m", "spread_east_m")
 seeds = st.integers(0, 10**6)
 
 
 def drawn_peaks(rng: np.random.Generator, count: int, apart_m: float) -> PeakTerrain:
     """So many, over ground of all heights; their sum every other time."""
     low, high = (-apart_m, -apart_m, 10.0, 200.0, 200.0), (apart_m, apart_m, 3e3, 3e3, 3e3)
-    peaks = tuple(
-        Peak(**dict(zip(FIELDS, row, strict=True)))
-        for row in rng.uniform(low, high, (count, 5)).tolist()
-    )
+    peaks = tuple(Peak(*row) for row in rng.uniform(low, high, (count, 5)).tolist())
     ground_m, adds = float(rng.choice([-350.0, 0.0, 120.0])), bool(rng.random() < 0.5)
     return PeakTerrain(peaks=peaks, ground_amsl_m=ground_m, sum_of_peaks=adds)
 

@@ -231,11 +231,8 @@ def _case(
     """A world with the vehicle, the band and the planner of environment-1."""
     settings |= {"optimiser": ALGORITHMS["improved DE"], **_budget(_T_S, per_second)}
     base = bundled_case("environment-1", **settings)
-    made = (
-        Peak(north_m=n, east_m=e, height_amsl_m=height, spread_north_m=spread, spread_east_m=spread)
-        for n, e, height, spread in peaks
-    )
-    terrain = PeakTerrain(peaks=tuple(made), ground_amsl_m=0.0)
+    round_ones = tuple(Peak(n, e, height, spread, spread) for n, e, height, spread in peaks)
+    terrain = PeakTerrain(peaks=round_ones, ground_amsl_m=0.0)
     return replace(base, world=world, terrain=terrain, task=replace(base.task, radars=radars))
 
 
