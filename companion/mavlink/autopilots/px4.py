@@ -31,12 +31,24 @@ _MODES: Mapping[Mode, tuple[int, int]] = {
 _PRECISION_LAND = (_AUTO, 9)
 _BY_NUMBER = {numbers: mode for mode, numbers in _MODES.items()} | {_PRECISION_LAND: Mode.LAND}
 _MAIN_NAMES = {
-    1: "Manual", 2: "Altitude", 3: "Position", 5: "Acro", 6: "Offboard",
-    7: "Stabilized", 8: "Rattitude",
+    1: "Manual",
+    2: "Altitude",
+    3: "Position",
+    5: "Acro",
+    6: "Offboard",
+    7: "Stabilized",
+    8: "Rattitude",
 }
 _AUTO_NAMES = {
-    1: "Ready", 2: "Takeoff", 3: "Hold", 4: "Mission", 5: "Return", 6: "Land",
-    8: "Follow Target", 9: "Precision Land", 10: "VTOL Takeoff",
+    1: "Ready",
+    2: "Takeoff",
+    3: "Hold",
+    4: "Mission",
+    5: "Return",
+    6: "Land",
+    8: "Follow Target",
+    9: "Precision Land",
+    10: "VTOL Takeoff",
 }
 _NEEDED = (
     wire.ESTIMATOR_ATTITUDE
