@@ -298,9 +298,9 @@ def _straight(corners_deg: list[Point]) -> list[Point]:
     """
     begin = np.array(corners_deg)
     along = np.roll(begin, -1, axis=0) - begin
-    latitude = np.radians(np.abs(begin[:, 0]).max())
-    length_m = np.radians(np.hypot(along[:, 0], along[:, 1] * np.cos(latitude))) * _EARTH_M
-    bulge_m = length_m**2 * (np.tan(latitude) + 1.0) / (8.0 * _EARTH_M)
+    ends = np.radians(np.abs([begin[:, 0], begin[:, 0] + along[:, 0]]))
+    length_m = np.radians(np.hypot(along[:, 0], along[:, 1] * np.cos(ends.min(axis=0)))) * _EARTH_M
+    bulge_m = length_m**2 * (np.tan(ends.max(axis=0)) + 1.0) / (8.0 * _EARTH_M)
     parts = np.clip(np.ceil(np.sqrt(bulge_m / _STRAIGHT_M)), 1, _MOST_PARTS).astype(int)
     share = np.concatenate([np.arange(count) / count for count in parts])
     places = np.repeat(begin, parts, axis=0) + share[:, None] * np.repeat(along, parts, axis=0)
