@@ -260,12 +260,8 @@ def _polygon(
             return _unfit(f"{name} has no area")
     if margin_m != 0.0:
         moved = offset(vertices, -margin_m if keep_in else margin_m)
-        jagged = f"{name} is too jagged for FENCE_MARGIN: "
-        if moved is None and not keep_in:
-            moved = offset(hull(vertices), margin_m)
-            note = note or jagged + "the vehicle keeps out of its hull"
         if moved is None:
-            note = jagged + "it is kept without"
+            note = f"{name} is too jagged for FENCE_MARGIN: it is kept without"
         vertices = moved or vertices
     return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in), note, wrong)
 
