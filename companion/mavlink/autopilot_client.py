@@ -91,7 +91,8 @@ class AutopilotClient:
         self.here_ne_m: tuple[float, float] | None = None
         self._own_fence = OwnFence(mission, autopilot, self.plans)
         self.notes, self.warnings = self._own_fence.notes, self._own_fence.warnings
-        """What a person should hear of, since last looked at; warnings: of what is grave."""
+        """What a person should hear of, since last looked at; warnings: of what is grave.  The
+        fence says what it has to say into the same lists."""
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: Vector | None = None

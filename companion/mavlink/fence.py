@@ -260,12 +260,8 @@ def _polygon(
             return _unfit(f"{name} has no area")
     if margin_m != 0.0:
         moved = offset(vertices, -margin_m if keep_in else margin_m)
-        jagged = f"{name} is too jagged for FENCE_MARGIN: "
-        if moved is None and not keep_in:
-            moved = offset(hull(vertices), margin_m)
-            note = note or jagged + "the vehicle keeps out of its hull"
         if moved is None:
-            note = jagged + "it is kept without"
+            note = f"{name} is too jagged for FENCE_MARGIN: it is kept without"
         vertices = moved or vertices
     return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in), note, wrong)
 
@@ -298,9 +294,9 @@ def _straight(corners_deg: list[Point]) -> list[Point]:
     """
     begin = np.array(corners_deg)
     along = np.roll(begin, -1, axis=0) - begin
-    latitude = np.radians(np.abs(begin[:, 0]).max())
-    length_m = np.radians(np.hypot(along[:, 0], along[:, 1] * np.cos(latitude))) * _EARTH_M
-    bulge_m = length_m**2 * (np.tan(latitude) + 1.0) / (8.0 * _EARTH_M)
+    ends = np.radians(np.abs([begin[:, 0], begin[:, 0] + along[:, 0]]))
+    length_m = np.radians(np.hypot(along[:, 0], along[:, 1] * np.cos(ends.min(axis=0)))) * _EARTH_M
+    bulge_m = length_m**2 * (np.tan(ends.max(axis=0)) + 1.0) / (8.0 * _EARTH_M)
     parts = np.clip(np.ceil(np.sqrt(bulge_m / _STRAIGHT_M)), 1, _MOST_PARTS).astype(int)
     share = np.concatenate([np.arange(count) / count for count in parts])
     places = np.repeat(begin, parts, axis=0) + share[:, None] * np.repeat(along, parts, axis=0)

@@ -7,7 +7,6 @@ for a scan; in between, the mission is told of every sweep, as something may be 
 import math
 from typing import Final, final
 
-from companion.geodesy import LocalFrame
 from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensing
@@ -57,8 +56,7 @@ class NearScanner:
         assert blank.guess_m is not None
         self.is_on = False
         """Whether there is a scan under way."""
-        self._frame: LocalFrame = mission.frame
-        self._poses = Poses()
+        self._poses = Poses(mission.frame)
         self._component = sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
         free_for_s = sensor.free_for_s(mission.task.limits.navigation_error_m)
@@ -92,16 +90,14 @@ class NearScanner:
     # --- what is heard
 
     def on_position(self, time_s: float, here_nea_m: Vector) -> None:
-        """Its position, too."""
-        grid_north_rad = self._frame.grid_north_rad(here_nea_m[0], here_nea_m[1])
-        self._poses.on_position(time_s, here_nea_m, grid_north_rad)
+        """The vehicle's position."""
+        self._poses.on_position(time_s, here_nea_m)
 
     def on_message(self, message: Message, now_s: float) -> None:
         """A message of the sensor; ATTITUDE or SYS_STATUS of the autopilot."""
         number = message.get_msgId()
         if number == ATTITUDE:
-            at_s = message.time_boot_ms * 1e-3
-            self._poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+            self._poses.on_attitude(message)
         elif number == HEALTH or message.get_srcComponent() == self._component:
             self._sensing.on_message(message, now_s)
 

@@ -5,7 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import final
 
-from companion.geodesy import wrap_rad
+from companion.geodesy import LocalFrame, wrap_rad
+from companion.mavlink.dialect import Message
 from companion.mission.events import Vector
 
 _KEPT_S = 3.0
@@ -34,17 +35,19 @@ class Pose:
 class Poses:
     """The last few seconds of a vehicle's poses, to be asked for at the time of a measurement."""
 
-    def __init__(self) -> None:
-        self._positions = _Track(angles=False)
-        self._attitudes = _Track(angles=True)
+    def __init__(self, frame: LocalFrame) -> None:
+        self._frame = frame
+        self._positions, self._attitudes = _Track(angles=False), _Track(angles=True)
 
-    def on_position(self, time_s: float, position_nea_m: Vector, grid_north_rad: float) -> None:
-        """A position; grid_north_rad: the true azimuth of the frame's north there."""
+    def on_position(self, time_s: float, position_nea_m: Vector) -> None:
+        """A position in the frame."""
+        grid_north_rad = self._frame.grid_north_rad(position_nea_m[0], position_nea_m[1])
         self._positions.keep(time_s, (*position_nea_m, grid_north_rad))
 
-    def on_attitude(self, time_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
-        """An attitude; yaw from true north."""
-        self._attitudes.keep(time_s, (roll_rad, pitch_rad, yaw_rad))
+    def on_attitude(self, message: Message) -> None:
+        """ATTITUDE of the autopilot, whose yaw is from true north."""
+        values = message.roll, message.pitch, message.yaw
+        self._attitudes.keep(message.time_boot_ms * 1e-3, values)
 
     def at(self, time_s: float) -> Pose | None:
         """Between those told before and after; None: there are none, or too far apart."""

@@ -36,7 +36,7 @@ class Rangefinder:
         """error_m: so much higher than the map says the ground may seem."""
         self.heard_s = -math.inf
         """When it last said anything."""
-        self._frame, self._error_m, self._poses = frame, error_m, Poses()
+        self._error_m, self._poses = error_m, Poses(frame)
         self._readings: deque[tuple[float, float]] = deque(maxlen=_AGREE)
         """Time and distance, until the pose is known."""
         self._above: deque[tuple[float, float]] = deque(maxlen=_AGREE)
@@ -45,19 +45,17 @@ class Rangefinder:
 
     def on_position(self, time_s: float, here_nea_m: Vector) -> None:
         """Where the vehicle is."""
-        grid_north_rad = self._frame.grid_north_rad(here_nea_m[0], here_nea_m[1])
-        self._poses.on_position(time_s, here_nea_m, grid_north_rad)
+        self._poses.on_position(time_s, here_nea_m)
 
     def on_message(self, message: Message, now_s: float) -> None:
         """ATTITUDE or DISTANCE_SENSOR of the autopilot."""
-        at_s = message.time_boot_ms * 1e-3
         if message.get_msgId() == ATTITUDE:
-            self._poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+            self._poses.on_attitude(message)
         elif message.orientation == _DOWN:
             self.heard_s = now_s
             told_cm = message.current_distance
             if max(message.min_distance, 1) <= told_cm < message.max_distance:
-                self._readings.append((at_s, told_cm * 0.01))
+                self._readings.append((message.time_boot_ms * 1e-3, told_cm * 0.01))
 
     def seen(self, now_s: float, known: KnownMap) -> GroundSeen | None:
         """What all of the last few readings say: by how much the ground is nearer, or no more."""

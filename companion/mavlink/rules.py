@@ -103,7 +103,11 @@ class Rule:
 
 
 def only_read(names: str) -> tuple[Rule, ...]:
-    """Rules without a check; "A/B": the parameter A, whose other name is B."""
+    """Rules without a check; "A/B": the parameter A, whose other name is B.
+
+    Some of them nobody looks at any more: the golden flights were recorded when they were asked
+    for, and are prepared a second or two earlier without.
+    """
     pairs = (name.partition("/") for name in names.split())
     return tuple(Rule(name, also=also) for name, _, also in pairs)
 

@@ -49,8 +49,7 @@ class StreamRequests:
         """Request everything that is not streamed by default."""
         self._wanted, self._looked_s, self._before = True, now_s, dict(self.count)
         self._asked_s = dict.fromkeys(self._wanted_hz, now_s)
-        asked = [self._request(each, rate_hz) for each, rate_hz in self._wanted_hz.items()]
-        return asked + self._once()
+        return [*map(self._rate, self._wanted_hz), *self._once()]
 
     def forget(self) -> None:
         """The autopilot has rebooted: all requests are void."""
@@ -72,44 +71,37 @@ class StreamRequests:
         if not self._wanted or since_s < _LOOK_S:
             return []
         self._looked_s = now_s
-        asked = [
-            self._request(message_id, rate_hz)
-            for message_id, rate_hz in self._wanted_hz.items()
-            if self._is_missing(message_id, rate_hz, since_s, now_s)
-        ]
+        late = [number for number in self._wanted_hz if self._is_late(number, since_s, now_s)]
+        self._asked_s |= dict.fromkeys(late, now_s)
         self._before = dict(self.count)
-        return asked + self._once()
-
-    def _once(self) -> list[Message]:
-        """Requests for what is never streamed, until it has come."""
-        return [
-            self._command(wire.MAV_CMD_REQUEST_MESSAGE, message_id)
-            for message_id in self._autopilot.requested_once
-            if message_id not in self.count
-        ]
+        return [*map(self._rate, late), *self._once()]
 
     @property
     def missing(self) -> list[str]:
         """Names of requested messages that never came."""
         return [
-            wire.mavlink_map[message_id].msgname
-            for message_id in self._wanted_hz
-            if message_id not in self.count and message_id not in self._quiet
+            wire.mavlink_map[number].msgname
+            for number in self._wanted_hz
+            if number not in self.count and number not in self._quiet
         ]
 
-    def _is_missing(self, message_id: int, rate_hz: float, since_s: float, now_s: float) -> bool:
-        expected = _ENOUGH * rate_hz * min(since_s, _LOOK_S)
-        came = self.count.get(message_id, 0) - self._before.get(message_id, 0)
-        if came >= max(expected, 1.0):
-            return False
-        again_s = _QUIET_S if message_id in self._quiet else _LOOK_S
-        if now_s - self._asked_s.get(message_id, -math.inf) < again_s:
-            return False
-        self._asked_s[message_id] = now_s
-        return True
+    def _is_late(self, number: int, since_s: float, now_s: float) -> bool:
+        """Whether too few have come, and enough time has passed since it was asked for."""
+        expected = _ENOUGH * self._wanted_hz[number] * min(since_s, _LOOK_S)
+        came = self.count.get(number, 0) - self._before.get(number, 0)
+        again_s = _QUIET_S if number in self._quiet else _LOOK_S
+        asked_s = self._asked_s.get(number, -math.inf)
+        return came < max(expected, 1.0) and now_s - asked_s >= again_s
 
-    def _request(self, message_id: int, rate_hz: float) -> Message:
-        return self._command(wire.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+    def _rate(self, number: int) -> Message:
+        interval_us = 1e6 / self._wanted_hz[number]
+        command = wire.MAV_CMD_SET_MESSAGE_INTERVAL
+        return command_long(self._system_id, command, number, interval_us)
 
-    def _command(self, command: int, *parameters: float) -> Message:
-        return command_long(self._system_id, command, *parameters)
+    def _once(self) -> list[Message]:
+        """Requests for what is never streamed, until it has come."""
+        return [
+            command_long(self._system_id, wire.MAV_CMD_REQUEST_MESSAGE, number)
+            for number in self._autopilot.requested_once
+            if number not in self.count
+        ]

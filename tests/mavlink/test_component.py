@@ -159,6 +159,12 @@ def test_a_place_that_is_not_given_is_denied(x: int, y: int) -> None:
     assert acks == [Ack(REPOSITION, DENIED, PERSON)]
 
 
+def test_to_land_no_place_is_given() -> None:
+    for nowhere in (command_int(LAND, x=0x7FFFFFFF, y=0x7FFFFFFF), command_int(LAND)):
+        assert answered(made(), nowhere)[1] == [Ack(LAND, ACCEPTED, PERSON)]
+    assert answered(made(), command_int(LAND, x=1, y=1))[1] == [Ack(LAND, DENIED, PERSON)]
+
+
 def test_nor_is_0_0_even_if_it_lies_on_the_map() -> None:
     server = made(origin_deg=(0.001, 0.001))
     _, acks = answered(server, command_int(REPOSITION, x=1, y=1, frame_id=5))

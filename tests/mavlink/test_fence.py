@@ -38,6 +38,7 @@ FRAME = LocalFrame(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1])
 HOME = (0.0, 0.0, HOME_M)
 ON = {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 4.0, "FENCE_MARGIN": 0.0, "FENCE_OPTIONS": 1.0}
 CIRCLE_IN, CIRCLE_OUT, IN, OUT = 5003, 5004, 5001, 5002
+SLANTED = ((0.0, 0.0), (0.1, 1.0), (-0.9, 0.4))
 SQUARE = ((-100.0, -100.0), (-100.0, 100.0), (100.0, 100.0), (100.0, -100.0))
 metres = st.floats(-900.0, 900.0)
 places = st.tuples(metres, metres)
@@ -151,6 +152,25 @@ def test_a_long_side_is_where_the_autopilot_has_it() -> None:
     straight = PolygonZone(name="", vertices_ne_m=far)
     north, east = FRAME.to_local_m(latitude, HOME_DEG[1])
     assert abs(float(straight.distance_m(np.asarray(north), np.asarray(east)))) > 50.0
+
+
+@pytest.mark.parametrize("latitude_deg", [0.0, -33.0, 60.0, 77.0])
+@pytest.mark.parametrize("size_deg", [0.03, 0.3, 2.0])
+def test_a_side_is_nowhere_farther_off_than_half_a_metre(
+    latitude_deg: float, size_deg: float
+) -> None:
+    """Between its corners it is straight in degrees, wherever and however long it is."""
+    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=8.0)
+    ring_deg = [(latitude_deg + size_deg * a, 8.0 + 3.0 * size_deg * b) for a, b in SLANTED]
+    corners = [
+        PlanItem(frame=0, command=OUT, parameters=(3.0, 0.0, 0.0, 0.0), x=deg_e7(a), y=deg_e7(b))
+        for a, b in ring_deg
+    ]
+    (zone,) = zones_of(corners, frame, ON).zones
+    for one, other in zip(ring_deg, (*ring_deg[1:], ring_deg[0]), strict=True):
+        latitude, longitude = np.linspace(one, other, 500).T
+        off_m = np.abs(zone.distance_m(*frame.to_local_m(latitude, longitude)))
+        assert off_m.max() < 0.5 + 0.02  # and what a place in 1e-7 degrees is rounded by
 
 
 @pytest.mark.parametrize("latitude_deg", [0.0, 47.0, -33.0])

@@ -9,21 +9,28 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
 
+from companion.geodesy import LocalFrame
 from companion.mavlink.near_sensing import NearSensing, Sight, in_words
 from companion.mavlink.poses import Poses
 from companion.world.near_map import NearSensor, Sweep
 
 LIDAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=40.0, latency_s=0.0)
 NOW_S = 10.0
+FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 UNKNOWN = 65_535
+
+
+def attitude(time_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> Any:
+    at_ms = round(1e3 * time_s)
+    return wire.MAVLink_attitude_message(at_ms, roll_rad, pitch_rad, yaw_rad, 0, 0, 0)
 
 
 def standing(yaw_rad: float = 0.0, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Poses:
     """A vehicle at 3, 4 and 5 m."""
-    poses = Poses()
+    poses = Poses(FRAME)
     for time_s in (NOW_S - 0.2, NOW_S, NOW_S + 0.2):
-        poses.on_position(time_s, (3.0, 4.0, 5.0), 0.0)
-        poses.on_attitude(time_s, roll_rad, pitch_rad, yaw_rad)
+        poses.on_position(time_s, (3.0, 4.0, 5.0))
+        poses.on_attitude(attitude(time_s, roll_rad, pitch_rad, yaw_rad))
     return poses
 
 
@@ -182,29 +189,29 @@ def test_what_is_told_again_at_once_is_one_sweep_and_proves_no_more() -> None:
 
 
 def test_a_measurement_waits_until_the_pose_of_its_time_is_known() -> None:
-    poses = Poses()
+    poses = Poses(FRAME)
     sensing = NearSensing(LIDAR, poses)
-    poses.on_position(NOW_S - 0.1, (0.0, 0.0, 0.0), 0.0)
-    poses.on_attitude(NOW_S - 0.1, 0.0, 0.0, math.radians(175.0))
+    poses.on_position(NOW_S - 0.1, (0.0, 0.0, 0.0))
+    poses.on_attitude(attitude(NOW_S - 0.1, 0.0, 0.0, math.radians(175.0)))
     sensing.on_obstacle_distance(obstacle_distance([500]), NOW_S)
     assert sensing.sweeps() == []
-    poses.on_position(NOW_S + 0.1, (2.0, 4.0, 6.0), 0.0)
+    poses.on_position(NOW_S + 0.1, (2.0, 4.0, 6.0))
     assert sensing.sweeps() == []
-    poses.on_attitude(NOW_S + 0.1, 0.0, 0.0, math.radians(-175.0))
+    poses.on_attitude(attitude(NOW_S + 0.1, 0.0, 0.0, math.radians(-175.0)))
     (sweep,) = sensing.sweeps()
     assert sweep.sensor_ne_m == pytest.approx((1.0, 2.0))
     assert clear_towards_m(sweep, 180.0) == pytest.approx(5.0)
 
 
 def test_a_pose_that_is_not_known_is_not_guessed() -> None:
-    poses = Poses()
+    poses = Poses(FRAME)
     for time_s in (NOW_S - 1.0, NOW_S + 1.0):
-        poses.on_position(time_s, (0.0, 0.0, 0.0), 0.0)
-        poses.on_attitude(time_s, 0.0, 0.0, 0.0)
+        poses.on_position(time_s, (0.0, 0.0, 0.0))
+        poses.on_attitude(attitude(time_s, 0.0, 0.0, 0.0))
     assert poses.at(NOW_S) is None
     assert poses.at(NOW_S + 1.0) is not None
     assert poses.at(NOW_S + 1.1) is None
-    poses.on_attitude(NOW_S + 1.1, math.nan, 0.0, 0.0)
+    poses.on_attitude(attitude(NOW_S + 1.1, math.nan, 0.0, 0.0))
     assert poses.at(NOW_S + 1.05) is None
 
 
@@ -279,12 +286,12 @@ def sectors_over(
     seconds: float, told: Callable[[int], Iterable[int]], component: int = 1
 ) -> list[float]:
     """What is clear in the end, metres, if set k at 20 Hz tells of a thing in these sectors."""
-    poses = Poses()
+    poses = Poses(FRAME)
     sensing = NearSensing(replace(BEHIND_AUTOPILOT, component_id=component), poses)
     for k in range(round(20.0 * seconds)):
         now_s = NOW_S + 0.05 * k
-        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
-        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        poses.on_position(now_s, (0.0, 0.0, 5.0))
+        poses.on_attitude(attitude(now_s, 0.0, 0.0, 0.0))
         for sector in told(k):
             at_ms = round(1e3 * now_s)
             beam = wire.MAVLink_distance_sensor_message(at_ms, 20, 1600, 700, 0, 10, sector, 0)
@@ -365,12 +372,12 @@ def test_how_far_it_sees_is_the_least_that_its_newest_messages_say() -> None:
 
 
 def test_sectors_of_unlike_limits_are_clear_as_far_as_each_one_sees() -> None:
-    poses, sensing = Poses(), None
+    poses, sensing = Poses(FRAME), None
     sensing = NearSensing(BEHIND_AUTOPILOT, poses)
     for k in range(40):
         now_s = NOW_S + 0.05 * k
-        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
-        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        poses.on_position(now_s, (0.0, 0.0, 5.0))
+        poses.on_attitude(attitude(now_s, 0.0, 0.0, 0.0))
         for sector, least_cm, most_cm in ((0, 20, 900), (1, 50, 800), (2, 20, 4000)):
             sensing.on_distance_sensor(
                 wire.MAVLink_distance_sensor_message(
@@ -385,7 +392,7 @@ def test_sectors_of_unlike_limits_are_clear_as_far_as_each_one_sees() -> None:
 
 def test_one_that_has_told_how_far_it_sees_shows_no_more_by_its_silence() -> None:
     """R may be more than what it sees: 16 m of 40."""
-    poses = Poses()
+    poses = Poses(FRAME)
     sensing = NearSensing(replace(BEHIND_AUTOPILOT, range_m=40.0), poses)
     bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
     well = wire.MAVLink_sys_status_message(bit, bit, bit, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
@@ -395,8 +402,8 @@ def test_one_that_has_told_how_far_it_sees_shows_no_more_by_its_silence() -> Non
     sensing.on_distance_sensor(late, NOW_S + 0.05)
     for k in range(50):
         now_s = NOW_S + 0.1 * k
-        poses.on_position(now_s, (0.0, 0.0, 5.0), 0.0)
-        poses.on_attitude(now_s, 0.0, 0.0, 0.0)
+        poses.on_position(now_s, (0.0, 0.0, 5.0))
+        poses.on_attitude(attitude(now_s, 0.0, 0.0, 0.0))
         if k % 10 == 0 and k:
             sensing.on_health(well, now_s)
     clear_m = [sweep.clear_m.max() for sweep in sensing.sweeps()]

@@ -29,7 +29,7 @@ POSITION = 33
 
 def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensing]]:
     """Vehicle time, place and what the lidar says, at each position."""
-    poses, receiver = Poses(), Receiver()
+    poses, receiver = Poses(HOME), Receiver()
     sensing, now_s = NearSensing(LIDAR, poses), 0.0
     for record in open_log(recording("arducopter-lidar.tlog"), system_id=1).records():
         if sender_of(record.frame) != (1, 1):
@@ -39,8 +39,7 @@ def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensi
             continue
         for message in receiver.feed(record.frame):
             if number == ATTITUDE:
-                at_s = message.time_boot_ms * 1e-3
-                poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+                poses.on_attitude(message)
             elif number != POSITION:
                 sensing.on_message(message, now_s)
             elif (told := position(message, 0.0, HOME)) is not None:
@@ -48,7 +47,7 @@ def seen(until_s: float) -> Iterator[tuple[float, NDArray[np.float64], NearSensi
                 if now_s >= until_s:
                     return
                 here_nea_m = told.position_nea_m
-                poses.on_position(now_s, here_nea_m, HOME.grid_north_rad(*here_nea_m[:2]))
+                poses.on_position(now_s, here_nea_m)
                 yield now_s, np.array(here_nea_m[:2]), sensing
 
 
