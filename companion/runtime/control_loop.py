@@ -1,56 +1,43 @@
-"""The control loop: feeds the session with events and carries out its outputs."""
+"""The control loop: what the vehicle, the planner and people say -> the session -> the link.
+
+One thread reads the link and writes to it; other threads leave it calls to make (`post`).
+"""
 
 import contextlib
 import math
+import queue
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import Protocol, final
+from functools import partial
+from typing import Final, Protocol, final
 
 from companion.mavlink.link import Output
-from companion.planner.request import Planned, PlanRequest
+from companion.mavlink.signing import strip_signature
+from companion.planner.request import Planned, PlanOutcome
 from companion.runtime.link import Link, is_setpoint
-from companion.runtime.recorder import WRITER, Batch, Writer
-from companion.runtime.watchdog import Clock, Gate, Watchdog, Worker
-from companion.runtime.workers import (
-    POLL_S,
-    Datagram,
-    EventQueue,
-    Item,
-    LinkReader,
-    PlanComputed,
-    WorkerDelayed,
-    WorkerLost,
-)
+from companion.runtime.planning import Planning
+from companion.runtime.recorder import WRITER, Batch, NoWriter, Writer
+from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog, Worker
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 
-_SILENCE_S = 0.2
-_LOCKSTEP_SILENCE_S = 30.0  # the simulator is busy, or has ended
-_LOCKSTEP_NOBODY_S = 10.0
-_STALE_S = 0.5  # a datagram that has waited so long tells of the past
-_SETTLE_S = 3.0  # for the vehicle to confirm the mode in which it is left
-_TRACK_S = 0.5
-_MAX_TRACK = 20_000  # points; of a longer flight every second one, and so on
-_MAX_PLANS = 2_000
-_RESERVE_S = 10.0
-_BUSY_AGAIN_S = 10.0  # between two texts that the computer is busy
-_OBLIGES = frozenset({"phase", "set mode", "arm", "take off"})
+_POLL_S: Final = 0.05
+_MOST: Final = 64  # datagrams in one turn
+_AT_ONCE_S: Final = 0.005
+"""What is received sooner than this had waited."""
+_SILENCE_S: Final = 0.2
+_LOCKSTEP_SILENCE_S: Final = 30.0  # the simulator is busy, or has ended
+_LOCKSTEP_NOBODY_S: Final = 10.0
+_STALE_S: Final = 0.5  # a datagram that has waited so long tells of the past
+_SETTLE_S: Final = 3.0  # for the vehicle to confirm the mode in which it is left
+_TRACK_S: Final = 0.5
+_MAX_TRACK: Final = 20_000  # points; of a longer flight every second one, and so on
+_MAX_PLANS: Final = 2_000
+_RESERVE_S: Final = 10.0
+_BUSY_AGAIN_S: Final = 10.0  # between two texts that the computer is busy
+_OBLIGES: Final = frozenset({"phase", "set mode", "arm", "take off"})
 """Journal entries after which the vehicle has to be told something else at the end."""
-
-
-class Planning(Protocol):
-    """Who computes the plans, and puts them into the event queue."""
-
-    @property
-    def newest(self) -> int:
-        """Number of the last request: an answer to an earlier one is not waited for."""
-        ...
-
-    def ask(self, request: PlanRequest) -> None:
-        """Compute a request, now or soon."""
-        ...
 
 
 class Person(Protocol):
@@ -66,52 +53,65 @@ class Person(Protocol):
 
 
 @final
-class Nobody:
-    """Nobody is there to say it."""
-
-    def says_go(self) -> bool:
-        """Never."""
-        return False
-
-    def hears(self, answer: str) -> None:
-        """Nobody does."""
-
-
-@final
-@dataclass(slots=True, kw_only=True)
 class ControlLoop:
-    """Feeds the session with events and carries out its outputs."""
+    """Feeds the session with events and carries out its outputs, through a watched gate."""
 
-    session: Session
-    flown: FlightSummary
-    link: Link
-    gate: Gate
-    event_queue: EventQueue
-    reader: LinkReader
     planning: Planning
-    writer: Writer
-    watchdog: Watchdog
-    lockstep: bool
-    stop_asked: Callable[[], bool]
-    clock: Clock
-    person: Person = field(default_factory=Nobody)
-    part: Worker = field(default_factory=lambda: Worker("decider"))
-    ended: threading.Event = field(default_factory=threading.Event)
-    _leaving: threading.Event = field(default_factory=threading.Event)
-    _stopping: bool = False
-    _began_s: float = math.nan
-    _heard_s: float = math.nan
-    _turned_s: float = math.nan
-    _arrived_s: float | None = None
-    _track_at_s: float = -math.inf
-    _track_every_s: float = _TRACK_S
-    _reserve_at_s: float = -math.inf
-    _busy_at_s: float = -math.inf
-    _ended_s: float | None = None
+    """Who computes the plans, and tells `answered`; set before the first turn."""
+
+    def __init__(
+        self,
+        session: Session,
+        link: Link,
+        *,
+        lockstep: bool,
+        clock: Clock,
+        stop_asked: Callable[[], bool],
+        person: Person | None = None,
+    ) -> None:
+        self.session, self.link, self.clock = session, link, clock
+        self.writer: Writer = NoWriter()
+        self.flown = FlightSummary(session=session)
+        self.part, self.ended = Worker("decider"), threading.Event()
+        self.gate = Gate(link, clock, session.signed)
+        self.watchdog = Watchdog(
+            self.gate,
+            clock=clock,
+            hold_frames=session.hold_frames,
+            final_text=session.final_text,
+            on_failure=self._on_failure,
+            on_loss=self.lost,
+            on_delay=lambda part, waited_s: self.post(partial(self._delayed, part, waited_s)),
+            watches_time=not lockstep,
+        )
+        self._lockstep, self._stop_asked, self._person = lockstep, stop_asked, person
+        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._leaving = threading.Event()
+        self._stopping = False
+        self._began_s = self._heard_s = math.nan
+        self._read_s = math.nan
+        """When all that had arrived was read."""
+        self._since_s = math.nan
+        """What is answered now arrived no earlier."""
+        self._track_at_s, self._track_every_s = -math.inf, _TRACK_S
+        self._reserve_at_s = self._busy_at_s = -math.inf
+        self._ended_s: float | None = None
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have the loop make a call in its next turn; from any thread."""
+        self._calls.put(call)
 
     def leave(self) -> None:
         """End soon."""
         self._leaving.set()
+
+    def answered(self, number: int, outcome: PlanOutcome, took_s: float) -> None:
+        """Take the answer to a plan request; from any thread."""
+        self.post(partial(self._on_plan, number, outcome, took_s))
+
+    def lost(self, failure: Failure) -> None:
+        """A part is lost that the flight goes on without; from any thread."""
+        self.post(partial(self._on_loss, failure))
 
     def run(self) -> None:
         """Run until the mission ends, or until stopped."""
@@ -120,12 +120,12 @@ class ControlLoop:
 
     def turns(self) -> Iterator[None]:
         """The same, turn by turn."""
-        self._began_s = self._heard_s = self.clock()
+        self._began_s = self._heard_s = self._read_s = self.clock()
         try:
-            if not self.lockstep:
+            if not self._lockstep:
                 self.session.silence(0.0)  # the first heartbeat waits for nobody
             while self.flown.end is None and not self._leaving.is_set():
-                self._iterate()
+                self._turn()
                 yield
             self._carry_out(self.session.farewell())
         except GeneratorExit:  # the caller has seen enough
@@ -140,93 +140,124 @@ class ControlLoop:
     def _record_the_end(self, error: BaseException) -> None:
         """Record the inputs before an error, to reproduce it."""
         out = self.session.take_output()
-        self._not_sent(out, [])
+        _without_unsent(out, [])
         calls = [
             frame.f_code.co_name
             for frame, _ in traceback.walk_tb(error.__traceback__)
             if frame.f_locals.get("self") is self.session
         ]
-        raised = "raised", calls[0] if calls else "", f"{type(error).__name__}: {error}"
-        self.writer.put(Batch(record=out.record, journal=out.journal, inputs=[*out.inputs, raised]))
+        out.inputs.append(("raised", calls[0] if calls else "", f"{type(error).__name__}: {error}"))
+        self.writer.put(Batch(record=out.record, journal=out.journal, inputs=out.inputs))
 
-    def _iterate(self) -> None:
-        if self.lockstep:
-            self.reader.once(POLL_S)
-        self._take(0.0 if self.lockstep else POLL_S)
+    def _turn(self) -> None:
+        self._beat()
+        self._read()
+        self._hear()
         out = self.session.run()
         while out.awaits_plan and not self._leaving.is_set():
             self._carry_out(out)
-            self._take(POLL_S)
+            self._beat()
+            self._hear(_POLL_S)
             self._heard_s = self.clock()  # the vehicle was not silent: it was made to wait
             out = self.session.run()
         self._carry_out(out)
         if self.flown.heard:
             self.flown.elapsed_s = self.clock() - self._began_s
 
-    def _take(self, timeout_s: float) -> None:
-        """Feed new events to the session; wait up to a time for the first."""
-        if not self.lockstep:  # where nobody watches for how long a worker stalls
+    def _beat(self) -> None:
+        if not self._lockstep:  # where nobody watches for how long a worker stalls
             self.part.beat(self.gate.stall_limit_s())
-        items = self.event_queue.take(timeout_s)
-        now_s = self.clock()
-        self._arrived_s, self._turned_s = None, now_s
-        for item in items:
-            self._on_item(item, now_s)
-        silent_s = now_s - self._heard_s
+
+    # --- in
+
+    def _read(self) -> None:
+        """Feed what has arrived to the session; wait a little for the first.
+
+        After the loop was held up, what had waited meanwhile tells of the past: it is dropped.
+        """
+        asked_s, self._since_s = self.clock(), self._read_s
+        late = not self._lockstep and asked_s - self._read_s >= _STALE_S
+        arrived: list[tuple[bytes, object, float]] = []
+        at_once = 1 if self._lockstep or self.link.is_stream else _MOST
+        while len(arrived) < at_once:
+            data = self.link.receive(0.0 if arrived else _POLL_S)
+            if data is None:
+                break
+            arrived.append((data, self.link.sender, self.clock()))
+        if len(arrived) < at_once or at_once == 1:  # else there may be more, which is as old
+            self._read_s = self.clock()
+        if late and arrived and arrived[0][2] - asked_s < _AT_ONCE_S:
+            return
+        for data, sender, at_s in arrived:
+            if self.session.receive(data, at_s):
+                self.link.answer_to(sender)
+                self._heard_s = at_s
+                if not self.flown.heard:
+                    self.flown.heard, self._began_s = True, at_s
+
+    def _hear(self, timeout_s: float = 0.0) -> None:
+        """Hear what other threads, people and the silence say; wait for a thread up to a time."""
+        with contextlib.suppress(queue.Empty):
+            self._calls.get(block=timeout_s > 0.0, timeout=timeout_s or None)()
+            while True:
+                self._calls.get_nowait()()
+        silent_s = self.clock() - self._heard_s
         if silent_s >= self._quiet_s():
             self.session.silence(silent_s)
-        if not self._stopping and self.stop_asked():
+        if not self._stopping and self._stop_asked():
             self._stopping = True
             self.session.stop()
-        if self.person.says_go():
-            self.person.hears(self.session.say_go() or "go: it takes off")
+        if self._person is not None and self._person.says_go():
+            self._person.hears(self.session.say_go() or "go: it takes off")
 
     def _quiet_s(self) -> float:
         """The shortest time that counts as a silence."""
-        if not self.lockstep:
+        if not self._lockstep:
             return _SILENCE_S
         return _LOCKSTEP_SILENCE_S if self.flown.heard else _LOCKSTEP_NOBODY_S
 
-    def _on_item(self, item: Item, now_s: float) -> None:
-        match item:
-            case Datagram():
-                if self.lockstep or now_s - item.at_s < _STALE_S:
-                    self._on_datagram(item)
-            case PlanComputed() if item.number < self.planning.newest:
-                pass
-            case PlanComputed():
-                self.flown.plans_s.append(item.took_s)
-                if getattr(item.outcome, "stopped_after", None) is not None:
-                    self.flown.out_of_time += 1
-                if isinstance(item.outcome, Planned):
-                    self.flown.plans.append(item.outcome)
-                self._forget()
-                self.session.deliver(item.outcome)
-            case WorkerDelayed(part=part, waited_s=waited_s):
-                if now_s - self._busy_at_s >= _BUSY_AGAIN_S:
-                    self._busy_at_s = now_s
-                    self.session.complain(f"computer busy: the {part} waited for {waited_s:.1f} s")
-            case WorkerLost(failure=failure, vital=True):
-                self.session.part_died(failure.part, failure.error)
-            case WorkerLost(failure=failure) if failure.part != WRITER:
-                self.session.complain(f"{failure.part} is lost: {failure.error}")
-            case WorkerLost(failure=failure):
-                self.session.recording_stopped(failure.error)
-
-    def _on_datagram(self, datagram: Datagram) -> None:
-        if self._arrived_s is None:
-            self._arrived_s = datagram.at_s
-        if not self.session.receive(datagram.data, datagram.at_s):
+    def _on_plan(self, number: int, outcome: PlanOutcome, took_s: float) -> None:
+        if number < self.planning.newest:
             return
-        self.link.answer_to(datagram.sender)
-        if not self.flown.heard:
-            self.flown.heard, self._began_s = True, datagram.at_s
-        self._heard_s = datagram.at_s
+        self.flown.plans_s.append(took_s)
+        if getattr(outcome, "stopped_after", None) is not None:
+            self.flown.out_of_time += 1
+        if isinstance(outcome, Planned):
+            self.flown.plans.append(outcome)
+        for grown in (self.flown.plans, self.flown.plans_s, self.flown.scans_nea_m):
+            del grown[:-_MAX_PLANS]  # memory is bounded in long flights; the journal has it all
+        self.session.deliver(outcome)
+
+    def _delayed(self, part: str, waited_s: float) -> None:
+        if (now_s := self.clock()) - self._busy_at_s >= _BUSY_AGAIN_S:
+            self._busy_at_s = now_s
+            self.session.complain(f"computer busy: the {part} waited for {waited_s:.1f} s")
+
+    def _on_loss(self, failure: Failure) -> None:
+        if failure.part == WRITER:
+            self.session.recording_stopped(failure.error)
+        else:
+            self.session.complain(f"{failure.part} is lost: {failure.error}")
+
+    def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
+        """A vital part has died, and the watchdog sends these frames: told in its thread."""
+        now_s = self.session.now_s
+        noted = {
+            "t_s": round(now_s, 6),
+            "kind": "part died",
+            "part": failure.part,
+            "error": failure.error,
+            "hold_frames": len(hold),
+        }
+        record = [(now_s, strip_signature(frame)) for frame in hold]
+        self.writer.put(Batch(record=record, journal=[noted], inputs=[("held", len(hold))]))
+        self.post(lambda: self.session.part_died(failure.part, failure.error))
+
+    # --- out
 
     def _carry_out(self, out: Output) -> None:
-        frames = out.frames if self.lockstep else newest_setpoint(out.frames)
         try:
-            self._send(frames, out)
+            self._send(out)
         finally:
             self.writer.put(
                 Batch(
@@ -240,9 +271,26 @@ class ControlLoop:
         if out.plan is not None:
             self.flown.scans_nea_m.append(out.plan.scan_nea_m)
             self.planning.ask(out.plan)
-        if out.end is not None:
-            self._on_end(out)
+        if out.end is not None:  # it is over once the vehicle has confirmed its final mode
+            self._ended_s = self.clock() if self._ended_s is None else self._ended_s
+            patience_s = 0.0 if self.gate.is_shut else _SETTLE_S
+            if out.settled or self.clock() - self._ended_s > patience_s:
+                self.flown.end = out.end
         self._note_track()
+
+    def _send(self, out: Output) -> None:
+        """Send frames, and remove those not sent from the record."""
+        sent = out.frames if self._lockstep else newest_setpoint(out.frames)
+        if sent:
+            sent = self.gate.send(sent, None if self._lockstep else self._since_s)
+        _without_unsent(out, sent)
+        now_s = self.clock()
+        if (
+            any(entry["kind"] in _OBLIGES for entry in out.journal)
+            or now_s - self._reserve_at_s >= _RESERVE_S
+        ):
+            self._reserve_at_s = now_s
+            self.watchdog.reserve(self.session.hold_frames())
 
     def _note_track(self) -> None:
         if not self.session.mission.task.limits.hovers:
@@ -256,41 +304,14 @@ class ControlLoop:
                 self._track_every_s *= 2.0
                 del self.flown.track_nea_m[1::2]
 
-    def _forget(self) -> None:
-        """Drop old data, so that memory is bounded in long flights; the journal has it all."""
-        for grown in (self.flown.plans, self.flown.plans_s, self.flown.scans_nea_m):
-            del grown[:-_MAX_PLANS]
 
-    def _send(self, frames: list[bytes], out: Output) -> None:
-        """Send frames, and remove those not sent from the record."""
-        sent = frames
-        if frames:
-            since_s = self._turned_s if self._arrived_s is None else self._arrived_s
-            sent = self.gate.send(frames, None if self.lockstep else since_s)
-        self._not_sent(out, sent)
-        now_s = self.clock()
-        if any(entry["kind"] in _OBLIGES for entry in out.journal):
-            self._reserve_at_s = -math.inf
-        if now_s - self._reserve_at_s >= _RESERVE_S:
-            self._reserve_at_s = now_s
-            self.watchdog.reserve(self.session.hold_frames())
-
-    @staticmethod
-    def _not_sent(out: Output, sent: list[bytes]) -> None:
-        """Remove frames that were not sent from the record."""
-        if len(sent) < len(out.frames):
-            kept = set(sent)
-            numbers = [number for number, each in enumerate(out.frames) if each not in kept]
-            out.leave_out(numbers)
-            out.inputs.append(("unsent", numbers))
-
-    def _on_end(self, out: Output) -> None:
-        """End once the vehicle has confirmed its final mode."""
-        if self._ended_s is None:
-            self._ended_s = self.clock()
-        patience_s = 0.0 if self.gate.is_shut else _SETTLE_S
-        if out.settled or self.clock() - self._ended_s > patience_s:
-            self.flown.end = out.end
+def _without_unsent(out: Output, sent: list[bytes]) -> None:
+    """Remove frames that were not sent from the record."""
+    if len(sent) < len(out.frames):
+        kept = set(sent)
+        numbers = [number for number, each in enumerate(out.frames) if each not in kept]
+        out.leave_out(numbers)
+        out.inputs.append(("unsent", numbers))
 
 
 def newest_setpoint(frames: list[bytes]) -> list[bytes]:

@@ -13,12 +13,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol, final
 
-from companion.planner.request import PlanRequest
 from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link, datagrams
+from companion.runtime.planning import AtOnce, PlanFunction
 from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer
-from companion.runtime.watchdog import Failure, Gate, Watchdog
-from companion.runtime.workers import EventQueue, LinkReader, PlanComputed, PlanFunction, WorkerLost
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
@@ -107,22 +105,6 @@ class VehicleLink(Link):
 
 
 @final
-class _Planning:
-    """Computes plans at once (`workers.PlannerWorker`)."""
-
-    def __init__(self, planner: PlanFunction, event_queue: EventQueue) -> None:
-        self.newest = 0
-        self._planner, self._event_queue = planner, event_queue
-
-    def ask(self, request: PlanRequest) -> None:
-        self.newest += 1
-        began_s = time.perf_counter()
-        outcome = self._planner(request, lambda: False)
-        took_s = time.perf_counter() - began_s
-        self._event_queue.put(PlanComputed(self.newest, outcome, took_s))
-
-
-@final
 class _PortionWriter:
     """Writes in large portions: a flight that is cut short here is flown again, not resumed."""
 
@@ -143,15 +125,6 @@ class _PortionWriter:
     def _write(self) -> None:
         self._writer.put(self._portion)
         self._portion = Batch()
-
-
-@final
-class _NoWriter:
-    """Records nothing."""
-
-    def put(self, batch: Batch) -> None: ...
-
-    def close(self) -> None: ...
 
 
 def fly_in_process(
@@ -175,7 +148,7 @@ def fly_in_process(
     )
     if folder is not None:
         recorder = Recorder(folder, loop.clock, persist=None)
-        loop.writer = _PortionWriter(InlineWriter(recorder, _telling(loop.event_queue)))
+        loop.writer = _PortionWriter(InlineWriter(recorder, loop.lost))
     try:
         loop.run()
     finally:
@@ -194,34 +167,13 @@ def loop_in_process(
     on_step: Callable[[], None] | None = None,
 ) -> ControlLoop:
     """The loop of such a flight, for callers that fly it turn by turn and close the writer."""
-
-    def clock() -> float:
-        return vehicle.now_us * 1e-6
-
-    event_queue, link = EventQueue(), VehicleLink(vehicle, on_step)
-    gate = Gate(link, clock)
-    return ControlLoop(
-        session=session,
-        flown=FlightSummary(session=session),
-        link=link,
-        gate=gate,
-        event_queue=event_queue,
-        reader=LinkReader(link, event_queue, gate, clock),
-        planning=_Planning(planner, event_queue),
-        writer=writer or _NoWriter(),
-        watchdog=Watchdog(
-            gate,
-            clock=clock,
-            hold_frames=session.hold_frames,
-            on_failure=lambda *_: None,
-            on_loss=_telling(event_queue),
-        ),
+    loop = ControlLoop(
+        session,
+        VehicleLink(vehicle, on_step),
         lockstep=True,
+        clock=lambda: vehicle.now_us * 1e-6,
         stop_asked=stop_asked,
-        clock=clock,
     )
-
-
-def _telling(event_queue: EventQueue) -> Callable[[Failure], None]:
-    """Tells the loop of the end of a worker."""
-    return lambda failure: event_queue.put(WorkerLost(failure, vital=False))
+    loop.planning = AtOnce(planner, loop.answered)
+    loop.writer = writer or loop.writer
+    return loop

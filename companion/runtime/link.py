@@ -106,6 +106,9 @@ def _readable(sockets: list[socket.socket], timeout_s: float) -> list[socket.soc
 class Link(Protocol):
     """A pipe of bytes to one vehicle."""
 
+    is_stream: bool = False
+    """Whether all that has arrived is received in one piece."""
+
     @property
     def sender(self) -> object:
         """Sender of the last data, an argument of answer_to; None: there is only one peer."""
@@ -214,6 +217,8 @@ class UdpLink(Link):
 
 class _StreamLink(Link, Generic[_Stream]):
     """A link over a stream; while there is none, receive() tries to open it."""
+
+    is_stream = True
 
     def __init__(self) -> None:
         self._stream: _Stream | None = None

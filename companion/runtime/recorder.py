@@ -69,6 +69,17 @@ class Writer(Protocol):
 
 
 @final
+class NoWriter:
+    """Records nothing."""
+
+    def put(self, batch: Batch) -> None:
+        """Nothing is kept."""
+
+    def close(self) -> None:
+        """Nothing is waiting."""
+
+
+@final
 class Recorder:
     """Writes batches into the run folder."""
 

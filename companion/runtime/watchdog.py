@@ -1,6 +1,6 @@
 """Watchdog over the worker threads, and the gate that it shuts: a dead companion never streams.
 
-The workers (planner, reader, control loop, writer) beat; one that has died or stalled is detected
+The workers (planner, control loop, writer) beat; one that has died or stalled is detected
 within _TICK_S of its limit.  Then, within 300 ms of the death, no frame of the session is sent any
 more, heartbeats included, and the watchdog itself puts the autopilot on hold (design 7, mavlink.md
 C1, C2).  The writer is not vital: a flight goes on without its recording.

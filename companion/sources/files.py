@@ -156,58 +156,41 @@ def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
     """
     for setting in settings:
         path, sign, text = setting.partition("=")
-        keys = [key.strip() for key in path.split(".")]
-        if not sign or not all(keys):
+        *above, last = [key.strip() for key in path.split(".")]
+        if not sign or not all([*above, last]):
             remedy = "Write it like planner.safety_distance_m=300."
             raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
-        table = _with_value(table, keys, _parsed(text.strip()), setting)
+        table = here = dict(table)
+        for key in above:
+            if not isinstance(below := here.get(key, {}), dict):
+                rule = f"{key} is not a table of the mission"
+                raise InputError("--set", setting, rule, "See docs/files.md for its keys.")
+            below = dict(below)
+            here[key] = below
+            here = below
+        try:
+            here[last] = tomllib.loads(f"value = {text}")["value"]
+        except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+            here[last] = text.strip()  # a string: people leave out the quotes
     return table
 
 
-def _with_value(table: RawTable, keys: list[str], value: Any, setting: str) -> RawTable:
-    key, *inner = keys
-    if not inner:
-        return {**table, key: value}
-    below = table.get(key, {})
-    if not isinstance(below, dict):
-        rule = f"{key} is not a table of the mission"
-        raise InputError("--set", setting, rule, "See docs/files.md for its keys.")
-    return {**table, key: _with_value(below, inner, value, setting)}
-
-
-def _parsed(text: str) -> Any:
-    """A value as TOML has it; what is none is a string: people leave out the quotes."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError):
-        return text
-
-
 def toml_text(table: RawTable) -> str:
-    """A table of strings, numbers, truths, lists and tables as TOML."""
-    return "\n".join(_lines(table, ())) + "\n"
+    """A table of strings, numbers, truths, lists and tables as TOML; None is left out."""
+    plain_lines, headed_lines = list[str](), list[str]()
+    for key, value in table.items():
+        is_array = isinstance(value, list) and value and all(isinstance(v, dict) for v in value)
+        if isinstance(value, dict) or is_array:
+            heading = f"[[{_key(key)}]]" if is_array else f"[{_key(key)}]"
+            for row in value if is_array else [value]:
+                headed_lines += ["", heading, *_pairs(row)]
+        else:
+            plain_lines += _pairs({key: value})
+    return "\n".join([*plain_lines, *headed_lines]) + "\n"
 
 
-def _lines(table: RawTable, path: tuple[str, ...]) -> list[str]:
-    tables = {k: v for k, v in table.items() if isinstance(v, dict)}
-    arrays = {k: v for k, v in table.items() if _is_array_of_tables(v)}
-    lines = [
-        f"{_key(k)} = {_value(v)}"
-        for k, v in table.items()
-        if k not in tables and k not in arrays and v is not None
-    ]
-    for key, inner in tables.items():
-        inside = (*path, _key(key))
-        lines += ["", f"[{'.'.join(inside)}]", *_lines(inner, inside)]
-    for key, rows in arrays.items():
-        inside = (*path, _key(key))
-        for row in rows:
-            lines += ["", f"[[{'.'.join(inside)}]]", *_lines(row, inside)]
-    return lines
-
-
-def _is_array_of_tables(value: object) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
+def _pairs(table: RawTable) -> list[str]:
+    return [f"{_key(key)} = {_value(value)}" for key, value in table.items() if value is not None]
 
 
 def _key(key: str) -> str:
@@ -221,10 +204,9 @@ def _value(value: object) -> str:
         case str():
             return _string(value)
         case list() | tuple():
-            return f"[{', '.join(_value(each) for each in value)}]"
+            return f"[{', '.join(map(_value, value))}]"
         case dict():
-            pairs = (f"{_key(k)} = {_value(v)}" for k, v in value.items())
-            return f"{{{', '.join(pairs)}}}"
+            return f"{{{', '.join(_pairs(value))}}}"
         case _:
             return str(value)
 

@@ -142,6 +142,7 @@ class QueueLink:
             queue.SimpleQueue()
         )
         self.sender: object = "vehicle"
+        self.is_stream = False
 
     def receive(self, timeout_s: float) -> bytes | None:
         try:

@@ -27,7 +27,7 @@ from stub_session import (
 
 from companion.mission.events import End, Outcome
 from companion.planner.request import PlanRequest
-from companion.runtime import loop, recorder, watchdog, workers
+from companion.runtime import loop, planning, recorder, watchdog
 from companion.runtime.compiler import load_libraries
 from companion.runtime.planner_process import PlannerProcess
 from companion.runtime.watchdog import Worker
@@ -157,7 +157,7 @@ def test_a_planner_that_stands_still_is_dead_some_time_after_its_time(
 ) -> None:
     """An endless loop that computes: it must not take the others' share of the interpreter."""
     slack_s = 0.3
-    monkeypatch.setattr(workers, "_PLANNER_SLACK_S", slack_s)
+    monkeypatch.setattr(planning, "_SLACK_S", slack_s)
     over = threading.Event()
 
     def endless(request: PlanRequest, _stop: object) -> Any:
@@ -204,13 +204,11 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts(folder: RunFolder
 
 
 def test_a_link_that_raises(folder: RunFolder) -> None:
-    session = StubSession()
-    rig = Rig(folder, session)
+    rig = Rig(folder, StubSession())
     with rig.flying():
         rig.breaks_now()
         rig.link.incoming.put(OSError("the driver is gone"))
-        assert_held(rig, "reader", "OSError: the driver is gone")
-    assert [part for part, _ in session.died] == ["reader"]
+        assert_held(rig, "decider", "OSError: the driver is gone")
 
 
 def test_a_link_that_never_comes_back(folder: RunFolder) -> None:
@@ -218,7 +216,7 @@ def test_a_link_that_never_comes_back(folder: RunFolder) -> None:
     with rig.flying():
         rig.breaks_now()
         rig.link.incoming.put(released)
-        assert_held(rig, "reader", "stood still")
+        assert_held(rig, "decider", "stood still")
     released.set()
 
 
