@@ -229,7 +229,7 @@ def fly_command(
             version=version("companion"),
         )
         if view:
-            asked = Asked(paths=(str(folder_path),), port=view_port, live=True)
+            asked = Asked(path=str(folder_path), port=view_port, live=True)
             stack.enter_context(started_view(asked, console))
         flown = _flown(session, connect, folder_path, mission, key, recalled, shows)
         stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED

@@ -13,8 +13,8 @@ from PIL import Image
 
 from companion.mission.journal import ScanAsked
 from companion.replay.actions import flown_mission
+from companion.replay.feed import outputs
 from companion.replay.reporting import facts_of
-from companion.replay.reproduce import Replay
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
 from companion.views.report_facts import FlightFacts
@@ -51,10 +51,10 @@ def main(run_dir: Path, to: Path) -> None:
 def grown_maps(run_dir: Path) -> Iterator[tuple[float, KnownMap]]:
     """When the known map has grown, and how it is then."""
     known: KnownMap | None = None
-    for step in Replay(run_dir, flown_mission(run_dir), plans=False, compares=False).steps():
-        if step.session.state.flight.known is not known:
-            known = step.session.state.flight.known
-            yield step.session.now_s, known
+    for _, session, _ in outputs(run_dir, flown_mission(run_dir)):
+        if session.state.flight.known is not known:
+            known = session.state.flight.known
+            yield session.now_s, known
 
 
 def frame(

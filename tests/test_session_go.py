@@ -12,7 +12,7 @@ from test_loop import ScriptedLink
 
 from companion.mavlink.link import Output
 from companion.mission.state import Phase
-from companion.replay.session_inputs import feed, session_of, start_of
+from companion.replay.feed import Feeder, start_of
 from companion.runtime import loop
 from companion.runtime.terminal import HOW_TO, Terminal
 from companion.session import Session
@@ -89,9 +89,9 @@ def test_a_go_is_an_input_and_the_flight_is_told_again_as_it_was() -> None:
     it.run_until(lambda it: it.vehicle.armed, 30.0)
     told = [entry for entry in it.journal if entry.get("sender") == "terminal"]
     assert [entry["kind"] for entry in told] == ["command", "order"]
-    session, journal = session_of(start_of(it.inputs[0]), lambda _: MISSION), []
-    for each in it.inputs[1:]:
-        output = feed(session, each)
+    feeder, journal = Feeder(lambda _: MISSION), []
+    for each in it.inputs:
+        output = feeder.take(each)
         journal += output.journal if isinstance(output, Output) else []
     assert journal == it.journal
 
@@ -100,7 +100,7 @@ def test_a_flight_from_before_anybody_was_asked_is_told_again_as_it_was() -> Non
     it = Pair(Session(MISSION, seed=1, lockstep=False, go=True), Vehicle(lockstep=False))
     it.run_until(lambda it: it.vehicle.armed, 60.0)
     it.inputs[0][1].pop("go")
-    assert session_of(start_of(it.inputs[0]), lambda _: MISSION).context.go
+    assert start_of(it.inputs[0]).go
 
 
 class Says:

@@ -32,7 +32,7 @@ _END_S, _POLL_S = 5.0, 0.2
 class Asked:
     """What is to be served, and how."""
 
-    paths: tuple[str, ...]
+    path: str
     port: int = VIEW_PORT
     """0: any that is free."""
     system_id: int | None = None
@@ -42,9 +42,8 @@ class Asked:
 
 
 def view_command(
-    flights: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN_DIR|LOG...", help="Run folders, or logs: .tlog, .bin, .ulg."),
+    flight: Annotated[
+        Path, typer.Argument(metavar="RUN_DIR|LOG", help="A run folder, or a .tlog, .bin or .ulg.")
     ],
     view_port: PortOption = VIEW_PORT,
     system: Annotated[
@@ -52,14 +51,14 @@ def view_command(
         typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
     ] = None,
 ) -> None:
-    """Show flights in the browser: the ground as it was known, plans, charts and events over time.
+    """Show a flight in the browser: the ground as it was known, plans, charts and events over time.
 
     A run folder that is still written is shown as it grows.  Ends with Ctrl-C.
     """
     extras.need("view", "companion view")
     from companion.live_view.server import serve  # slow to import
 
-    asked = Asked(paths=tuple(map(str, flights)), port=view_port, system_id=system)
+    asked = Asked(path=str(flight), port=view_port, system_id=system)
     with stop_signals() as stop_asked:
         serve(asked, partial(_say_address, plain_console()), lambda: bool(stop_asked))
 

@@ -10,10 +10,10 @@ import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any, Final, TypeVar, final
+from typing import Final, TypeVar, final
 
-import msgpack
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
@@ -24,16 +24,9 @@ from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.planner.request import PlanRequest
 from companion.replay.actions import flown_mission
-from companion.replay.session_inputs import (
-    RUNTIME_RECORDS,
-    DamagedInputError,
-    feed,
-    session_of,
-    start_of,
-)
-from companion.session import Session
+from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder
 from companion.sources.files import answer
-from companion.telemetry import inputs
+from companion.telemetry.inputs import FILE, Input, InputsFile
 from companion.telemetry.run_folder import known_map
 from companion.world.columns import distance_to_terrain_m
 from companion.world.guess import guessed_m
@@ -42,7 +35,6 @@ from companion.world.known_map import KnownMap
 UNKNOWN, GUESSED, PROVEN = range(3)
 _Number = TypeVar("_Number", bound=np.generic)
 _ORIGIN: Final = (0.0, 0.0)
-_PORTION: Final = 2**20
 _BEGUN_AGAIN_S: Final = 2.0
 _CONTINUED: Final = (
     0.25  # of R beyond what was seen: farther away, a guess is a plain (decision 0021)
@@ -132,10 +124,8 @@ class Replica:
 
     def __init__(self, folder: Path) -> None:
         """Nothing is read yet.  A folder without inputs never has any ground."""
-        self._folder, self._file = folder, folder / inputs.FILE
-        self._read_bytes = 0
-        self._unpacker = msgpack.Unpacker(max_buffer_size=64 * 2**20)
-        self._session: Session | None = None
+        self._folder = folder
+        self._inputs: InputsFile | None = None
         self._known: KnownMap | None = None
         self._boot = 0
         self._asked_at_s: tuple[int, float] | None = None
@@ -144,7 +134,7 @@ class Replica:
         self.now: tuple[int, float] = (0, 0.0)
         """Boot and vehicle time that it has come to."""
         self.grounds: list[tuple[int, float, bytes]] = []
-        """Boot, vehicle time, and what was known from then on."""
+        """Boot, vehicle time, and what was known from then on, packed: an hour has thousands."""
         self.samples: list[tuple[int, float, float, float]] = []
         """Boot, vehicle time, clearance to what was known of the terrain then, and its altitude
         under the vehicle; NaN: not known, or farther than it is looked for."""
@@ -157,10 +147,8 @@ class Replica:
 
     def advance(self, seconds: float, clock: Callable[[], float] = time.thread_time) -> bool:
         """Go on for so long, of processor time; whether there is more to read at once."""
-        if self.ended is not None or not answer(self._file.is_file):
-            return False
         until_s = clock() + seconds
-        while clock() < until_s:
+        while self.ended is None and clock() < until_s:
             if not self._some():
                 return False
         return self.ended is None
@@ -168,39 +156,35 @@ class Replica:
     def _some(self) -> bool:
         """A few inputs; whether there were any."""
         try:
-            for _ in range(_STEPS):
-                try:
-                    told = next(self._unpacker)
-                except StopIteration:
-                    with self._file.open("rb") as file:
-                        file.seek(self._read_bytes)
-                        data = file.read(_PORTION)
-                    self._read_bytes += len(data)
-                    self._unpacker.feed(data)
-                    return bool(data)
-                self._take(tuple(told))
-        except (DamagedInputError, InputError, *inputs.UNREADABLE) as error:
+            if self._inputs is None:
+                if not answer((self._folder / FILE).is_file):
+                    return False
+                self._feeder = Feeder(flown_mission(self._folder))
+                self._inputs = InputsFile(self._folder / FILE)
+            told = list(islice(self._inputs, _STEPS))
+            for each in told:
+                self._take(each)
+        except (DamagedInputError, InputError) as error:
             self.ended = str(error)
         except Exception as error:  # noqa: BLE001 - the session's own, as in the flight
             self.ended = f"{type(error).__name__}: {error}"
-        return self.ended is None
+        else:
+            return bool(told)
+        return False
 
-    def _take(self, told: tuple[Any, ...]) -> None:
+    def _take(self, told: Input) -> None:
         match told:
-            case (inputs.SCHEMA, *_):
-                return
             case ("start", *_):
-                mission_of = flown_mission(self._folder)
-                self._session, self._known = session_of(start_of(told), mission_of), None
-                return
+                self._known = None
             case ("receive", _, float(at_s), *_):
                 self._at_s = at_s
             case ("deliver", {"plan_id": int(plan_id)}) if self._asked_at_s is not None:
                 if self._at_s is not None and plan_id == self._asked_at_s[0]:
                     self.planning_s[plan_id] = self._at_s - self._asked_at_s[1]
-        if (session := self._session) is None or told[0] in RUNTIME_RECORDS:
+        output = self._feeder.take(told)
+        session = self._feeder.session
+        if told[0] == "start" or told[0] in RUNTIME_RECORDS:
             return
-        output = feed(session, told)
         if session.now_s < self.now[1] - _BEGUN_AGAIN_S:
             self._boot, self._sampled_s = self._boot + 1, -math.inf
         self.now = self._boot, session.now_s

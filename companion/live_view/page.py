@@ -8,7 +8,7 @@ import queue
 import time
 import traceback
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -29,8 +29,6 @@ from companion.live_view.panel import (
 )
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
-from companion.path.subpath import Subpath
-from companion.planner.plan import candidates_nea_m
 from companion.views.words import clock_text
 
 _PERIOD_S: Final = 0.1
@@ -41,44 +39,42 @@ _BEHIND_S: Final = 2.0  # between two grounds while it is read: a browser draws 
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
 _VIEWS: Final = ("overview", "follow", "top")
 _FOLLOW: Final = np.array([-11.0, 0.0, 5.5])  # of the camera behind the vehicle
-_CANDIDATES: Final = 30
 _NEAR, _FAR = 0.05, 2000.0
 
 
 @final
 @dataclass(slots=True)
-class Flight:
-    """One recording, and what follows from it."""
+class Shown:
+    """What is shown: a recording, and what follows from it."""
 
-    name: str
     recording: Recording
     replica: Replica | None = None
     _last: Ground | None = None
     _ground: tuple[int, Ground | None] = (-1, None)
 
     @staticmethod
-    def of(path: Path, system_id: int | None = None) -> "Flight":
+    def of(path: Path, system_id: int | None = None) -> "Shown":
         """Read as much as there is.  InputError if it is no flight."""
         recording = Recording(path, system_id)
         recording.read()
-        flight = Flight(path.name or str(path), recording)
-        if recording.mission is not None:
-            flight.replica = Replica(path)
-            flight._last = last_ground(path, recording.mission)
-        return flight
+        shown = Shown(recording)
+        if recording.flight.has_mission:
+            shown.replica = Replica(path)
+            shown._last = last_ground(path, recording.flight.mission)
+        return shown
 
     def ground_at(self, time_s: float) -> tuple[Ground | None, str]:
         """What was known of the ground; and what of that is not up to date."""
-        replica, recording = self.replica, self.recording
+        replica, time_of = self.replica, self.recording.flight.time_of
         if replica is None:
             return None, ""
-        reached_s = recording.time_of(*replica.now)
+        reached_s = time_of(*replica.now)
         behind = ""
         if reached_s + 1.0 < time_s and replica.ended is None:
             behind = f"the ground is read until {clock_text(reached_s)}"
             if self._last is not None:
                 return self._last, f"{behind}; shown as at the end"
-        times_s = [recording.time_of(boot, t_s) for boot, t_s, _ in replica.grounds]
+        times_s = [time_of(boot, t_s) for boot, t_s, _ in replica.grounds]
         at = bisect_right(times_s, time_s) - 1
         if at != self._ground[0]:
             self._ground = at, None if at < 0 else replica.ground(at)
@@ -86,7 +82,7 @@ class Flight:
 
     def moment(self, time_s: float) -> Moment:
         """What the panel shows."""
-        decided = self.recording.decided_at(time_s)
+        decided = self.recording.flight.decided_at(time_s)
         clearance_m, under_m = near_ground(self.recording, self.replica, np.array([time_s]))
         planning_s = None
         if decided.ready is not None:
@@ -106,8 +102,8 @@ class Flight:
 class Page:
     """What all browsers that are connected see."""
 
-    def __init__(self, server: viser.ViserServer, flights: Sequence[Flight]) -> None:
-        self._server, self._flights, self._shown = server, tuple(flights), flights[0]
+    def __init__(self, server: viser.ViserServer, shown: Shown) -> None:
+        self._server, self._shown, self._recording = server, shown, shown.recording
         self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._scene: Scene | None = None
         self._time_s, self._speed, self._plays = 0.0, 1.0, False
@@ -116,10 +112,7 @@ class Page:
         self._here: FloatArray = np.zeros(3)
         self._shown_s, self._shown_ground = -1.0, (False, -1)
         self._read_at_s = self._charted_at_s = -math.inf
-        self._charted: tuple[str, int, int] | None = None
-        self._wants_candidates = False
-        self._candidates_of: int | None = None
-        """The plan whose candidates are drawn."""
+        self._charted: tuple[int, int] | None = None
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
         gui.set_panel_label("companion view")
@@ -136,10 +129,6 @@ class Page:
 
     def _build(self) -> None:
         gui = self._server.gui
-        if len(self._flights) > 1:
-            names = [flight.name for flight in self._flights]
-            chosen = gui.add_dropdown("flight", names, initial_value=names[0])
-            chosen.on_update(lambda event: self._do(lambda: self._choose(event.target.value)))
         self._slider: Any = gui.add_slider("time, s", 0.0, 1.0, 0.1, 0.0)
         self._slider.on_update(self._when_moved)
         self._play = gui.add_button("play")
@@ -150,10 +139,6 @@ class Page:
         jumps.on_click(lambda event: self._do(lambda: self.jump(event.target.value)))
         views = gui.add_button_group("camera", _VIEWS)
         views.on_click(self._when_viewed)
-        candidates = gui.add_checkbox("candidates", initial_value=False)
-        candidates.on_update(
-            lambda event: self._do(lambda: self._want_candidates(event.target.value))
-        )
         tabs = gui.add_tab_group()
         with tabs.add_tab("flight"):
             self._status = gui.add_html("")
@@ -219,7 +204,7 @@ class Page:
 
     def jump(self, where: str) -> None:
         """Go to the next plan, the next hold, or to what is newest."""
-        recording = self._shown.recording
+        recording = self._recording
         if where == "newest":
             self._newest, self._time_s = True, recording.ends_s
             return
@@ -232,17 +217,10 @@ class Page:
 
     def go_to_event(self, line: str) -> None:
         """Go to where an event of the list happened."""
-        events = self._shown.recording.events
+        events = self._recording.events
         times_s = [event.time_s for event in events if panel.event_line(event) == line]
         if times_s:
             self.go_to(times_s[0])
-
-    def _choose(self, name: str) -> None:
-        self._shown = next(flight for flight in self._flights if flight.name == name)
-        self._scene, self._candidates_of = None, None
-
-    def _want_candidates(self, wanted: bool) -> None:
-        self._wants_candidates, self._shown_s = wanted, -1.0
 
     def _when_viewed(self, event: Any) -> None:
         if event.client is not None:
@@ -292,20 +270,18 @@ class Page:
 
     def step(self, now_s: float, passed_s: float) -> None:
         """One look at what there is."""
-        for flight in self._flights:
-            if now_s - self._read_at_s >= _READ_S:
-                flight.recording.read()
-            if flight.replica is not None:
-                flight.replica.advance(_REPLAY_S)
+        shown, recording = self._shown, self._recording
         if now_s - self._read_at_s >= _READ_S:
             self._read_at_s = now_s
-        recording = self._shown.recording
-        if not len(recording.times_s):
+            recording.read()
+        if shown.replica is not None:
+            shown.replica.advance(_REPLAY_S)
+        if not len(recording.flight.times_s):
             self._status.content = panel.waiting_html(recording)
             return
         if self._scene is None:
             self._server.scene.reset()
-            self._scene = Scene(self._server, recording)
+            self._scene = Scene(self._server, recording.flight)
             self._shown_s, self._shown_ground = -1.0, (False, -1)
         if self._newest:
             self._time_s = recording.ends_s
@@ -314,10 +290,10 @@ class Page:
         self._show(now_s)
 
     def _show(self, now_s: float) -> None:
-        flight, scene = self._shown, self._scene
+        shown, recording, scene = self._shown, self._recording, self._scene
         assert scene is not None
-        replica = flight.replica
-        ground, behind = flight.ground_at(self._time_s)
+        replica = shown.replica
+        ground, behind = shown.ground_at(self._time_s)
         of_ground = False, 0 if replica is None else len(replica.grounds)
         if replica is not None and replica.ended is None and behind:
             of_ground = True, int(now_s / _BEHIND_S)
@@ -325,41 +301,24 @@ class Page:
             if ground is not None and (not of_ground[0] or of_ground != self._shown_ground):
                 scene.show_ground(ground)
             self._shown_s, self._shown_ground = self._time_s, of_ground
-            moment = flight.moment(self._time_s)
+            moment = shown.moment(self._time_s)
             here = scene.show(self._time_s, moment.decided, self._heading_rad())
             self._follow(here)
-            self._show_candidates(scene)
-            for other in self._flights:
-                if other is not flight:
-                    scene.show_other(other.name, other.recording, self._time_s)
             self._set(self._status, panel.status_html(moment, scene.scale.stretch))
-            self._events.options, style = panel.event_list(flight.recording.events, self._time_s)
+            self._events.options, style = panel.event_list(recording.events, self._time_s)
             self._set(self._events_style, style)
-            ends_s = round(flight.recording.ends_s + 0.05, 1)
+            ends_s = round(recording.ends_s + 0.05, 1)
             if self._slider.max != ends_s:
                 self._slider.max = max(ends_s, 0.1)
             self._slider.value = round(self._time_s, 1)
         samples = 0 if replica is None else len(replica.samples)
-        charted = flight.name, len(flight.recording.times_s), samples
+        charted = len(recording.flight.times_s), samples
         if now_s - self._charted_at_s >= _CHARTS_S and charted != self._charted:
             self._charted_at_s, self._charted = now_s, charted
-            charts = charts_of(flight.recording, replica)
+            charts = charts_of(recording, replica)
             for chart, data in zip(self._charts, _chart_data(charts), strict=True):
                 chart.scales = _scales(data)
                 chart.data = data
-
-    def _show_candidates(self, scene: Scene) -> None:
-        """The best of the search for the newest plan that the replica has come to."""
-        replica = self._shown.replica
-        request = None if replica is None else replica.request
-        wanted = request.plan_id if self._wants_candidates and request is not None else None
-        if wanted == self._candidates_of:
-            return
-        self._candidates_of = wanted
-        control = (
-            () if request is None or wanted is None else candidates_nea_m(request, _CANDIDATES)
-        )
-        scene.show_candidates([Subpath(control_nea_m=each) for each in control])
 
     def _set(self, part: Any, content: str) -> None:
         if part.content != content:
@@ -372,11 +331,10 @@ class Page:
                 client.camera.position = client.camera.position + moved
 
     def _heading_rad(self) -> float:
-        recording = self._shown.recording
-        row = recording.row_at(self._time_s)
-        heading_deg = float(recording.track.heading_deg[row])
+        flight = self._recording.flight
+        row, track = flight.row_at(self._time_s), flight.track
+        heading_deg = float(track.heading_deg[row])
         if math.isnan(heading_deg):
-            track = recording.track
             return math.atan2(float(track.east_m_s[row]), float(track.north_m_s[row]))
         return math.radians(heading_deg)
 

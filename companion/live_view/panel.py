@@ -11,15 +11,11 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.live_view.ground import Replica
-from companion.live_view.recording import (
-    BATTERY,
-    Event,
-    Recording,
-)
+from companion.live_view.recording import BATTERY, Event, Recording
 from companion.mission.state import Phase
 from companion.objective.scene import TERMS
-from companion.telemetry.export.flight import Decided
 from companion.telemetry.export.shapes import Chords
+from companion.telemetry.flight import Decided, Flight
 from companion.views.words import clock_text, metres, metres_at_least
 
 _CHART_POINTS: Final = 600
@@ -62,9 +58,9 @@ class Moment:
 def status_html(moment: Moment, stretch: float) -> str:
     """Phase and reason, target, speed, altitude, clearance, the last plan and the link."""
     recording, decided = moment.recording, moment.decided
-    row = recording.row_at(moment.time_s)
-    north_m, east_m, altitude_m = recording.places_nea_m[row].tolist()
-    track = recording.track
+    flight, track = recording.flight, recording.flight.track
+    row = flight.row_at(moment.time_s)
+    north_m, east_m, altitude_m = flight.places_nea_m[row].tolist()
     speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
     rows = {
         "time": clock_text(moment.time_s),
@@ -73,7 +69,7 @@ def status_html(moment: Moment, stretch: float) -> str:
         "clearance": metres_at_least(moment.clearance_m),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }
-    if decided.targets_ne_m and recording.mission is not None:
+    if decided.targets_ne_m and flight.has_mission:
         target = decided.asked.target_ne_m if decided.asked else decided.targets_ne_m[-1]
         to_go_m = math.hypot(target[0] - north_m, target[1] - east_m)
         rows["target"] = f"{metres(target[0])} N, {metres(target[1])} E"
@@ -82,26 +78,23 @@ def status_html(moment: Moment, stretch: float) -> str:
     if decided.round_trip_s is not None:
         link += f", {decided.round_trip_s * 1e3:.0f} ms round trip"
     rows["link"] = link
-    battery = recording.newest(BATTERY, moment.time_s)
+    battery = flight.newest(BATTERY, moment.time_s)
     if battery is not None and battery[1].battery_remaining >= 0:
         rows["battery"] = f"{battery[1].battery_remaining} %"
     reason = f"<div class=r>{html.escape(decided.reason)}</div>" if decided.reason else ""
     warned = f"<div class=n>{html.escape(decided.warning)}</div>" if decided.warning else ""
     behind = f"<div class=n>{html.escape(moment.behind)}</div>" if moment.behind else ""
-    name = recording.mission.name if recording.mission else recording.path.name
     drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
-    head = f"<div class=n>{html.escape(name)}{drawn}</div>"
-    phase = "" if recording.mission is None else f"<div class=p>{html.escape(decided.phase)}</div>"
+    head = f"<div class=n>{html.escape(recording.name)}{drawn}</div>"
+    phase = "" if not flight.has_mission else f"<div class=p>{html.escape(decided.phase)}</div>"
     plan = _plan_html(decided, moment.planning_s)
     return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{behind}</div>"
 
 
 def waiting_html(recording: Recording) -> str:
     """Before there is a position."""
-    name = recording.mission.name if recording.mission else recording.path.name
-    return (
-        f"{_STYLE}<div class=fl>{html.escape(name)}<div class=p>waiting for the vehicle</div></div>"
-    )
+    waits = "<div class=p>waiting for the vehicle</div>"
+    return f"{_STYLE}<div class=fl>{html.escape(recording.name)}{waits}</div>"
 
 
 def _plan_html(decided: Decided, planning_s: float | None) -> str:
@@ -179,30 +172,26 @@ class Charts:
 
 def charts_of(recording: Recording, replica: Replica | None) -> Charts:
     """All of a flight so far, at a few hundred points."""
-    count = len(recording.times_s)
+    flight, plans = recording.flight, recording.plans
+    count = len(flight.times_s)
     rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.intp))
-    times_s = recording.times_s[rows]
+    times_s = flight.times_s[rows]
     clearance_m, under_m = near_ground(recording, replica, times_s)
     planning = planning_of(recording, replica)
     return Charts(
         times_s=times_s,
-        altitude_m=recording.places_nea_m[rows, 2],
+        altitude_m=flight.places_nea_m[rows, 2],
         under_m=under_m,
         clearance_m=clearance_m,
-        aside_m=_aside_m(recording, rows),
-        plan_times_s=np.array([time_s for time_s, _ in recording.plans]),
-        planning_ms=np.array(
-            [planning.get(plan.plan_id, math.nan) * 1e3 for _, plan in recording.plans]
-        ),
+        aside_m=_aside_m(flight, rows),
+        plan_times_s=np.array([time_s for time_s, _ in plans]),
+        planning_ms=np.array([planning.get(plan.plan_id, math.nan) * 1e3 for _, plan in plans]),
     )
 
 
 def planning_of(recording: Recording, replica: Replica | None) -> dict[int, float]:
     """How long each plan took, by its number."""
-    noted = recording.planning_s
-    if len(noted) == len(recording.asked_ids):
-        return dict(zip(recording.asked_ids, noted, strict=True))
-    return {} if replica is None else replica.planning_s
+    return recording.planning_s() or ({} if replica is None else replica.planning_s)
 
 
 def near_ground(
@@ -213,25 +202,25 @@ def near_ground(
     if replica is None or not replica.samples:
         return none, none
     sampled = np.array(
-        [(recording.time_of(boot, t_s), c, u) for boot, t_s, c, u in replica.samples]
+        [(recording.flight.time_of(boot, t_s), c, u) for boot, t_s, c, u in replica.samples]
     )
     at = np.searchsorted(sampled[:, 0], times_s, "right") - 1
     told = (at >= 0) & (times_s - sampled[np.maximum(at, 0), 0] < 2.0)
     return np.where(told, sampled[at, 1], np.nan), np.where(told, sampled[at, 2], np.nan)
 
 
-def _aside_m(recording: Recording, rows: Any) -> FloatArray:
+def _aside_m(flight: Flight, rows: Any) -> FloatArray:
     """Distance from the path that was flown, metres; NaN: there was none, or it lands.  (N,).
 
     The vehicle is behind the point that it is led by, so the subpath before counts too.
     """
     aside, chords = np.full(len(rows), np.nan), dict[int, Chords]()
     for at, row in enumerate(rows):
-        decided = recording.decided_at(float(recording.times_s[row]))
+        decided = flight.decided_at(float(flight.times_s[row]))
         for plan in (decided.leg, decided.leg_before):
             if plan is not None and decided.phase not in _DOWN:
                 if plan.plan_id not in chords:
                     chords[plan.plan_id] = Chords(plan.subpath)
-                away_m, _ = chords[plan.plan_id].nearest(recording.places_nea_m[row])
+                away_m, _ = chords[plan.plan_id].nearest(flight.places_nea_m[row])
                 aside[at] = np.fmin(aside[at], away_m)
     return aside

@@ -11,12 +11,12 @@ import viser
 from companion.geodesy import FloatArray
 from companion.live_view import shapes
 from companion.live_view.ground import Ground
-from companion.live_view.recording import SECTORS, Recording
+from companion.live_view.recording import SECTORS
 from companion.live_view.shapes import Area, Mesh, Scale
 from companion.mission.journal import PlanReady
 from companion.path.subpath import Subpath
-from companion.telemetry.export.flight import Decided
-from companion.telemetry.export.shapes import circle_ne_m, local_nea_m, outline_ne_m
+from companion.telemetry.export.shapes import circle_ne_m, outline_ne_m
+from companion.telemetry.flight import Decided, Flight
 from companion.views.words import metres
 from companion.world.zones import Zone
 
@@ -30,26 +30,25 @@ _GUIDE: Final[Rgb] = (0, 140, 110)
 _SCAN: Final[Rgb] = (60, 150, 230)
 _UNKNOWN: Final[Rgb] = (196, 200, 205)
 _GUESSED: Final[Rgb] = (110, 140, 175)
-_OTHERS: Final[Rgb] = (120, 120, 120)
-_CANDIDATE: Final[Rgb] = (90, 130, 190)
+_KEEP_IN: Final[Rgb] = (120, 120, 120)
 _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
 
 
 @final
 class Scene:
-    """Draws one flight, and the tracks of others; only what has changed is sent again."""
+    """Draws one flight; only what has changed is sent again."""
 
-    def __init__(self, server: viser.ViserServer, recording: Recording) -> None:
-        self._server, self._scene, self._recording = server, server.scene, recording
-        self.area = Area.of(recording)
+    def __init__(self, server: viser.ViserServer, flight: Flight) -> None:
+        self._server, self._scene, self._flight = server, server.scene, flight
+        self.area = Area.of(flight)
         self.scale = Scale.of(self.area)
         self._ground: Ground | None = None
         self._tiles: dict[tuple[int, int], bytes] = {}
         self._drawn: dict[str, Any] = {}
         """What each part was drawn from last."""
         self._light_up()
-        for name in ("/threats", "/scan", "/proven", "/others"):
+        for name in ("/threats", "/scan", "/proven"):
             self._group(name)
 
     def _light_up(self) -> None:
@@ -76,13 +75,13 @@ class Scene:
 
     def show(self, time_s: float, decided: Decided, heading_rad: float) -> FloatArray:
         """Draw the flight as it was; where the vehicle is in the scene.  -> (3,)."""
-        recording = self._recording
-        row = recording.row_at(time_s)
-        here = self.scale.scene(recording.places_nea_m[row])
+        flight = self._flight
+        row = flight.row_at(time_s)
+        here = self.scale.scene(flight.places_nea_m[row])
         with self._server.atomic():
             self._show_vehicle(here, heading_rad)
             self._show_track(row)
-            self._show_threats(recording.zones_at(time_s))
+            self._show_threats(flight.zones_of(decided))
             self._show_targets(decided.targets_ne_m)
             self._show_plan(decided)
             self._show_sight(time_s, row, decided, heading_rad)
@@ -138,14 +137,14 @@ class Scene:
     def _show_track(self, row: int) -> None:
         rows = np.unique(np.linspace(0, row, min(row + 1, _TRACK_POINTS)).astype(np.intp))
         if len(rows) > 1:
-            points = self.scale.scene(self._recording.places_nea_m[rows])
+            points = self.scale.scene(self._flight.places_nea_m[rows])
             self._lines("/track", shapes.segments(points), _TRACK, 2.5)
         else:
             self._remove("/track")
 
     def _show_threats(self, zones: Sequence[Zone]) -> None:
-        mission = self._recording.mission
-        radars = () if mission is None else mission.task.radars
+        flight = self._flight
+        radars = flight.mission.task.radars if flight.has_mission else ()
         if self._same("threats", (radars, tuple(zones))):
             return
         self._group("/threats")
@@ -158,7 +157,7 @@ class Scene:
             self._label(f"{name}/label", radar.name, self.scale.scene(top), "bottom-center")
         for number, zone in enumerate(zones):
             name = f"/threats/zone_{number}"
-            colour = _OTHERS if zone.keep_in else KEEP_OUT
+            colour = _KEEP_IN if zone.keep_in else KEEP_OUT
             self._mesh(name, shapes.zone_mesh(zone, self.scale, band), colour, opacity=0.25)
             outline = outline_ne_m(zone)
             top = self.scale.scene(np.array([*outline.mean(axis=0), band[1]]))
@@ -218,13 +217,6 @@ class Scene:
                     head_length=0.7,
                 )
 
-    def show_candidates(self, curves: Sequence[Subpath]) -> None:
-        """Draw the candidates of a search; none: take them away."""
-        self._remove("/candidates")
-        if curves:
-            pieces = [shapes.segments(self._points(each)) for each in curves]
-            self._lines("/candidates", np.concatenate(pieces), _CANDIDATE, 1.0)
-
     def _points(self, subpath: Subpath) -> FloatArray:
         """Some points of a curve.  -> (S, 3)."""
         lengths_m = np.linspace(0.0, subpath.length_m, _CURVE_POINTS)
@@ -236,20 +228,19 @@ class Scene:
     # --- what was seen
 
     def _show_sight(self, time_s: float, row: int, decided: Decided, heading_rad: float) -> None:
-        recording = self._recording
-        mission = recording.mission
-        swept = recording.newest(SECTORS, time_s)
+        flight = self._flight
+        swept = flight.newest(SECTORS, time_s)
         if swept is not None and swept[0] < 1.0:
-            here = recording.places_nea_m[row]
+            here = flight.places_nea_m[row]
             self._mesh("/scan/fan", self._fan(here, swept[1], heading_rad), _SCAN, opacity=0.22)
         else:
             self._remove("/scan/fan")
         asked = decided.asked
-        if mission is None or asked is None or mission.near is not None:
+        if asked is None or flight.mission.near is not None:
             self._remove("/scan/reach")
         elif not self._same("reach", asked.scan_nea_m):
             north, east, altitude = asked.scan_nea_m
-            ring = circle_ne_m((north, east), mission.task.settings.scan_range_m)
+            ring = circle_ne_m((north, east), flight.mission.task.settings.scan_range_m)
             points = self.scale.scene(np.insert(ring, 2, altitude, axis=1))
             self._lines("/scan/reach", shapes.segments(points), _SCAN, 2.0)
 
@@ -267,24 +258,6 @@ class Scene:
         first = 1 + 2 * np.flatnonzero(told)
         faces = np.stack([0 * first, first, first + 1], axis=-1)
         return Mesh(self.scale.scene(points), faces.astype(np.uint32))
-
-    # --- others
-
-    def show_other(self, name: str, other: Recording, time_s: float) -> None:
-        """Draw the track of another flight, in the frame of this one."""
-        if self._recording.frame is None or other.frame is None or not len(other.times_s):
-            return
-        row = other.row_at(time_s)
-        rows = np.unique(np.linspace(0, row, min(row + 1, _TRACK_POINTS)).astype(np.intp))
-        if self._recording.frame == other.frame:
-            places = other.places_nea_m[rows]
-        else:
-            places = local_nea_m(other.track.part(rows), self._recording.frame)
-        points = self.scale.scene(places)
-        if len(points) > 1:
-            self._lines(f"/others/{name}", shapes.segments(points), _OTHERS, 2.0)
-        if not self._same(f"other {name}", row):
-            self._label(f"/others/{name}/label", name, points[-1], "bottom-left")
 
     # --- nodes
 

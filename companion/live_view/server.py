@@ -12,7 +12,7 @@ import viser
 
 from companion.errors import InputError
 from companion.live_view.command import Asked
-from companion.live_view.page import Flight, Page
+from companion.live_view.page import Page, Shown
 from companion.sources.files import answer
 
 _HOST: Final = "127.0.0.1"
@@ -21,28 +21,21 @@ _POLL_S: Final = 0.1
 
 def serve(asked: Asked, on_ready: Callable[[str], None], stopped: Callable[[], bool]) -> None:
     """Serve until stopped.  on_ready: told the address.  InputError if it cannot be served."""
+    path = Path(asked.path)
     with ExitStack() as stack:
-        flights = [] if asked.live else _flights(asked, stack)
+        shown = None if asked.live else Shown.of(path, asked.system_id)
         server = _server(asked.port)
         stack.callback(server.stop)
         on_ready(f"http://{_HOST}:{server.get_port()}/")
-        while not flights:
-            files = (Path(asked.paths[0]) / name for name in ("mission.toml", "flight.tlog"))
-            if all(answer(file.is_file) for file in files):
-                flights = _flights(asked, stack)
+        while shown is None:
+            if all(answer((path / name).is_file) for name in ("mission.toml", "flight.tlog")):
+                shown = Shown.of(path)
             elif stopped():
                 return
             else:
                 time.sleep(_POLL_S)
-        Page(server, flights).run(stopped)
-
-
-def _flights(asked: Asked, stack: ExitStack) -> list[Flight]:
-    flights = []
-    for path in asked.paths:
-        flights.append(Flight.of(Path(path), asked.system_id))
-        stack.enter_context(flights[-1].recording)
-    return flights
+        stack.enter_context(shown.recording)
+        Page(server, shown).run(stopped)
 
 
 def _server(port: int) -> viser.ViserServer:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from companion.geodesy import FloatArray
 from companion.live_view.ground import GUESSED, PROVEN, Ground
-from companion.live_view.recording import Recording
 from companion.telemetry.export.shapes import ball_nea_m, walls_nea_m
+from companion.telemetry.flight import Flight
 from companion.world.radars import Radar
 from companion.world.zones import Zone
 
@@ -54,11 +54,11 @@ class Area:
     high_m: float
 
     @staticmethod
-    def of(recording: Recording) -> "Area":
+    def of(flight: Flight) -> "Area":
         """The mission's map, from the ground that it starts from; of a log alone, its track's."""
-        places = recording.places_nea_m
-        if recording.mission is not None:
-            limits = recording.mission.task.limits
+        places = flight.places_nea_m
+        if flight.has_mission:
+            limits = flight.mission.task.limits
             low_m = min(float(places[0, 2]), limits.floor_amsl_m)
             return Area(
                 north_m=limits.north_m,

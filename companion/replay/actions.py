@@ -17,10 +17,9 @@ from companion.config import elevation_file, load_mission, refuse_older
 from companion.errors import FlightFailed, InputError
 from companion.mission.mission import Mission
 from companion.mission.start import Start, terrain_of
-from companion.replay.from_log import LogReplay
+from companion.replay.feed import DamagedInputError, MissionOf, start_of
 from companion.replay.report import Replayed, replay_json, replay_text
-from companion.replay.reproduce import Replay
-from companion.replay.session_inputs import DamagedInputError, MissionOf, start_of
+from companion.replay.reproduce import LogReplay, Replay
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import renderables
 from companion.replay.what_if import what_if, what_if_table

@@ -1,7 +1,9 @@
 """Compares a replay with the recording: frames and journal entries, one by one."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from functools import partial
+from itertools import chain, starmap
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -14,13 +16,7 @@ from companion.mission.entries import Entry
 from companion.printable import with_printable_texts
 from companion.sources.files import file_of_run
 from companion.telemetry.inputs import is_hole
-from companion.telemetry.run_folder import (
-    LONGEST_RECORD,
-    Records,
-    journal_line,
-    log_records,
-    whole_records,
-)
+from companion.telemetry.run_folder import LONGEST_RECORD, Records, journal_line
 
 _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 """Where a frame holds its sequence number, by its first byte: not compared, nor is the checksum."""
@@ -65,15 +61,16 @@ class Recording:
         self.unrecorded = 0
         """How many came after the end of what was recorded: it was killed, or the disk full."""
         self._path = file_of_run(folder, "flight.tlog")
-        journal = file_of_run(folder, "journal.jsonl")
-        self._log, self._journal = Records(self._path), _Lines(journal)
+        self._log = Records(self._path)
+        self._lines = _entry_lines(file_of_run(folder, "journal.jsonl"))
         self._epoch_us: int | None = None
+        """The stamp of vehicle time 0, by the first frame that is compared."""
         self._has_ended = False
 
     def close(self) -> None:
         """Close the files."""
         self._log.close()
-        self._journal.close()
+        self._lines.close()
 
     def begin_again(self) -> None:
         """The companion was restarted: its clock may differ."""
@@ -81,103 +78,69 @@ class Recording:
 
     def first_difference(self, record: list[Stamped], journal: list[Entry]) -> Difference | None:
         """Compare the output of one run with the next records."""
-        if self._epoch_us is not None and self._log.takes(
-            b"".join(log_records(record, self._epoch_us))
-        ):
-            self.frames += len(record)
-            record = []
-        for time_s, frame in record:
-            if (difference := self._frame_differs(time_s, frame)) is not None:
-                return difference
-        for entry in journal:
-            if (difference := self._entry_differs(entry)) is not None:
-                return difference
-        return None
+        found = chain(starmap(self._frame_differs, record), map(self._entry_differs, journal))
+        return next((each for each in found if each is not None), None)
 
     def pass_over(self, frames: int) -> None:
         """Skip what the watchdog sent: this many frames, and one entry."""
         while frames > 0 and self._log.take() is not None:
             frames -= 1
-        self._journal.take()
-
-    def _stamp_us(self, time_s: float) -> int:
-        """The stamp of a vehicle time; the first that is asked for is that of the next frame."""
-        if self._epoch_us is None and (head := self._log.head) is not None:
-            self._epoch_us = head[0] - _us(time_s)
-        return (self._epoch_us or 0) + _us(time_s)
+        next(self._lines, None)
 
     def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
-        at_us = self._stamp_us(time_s)
-        held = self._log.take()
-        if held is None:
+        if (held := self._log.take()) is None:
             self.unrecorded += 1
             return self._is_damaged(time_s, frame)
-        time_us, recorded = held
+        stamp_us, recorded = held
         if (difference := frames_differ(time_s, recorded, frame)) is not None:
             return difference
-        if time_us != at_us:
-            was_s = time_s + (time_us - at_us) * 1e-6
+        at_us = round(time_s * 1e6)
+        self._epoch_us = stamp_us - at_us if self._epoch_us is None else self._epoch_us
+        if stamp_us != self._epoch_us + at_us:
+            was_s = time_s + (stamp_us - self._epoch_us - at_us) * 1e-6
             return _difference(time_s, name_of(frame), "time", was_s, time_s)
         self.frames += 1
         return None
 
     def _is_damaged(self, time_s: float, frame: bytes) -> Difference | None:
         """Whether the log ends here because the data after it is damaged; checked once."""
-        if self._has_ended:
-            return None
-        self._has_ended, end = True, whole_records(self._path)
-        left = self._path.stat().st_size - end
-        if left <= LONGEST_RECORD or is_hole(self._path, end):
+        has_ended, self._has_ended = self._has_ended, True
+        left = self._path.stat().st_size - self._log.end
+        if has_ended or left <= LONGEST_RECORD or is_hole(self._path, self._log.end):
             return None
         what = f"{left:,} bytes that are no frames"
         return _difference(time_s, "flight.tlog", "", what, name_of(frame))
 
     def _entry_differs(self, entry: Entry) -> Difference | None:
-        held = self._journal.take()
+        line, held = journal_line(entry), next(self._lines, None)
         if held is None:
             self.unrecorded += 1
             return None
-        line = journal_line(entry)
-        if held == line:
-            self.entries += 1
-            return None
-        was, now = _entry_of(held), with_printable_texts(json.loads(line))
-        time_s, kind = float(entry["t_s"]), str(entry["kind"])
-        if was is None:
-            return _difference(time_s, "journal", "line", held[:_SHOWN_BYTES], kind)
-        if was.get("kind") != kind:
-            return _difference(time_s, "journal", "kind", was.get("kind"), kind)
-        if (differs := values_differ(was, now)) is None:  # written by an older companion
-            self.entries += 1
-            return None
-        return _difference(time_s, kind, *differs)
+        if held != line:
+            was, now = _entry_of(held), with_printable_texts(json.loads(line))
+            time_s, kind = float(entry["t_s"]), str(entry["kind"])
+            if was is None:
+                return _difference(time_s, "journal", "line", held[:_SHOWN_BYTES], kind)
+            if was.get("kind") != kind:
+                return _difference(time_s, "journal", "kind", was.get("kind"), kind)
+            if (differs := values_differ(was, now)) is not None:  # else it is spelled otherwise
+                return _difference(time_s, kind, *differs)
+        self.entries += 1
+        return None
 
 
 def _difference(time_s: float, what: str, field: str, was: Any, now: Any) -> Difference:
     return Difference(t_s=time_s, what=what, field=field, recorded=was, replayed=now)
 
 
-def _us(time_s: float) -> int:
-    return round(time_s * 1e6)
-
-
-@final
-class _Lines:
-    """The lines of a journal but for its headers, one by one, to the last whole one."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
-
-    def take(self) -> bytes | None:
-        """The next one; None at the end."""
-        line = self._file.readline(_LONGEST_LINE)
-        while line.startswith(b'{"schema"') and line.endswith(b"\n"):
-            line = self._file.readline(_LONGEST_LINE)
-        return line if line.endswith(b"\n") or len(line) == _LONGEST_LINE else None
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+def _entry_lines(path: Path) -> Generator[bytes, None, None]:
+    """The lines of a journal but for its headers, to the last whole one."""
+    with path.open("rb") as file:
+        for line in iter(partial(file.readline, _LONGEST_LINE), b""):
+            if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
+                return
+            if not (line.startswith(b'{"schema"') and line.endswith(b"\n")):
+                yield line
 
 
 def _entry_of(line: bytes) -> dict[str, Any] | None:

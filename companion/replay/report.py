@@ -1,15 +1,37 @@
 """What a replay has found: as values, and as text."""
 
+import traceback
+from pathlib import Path
 from typing import Any, Final, final
 
 from msgspec import Struct
 from msgspec.structs import asdict
 
 from companion.replay.differences import Difference
-from companion.replay.session_inputs import RecordedError
 
 _BEGUN_AGAIN_S: Final = 10.0  # earlier: the autopilot has rebooted, or another one was taken
 _MAX_PLANS: Final = 5
+
+
+@final
+class RecordedError(Struct, frozen=True, kw_only=True):
+    """An error raised by a session, or by the control loop around it."""
+
+    call: str
+    """Of the session, or another; "" if it did not come out of one."""
+    error: str
+    place: str = ""
+    """In the code, if it was raised here."""
+
+    @staticmethod
+    def of(call: str, error: Exception) -> "RecordedError":
+        """An error that a session has raised just now."""
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
+        return RecordedError(call=call, error=f"{type(error).__name__}: {error}", place=place)
+
+    def __str__(self) -> str:
+        return self.error if not self.place else f"{self.error} ({self.place})"
 
 
 @final

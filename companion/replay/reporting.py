@@ -8,7 +8,7 @@ from companion.errors import InputError
 from companion.replay.actions import flown_mission
 from companion.replay.export_command import out_file
 from companion.replay.exporting import recorded
-from companion.replay.reproduce import Replay
+from companion.replay.feed import outputs
 from companion.sources.files import answer, json_table, writing
 from companion.telemetry.export.health import FlightHealth
 from companion.telemetry.run_folder import known_map
@@ -49,9 +49,8 @@ def _known(run_dir: Path, odd: list[str]) -> KnownMap | None:
         damage = "" if isinstance(error, FileNotFoundError) else f"known.npz: {error}"
     known: KnownMap | None = None
     try:  # a map of near things is not kept
-        replay = Replay(run_dir, flown_mission(run_dir), plans=False, compares=False)
-        for step in replay.steps():
-            known = step.session.state.flight.known
+        for _, session, _ in outputs(run_dir, flown_mission(run_dir)):
+            known = session.state.flight.known
     except InputError as error:
         damage = damage or f"{error}"
     if damage:

@@ -1,113 +1,107 @@
-"""Replays the recorded inputs of a flight and compares all decisions.
+"""Replays a recorded flight and compares all decisions.
 
-The mission machine uses the recorded plans, so its decisions can be compared on any computer.  Each
-plan is also computed again and compared; with another kernel than the flight's, or other
-arithmetic, it may differ, which does not count as a difference.
+Of a run folder its inputs are replayed.  The mission machine uses the recorded plans, so its
+decisions can be compared on any computer.  Each plan is also computed again and compared; with
+another kernel than the flight's, or other arithmetic, it may differ, which does not count as a
+difference.
+
+A telemetry log alone has the frames, both ways, but neither silences, nor which frames came
+together, nor how long plans took: each frame is handled by itself, and each plan is ready at once,
+as in lockstep.  So only flights in lockstep are reproduced from it, which nobody had to say go to.
 """
 
+import math
 import time
 from collections.abc import Iterator
-from itertools import count
+from dataclasses import replace
+from itertools import chain, count, islice
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
-from msgspec import Struct
 
 from companion.errors import InputError
-from companion.mavlink.link import Input, Output
-from companion.mission.start import Start
+from companion.mavlink.dialect import COMPANION_COMPONENT, wire
+from companion.mavlink.frames import number_of, sender_of
+from companion.mavlink.link import Input, Output, Stamped
+from companion.mission.mission import Mission
 from companion.planner import kernels
 from companion.planner.request import PlanOutcome, PlanRequest, values_of
 from companion.planning import plan
-from companion.replay.differences import NOTHING, Difference, Recording, values_differ
-from companion.replay.report import PlanDiffers, Replayed
-from companion.replay.session_inputs import (
+from companion.replay.differences import (
+    NOTHING,
+    Difference,
+    Recording,
+    frames_differ,
+    values_differ,
+)
+from companion.replay.feed import (
     RUNTIME_RECORDS,
     SESSION_CALLS,
     DamagedInputError,
+    Feeder,
     MissionOf,
-    RecordedError,
     answer_of,
-    feed,
-    session_of,
-    start_of,
 )
+from companion.replay.report import PlanDiffers, RecordedError, Replayed
 from companion.session import Session
-from companion.telemetry import inputs
-from companion.telemetry.inputs import InputsFile
+from companion.telemetry.inputs import FILE, InputsFile
+from companion.telemetry.logs import Log, open_log
 
-
-@final
-class Step(Struct, kw_only=True):
-    """One input, its output, and the session after it."""
-
-    recorded_input: Input
-    output: Output | None
-    session: Session
+_SILENT_S: Final = 0.2
+"""Between two frames of a log: less is no silence."""
+_LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
+_OFTEN: Final = 50
+_MAX_AHEAD: Final = 1000
+"""Frames that the companion still sends in a replay when the recorded one sends no more: so many
+may just not have been recorded any more."""
+_TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
 
 
 @final
 class Replay:
-    """Feeds the inputs of a run folder to equal sessions."""
+    """Feeds the inputs of a run folder to equal sessions, and compares what they decide."""
 
-    def __init__(
-        self,
-        folder: Path,
-        mission_of: MissionOf,
-        *,
-        plans: bool = True,
-        compares: bool = True,
-    ) -> None:
+    def __init__(self, folder: Path, mission_of: MissionOf, *, plans: bool = True) -> None:
         """plans: they are computed again, too; False: they are taken as recorded.
 
-        compares: False if nothing is compared.  InputError if the folder has no inputs, or of
-        another version.
+        InputError if the folder has no inputs, or of another version.
         """
         self.found = Replayed()
-        self.inputs = InputsFile(folder / inputs.FILE)
-        self._recording = Recording(folder) if compares else None
-        self._mission_of, self._plans = mission_of, plans
-        self._session: Session | None = None
-        self._asked: dict[int, PlanRequest] = {}
+        self.inputs = InputsFile(folder / FILE)
+        self._recording, self._feeder = Recording(folder), Feeder(mission_of)
+        self._plans, self._asked = plans, dict[int, PlanRequest]()
         self._raised: RecordedError | None = None
         """What the session has just raised, until it is known whether it did so in flight."""
         self._given: Output | None = None
         """Of the last run, until it is known what of it was sent."""
 
-    def steps(self) -> Iterator[Step]:
+    def steps(self) -> Iterator[None]:
         """Replay, input by input, until the first difference or the end."""
-        began_s = time.perf_counter()
+        began_s, found = time.perf_counter(), self.found
         try:
-            for recorded_input in self.inputs:
-                self.found.took_s = time.perf_counter() - began_s
-                if recorded_input[0] not in RUNTIME_RECORDS:
+            for told in self.inputs:
+                if told[0] not in RUNTIME_RECORDS:
                     self._compare()
-                if self.found.difference is not None:
-                    return
-                if (step := self._step(recorded_input)) is None:
-                    return
-                yield step
-            self._compare()
+                if found.difference is not None:
+                    break
+                self._take(told)
+                found.took_s = time.perf_counter() - began_s
+                yield
         except DamagedInputError as error:
-            self._compare()
-            self.found.damaged = str(error)
+            found.damaged = str(error)
         finally:
-            if self._recording is not None:
-                self._recording.close()
+            self._compare()
+            self._recording.close()
         if self.inputs.is_damaged:
-            self.found.damaged = f"{self.inputs.torn_bytes:,} bytes that are no inputs"
-        elif self.inputs.torn_bytes:
-            self.found.torn = f"{self.inputs.torn_bytes} bytes of a record that is not whole"
-        self.found.took_s = time.perf_counter() - began_s
+            found.damaged = f"{self.inputs.torn_bytes:,} bytes that are no inputs"
+        elif self.inputs.torn_bytes and found.difference is None and not found.damaged:
+            found.torn = f"{self.inputs.torn_bytes} bytes of a record that is not whole"
+        found.took_s = time.perf_counter() - began_s
 
-    def _step(self, recorded_input: Input) -> Step | None:
-        output = None
+    def _take(self, told: Input) -> None:
         self.found.inputs += 1
-        match recorded_input:
-            case ("start", *_):
-                if not self._begin(start_of(recorded_input)):
-                    return None
+        match told:
             case ("unsent", list(numbers)) if all(type(each) is int for each in numbers):
                 if self._given is not None:
                     there = range(len(self._given.frames))  # else it has sent fewer: that differs
@@ -116,56 +110,45 @@ class Replay:
                 self._compare(RecordedError(call=call, error=error))
             case ("held", int(frames)):
                 self._compare()
-                if self._recording is not None:
-                    self._recording.pass_over(frames)
+                self._recording.pass_over(frames)
             case _:
-                output = self._tell(recorded_input)
-        if self._session is None:
-            raise DamagedInputError(f"{recorded_input[0]!r} before any start")
-        return Step(recorded_input=recorded_input, output=output, session=self._session)
+                self._feed(told)
 
-    def _tell(self, recorded_input: Input) -> Output | None:
-        session, found = self._session, self.found
-        if session is None:
-            return None
-        if recorded_input[0] == "deliver" and len(recorded_input) > 1:
-            self._plan_again(answer_of(recorded_input[1]), session.now_s)
+    def _feed(self, told: Input) -> None:
+        found, feeder = self.found, self._feeder
+        if told[0] == "deliver":
+            self._plan_again(answer_of(told), feeder.session.now_s)
         try:
-            output = feed(session, recorded_input)
-        except DamagedInputError:
+            output = feeder.take(told)
+        except (DamagedInputError, InputError):
             raise
         except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
-            output, self._raised = session.take_output(), RecordedError.of(recorded_input[0], error)
-        if output is not None:
+            self._raised = RecordedError.of(told[0], error)
+            if told[0] == "start":
+                return
+            output = feeder.session.take_output()
+        if told[0] == "start":
+            self._asked.clear()
+            self._recording.begin_again()
+            found.starts += 1
+        elif output is not None:
             self._given = output
             if output.plan is not None:
                 self._asked[output.plan.plan_id] = output.plan
-        found.go_on_to(session.now_s)
-        return output
-
-    def _begin(self, start: Start) -> bool:
-        """Begin a session; whether that succeeded."""
-        self._asked.clear()
-        try:
-            self._session = session_of(start, self._mission_of)
-        except (DamagedInputError, InputError):
-            raise
-        except Exception as error:  # noqa: BLE001 - its own
-            self._raised = RecordedError.of("start", error)
-            self._compare()
-            return False
-        if self._recording is not None:
-            self._recording.begin_again()
-        self.found.starts += 1
-        return True
+        found.go_on_to(feeder.session.now_s)
 
     def _compare(self, ended: RecordedError | None = None) -> None:
         """Compare what came of the last input with the recording.
 
         ended: the error that the flight ended with here; then the replay must, too.
         """
-        self._compare_output()
-        found, raised, self._raised = self.found, self._raised, None
+        found, raised, given = self.found, self._raised, self._given
+        self._raised = self._given = None
+        if given is not None:
+            recording = self._recording
+            found.difference = recording.first_difference(given.record, given.journal)
+            found.frames, found.entries = recording.frames, recording.entries
+            found.unrecorded = recording.unrecorded
         if raised and ended and (raised.call, raised.error) == (ended.call, ended.error):
             found.ended_by = raised
             return
@@ -178,15 +161,6 @@ class Replay:
                 recorded=NOTHING if ended is None else str(ended),
                 replayed=NOTHING if raised is None else str(raised),
             )
-
-    def _compare_output(self) -> None:
-        given, self._given = self._given, None
-        recording, found = self._recording, self.found
-        if given is None or recording is None:
-            return
-        found.difference = recording.first_difference(given.record, given.journal)
-        found.frames, found.entries = recording.frames, recording.entries
-        found.unrecorded = recording.unrecorded
 
     def _plan_again(self, answer: PlanOutcome, now_s: float) -> None:
         """Compute a plan again, only to compare it."""
@@ -243,3 +217,109 @@ def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
     farthest_m = float(np.linalg.norm(was - now, axis=-1).max())
     apart = f"{farthest_m:,.0f}" if farthest_m >= 10.0 else f"{farthest_m:.2g}"
     return f"{costs}, control points up to {apart} m apart"
+
+
+# --- a telemetry log alone
+
+
+@final
+class LogReplay:
+    """Feeds a log's frames of the vehicle to a new session, and compares what it sends."""
+
+    def __init__(
+        self,
+        path: Path,
+        mission: Mission,
+        *,
+        seed: int,
+        version: str,
+        system_id: int | None = None,
+    ) -> None:
+        """InputError if it is no log, or has several vehicles and none is chosen."""
+        self.found = Replayed(starts=1)
+        self.inputs: Log = open_log(path, system_id=system_id)
+        self._lockstep = _was_in_lockstep(self.inputs)
+        self._session = Session(
+            replace(mission, system_id=self.inputs.system_id or mission.system_id),
+            seed=seed,
+            lockstep=self._lockstep,
+            go=True,
+            version=version,
+        )
+        self._is_over = False
+        again = open_log(path, system_id=self.inputs.system_id)
+        self._sent = (each.frame for each in again.records() if is_of_companion(each.frame))
+
+    def steps(self) -> Iterator[None]:
+        """Replay, frame by frame, to the first difference or the end.
+
+        InputError if no companion was there.
+        """
+        began_s, found = time.perf_counter(), self.found
+        first_more: Stamped | None = None
+        for time_s, frame in chain(self._made(), self._farewell()):
+            recorded = next(self._sent, None)
+            if recorded is not None:
+                found.difference = frames_differ(time_s, recorded, frame)
+                found.frames += found.difference is None
+            elif self._is_over or found.unrecorded > _MAX_AHEAD:
+                break
+            else:
+                found.unrecorded += 1
+                first_more = first_more or (time_s, frame)
+            found.took_s = time.perf_counter() - began_s
+            yield
+            if found.difference is not None:
+                return
+        if (left := next(self._sent, None)) is not None:
+            found.difference = frames_differ(found.now_s, left, None)
+        elif not found.frames:
+            rule = "nothing in it was sent by a companion: there is nothing to compare with"
+            remedy = "Give --shadow to see what it would have done."
+            raise InputError("RUN_DIR|LOG", str(self.inputs.path), rule, remedy)
+        elif first_more is not None and found.unrecorded > _MAX_AHEAD:
+            found.difference = frames_differ(first_more[0], None, first_more[1])
+
+    def _made(self) -> Iterator[Stamped]:
+        """The frames that the session sends, with their vehicle times."""
+        session, before_us = self._session, math.inf
+        if not self._lockstep:
+            session.silence(0.0)
+        for record in self.inputs.records():
+            if is_of_companion(record.frame):
+                continue
+            gap_s, before_us = (record.time_us - before_us) * 1e-6, record.time_us
+            if gap_s > _SILENT_S and not self._lockstep:
+                session.silence(gap_s)
+            self.found.inputs += 1
+            session.receive(record.frame, record.time_us * 1e-6)
+            yield from self._run()
+            self.found.go_on_to(session.now_s)
+
+    def _farewell(self) -> Iterator[Stamped]:
+        """What it sends in the end, which may not have been recorded."""
+        self._is_over = True
+        yield from ((self._session.now_s, frame) for frame in self._session.farewell().frames)
+
+    def _run(self) -> Iterator[Stamped]:
+        """What follows from what the session was told; plans are computed at once."""
+        out = self._session.run()
+        yield from ((self._session.now_s, frame) for frame in out.frames)
+        while out.plan is not None:
+            self.found.plans += 1
+            self.found.plans_computed += 1
+            self._session.deliver(plan(out.plan))
+            out = self._session.run()
+            yield from ((self._session.now_s, frame) for frame in out.frames)
+
+
+def is_of_companion(frame: bytes) -> bool:
+    """Whether a companion has sent it."""
+    return sender_of(frame)[1] == COMPANION_COMPONENT
+
+
+def _was_in_lockstep(log: Log) -> bool:
+    """Whether the simulator sent a TIMESYNC after each step."""
+    first = islice(log.records(), _LOOKED_AT)
+    asked = (number_of(r.frame) == _TIMESYNC and not is_of_companion(r.frame) for r in first)
+    return sum(asked) > _OFTEN

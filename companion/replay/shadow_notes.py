@@ -1,12 +1,9 @@
-"""Observes the session in shadow mode and notes what it would have done.
-
-Lists are limited, and the rest is counted, so that memory is bounded for long logs.
-"""
+"""Observes the session in shadow mode and notes what it would have done."""
 
 import math
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -22,17 +19,15 @@ from companion.replay.shadow_report import (
     Hold,
     HoldReason,
     Observed,
+    OffPath,
     Place,
     PlanAttempt,
     ShadowReport,
-    TrackDeviation,
     VehicleReport,
 )
 from companion.session import Session
 from companion.telemetry.export.shapes import Chords
 
-MOST: Final = 2000
-"""Of each kind of thing."""
 _MAX_WHY: Final = 50
 _EVER: Final = -1e8  # before that: not heard of yet
 _BEGINS: Final = "it begins to watch"
@@ -113,7 +108,7 @@ class Notes:
 
     def say(self, said: VehicleReport) -> None:
         """The vehicle has said something."""
-        self._keep(self.report.said, said, "said")
+        self.report.said.append(said)
 
     def on_output(self, at_s: float, session: Session, entries: list[Entry]) -> None:
         """The session has been run.  at_s: of the log."""
@@ -168,7 +163,7 @@ class Notes:
                 place=place and self._place(place),
                 in_air=is_in_air(state.vehicle),
             )
-            self._keep(self.report.holds, hold, "holds")
+            self.report.holds.append(hold)
             for asked in self._asked.values():
                 if asked.outcome == "unanswered":
                     asked.outcome = "given up"
@@ -200,7 +195,7 @@ class Notes:
                     why=self._cause if entry.from_rest else "the next subpath",
                     goes_on=not entry.from_rest,
                 )
-                self._keep(self.report.plans, asked, "plans")
+                self.report.plans.append(asked)
                 self._asked[asked.plan_id] = asked
             case journal.PlanReady(plan_id=plan_id) if plan_id in self._asked:
                 self._on_ready(entry, self._asked.pop(plan_id))
@@ -296,7 +291,7 @@ class Notes:
             return
         asked, chords = self._path
         off_m, along_m = chords.nearest(here)
-        asked.off = TrackDeviation.of_all((asked.off, TrackDeviation.at(at_s, off_m, along_m)))
+        asked.samples.append(OffPath(at_s, off_m, along_m))
         if leg is not None:
             return
         if flight.target != self._target:
@@ -339,7 +334,7 @@ class Notes:
                 worst_m=worst_m,
                 place=place and self._place(place),
             )
-            self._keep(self.report.outside if outside else self.report.health, span, kind)
+            (self.report.outside if outside else self.report.health).append(span)
         elif on and span is not None and worst_m is not None:
             span.worst_m = max(span.worst_m or 0.0, worst_m)
         if span is not None and (until_s is not None or not on):
@@ -361,12 +356,6 @@ class Notes:
             north_m=north_m,
             east_m=east_m,
         )
-
-    def _keep(self, kept: list[Any], new: object, kind: str) -> None:
-        if len(kept) < MOST:
-            kept.append(new)
-        else:
-            self.report.left_out[kind] += 1
 
 
 def is_in_air(vehicle: Vehicle) -> bool:

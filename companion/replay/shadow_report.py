@@ -2,13 +2,13 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import msgspec
-from msgspec import Struct, field
+from msgspec import Struct
 from msgspec.structs import asdict, replace
 from rich.console import RenderableType
 from rich.table import Column, Table
@@ -101,7 +101,21 @@ class PlanAttempt(Struct, kw_only=True):
     length_m: float | None = None
     clearance_m: float | None = None
     reaches_target: bool = False
-    off: "TrackDeviation | None" = None
+    samples: list["OffPath"] = []
+
+    @property
+    def off(self) -> "TrackDeviation | None":
+        """How far the flown track was from it."""
+        return TrackDeviation.of(self.samples)
+
+
+class OffPath(NamedTuple):
+    """How far a position is from a planned subpath."""
+
+    at_s: float
+    off_m: float
+    along_m: float
+    """Where the subpath is nearest to it, length along it."""
 
 
 @final
@@ -110,7 +124,7 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
 
     from_s: float
     until_s: float
-    positions: int = 1
+    positions: int
     max_m: float
     max_at_s: float
     rms_m: float
@@ -120,35 +134,21 @@ class TrackDeviation(Struct, frozen=True, kw_only=True):
     until_m: float
 
     @staticmethod
-    def at(at_s: float, off_m: float, along_m: float) -> "TrackDeviation":
-        """Of one position; along_m: where the subpath is nearest to it."""
-        return TrackDeviation(
-            from_s=at_s,
-            until_s=at_s,
-            max_m=off_m,
-            max_at_s=at_s,
-            rms_m=off_m,
-            from_m=along_m,
-            until_m=along_m,
-        )
-
-    @staticmethod
-    def of_all(parts: Iterable["TrackDeviation | None"]) -> "TrackDeviation | None":
-        """Of one part after the other; None: there were none."""
-        there = [part for part in parts if part is not None]
-        if not there:
+    def of(samples: Sequence["OffPath"]) -> "TrackDeviation | None":
+        """Of positions in their order; None: there are none."""
+        if not samples:
             return None
-        farthest = max(there, key=lambda each: each.max_m)
-        positions = sum(each.positions for each in there)
+        farthest = max(samples, key=lambda each: each.off_m)
+        along_m = [each.along_m for each in samples]
         return TrackDeviation(
-            from_s=there[0].from_s,
-            until_s=there[-1].until_s,
-            positions=positions,
-            max_m=farthest.max_m,
-            max_at_s=farthest.max_at_s,
-            rms_m=math.sqrt(sum(each.positions * each.rms_m**2 for each in there) / positions),
-            from_m=min(each.from_m for each in there),
-            until_m=max(each.until_m for each in there),
+            from_s=samples[0].at_s,
+            until_s=samples[-1].at_s,
+            positions=len(samples),
+            max_m=farthest.off_m,
+            max_at_s=farthest.at_s,
+            rms_m=math.sqrt(math.fsum(each.off_m**2 for each in samples) / len(samples)),
+            from_m=min(along_m),
+            until_m=max(along_m),
         )
 
 
@@ -211,16 +211,14 @@ class ShadowReport(Struct, kw_only=True):
     missing: tuple[Missing, ...] = ()
     log_findings: tuple[str, ...] = ()
     notes: list[str] = []
-    left_out: Counter[str] = field(default_factory=Counter)
-    """Number of dropped items of limited lists."""
     took_s: float = 0.0
 
     @property
     def own_path(self) -> TrackDeviation | None:
         """How far the flown track was from all planned subpaths together; None: there were none."""
-        parts = [each.off for each in self.plans if each.off is not None]
+        parts = [off for each in self.plans if (off := each.off) is not None]
+        whole = TrackDeviation.of([each for plan in self.plans for each in plan.samples])
         flown_m = sum(part.until_m - part.from_m for part in parts)
-        whole = TrackDeviation.of_all(parts)
         return None if whole is None else replace(whole, from_m=0.0, until_m=flown_m)
 
     @property
@@ -230,7 +228,11 @@ class ShadowReport(Struct, kw_only=True):
 
     def as_json(self) -> dict[str, Any]:
         """For `--json`: plain values, units in the names."""
-        return msgspec.to_builtins({"schema": SCHEMA, "own_path": self.own_path, **asdict(self)})
+        plans = [{**asdict(each), "off": each.off} for each in self.plans]
+        for each in plans:
+            del each["samples"]
+        values = {**asdict(self), "plans": plans, "own_path": self.own_path}
+        return msgspec.to_builtins({"schema": SCHEMA, **values})
 
 
 # --- for people
@@ -245,7 +247,6 @@ def renderables(report: ShadowReport) -> list[RenderableType]:
             "where it would have held",
             ("let go", "why", "position good", "goes on", "the vehicle itself"),
             [_hold_row(hold, report) for hold in report.holds],
-            report.left_out["holds"],
         ),
         *_observed("health", report.health, report),
         *_observed("where the mission does not allow it to be", report.outside, report),
@@ -253,7 +254,6 @@ def renderables(report: ShadowReport) -> list[RenderableType]:
             "where it would have planned",
             ("at", "where", "why", "answer", "flown track off it, max / rms"),
             list(map(_plans_row, plans)),
-            report.left_out["plans"],
         ),
         *map(Text, _tail(report)),
     ]
@@ -262,14 +262,12 @@ def renderables(report: ShadowReport) -> list[RenderableType]:
 _Row = Sequence[str | Text]
 
 
-def _table(
-    title: str, headings: Sequence[str | Column], rows: Sequence[_Row], left_out: int = 0
-) -> Iterator[Table]:
-    """The first rows as a table, if there are any; left_out: not even among these."""
+def _table(title: str, headings: Sequence[str | Column], rows: Sequence[_Row]) -> Iterator[Table]:
+    """The first rows as a table, if there are any."""
     table = Table(*headings, title=title, title_justify="left")
     for row in rows[:_MAX_ROWS]:
         table.add_row(*row)
-    if (more := len(rows) + left_out - _MAX_ROWS) > 0:
+    if (more := len(rows) - _MAX_ROWS) > 0:
         table.caption = f"{more} more: --json has them"
     if rows:
         yield table
@@ -389,7 +387,7 @@ def _plans_row(run: list[PlanAttempt]) -> _Row:
         at += f" to {last.at_s:,.1f} s\n{len(run)} times"
     if last.why != why:  # in its numbers
         why += f" ... {last.why}"
-    off = TrackDeviation.of_all(asked.off for asked in run)
+    off = TrackDeviation.of([each for asked in run for each in asked.samples])
     return at, _where(first.place), Text(why), Text(_answers(run)), _off_words(off)
 
 
@@ -442,8 +440,6 @@ def _tail(report: ShadowReport) -> list[str]:
             lines.append(f"{missing}")
     lines += [f"note: {note}" for note in report.notes]
     lines += [f"log: {finding}" for finding in report.log_findings]
-    left = {kind: count for kind, count in report.left_out.items() if count}
-    lines += [f"{count:,} more of: {kind}" for kind, count in left.items()]
     heard = f"{report.heard:,} of {report.records:,} messages were of use"
     lines.append(f"{heard}; {report.times_real_time:,.0f}x real time")
     return lines

@@ -15,12 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mission.mission import Mission
-from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest, outcome_of
+from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.planning import plan
-from companion.replay.reproduce import Replay
-from companion.replay.session_inputs import MissionOf
+from companion.replay.feed import MissionOf, answer_of, outputs
 
 _Part = TypeVar("_Part")
 
@@ -82,15 +81,13 @@ def what_if(
     InputError if the folder holds no inputs, or if with the settings of that moment the changed
     ones break a rule.  It ends with the recording, or where the inputs can no longer be replayed.
     """
-    replay = Replay(folder, mission_of, plans=False, compares=False)
     asked: dict[int, tuple[float, PlanRequest]] = {}
-    for step in replay.steps():
-        session = step.session
-        if step.output is not None and step.output.plan is not None:
-            asked[step.output.plan.plan_id] = session.now_s, step.output.plan
-        if step.recorded_input[0] != "deliver":
+    for told, session, output in outputs(folder, mission_of):
+        if output is not None and output.plan is not None:
+            asked[output.plan.plan_id] = session.now_s, output.plan
+        if told[0] != "deliver":
             continue
-        recorded = outcome_of(step.recorded_input[1])
+        recorded = answer_of(told)
         time_s, request = asked.pop(recorded.plan_id, (0.0, None))
         if request is None or request.flown is not None:
             continue

@@ -19,7 +19,6 @@ It ends with the last whole record, however the flight ended.
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -33,7 +32,7 @@ HEADER: Final = (SCHEMA, VERSION)
 FILE: Final = "inputs.msgpack"
 _PORTION: Final = 2**20
 _LONGEST: Final = 64 * 2**20  # a start with a large map
-UNREADABLE = (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException)
+_UNREADABLE: Final = (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException)
 
 Input = tuple[Any, ...]
 
@@ -45,19 +44,20 @@ def packed(told: Iterable[Input]) -> list[bytes]:
 
 @final
 class InputsFile:
-    """Reads them again, as often as it is asked; memory is bounded by the longest record."""
+    """Reads them once, in order; memory is bounded by the longest record.
+
+    Who iterates again gets what has been recorded since.
+    """
 
     def __init__(self, path: Path) -> None:
         """InputError if it is another kind of file, or of an unsupported version."""
         self.path = path
         self.size_bytes = self.read_bytes = 0
-        """Of the file, when it was read last; how much of it was read so far."""
-        self.torn_bytes = 0
-        """At the end of the file, of a record that is not whole; once it was read to there."""
-        self.is_damaged = False
-        """Whether these are something else: nothing that a flight which ended there has left."""
+        """Of the file, as far as it was seen; how much of it was read."""
+        self._unpacker = msgpack.Unpacker(max_buffer_size=_LONGEST)
+        self._is_broken = False
         try:
-            head = next(self._records(), ())
+            head = next(iter(self), ())
         except OSError as error:
             rule = f"it cannot be read ({error.strerror})"
             remedy = "Give a run folder of a flight that was recorded with its inputs."
@@ -69,26 +69,40 @@ class InputsFile:
             rule = f"this companion reads version {VERSION} of inputs"
             raise InputError("RUN_DIR", head[1:], rule, "Replay it with the companion that flew.")
 
-    def __iter__(self) -> Iterator[Input]:
-        """The inputs up to the last whole one."""
-        return islice(self._records(), 1, None)
+    @property
+    def torn_bytes(self) -> int:
+        """At the end of what was seen of the file, of a record that is not whole."""
+        return self.size_bytes - self.read_bytes
 
-    def _records(self) -> Iterator[Input]:
-        size, end, is_whole = self.path.stat().st_size, 0, True
-        self.size_bytes = size
-        with self.path.open("rb") as file:
-            unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
+    @property
+    def is_damaged(self) -> bool:
+        """Whether these are something else: nothing that a flight which ended there has left."""
+        return self._is_broken and not is_hole(self.path, self.read_bytes)
+
+    def __iter__(self) -> Iterator[Input]:
+        """The next ones, up to the last whole one."""
+        while not self._is_broken:
             try:
-                for told in unpacker:
-                    is_whole = isinstance(told, list) and told[:1] != [] and type(told[0]) is str
-                    if not is_whole:
-                        break
-                    self.read_bytes = end = unpacker.tell()
-                    yield tuple(told)
-            except UNREADABLE:
-                is_whole = False
-        self.torn_bytes = max(size - end, 0)  # it may have grown meanwhile
-        self.is_damaged = not is_whole and not is_hole(self.path, end)
+                told = next(self._unpacker, None)
+                if told is None and not self._seen_more():
+                    return
+            except _UNREADABLE:
+                self._is_broken = True
+                return
+            if told is None:
+                continue
+            self._is_broken = not (isinstance(told, list) and told and type(told[0]) is str)
+            if not self._is_broken:
+                self.read_bytes = self._unpacker.tell()
+                yield tuple(told)
+
+    def _seen_more(self) -> bool:
+        with self.path.open("rb") as file:
+            file.seek(self.size_bytes)
+            portion = file.read(_PORTION)
+        self.size_bytes += len(portion)
+        self._unpacker.feed(portion)
+        return bool(portion)
 
 
 def whole_inputs(path: Path, start: int = 0) -> int:
@@ -101,7 +115,7 @@ def whole_inputs(path: Path, start: int = 0) -> int:
         file.seek(at)
         unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
         end = 0
-        with suppress(*UNREADABLE):
+        with suppress(*_UNREADABLE):
             for _ in unpacker:
                 end = unpacker.tell()
     return at + end

@@ -7,16 +7,15 @@
     journal.headers, journal.findings        # filled while it is read
 
 A flight that was killed, or whose disk was full, leaves a last line that is not whole: reading
-stops before it.  Anything else that is not as documented is an InputError that names the line, or,
-where it does no harm (a kind or a field that is not known), a finding.
+stops before it.  A kind that is not known is passed over, and a finding; fields that are not known
+are passed over.  Anything else that is not as documented is an InputError that names the line.
 """
 
 import re
 from collections import Counter
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
-from typing import Any, final, get_type_hints
+from typing import Any, final
 
 import msgspec
 from msgspec import ValidationError
@@ -47,7 +46,8 @@ class Journal:
     @property
     def findings(self) -> tuple[str, ...]:
         """What was not as documented, each once, as text."""
-        found = [f"{count} x {what}: left out" for what, count in self._unknown.items()]
+        unknown = self._unknown.items()
+        found = [f"{n} x kind {kind!r}, which is not known: left out" for kind, n in unknown]
         if self._torn_bytes:
             found.append(f"the last line is not whole ({self._torn_bytes} bytes): left out")
         return tuple(f"{self.path.name}: {each}" for each in found)
@@ -70,10 +70,8 @@ class Journal:
             self._read_lines += 1
             where = f"{self.path.name} line {self._read_lines}"
             if text.startswith(_HEADER):
-                header = _header_of(raw := _decoded(text, where), where)
-                self._count_unknown(raw, header, "header")
-                self.headers.append(header)
-                yield header
+                self.headers.append(_header_of(_decoded(text, where), where))
+                yield self.headers[-1]
             elif not self.headers:
                 rule = f'a journal begins with a header, {{"schema":"{SCHEMA}",...}}'
                 shown = text[:80].decode(errors="replace")
@@ -104,35 +102,13 @@ class Journal:
         """The entry in a line; None if its kind is not known."""
         raw = _decoded(text, where)
         try:
-            entry = entry_of(raw)
+            return entry_of(raw)
         except (ValidationError, LookupError, TypeError) as error:
             kind = raw.get("kind") if isinstance(raw, dict) else None
             if isinstance(kind, str) and kind not in KINDS:
-                self._unknown[f"kind {kind!r}, which is not known"] += 1
+                self._unknown[kind] += 1
                 return None
             raise _refused(raw, error, where) from None
-        self._count_unknown(raw, entry, raw["kind"])
-        return entry
-
-    def _count_unknown(self, raw: Any, value: Any, name: str) -> None:
-        """Count the fields of an object, and of those in it, that it is not declared with."""
-        if isinstance(raw, list):
-            for each, made in zip(raw, value, strict=True):
-                if isinstance(each, dict):
-                    self._count_unknown(each, made, name)
-        elif not isinstance(value, dict):
-            known = _fields_of(value.__class__)
-            if not raw.keys() <= known:
-                for field in raw.keys() - known:
-                    self._unknown[f"field {name}.{field}, which is not known"] += 1
-            for field, inner in raw.items():
-                if isinstance(inner, dict | list) and field in known:
-                    self._count_unknown(inner, getattr(value, field), f"{name}.{field}")
-
-
-@cache
-def _fields_of(declared: type) -> frozenset[str]:
-    return frozenset({*get_type_hints(declared), "kind"})
 
 
 def _header_of(raw: Any, where: str) -> Header:

@@ -12,8 +12,8 @@ from typing import Final
 from markupsafe import Markup
 
 from companion.profiles import Weights
-from companion.telemetry.export.flight import PlannedSubpath
 from companion.telemetry.export.shapes import utc_text
+from companion.telemetry.flight import PlannedSubpath
 from companion.views.page import page
 from companion.views.report_facts import FlightFacts
 from companion.views.report_figures import svg_figures

@@ -13,10 +13,8 @@ from companion.geodesy import BoolArray, FloatArray
 from companion.mission import journal as noted
 from companion.mission.state import IN_AIR, Phase, Reason
 from companion.planner.field import cost_to_go
-from companion.telemetry.export.flight import Moment, RecordedFlight
 from companion.telemetry.export.health import FlightHealth
-from companion.telemetry.export.shapes import local_nea_m
-from companion.telemetry.export.track import IntArray
+from companion.telemetry.flight import Flight, IntArray, Moment
 from companion.world.columns import distances_to_terrain_m
 from companion.world.known_map import KnownMap
 from companion.world.radars import detection_probability
@@ -68,7 +66,7 @@ class FlightFacts:
     After a reboot they continue as the log's do.
     """
 
-    flight: RecordedFlight
+    flight: Flight
     health: FlightHealth
     known: KnownMap | None
     """The terrain as far as it was known at the end; None: it was not recorded."""
@@ -99,13 +97,13 @@ class FlightFacts:
     @cached_property
     def track_nea_m(self) -> FloatArray:
         """All positions.  -> (N, 3)."""
-        return local_nea_m(self.flight.track, self.flight.mission.frame)
+        return self.flight.places_nea_m
 
     @cached_property
     def on_the_way(self) -> BoolArray:
         """Which positions are in flight, after take-off and before landing.  -> (N,)."""
-        phases = self.flight.phase_of_positions()
-        return np.array([phase in _ON_THE_WAY for phase in phases], dtype=bool)
+        known = self.flight.decided_at_positions()
+        return np.array([each.phase in _ON_THE_WAY for each in known], dtype=bool)
 
     @property
     def duration_s(self) -> float:

@@ -23,7 +23,7 @@ from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome
 from companion.replay import reproduce
 from companion.replay.differences import message_of
-from companion.replay.from_log import LogReplay
+from companion.replay.reproduce import LogReplay
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, Input, packed
 

@@ -139,7 +139,7 @@ def test_an_event_that_is_clicked_is_shown_where_it_happened_though_it_flies_on(
 def served(folder: Path, port: int) -> Iterator[None]:
     """The page of a run folder, from this process."""
     over, ready = threading.Event(), threading.Event()
-    asked = Asked(paths=(str(folder),), port=port)
+    asked = Asked(path=str(folder), port=port)
     serving = threading.Thread(
         target=serve, args=(asked, lambda _: ready.set(), over.is_set), daemon=True
     )

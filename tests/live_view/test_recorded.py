@@ -16,7 +16,7 @@ from companion.config import load_mission
 from companion.errors import InputError
 from companion.live_view.command import Asked
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
-from companion.live_view.page import Flight, Page
+from companion.live_view.page import Page, Shown
 from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
 from companion.live_view.server import serve
@@ -59,8 +59,8 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(
             while replica.advance(_PATIENCE_S):
                 pass
     assert growing.events == whole.events
-    assert np.array_equal(growing.times_s, whole.times_s)
-    assert np.array_equal(growing.places_nea_m, whole.places_nea_m)
+    assert np.array_equal(growing.flight.times_s, whole.flight.times_s)
+    assert np.array_equal(growing.flight.places_nea_m, whole.flight.places_nea_m)
     at_once = Replica(folder)
     while at_once.advance(_PATIENCE_S):
         pass
@@ -105,13 +105,13 @@ def test_charts_tell_the_clearance_and_the_way_off_the_path(
     run_dir: tuple[Path, Session],
 ) -> None:
     folder, _ = run_dir
-    flight = Flight.of(folder)
+    flight = Shown.of(folder)
     assert flight.replica is not None
     while flight.replica.advance(_PATIENCE_S):
         pass
     with flight.recording:
         charts = charts_of(flight.recording, flight.replica)
-        phases = [flight.recording.decided_at(float(t)).phase for t in charts.times_s]
+        phases = [flight.recording.flight.decided_at(float(t)).phase for t in charts.times_s]
     down = np.array([phase in ("landing", "done") for phase in phases])
     assert down.any()
     assert np.isnan(charts.aside_m[down]).all()
@@ -119,7 +119,7 @@ def test_charts_tell_the_clearance_and_the_way_off_the_path(
     above_m = (charts.altitude_m - charts.under_m)[told]
     assert told.any()
     assert (charts.clearance_m[told] <= above_m + 1e-6).all()  # straight down is one way
-    assert np.nanmax(charts.aside_m) < flight.recording.mission.task.limits.tracking_error_m  # type: ignore[union-attr]
+    assert np.nanmax(charts.aside_m) < flight.recording.flight.mission.task.limits.tracking_error_m  # type: ignore[union-attr]
 
 
 # --- the page
@@ -129,8 +129,8 @@ def test_charts_tell_the_clearance_and_the_way_off_the_path(
 def shown(run_dir: tuple[Path, Session]) -> Iterator[tuple[viser.ViserServer, Page]]:
     rich.get_console().quiet = True
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    flight = Flight.of(run_dir[0])
-    page = Page(server, [flight])
+    flight = Shown.of(run_dir[0])
+    page = Page(server, flight)
     for second in range(40):  # of its clock: until all is read
         page.step(float(second), 1.0)
     with flight.recording:
@@ -189,9 +189,9 @@ def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
     monkeypatch.setattr(show, lambda _, ground: sent.append(ground))
     monkeypatch.setattr("companion.live_view.page._REPLAY_S", 0.0)
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    flight, now_s = Flight.of(run_dir[0]), 0.0
+    flight, now_s = Shown.of(run_dir[0]), 0.0
     assert flight.replica is not None
-    page = Page(server, [flight])
+    page = Page(server, flight)
     with flight.recording:
         while flight.replica._some():
             page.step(now_s, 0.1)
@@ -205,4 +205,4 @@ def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
 
 def test_a_folder_without_a_flight_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="it holds no mission"):
-        serve(Asked(paths=(str(tmp_path),), port=0), lambda _: None, lambda: True)
+        serve(Asked(path=str(tmp_path), port=0), lambda _: None, lambda: True)

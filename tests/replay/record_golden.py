@@ -21,7 +21,7 @@ from companion.campaign.in_process import Flying
 from companion.config import load_mission
 from companion.mavlink.link import Output
 from companion.mission.state import Phase
-from companion.replay.reproduce import Replay
+from companion.replay.feed import outputs
 from companion.replay.shadow import watch
 from companion.telemetry import inputs
 
@@ -167,14 +167,11 @@ def _free_port() -> int:
 def _cut(run: Path, to: Path, until_s: float) -> None:
     """The inputs of a flight up to a vehicle time."""
     mission = str(run / "mission.toml")
-    replay = Replay(
-        run, lambda start: load_mission(mission, start.profile), plans=False, compares=False
-    )
     told = []
-    for step in replay.steps():
-        if step.session.now_s > until_s:
+    for each, session, _ in outputs(run, lambda start: load_mission(mission, start.profile)):
+        if session.now_s > until_s:
             break
-        told.append(step.recorded_input)
+        told.append(each)
     to.write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 

@@ -13,7 +13,7 @@ from companion.config import load_mission
 from companion.mavlink.dialect import wire
 from companion.mavlink.frames import Receiver
 from companion.mission.state import Phase
-from companion.replay import session_inputs
+from companion.replay.feed import Feeder
 from companion.session import Session
 from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
@@ -44,13 +44,12 @@ def files_passed(session: Session, frame: bytes) -> list[str] | None:
 def test_a_position_passes_at_most_sixty_functions_in_fifteen_files() -> None:
     folder, passed = GOLDENS / "copter-loses-gps", []
     start, *rest = InputsFile(folder / inputs.FILE)
-    of = session_inputs.start_of(start)
-    session = session_inputs.session_of(
-        of, lambda _: load_mission(str(folder / "mission.toml"), of.profile)
-    )
+    feeder = Feeder(lambda of: load_mission(str(folder / "mission.toml"), of.profile))
+    feeder.take(start)
+    session = feeder.session
     for each in rest:
         if each[0] != "receive" or session.state.phase is not Phase.FLYING:
-            session_inputs.feed(session, each)
+            feeder.take(each)
             continue
         for message in Receiver().feed(each[1]):
             frame = bytes(message.get_msgbuf())

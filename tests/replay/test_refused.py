@@ -25,10 +25,9 @@ from short_flight import (
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.journal import VERSION
-from companion.mission.start import Start
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay import actions, reproduce
-from companion.replay.session_inputs import DamagedInputError, feed, session_of, start_of
+from companion.replay.feed import DamagedInputError, Feeder, start_of
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 
 
@@ -248,26 +247,27 @@ def test_a_damaged_input_is_refused_and_what_came_before_it_is_shown(run: Path) 
     ],
 )
 def test_what_is_nothing_that_a_session_is_told_is_named(run_dir: Path, told: Input) -> None:
-    session = session_of(start_of(next(iter(InputsFile(run_dir / FILE)))), mission_of_valley)
     with pytest.raises(DamagedInputError):
-        feed(session, told)
+        begun(run_dir).take(told)
 
 
-def mission_of_valley(_: Start) -> Any:
-    return load_mission("valley")
+def begun(run_dir: Path) -> Feeder:
+    feeder = Feeder(lambda _: load_mission("valley"))
+    feeder.take(next(iter(InputsFile(run_dir / FILE))))
+    return feeder
 
 
 def test_an_error_of_the_session_itself_is_not_called_a_broken_input(
     run_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session = session_of(start_of(next(iter(InputsFile(run_dir / FILE)))), mission_of_valley)
+    feeder = begun(run_dir)
 
     def broken(*_: object) -> None:
         raise KeyError("made up")
 
-    monkeypatch.setattr(session, "run", broken)
+    monkeypatch.setattr(feeder.session, "run", broken)
     with pytest.raises(KeyError, match="made up"):
-        feed(session, ("run",))
+        feeder.take(("run",))
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ from companion.path.subpath import Subpath
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import (
     Hold,
+    OffPath,
     ShadowReport,
     TrackDeviation,
     VehicleReport,
@@ -412,14 +413,16 @@ def test_the_distance_from_a_path_is_that_of_its_nearest_point() -> None:
     control = np.cumsum(rng.uniform(-20.0, 90.0, (8, 3)), axis=0)
     subpath = Subpath(control_nea_m=control)
     points = subpath.points_nea_m(np.arange(0.0, subpath.length_m, 0.05))
-    chords, off, squares = Chords(subpath), None, 0.0
+    chords, samples, squares = Chords(subpath), list[OffPath](), 0.0
     for number in range(50):
         here = points[rng.integers(len(points))] + rng.normal(0.0, 20.0, 3)
         apart_m = float(np.linalg.norm(points - here, axis=-1).min())
         off_m, along_m = chords.nearest(here)
         assert off_m == pytest.approx(apart_m, abs=0.1)  # chords of 5 m
-        off = TrackDeviation.of_all((off, TrackDeviation.at(float(number), off_m, along_m)))
+        samples.append(OffPath(float(number), off_m, along_m))
         squares += apart_m**2
+    off = TrackDeviation.of(samples)
+    assert off is not None
     assert off.positions == 50
     assert off.rms_m == pytest.approx((squares / 50) ** 0.5, abs=0.1)
     assert 0.0 <= off.from_m <= off.until_m <= subpath.length_m

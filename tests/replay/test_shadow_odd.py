@@ -362,17 +362,3 @@ def test_progress_only_rises_and_comes_to_the_end(tmp_path: Path) -> None:
     assert shown == sorted(shown)
     assert shown[-1] == (size, size)
     assert len(shown) > 1
-
-
-def test_lists_are_kept_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A position that jumps all the time."""
-    monkeypatch.setattr("companion.replay.shadow_notes.MOST", 5)
-
-    def leap(message: Message) -> None:
-        message.lat += 20_000 * (message.time_boot_ms // 2000 % 2)
-
-    path = written(tmp_path / "leaps.tlog", changed(recorded(PX4, until_s=60.0), POSITION, leap))
-    report = alone(path)
-    assert len([each for each in report.health if each.kind == "position jumped"]) <= 5
-    assert report.left_out["position jumped"] > 5
-    assert len(report.said) <= 5

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.mission.state import Phase
-from companion.replay import session_inputs
+from companion.replay.feed import Feeder
 from companion.session import Session
 from companion.telemetry import inputs
 from companion.telemetry.flight_status import FlightStatus, flight_status
@@ -27,17 +27,15 @@ def flights(name: str) -> Iterator[tuple[FlightSummary, dict[str, Any]]]:
     """A golden flight again, and by name the newest messages of its autopilot until then."""
     folder, newest = GOLDENS / name, dict[str, Any]()
     start, *rest = InputsFile(folder / inputs.FILE)
-    of = session_inputs.start_of(start)
-    session = session_inputs.session_of(
-        of, lambda _: load_mission(str(folder / "mission.toml"), of.profile)
-    )
-    flown, parser = FlightSummary(session=session), wire.MAVLink(None)
+    feeder = Feeder(lambda of: load_mission(str(folder / "mission.toml"), of.profile))
+    feeder.take(start)
+    flown, parser = FlightSummary(session=feeder.session), wire.MAVLink(None)
     for number, each in enumerate(rest):
         if each[0] == "receive" and len(each) == 3:
             for message in parser.parse_buffer(each[1]) or ():
                 if (message.get_srcSystem(), message.get_srcComponent()) == (1, 1):
                     newest[message.get_type()] = message
-        session_inputs.feed(session, each)
+        feeder.take(each)
         if number % EVERY == 0:
             yield flown, newest
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.telemetry.export import shapes
-from companion.telemetry.export.flight import PlannedSubpath, RecordedFlight
-from companion.telemetry.export.track import IntArray
+from companion.telemetry.flight import Flight, IntArray, PlannedSubpath
 from companion.world.zones import CircleZone
 
 Facts = dict[str, str | int | float | bool | None]
@@ -39,7 +38,7 @@ class Feature:
     """When the vehicle was at each point, microseconds since 1970; of tracks and events."""
 
 
-def features_of(flight: RecordedFlight) -> Iterator[Feature]:
+def features_of(flight: Flight) -> Iterator[Feature]:
     """The features of a flight, kind by kind."""
     yield from _track(flight)
     frame, task = flight.mission.frame, flight.mission.task
@@ -68,7 +67,7 @@ def features_of(flight: RecordedFlight) -> Iterator[Feature]:
     yield from _events(flight)
 
 
-def _track(flight: RecordedFlight) -> Iterator[Feature]:
+def _track(flight: Flight) -> Iterator[Feature]:
     """The flown track phase by phase, each up to where the next one begins; thinned if long."""
     whole = flight.track
     for phase, part in flight.segments():
@@ -106,7 +105,7 @@ def _is_unbounded(fact: object) -> bool:
     return isinstance(fact, float) and not math.isfinite(fact)
 
 
-def _events(flight: RecordedFlight) -> Iterator[Feature]:
+def _events(flight: Flight) -> Iterator[Feature]:
     """Holds, and what else has happened, where the vehicle was then."""
     for moment in flight.moments:
         at = flight.index_at(moment.boot, moment.t_s)

@@ -11,12 +11,12 @@ from typing import Any
 
 from companion.telemetry.export import shapes
 from companion.telemetry.export.features import Feature, features_of
-from companion.telemetry.export.flight import RecordedFlight
+from companion.telemetry.flight import Flight
 
 _DIGITS = (7, 7, 3)
 
 
-def write_geojson(flight: RecordedFlight, file: Path) -> None:
+def write_geojson(flight: Flight, file: Path) -> None:
     """Write a flight, one feature a line.  Raises OSError if that cannot be done."""
     head = {"type": "FeatureCollection", "name": flight.mission.name, "altitude_datum": "AMSL"}
     with file.open("w", encoding="utf-8") as out:

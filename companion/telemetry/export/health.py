@@ -8,7 +8,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mavlink.frames import V2, number_of, payload_of, sender_of
-from companion.telemetry.export.track import IntArray
+from companion.telemetry.flight import IntArray
 from companion.telemetry.logs import Record
 
 _GPS: Final = wire.MAVLink_gps_raw_int_message

@@ -12,7 +12,7 @@ from companion.geodesy import FloatArray
 from companion.mission.state import Phase
 from companion.telemetry.export import shapes
 from companion.telemetry.export.features import Feature, features_of
-from companion.telemetry.export.flight import RecordedFlight
+from companion.telemetry.flight import Flight
 
 _PHASES: Final = {
     Phase.TAKING_OFF.value: "ffb4771f",
@@ -44,7 +44,7 @@ _FOLDERS: Final = {
 """And the kinds of features in each."""
 
 
-def write_kml(flight: RecordedFlight, file: Path) -> None:
+def write_kml(flight: Flight, file: Path) -> None:
     """Write a flight.  Raises OSError if that cannot be done."""
     documents = Environment(
         loader=PackageLoader("companion.telemetry", "export"),

@@ -9,7 +9,7 @@ import numpy as np
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mission.events import Vector
 from companion.path.subpath import Subpath
-from companion.telemetry.export.track import IntArray, Track
+from companion.telemetry.flight import IntArray, Track
 from companion.world.radars import Radar
 from companion.world.zones import CircleZone, Zone
 
@@ -31,13 +31,6 @@ def utc_text(time_us: int) -> str:
 def of_track(track: Track) -> FloatArray:
     """Its positions.  -> (N, 3)."""
     return np.column_stack([track.longitude_deg, track.latitude_deg, track.altitude_amsl_m])
-
-
-def local_nea_m(track: Track, frame: LocalFrame) -> FloatArray:
-    """Its positions in the local frame.  -> (N, 3) north, east, altitude AMSL."""
-    places = zip(track.latitude_deg.tolist(), track.longitude_deg.tolist(), strict=True)
-    ne_m = np.array([frame.to_local_m(*place) for place in places]).reshape(-1, 2)
-    return np.column_stack([ne_m, track.altitude_amsl_m])
 
 
 def of_points(points_nea_m: FloatArray, frame: LocalFrame) -> FloatArray:

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 
 from companion.telemetry.export import shapes
-from companion.telemetry.export.flight import RecordedFlight
+from companion.telemetry.flight import Flight
 
 COLUMNS = {
     "utc": "time of the log, ISO 8601",
@@ -27,28 +27,25 @@ COLUMNS = {
 """The columns and what they mean (docs/export.md)."""
 
 
-def write_csv(flight: RecordedFlight, file: Path) -> None:
+def write_csv(flight: Flight, file: Path) -> None:
     """Write the track.  Raises OSError if that cannot be done."""
-    track, frame = flight.track, flight.mission.frame
-    known = flight.decided_at_positions()
+    track, places, known = flight.track, flight.places_nea_m, flight.decided_at_positions()
     with file.open("w", encoding="utf-8", newline="") as out:
         rows = csv.writer(out)
         rows.writerow(COLUMNS)
         for k in range(len(track)):
-            latitude, longitude = float(track.latitude_deg[k]), float(track.longitude_deg[k])
-            north_m, east_m = frame.to_local_m(latitude, longitude)
             heading = float(track.heading_deg[k])
             rows.writerow(
                 (
                     shapes.utc_text(track.time_us[k]),
                     f"{track.t_s[k]:.3f}",
                     track.boot[k],
-                    f"{latitude:.7f}",
-                    f"{longitude:.7f}",
+                    f"{track.latitude_deg[k]:.7f}",
+                    f"{track.longitude_deg[k]:.7f}",
                     f"{track.altitude_amsl_m[k]:.3f}",
                     f"{track.above_home_m[k]:.3f}",
-                    f"{north_m:.2f}",
-                    f"{east_m:.2f}",
+                    f"{places[k, 0]:.2f}",
+                    f"{places[k, 1]:.2f}",
                     f"{track.north_m_s[k]:.2f}",
                     f"{track.east_m_s[k]:.2f}",
                     f"{track.up_m_s[k]:.2f}",

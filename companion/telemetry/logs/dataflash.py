@@ -60,21 +60,14 @@ _VEHICLES: Final = {
     "AntennaTracker": wire.MAV_TYPE_ANTENNA_TRACKER,
 }
 """What VER.FWS, and the greeting in MSG, begin with."""
-_FRAME_CLASSES: Final = {
-    2: wire.MAV_TYPE_HEXAROTOR,
-    3: wire.MAV_TYPE_OCTOROTOR,
-    4: wire.MAV_TYPE_OCTOROTOR,
-    5: wire.MAV_TYPE_HEXAROTOR,
-    6: wire.MAV_TYPE_HELICOPTER,
-    7: wire.MAV_TYPE_TRICOPTER,
-    8: wire.MAV_TYPE_COAXIAL,
-    9: wire.MAV_TYPE_COAXIAL,
-    11: wire.MAV_TYPE_HELICOPTER,
-    12: wire.MAV_TYPE_DODECAROTOR,
-    13: wire.MAV_TYPE_HELICOPTER,
-    14: wire.MAV_TYPE_DECAROTOR,
-}
-"""FRAME_CLASS of a copter that has other than four rotors."""
+_ROTORS: Final = (
+    *(wire.MAV_TYPE_QUADROTOR, wire.MAV_TYPE_QUADROTOR, wire.MAV_TYPE_HEXAROTOR),
+    *(wire.MAV_TYPE_OCTOROTOR, wire.MAV_TYPE_OCTOROTOR, wire.MAV_TYPE_HEXAROTOR),
+    *(wire.MAV_TYPE_HELICOPTER, wire.MAV_TYPE_TRICOPTER, wire.MAV_TYPE_COAXIAL),
+    *(wire.MAV_TYPE_COAXIAL, wire.MAV_TYPE_QUADROTOR, wire.MAV_TYPE_HELICOPTER),
+    *(wire.MAV_TYPE_DODECAROTOR, wire.MAV_TYPE_HELICOPTER, wire.MAV_TYPE_DECAROTOR),
+)
+"""MAV_TYPE of a copter by its FRAME_CLASS."""
 _MODE_FLAGS: Final = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | wire.MAV_MODE_FLAG_STABILIZE_ENABLED
 _ARMED, _DISARMED, _AUTO_ARMED, _LANDED, _NOT_LANDED = 10, 11, 15, 18, 28
 """EV.Id."""
@@ -199,7 +192,7 @@ class _Look:
     def mav_type(self) -> int | None:
         """MAV_TYPE; None: nothing tells."""
         if self._vehicle == wire.MAV_TYPE_QUADROTOR:
-            return int(_FRAME_CLASSES.get(self._frame_class, wire.MAV_TYPE_QUADROTOR))
+            return int(_ROTORS[self._frame_class])
         return self._vehicle
 
     def at_row(self, row: Row) -> None:
@@ -215,7 +208,8 @@ class _Look:
                     if 1 <= values["Value"] <= 255:
                         self.system_id = int(values["Value"])
                 case "PARM" if values["Name"] == "FRAME_CLASS":
-                    self._frame_class = int(values["Value"])
+                    known = 0 <= values["Value"] < len(_ROTORS)
+                    self._frame_class = int(values["Value"]) if known else 0
                 case "VER":
                     self._on_text(values.get("FWS", ""))
                 case "MSG" if self._vehicle is None:

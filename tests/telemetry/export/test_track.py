@@ -13,10 +13,8 @@ from companion.geodesy import LocalFrame
 from companion.mission import journal as noted
 from companion.mission.journal import Header
 from companion.telemetry.export import shapes
-from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.kml import write_kml
-from companion.telemetry.export.track import Track, track_of
-from companion.telemetry.logs import Record
+from companion.telemetry.flight import Flight
 from companion.world.radars import Radar
 
 EPOCH_US = 1_790_000_000_000_000
@@ -33,18 +31,21 @@ def position(
     return bytes(message.pack(codec, force_mavlink1=v1))
 
 
-def track(*frames: bytes, system_id: int | None = 1) -> Track:
-    records = [Record(EPOCH_US + 100_000 * k, frame) for k, frame in enumerate(frames)]
-    return track_of(records, system_id)
+def flight(*frames: bytes, system_id: int | None = 1) -> Flight:
+    found = Flight(MISSION, system_id)
+    for k, frame in enumerate(frames):
+        found.look(EPOCH_US + 100_000 * k, frame)
+    found.settle()
+    return found
 
 
-def at(*times_s: float) -> Track:
-    return track(*(position(time_s) for time_s in times_s))
+def at(*times_s: float) -> Flight:
+    return flight(*(position(time_s) for time_s in times_s))
 
 
 @pytest.mark.parametrize("v1", [False, True])
 def test_units_signs_and_datums(v1: bool) -> None:
-    found = track(position(12.3, v1=v1))
+    found = flight(position(12.3, v1=v1)).track
     values = {
         "t_s": 12.3,
         "time_us": EPOCH_US,
@@ -61,51 +62,55 @@ def test_units_signs_and_datums(v1: bool) -> None:
 
 
 def test_zeros_that_the_protocol_leaves_out_are_there() -> None:
-    found = track(position(1.0, vx=0, vy=0, vz=0, hdg=0, relative_alt=0))
+    found = flight(position(1.0, vx=0, vy=0, vz=0, hdg=0, relative_alt=0)).track
     assert (found.up_m_s[0], found.heading_deg[0], found.above_home_m[0]) == (0.0, 0.0, 0.0)
 
 
 def test_a_heading_that_is_not_known_is_no_number() -> None:
-    assert np.isnan(track(position(1.0, hdg=65535)).heading_deg[0])
+    assert np.isnan(flight(position(1.0, hdg=65535)).track.heading_deg[0])
 
 
 def test_only_the_autopilot_of_the_vehicle_counts() -> None:
     others = [position(1.0, ids=ids) for ids in ((2, 1), (1, 195), (255, 190))]
-    assert len(track(*others, position(2.0))) == 1
-    assert len(track(*others, position(2.0), system_id=None)) == 2
+    assert len(flight(*others, position(2.0)).track) == 1
+    assert len(flight(*others, position(2.0), system_id=None).track) == 2
     beat = wire.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
-    assert len(track(bytes(beat.pack(wire.MAVLink(None, 1, 1))))) == 0
+    assert len(flight(bytes(beat.pack(wire.MAVLink(None, 1, 1)))).track) == 0
 
 
 def test_positions_before_there_is_a_fix_are_left_out_and_counted() -> None:
-    found = track(position(1.0, lat=0, lon=0), position(2.0, lat=2_000_000_000), position(3.0))
-    assert found.t_s.tolist() == [3.0]
+    found = flight(position(1.0, lat=0, lon=0), position(2.0, lat=2_000_000_000), position(3.0))
+    assert found.track.t_s.tolist() == [3.0]
     assert found.left_out == 2
 
 
 def test_a_clock_that_begins_again_is_a_reboot_and_a_single_fall_is_a_mistake() -> None:
     found = at(100.0, 100.1, 3.0, 100.2, 100.3, 0.5, 0.6, 100.9, 0.7)
     kept = [100.0, 100.1, 100.2, 100.3, 0.5, 0.6, 100.9, 0.7]
-    np.testing.assert_allclose(found.t_s, kept)
-    assert found.boot.tolist()[:6] == [0, 0, 0, 0, 1, 1]
+    np.testing.assert_allclose(found.track.t_s, kept)
+    assert found.track.boot.tolist()[:6] == [0, 0, 0, 0, 1, 1]
     assert found.left_out == 1
-    assert at(5.0, 4.5, 5.1).boot.tolist() == [0, 0, 0]  # in no order: no reboot
+    assert at(5.0, 4.5, 5.1).track.boot.tolist() == [0, 0, 0]  # in no order: no reboot
 
 
 def test_a_log_without_positions_is_an_empty_track() -> None:
-    found = track()
-    assert (len(found), found.left_out) == (0, 0)
-    assert shapes.of_track(found).shape == (0, 3)
+    found = flight()
+    assert (len(found.track), found.left_out) == (0, 0)
+    assert shapes.of_track(found.track).shape == (0, 3)
 
 
 # --- entries and positions meet by the vehicle's clock
 
 
-def built(track: Track, *lines: Any) -> RecordedFlight:
-    builder = FlightBuilder(MISSION)
+def built(flight: Flight, *lines: Any) -> Flight:
     for line in lines:
-        builder.take(line)
-    return builder.flight(track)
+        flight.take(line)
+    flight.settle()
+    return flight
+
+
+def phases(flight: Flight) -> list[str]:
+    return [each.phase for each in flight.decided_at_positions()]
 
 
 def phase(time_s: float, name: str, reason: str | None = None) -> Any:
@@ -118,51 +123,51 @@ def header(**more: Any) -> Header:
 
 
 def test_phases_begin_at_the_position_of_their_time() -> None:
-    flight = built(at(1.0, 2.0, 3.0, 4.0), phase(0.5, "preparing"), phase(3.0, "flying"))
-    assert flight.phase_of_positions() == ["preparing", "preparing", "flying", "flying"]
-    assert flight.segments() == [("preparing", slice(0, 2)), ("flying", slice(2, 4))]
+    found = built(at(1.0, 2.0, 3.0, 4.0), phase(0.5, "preparing"), phase(3.0, "flying"))
+    assert phases(found) == ["preparing", "preparing", "flying", "flying"]
+    assert found.segments() == [("preparing", slice(0, 2)), ("flying", slice(2, 4))]
 
 
 def test_after_a_reboot_times_count_from_the_new_boot() -> None:
     reboot = noted.VehicleRebooted(t_s=0.4)
     lines = [phase(100.0, "flying"), reboot, phase(0.4, "preparing"), phase(0.6, "holding", "x")]
-    flight = built(at(99.0, 100.0, 101.0, 0.5, 0.6), *lines)
-    assert flight.phase_of_positions() == ["waiting", "flying", "flying", "preparing", "holding"]
-    assert [(m.what, m.boot) for m in flight.moments] == [("reboot", 1), ("hold", 1)]
-    assert flight.index_at(1, 0.6) == 4
-    assert flight.index_at(0, 0.6) == 0
+    found = built(at(99.0, 100.0, 101.0, 0.5, 0.6), *lines)
+    assert phases(found) == ["waiting", "flying", "flying", "preparing", "holding"]
+    assert [(m.what, m.boot) for m in found.moments] == [("reboot", 1), ("hold", 1)]
+    assert found.index_at(1, 0.6) == 4
+    assert found.index_at(0, 0.6) == 0
 
 
 def test_a_reboot_while_no_companion_ran_is_seen_by_the_clock() -> None:
     lines = [header(), phase(1000.0, "flying"), header(resumed=1), phase(5.0, "preparing")]
-    flight = built(at(1000.0, 1001.0, 5.0), *lines)
-    assert flight.phase_of_positions() == ["flying", "flying", "preparing"]
+    found = built(at(1000.0, 1001.0, 5.0), *lines)
+    assert phases(found) == ["flying", "flying", "preparing"]
 
 
 def test_what_the_companion_did_before_it_knew_the_clock_counts_from_the_first_position() -> None:
     """It waited nine seconds for a vehicle that had been on for two."""
-    flight = built(at(2.0, 3.0), phase(9.0, "preparing"), phase(3.0, "arming"))
-    assert flight.phase_of_positions() == ["waiting", "arming"]
+    found = built(at(2.0, 3.0), phase(9.0, "preparing"), phase(3.0, "arming"))
+    assert phases(found) == ["waiting", "arming"]
 
 
 def test_without_positions_nothing_has_a_place() -> None:
-    flight = built(track(), phase(1.0, "holding", "x"))
-    assert flight.index_at(0, 1.0) is None
-    assert flight.segments() == []
+    found = built(flight(), phase(1.0, "holding", "x"))
+    assert found.index_at(0, 1.0) is None
+    assert found.segments() == []
 
 
 def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
     circle = {"name": "a", "north_m": 1.0, "east_m": 2.0, "radius_m": 3.0, "keep_in": True}
     fence = {"kind": "fence", "t_s": 1.0, "floor_amsl_m": None, "ceiling_amsl_m": None}
     order = {"t_s": 3.0, "kind": "order", "sender": "255/190", "speed_m_s": None}
-    flight = built(
+    found = built(
         at(1.0),
         noted.entry_of({**fence, "zones": [circle, circle]}),
         noted.entry_of({**fence, "zones": [circle]}),
         noted.Targets(t_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0))),
     )
-    assert flight.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
-    assert len(flight.zones) == 1
+    assert found.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
+    assert len(found.zones) == 1
     there = noted.entry_of({**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]})
     pause = noted.entry_of({**order, "order": "PAUSE", "target_ne_m": None})
     assert built(at(1.0), there, pause).targets_ne_m == ((9.0, 10.0),)
@@ -173,21 +178,7 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
 
 def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(tmp_path: Path) -> None:
     count = 3 * shapes.MAX_POINTS - 7
-    numbers = np.arange(count, dtype=np.float64)
-    zeros = np.zeros(count)
-    long = Track(
-        time_us=EPOCH_US + np.arange(count) * 100_000,
-        boot=np.zeros(count, dtype=np.int64),
-        t_s=numbers * 0.1,
-        latitude_deg=47.0 + numbers * 1e-6,
-        longitude_deg=8.0 + zeros,
-        altitude_amsl_m=zeros,
-        above_home_m=zeros,
-        north_m_s=zeros,
-        east_m_s=zeros,
-        up_m_s=zeros,
-        heading_deg=zeros,
-    )
+    long = flight(*(position(0.1 * k, lat=470_000_000 + 10 * k) for k in range(count)))
     kept = shapes.thinned(slice(0, count), count)
     assert len(kept) <= shapes.MAX_POINTS + 1
     assert (kept[0], kept[-1]) == (0, count - 1)

@@ -1,0 +1,149 @@
+"""Feeds recorded inputs to an equal session: replay, what-if, report and view are made of this."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Final, final
+
+import msgspec
+from msgspec import Meta
+
+from companion.errors import InputError
+from companion.mavlink.link import Input, Output
+from companion.mission import checkpoint
+from companion.mission.mission import Mission
+from companion.mission.start import Resume, Start, SystemId
+from companion.planner.request import PlanOutcome, outcome_of
+from companion.profiles import PROFILES
+from companion.session import Session
+from companion.telemetry.inputs import FILE, InputsFile
+from companion.world.known_map import unpacked_map
+
+RUNTIME_RECORDS: Final = frozenset({"unsent", "raised", "held"})
+"""Records about a session and its output, which are not fed to the session."""
+_Seconds = Annotated[float, Meta(ge=-1e300, le=1e300)]
+_ARGUMENTS: Final[dict[str, Any]] = {
+    "receive": tuple[bytes, _Seconds | None],
+    "run": tuple[()],
+    "silence": tuple[_Seconds],
+    "deliver": tuple[Any],
+    "stop": tuple[()],
+    "say_go": tuple[()],
+    "complain": tuple[str],
+    "part_died": tuple[str, str],
+    "recording_stopped": tuple[str],
+    "farewell": tuple[()],
+}
+"""The calls of a session that are inputs."""
+SESSION_CALLS: Final = frozenset(_ARGUMENTS)
+MissionOf = Callable[[Start], Mission]
+"""The mission that a session flew: by its profile, from wherever it is kept."""
+
+
+class DamagedInputError(Exception):
+    """A record is not a valid input of a session."""
+
+
+@final
+class Feeder:
+    """A session like the one that flew, and one more each time that the companion was resumed."""
+
+    def __init__(self, mission_of: MissionOf) -> None:
+        """Nothing is known before the first start."""
+        self._mission_of = mission_of
+        self._session: Session | None = None
+
+    @property
+    def session(self) -> Session:
+        """The present one.  DamagedInputError before the first start."""
+        if self._session is None:
+            raise DamagedInputError("nothing before any start")
+        return self._session
+
+    def take(self, told: Input) -> Output | None:
+        """Take the next input; what the session gave, if it was a run.
+
+        DamagedInputError: it is not a valid input.  Errors of the session are passed on.
+        """
+        if told[0] == "start":
+            self._session = None
+            self._session = _session_of(start_of(told), self._mission_of)
+            return None
+        if self._session is None:
+            raise DamagedInputError(f"{told[0]!r} before any start")
+        if told[0] in RUNTIME_RECORDS:
+            return None
+        call, *given = told
+        try:
+            arguments = msgspec.convert(given, _ARGUMENTS.get(call))
+        except msgspec.ValidationError as error:
+            raise DamagedInputError(f"an input that is none ({call!r:.40})") from error
+        if call == "deliver":
+            arguments = (answer_of(told),)
+        output = getattr(self._session, call)(*arguments)
+        return output if isinstance(output, Output) else None
+
+
+def outputs(folder: Path, mission_of: MissionOf) -> Iterator[tuple[Input, Session, Output | None]]:
+    """What equal sessions make of a run folder's inputs: each, the session and its output.
+
+    It ends with the recording, or where the session cannot be fed on.  InputError if the folder
+    has no inputs, or of another version.
+    """
+    feeder = Feeder(mission_of)
+    for told in InputsFile(folder / FILE):
+        try:
+            output = feeder.take(told)
+        except InputError:
+            raise
+        except Exception:  # noqa: BLE001 - damage, or the session's own error: the flight's end
+            return
+        yield told, feeder.session, output
+
+
+def start_of(told: Input) -> Start:
+    """What a session was made of, of a recorded input.  DamagedInputError: it is none."""
+    try:
+        start = msgspec.convert(told[1], Start)
+        msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
+    except (IndexError, msgspec.ValidationError) as error:
+        raise DamagedInputError(f"a start that is none ({error})") from error
+    if start.profile not in PROFILES:
+        raise DamagedInputError(f"a start that is none (profile {start.profile!r:.40})")
+    return start
+
+
+def answer_of(told: Input) -> PlanOutcome:
+    """The answer of the planner that was delivered.  DamagedInputError: it is none."""
+    try:
+        return outcome_of(told[1])
+    except (IndexError, *checkpoint.DECODE_ERRORS) as error:
+        raise DamagedInputError(f"an answer of the planner that is none ({error!r:.80})") from error
+
+
+def _session_of(start: Start, mission_of: MissionOf) -> Session:
+    mission = replace(mission_of(start), system_id=start.system_id)
+    return Session(
+        mission,
+        seed=start.seed,
+        lockstep=start.lockstep,
+        shadow=start.shadow,
+        resume=_resume_of(start, mission),
+        go=start.go,
+        version=start.companion,
+    )
+
+
+def _resume_of(start: Start, mission: Mission) -> Resume | None:
+    if start.resume is None:
+        return None
+    try:
+        known = None if start.known is None else unpacked_map(start.known)
+        if known is not None:
+            known = known.with_what_was_given(checkpoint.blank_map(mission))
+        resume = start.resume, known
+        checkpoint.initial_state(mission, resume)
+    except checkpoint.DECODE_ERRORS as error:
+        why = f"{type(error).__name__}: {error}"
+        raise DamagedInputError(f"a start that cannot be gone on from ({why})") from error
+    return resume
