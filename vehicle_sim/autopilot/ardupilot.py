@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Final, final
 
 import numpy as np
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import (
     AUTOPILOT_VERSION,
@@ -29,11 +28,11 @@ from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilots import (
     Command,
     FirmwareProfile,
+    Landed,
     Place,
     Reply,
     Result,
     Sender,
-    SendMessage,
     Setpoint,
     State,
     Status,
@@ -166,6 +165,10 @@ class ArduFlight(Flight):
     @abc.abstractmethod
     def fly_item(self, number: int) -> None:
         """Another item of the mission is the current one: in AUTO it goes there at once."""
+
+    @abc.abstractmethod
+    def landed_state(self) -> Landed:
+        """What EXTENDED_SYS_STATE says."""
 
     @abc.abstractmethod
     def base_mode(self) -> int:
@@ -504,10 +507,6 @@ class ArduPilot(Autopilot):
             self.fence.load(self.now_s)
         self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
         return ()
-
-    def reached(self, number: int) -> None:
-        """Send MISSION_ITEM_REACHED to all links."""
-        self.reply(SendMessage(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
 
     # --- telling ------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.earth import Frame, Vector
 from vehicle_sim.autopilot.estimator import Estimator, Timing
@@ -20,12 +21,12 @@ from vehicle_sim.autopilots import (
     Ack,
     Command,
     FirmwareProfile,
-    Landed,
     Place,
     Reboot,
     Reply,
     Result,
     Sender,
+    SendMessage,
     SendTelemetry,
     Setpoint,
     Status,
@@ -39,6 +40,7 @@ from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
+DO_SET_MODE: Final = 176
 HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
 FORCE: Final = 21196.0
 """Second parameter of COMPONENT_ARM_DISARM: without asking."""
@@ -91,6 +93,8 @@ class Firmware:
     """The answer to what cannot be done now."""
     first_item: int
     """Of a mission: ArduPilot keeps home as item 0."""
+    acks_modes_twice: bool = False
+    """DO_SET_MODE is accepted whatever it asks for; the real result follows (px4.md 1, item 1)."""
 
 
 class Flight(abc.ABC):
@@ -157,10 +161,6 @@ class Flight(abc.ABC):
         """The motors have stopped."""
 
     @abc.abstractmethod
-    def landed_state(self) -> Landed:
-        """What EXTENDED_SYS_STATE says."""
-
-    @abc.abstractmethod
     def echo(self) -> TargetEcho | None:
         """What it steers for."""
 
@@ -208,6 +208,7 @@ class Autopilot(abc.ABC):
         self._check_us = round(firmware.first_check_s * 1e6)
         self._attitude_rad = (0.0, 0.0, vehicle.heading_rad)
         self._turned_rad, self._turned_s = (0.0, 0.0, 0.0), 0.01
+        self._any_component = firmware.profile.firmware == "px4"  # its own may be any
         self.handlers: dict[int, Handler] = {}
         """What answers which MAV_CMD."""
 
@@ -299,7 +300,8 @@ class Autopilot(abc.ABC):
                 self.touched_s = None
             elif self.touched_s is None:
                 self.touched_s = self.now_s
-            elif self.now_s - self.touched_s >= self.firmware.believes_landing_s:
+            waited_s = 0.0 if self.touched_s is None else self.now_s - self.touched_s
+            if not self.armed or waited_s >= self.firmware.believes_landing_s:
                 self.landed, self.landed_s = True, self.now_s
                 self.flight.on_landed()
         if self.armed and self.landed:
@@ -353,10 +355,15 @@ class Autopilot(abc.ABC):
 
     def on_command(self, command: Command) -> Sequence[Reply]:
         """Handle a command; returns the replies."""
-        handler, result = self.handlers.get(command.number), Result.UNSUPPORTED
-        if handler is not None and command.target_component in (0, 1):
+        number, sender, result = command.number, command.sender, Result.UNSUPPORTED
+        handler = self.handlers.get(number)
+        if handler is not None and (self._any_component or command.target_component in (0, 1)):
             result = handler(command)
-        return [Ack(to=command.sender, command=command.number, result=result), *self.taken()]
+        said = [Ack(to=sender, command=number, result=result), *self.taken()]
+        if number == DO_SET_MODE and self.firmware.acks_modes_twice:
+            self._said = said
+            return [Ack(to=sender, command=number, result=Result.ACCEPTED)]
+        return said
 
     def set_home(self, place: Place) -> Result:
         """DO_SET_HOME, once it is known where to."""
@@ -365,6 +372,10 @@ class Autopilot(abc.ABC):
         self.home = place
         self.send(HOME_POSITION)
         return Result.ACCEPTED
+
+    def reached(self, number: int) -> None:
+        """Send MISSION_ITEM_REACHED to all links."""
+        self.reply(SendMessage(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
 
     def answer(self, message: int) -> Handler:
         """An old command that asks for one message."""
