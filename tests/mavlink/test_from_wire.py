@@ -32,8 +32,8 @@ from companion.mission.events import (
     Vector,
     VehicleStatus,
 )
+from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.flat_earth import offset
 from vehicle_sim.autopilots.px4.setpoints import Projection
 
 each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
@@ -223,7 +223,7 @@ def test_an_echo_of_arducopter_is_read_on_its_flat_earth(
 ) -> None:
     latitude, longitude = geodetic(*origin[:2])
     here = Place(latitude_deg=latitude, longitude_deg=longitude, altitude_amsl_m=origin[2])
-    there = offset(here, *ne_m, 0.0)
+    there = FlatEarth(here).place(*ne_m, 0.0)
     read = event(local_target(*ne_m, -60.0, vx=3.0, vz=-1.0), ARDUCOPTER, origin)
     assert isinstance(read, Echo)
     _, _, off_m = GEOD.inv(

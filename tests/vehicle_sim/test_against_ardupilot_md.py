@@ -1082,17 +1082,12 @@ def plane_radius(asked_m: float, flown_m: float, ccw: float) -> None:
     assert (turn < 0.0) is bool(ccw)
 
 
-@says_in_rows(
-    "7", {"a new point ends a heading": (True,), "heading type default ends it": (False,)}
-)
-def plane_heading_ends(by_point: bool) -> None:
+@says("7", "a new point ends a heading")
+def plane_heading_ends() -> None:
     wire = circling()
     wire.command(43002, 0, 90.0, 3.0, frame=0)
     wire.run(15.0)
-    if by_point:
-        assert reposition(wire, 0.0, 0.0, 80.0) == ACCEPTED
-    else:
-        assert wire.command(43002, 2, 0.0, 3.0, frame=0) == ACCEPTED
+    assert reposition(wire, 0.0, 0.0, 80.0) == ACCEPTED
     wire.run(60.0)
     assert away_m(wire) < 130.0
 

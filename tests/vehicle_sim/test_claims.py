@@ -8,8 +8,7 @@ import pytest
 from over_the_wire import KINDS, PLACE, Link, flying, ready
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import arducopter
-from vehicle_sim.autopilots.ardupilot import plane_navigation
+from vehicle_sim.autopilot import arducopter, arduplane
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, NAMES, Mode
 
 Kind = tuple[Any, Any]
@@ -166,9 +165,8 @@ def test_what_it_says_that_it_can_do_it_does(kind: Kind) -> None:
 def modes_of(kind: Kind) -> dict[int, str]:
     if kind[0] == "px4":
         return {number: NAMES[mode] for mode, number in CUSTOM_MODES.items()}
-    if kind[1] == "copter":
-        return {mode.number: mode.name for mode in arducopter.MODES}
-    return dict(plane_navigation.NAMES)
+    firmware = arducopter.FIRMWARE if kind[1] == "copter" else arduplane.FIRMWARE
+    return {mode.number: mode.name for mode in firmware.modes}
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
@@ -177,7 +175,7 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Kind) -> None:
     if client.firmware == "px4":
         back = CUSTOM_MODES[Mode.LOITER]
     else:
-        back = 4 if client.kind == "copter" else plane_navigation.Mode.GUIDED
+        back = 4 if client.kind == "copter" else 15
     for number, name in modes_of((client.firmware, client.kind)).items():
         since_s = client.now_s
         result = client.set_mode(number)

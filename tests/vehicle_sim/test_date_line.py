@@ -8,8 +8,8 @@ import pytest
 from flown import ALL, Flown
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.flat_earth import bearing_rad, distance_m, offset
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.plans import PlanItem, PlanKind
@@ -86,10 +86,10 @@ def test_a_flight_over_the_date_line_is_that_over_any_other_meridian(
 
 def test_the_flat_earth_has_no_seam() -> None:
     west, east = Place(47.0, 179.9999, 0.0), Place(47.0, -179.9999, 0.0)
-    same = distance_m(Place(47.0, 8.0, 0.0), Place(47.0, 8.0002, 0.0))
-    assert distance_m(west, east) == pytest.approx(same, rel=1e-6)
-    assert bearing_rad(west, east) == pytest.approx(math.pi / 2)
-    assert offset(west, 0.0, same).longitude_deg == pytest.approx(-179.9999)
+    same = way_m(Place(47.0, 8.0, 0.0), Place(47.0, 8.0002, 0.0))
+    assert way_m(west, east) == pytest.approx(same, rel=1e-6)
+    assert (same.real, same.imag > 0.0) == (0.0, True)
+    assert FlatEarth(west).place(0.0, same.imag, 0.0).longitude_deg == pytest.approx(-179.9999)
 
 
 def test_a_receiver_whose_noise_crosses_the_line_is_believed() -> None:

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import arducopter, px4copter
+from vehicle_sim.autopilot import arducopter, arduplane, px4copter
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
-from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.autopilots.px4.autopilot import parameter_rows
 from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.errors import InputError
@@ -433,8 +432,8 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
         ),
         (arducopter.FIRMWARE.table, "WP_SPD_DN", "It is called WPNAV_SPEED_DN here, in cm/s."),
         (arducopter.FIRMWARE.table, "MAV_SYS_ID", "It is called MAV_SYSID here."),
-        (ArduPlane.TABLE, "TRIM_ARSPD_CM", "It is called AIRSPEED_CRUISE here, in m/s."),
-        (ArduPlane.TABLE, "FS_GCS_ENABLE", "It is called FS_GCS_ENABL here."),
+        (arduplane.FIRMWARE.table, "TRIM_ARSPD_CM", "It is called AIRSPEED_CRUISE here, in m/s."),
+        (arduplane.FIRMWARE.table, "FS_GCS_ENABLE", "It is called FS_GCS_ENABL here."),
         (px4copter.FIRMWARE.table, "SYSID_THISMAV", "It is called MAV_SYS_ID here."),
         (
             px4copter.FIRMWARE.table,
@@ -454,7 +453,7 @@ def test_names_of_other_releases_are_told_by_the_one_of_here(
 
 
 def test_every_name_of_another_release_is_known_by_its_new_one_somewhere() -> None:
-    rows = {row.name for row in (*arducopter.FIRMWARE.table, *ArduPlane.TABLE)}
+    rows = {row.name for row in (*arducopter.FIRMWARE.table, *arduplane.FIRMWARE.table)}
     rows |= {row.name for row in (*px4copter.FIRMWARE.table, *parameter_rows(*Px4FixedWing.TABLES))}
     for was, now, *_ in RENAMED:
         pattern = now.replace("\\1", r"\w+")

@@ -9,8 +9,8 @@ import numpy as np
 import rig
 from rig import STEP_S
 
+from vehicle_sim.autopilot import arduplane
 from vehicle_sim.autopilots import Result, SendMessage
-from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.plans import Plans
@@ -37,7 +37,7 @@ class Rig(rig.Rig):
         )
         self.plans = Plans()
         rng = np.random.default_rng(1)
-        autopilot = ArduPlane(self.plane, parameters or {}, self.plans, rng=rng)
+        autopilot = arduplane.make(self.plane, parameters or {}, self.plans, rng=rng)
         super().__init__(autopilot, GROUND_M, Gps(ARDUPLANE, rng))
         self.frame = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
 

@@ -10,12 +10,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from vehicle_sim.autopilot.ardupilot import ArduFlight, ArduPilot, profile
+from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
 from vehicle_sim.autopilot.core import Firmware, Handler, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
-from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.ideal import Ideal, Spatial
 from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back, leg_of
 from vehicle_sim.autopilot.setpoints import (
@@ -74,30 +72,7 @@ FIRMWARE: Final = Firmware(
     lands="LAND",
     returns="RTL",
     pilot="LOITER",
-    timing=Timing(
-        # arducopter-gps-loss.tlog, ardupilot.md 5
-        stages=((0.0, 0x400), (4.46, 0x000), (5.9, 0x0A7)),
-        flags={
-            Estimates.GOOD: 0x33F,
-            Estimates.GLITCH: 0x833F,
-            Estimates.YIELDS: 0x8027,
-            Estimates.LOST: 0x025,
-            Estimates.STOPPED: 0x0A7,
-        },
-        origin_s=10.0,
-        good_s=31.62,
-        gate_m=3.75,  # a variance ratio of 13.33 for 50 m at once, 10.53 after 9.5 s
-        gate_growth_m_s=0.106,
-        glitch_s=0.9,
-        yields_s=10.29,
-        calm_s=9.85,
-        lost_s=7.15,
-        stopped_s=15.05,
-        back_s=0.09,
-        lag_s=0.1,
-        follows=0.02,
-        drift_m_s2=0.01,
-    ),
+    timing=EKF3,
     frame=FlatEarth,
     ready_s=2.45,
     prearm_s=23.3,

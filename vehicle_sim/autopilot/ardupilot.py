@@ -22,6 +22,8 @@ from vehicle_sim.autopilot.core import (
     Handler,
 )
 from vehicle_sim.autopilot.earth import Vector
+from vehicle_sim.autopilot.estimator import State as Estimates
+from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilots import (
     Command,
@@ -76,6 +78,30 @@ def profile(*, vehicle_type: int, capabilities: int, rates_hz: dict[int, float])
     )
 
 
+EKF3: Final = Timing(
+    # of ArduCopter (arducopter-gps-loss.tlog, ardupilot.md 5): another vehicle boots otherwise
+    stages=((0.0, 0x400), (4.46, 0x000), (5.9, 0x0A7)),
+    flags={
+        Estimates.GOOD: 0x33F,
+        Estimates.GLITCH: 0x833F,
+        Estimates.YIELDS: 0x8027,
+        Estimates.LOST: 0x025,
+        Estimates.STOPPED: 0x0A7,
+    },
+    origin_s=10.0,
+    good_s=31.62,
+    gate_m=3.75,  # a variance ratio of 13.33 for 50 m at once, 10.53 after 9.5 s
+    gate_growth_m_s=0.106,
+    glitch_s=0.9,
+    yields_s=10.29,
+    calm_s=9.85,
+    lost_s=7.15,
+    stopped_s=15.05,
+    back_s=0.09,
+    lag_s=0.1,
+    follows=0.02,
+    drift_m_s2=0.01,
+)
 _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
 _FORCE_ARM: Final = 2989.0
@@ -158,6 +184,10 @@ class ArduFlight(Flight):
 
     def airspeed_m_s(self) -> float | None:
         """Indicated; None: there is no pitot tube."""
+        return None
+
+    def unaided_ned_m(self) -> Vector | None:
+        """Position in the local frame while the estimator has none; None: nor has this."""
         return None
 
     def on_origin(self, origin: Place) -> None:
@@ -483,7 +513,7 @@ class ArduPilot(Autopilot):
     def local_ned_m(self) -> Vector | None:
         """Position in the estimator's frame, while it has one."""
         if self.estimator.origin is None or not self.estimator.aiding:
-            return None
+            return self.flight.unaided_ned_m()
         return self.frame.ned_m(self.estimate.place)
 
     def mission_state(self) -> int:

@@ -1,7 +1,7 @@
 """Inputs and outputs of the simulated autopilots: values in SI units, no bytes, no clock.
 
-wire/ converts frames to these and back; the autopilots are in vehicle_sim/autopilot.  Parameters are
-data: *.parm.
+wire/ converts frames to these and back; the autopilots are in vehicle_sim/autopilot.
+Parameters are data: *.parm.
 """
 
 import enum

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.autopilot import arducopter, px4copter
+from vehicle_sim.autopilot import arducopter, arduplane, px4copter
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
@@ -36,7 +35,7 @@ _STEEPEST_CDEG = 8000.0
 class AutopilotVariant:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    autopilot: Callable[..., Autopilot | ArduPlane | Px4FixedWing]
+    autopilot: Callable[..., Autopilot | Px4FixedWing]
     """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
     does not have."""
     system_id: str
@@ -54,7 +53,7 @@ PERSONALITIES: Final = {
         arducopter.make, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
     ),
     ("ardupilot", "plane"): AutopilotVariant(
-        ArduPlane, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
+        arduplane.make, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
     ),
     ("px4", "copter"): AutopilotVariant(
         px4copter.make, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"

@@ -1,0 +1,691 @@
+"""ArduPlane 4.7: its modes, take-off from a runway, and points to circle (ardupilot.md 7).
+
+Whatever it flies to by itself is a point that it circles in the end, or passes in a mission.
+"""
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final, final
+
+import numpy as np
+
+from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
+from vehicle_sim.autopilot.core import (
+    GPS_GLOBAL_ORIGIN,
+    HEARTBEAT,
+    HOME_POSITION,
+    Firmware,
+    Handler,
+    Mode,
+)
+from vehicle_sim.autopilot.earth import FlatEarth, Vector, way_m
+from vehicle_sim.autopilot.estimator import State as Estimates
+from vehicle_sim.autopilot.legs import LOITER_TIME, LOITER_UNLIM, Does, Leg, leg_of
+from vehicle_sim.autopilot.plane_control import (
+    Circle,
+    PlaneControl,
+    Way,
+    bounded,
+    eas_to_tas,
+    indicated_airspeed_m_s,
+    true_airspeed_m_s,
+)
+from vehicle_sim.autopilots import (
+    Command,
+    Landed,
+    Place,
+    Result,
+    Setpoint,
+    State,
+    Waypoint,
+    height_amsl_m,
+)
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.faults.conditions import SIM_PARAMETERS
+from vehicle_sim.parameters import table
+from vehicle_sim.plans import PlanItem, PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
+
+_BY_HAND, _BY_ITSELF = 0x51, 0x59
+"""base_mode: stabilised, with manual override; guided as well where it navigates."""
+_GLIDES = {"MANUAL": 0, "STABILIZE": 2, "TRAINING": 3, "ACRO": 4, "FBWA": 5, "AUTOTUNE": 8}
+"""The throttle is in a hand that is not there."""
+_CIRCLES = {"LOITER": 12, "GUIDED": 15, "THERMAL": 24, "AUTOLAND": 26}
+_MODES: Final = (
+    Mode("INITIALISING", 16, "glides", base=0x11),
+    *(Mode(name, number, "glides", base=_BY_HAND) for name, number in _GLIDES.items()),
+    Mode("FBWB", 6, "cruises", base=_BY_HAND),
+    Mode("CRUISE", 7, "cruises", base=_BY_HAND),
+    Mode("CIRCLE", 1, "banks", base=_BY_ITSELF),
+    *(Mode(name, number, "circles", base=_BY_ITSELF) for name, number in _CIRCLES.items()),
+    Mode("RTL", 11, "returns", base=_BY_ITSELF),
+    Mode("TAKEOFF", 13, "takes_off", base=_BY_ITSELF),
+    Mode("AUTO", 10, "flies_mission", base=_BY_ITSELF),
+)
+"""The Q modes (17 to 23, 25) are refused: the airframe is no quadplane."""
+_RATES_HZ: Final = dict.fromkeys((0, 1, 2, 24, 30, 32, 33, 42, 62, 74, 87, 147, 162, 168), 1.0) | {
+    111: 0.1
+}
+"""What a fresh link gets unasked."""
+FIRMWARE: Final = Firmware(
+    profile=profile(vehicle_type=1, capabilities=62319, rates_hz=_RATES_HZ),
+    table=(*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS),
+    modes=_MODES,
+    holds="LOITER",
+    lands="RTL",
+    returns="RTL",
+    pilot="FBWA",
+    timing=replace(
+        EKF3, stages=((0.0, 0x400), (11.1, 0x000), (12.3, 0x0A7)), origin_s=10.22, good_s=11.24
+    ),
+    frame=FlatEarth,
+    ready_s=1.727,
+    prearm_s=22.8,
+    believes_landing_s=0.0,
+    refused=Result.FAILED,
+    first_item=1,
+)
+_ORIGIN_SAID_S: Final = 2.261
+"""From setting the origin to saying it and home."""
+_HOME_SET_S: Final = 0.85
+"""From the first fix to home."""
+
+# Its take-off from a runway: arduplane-guided-reposition.tlog, 26 to 35 s.
+_FULL_THRUST_M_S2, _DRAG_1_S = 14.5, 0.55
+"""Acceleration on the runway at full throttle, and what it loses with each metre a second."""
+_THROTTLE_S: Final = 0.2
+"""From arming to opening the throttle (TKOFF_THR_DELAY), which takes a second (THR_SLEWRATE)."""
+_LIFT_OFF_SHARE: Final = 0.86
+"""Of the cruising airspeed."""
+_FLYING_M_S: Final = 2.5
+"""Ground speed that counts as flying."""
+_AIMED_M_S: Final = 5.0
+"""Ground speed at which TAKEOFF settles where it goes."""
+_CLIMB_AIRSPEED: Final = 1.225
+"""At full throttle and nose up, over cruising airspeed."""
+_CLIMB_M_S: Final = 9.9
+_LEVEL_RAD, _LEVEL_M, _FREE_M = math.radians(5.0), 10.0, 30.0
+"""Bank below this height, at most (LEVEL_ROLL_LIMIT, TKOFF_LVL_ALT); above the other it is free."""
+_REACHED_M: Final = 2.0
+"""A take-off is over so much below its height."""
+
+_TURN_EFFICIENCY: Final = 0.745
+"""Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
+0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
+_SLOWING_M_S2: Final = 2.2
+"""How fast it loses speed with the throttle slewing down."""
+_EXCESS_CLIMB: Final = 0.9
+"""After a take-off the excess of speed is turned into height: climb for each m/s of it."""
+_GLIDE_M_S: Final = 2.5
+_LANDING_SINK_M_S: Final = 1.5
+"""Wings level from the place of a landing on: no approach and no flare."""
+_BRAKING_M_S2: Final = -3.0
+_HEADING_GAIN: Final = math.radians(50.0)
+"""Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
+_USUAL_RADIUS_M: Final = 60.0
+"""Where WP_LOITER_RAD gives none."""
+_RUNWAY_AHEAD_M: Final = 1000.0
+"""A mission's take-off climbs straight on at a point so far ahead."""
+_NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
+
+
+@final
+class ArduPlaneFlight(ArduFlight):
+    """Modes, GUIDED's points, take-off and the runway."""
+
+    GCS_FAILSAFE = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
+    CRASH_TEXT = "Crash detected"
+    ARMS, DISARMS = "Throttle armed", "Throttle disarmed"
+
+    def __init__(self, autopilot: ArduPilot, plane: Plane) -> None:
+        super().__init__(autopilot)
+        self._plane = plane
+        plane.turn_efficiency = _TURN_EFFICIENCY
+        self._control = PlaneControl(plane, autopilot.estimate)
+        self._control.slowing_m_s2 = _SLOWING_M_S2
+        self._first_fix_s: float | None = None
+        self._origin_due_s = math.inf
+        self._start = self._place = autopilot.estimate.place
+        """Where it goes, and where from."""
+        self._straight = False
+        """Along the way between the two, and not to circle at once."""
+        self._radius_m, self._left = 0.0, False
+        """Asked for, 0: WP_LOITER_RAD; counter-clockwise."""
+        self._arrived = False
+        self._slope_m = 0.0
+        """Next height less the one that the way began at, where that is followed as a slope."""
+        self._course_rad: float | None = None
+        """GUIDED_CHANGE_HEADING: instead of the point."""
+        self._course_bank_rad = 0.0
+        self._cruise_m_s: float | None = None
+        """Of DO_CHANGE_SPEED; the next, of GUIDED_CHANGE_SPEED, counts more."""
+        self._airspeed_m_s: float | None = None
+        self._demand_m_s = 22.0
+        """Airspeed as a pitot tube measures it."""
+        self._throttle = 0.0
+        """On the runway."""
+        self._roll_s = 0.0
+        """Since when it is to take off."""
+        self._climbing = self._settling = False
+        """After lifting off, at full throttle; then with the speed that is left of that."""
+
+    # --- modes --------------------------------------------------------------------------------
+
+    @property
+    def _flies(self) -> str:
+        return self.autopilot.mode.flies
+
+    def begin(self, before: Mode) -> None:
+        """What was told before is forgotten; without anything new it circles here."""
+        del before
+        autopilot, here = self.autopilot, self.autopilot.estimate.place
+        self._cruise_m_s = self._airspeed_m_s = self._course_rad = None
+        autopilot.route.stop()
+        if self._climbing:
+            self._end_climb()
+        self._go(here)
+        self._control.height_amsl_m = here.altitude_amsl_m
+        if self._flies == "returns":
+            self._return()
+        elif self._flies == "flies_mission":
+            self._seek(max(autopilot.route.current, 1))
+        elif self._flies == "takes_off" and not autopilot.standing:
+            home_m = autopilot.home.altitude_amsl_m if autopilot.home else 0.0
+            missing_m = autopilot.parameters["TKOFF_ALT"] - (here.altitude_amsl_m - home_m)
+            if missing_m > 0.0:
+                self._aim_ahead(autopilot.parameters["TKOFF_DIST"], missing_m)
+
+    def _go(
+        self,
+        place: Place,
+        start: Place | None = None,
+        *,
+        straight: bool = False,
+        radius_m: float = 0.0,
+        left: bool = False,
+    ) -> None:
+        """To this point, at its height: along the way if that goes down (or is straight) enough."""
+        self._place, self._start = place, start or self.autopilot.estimate.place
+        self._straight, self._radius_m, self._left, self._arrived = straight, radius_m, left, False
+        change_m = place.altitude_amsl_m - self._start.altitude_amsl_m
+        steep = abs(change_m) >= self.autopilot.parameters["GLIDE_SLOPE_MIN"]
+        self._slope_m = change_m if steep and (straight or change_m < 0.0) else 0.0
+
+    def _aim_ahead(self, away_m: float, up_m: float) -> None:
+        """To the point so far ahead and so much higher."""
+        velocity = self._control.velocity
+        way = velocity / abs(velocity) * away_m
+        here = self.autopilot.estimate.place
+        self._go(FlatEarth(here).place(way.real, way.imag, -up_m))
+
+    def _return(self) -> None:
+        """Home, RTL_ALTITUDE above it."""
+        home, above_m = self.autopilot.home, self.autopilot.parameters["RTL_ALTITUDE"]
+        if home is not None:
+            here_m = self.autopilot.estimate.altitude_amsl_m
+            self._go(home.at(here_m if above_m < 0.0 else home.altitude_amsl_m + above_m))
+
+    def refusal(self, name: str) -> str | None:
+        """Plane refuses only the mode that nobody may choose."""
+        return "cannot be chosen" if name == "INITIALISING" else None
+
+    # --- missions -----------------------------------------------------------------------------
+
+    def _seek(self, number: int, start: Place | None = None) -> None:
+        """Fly the mission from this item on, from the last item's place or from here."""
+        autopilot = self.autopilot
+        here, home = autopilot.estimate.place, autopilot.home or autopilot.estimate.place
+
+        def leg_at(item: PlanItem) -> Leg | None:
+            return leg_of(item, here, home, home.altitude_amsl_m)  # there are no terrain data
+
+        route, items = autopilot.route, autopilot.plans[PlanKind.MISSION]
+        speed_m_s = route.seek(items, number, leg_at, autopilot.now_s)
+        self._cruise_m_s = speed_m_s or self._cruise_m_s
+        if route.leg is None:
+            route.current = max(len(items) - 1, 0)
+        elif route.leg.does is Does.RETURN:
+            self._return()
+        elif route.leg.does is Does.CLIMB:
+            up_m = route.leg.place.altitude_amsl_m - here.altitude_amsl_m
+            self._aim_ahead(_RUNWAY_AHEAD_M, up_m)
+        else:
+            lands, place = route.leg.does is Does.LAND, route.leg.place
+            straight = route.leg.command not in (LOITER_UNLIM, LOITER_TIME)
+            place = place.at(here.altitude_amsl_m) if lands else place
+            self._go(place, start, straight=straight)
+
+    def fly_item(self, number: int) -> None:
+        """Another item is the current one."""
+        if self._flies == "flies_mission":
+            self.autopilot.route.forget_jumps()
+            self._seek(max(number, 1))
+
+    def flies_mission(self) -> bool:
+        """Whether the mission is under way."""
+        return self._flies == "flies_mission" and self.autopilot.route.leg is not None
+
+    def _follow_mission(self) -> None:
+        """Ten times a second: on to the next item when this one is done; home after the last."""
+        autopilot, route, leg = self.autopilot, self.autopilot.route, self.autopilot.route.leg
+        if leg is not None and self._is_done(leg):
+            autopilot.reached(route.current)
+            self._seek(route.current + 1, self._place if leg.does is Does.GO else None)
+        if route.leg is None and not autopilot.standing:
+            autopilot.set_mode("RTL")
+
+    def _is_done(self, leg: Leg) -> bool:
+        if leg.does is Does.CLIMB:
+            return self.autopilot.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+        if leg.does is not Does.GO:
+            return False
+        if not self._straight:
+            circles = self._arrived and self._control.l1.circling
+            return circles and self.autopilot.route.has_waited(self.autopilot.now_s, leg.hold_s)
+        near_m = self._control.l1.length_m(abs(self._control.velocity))
+        near_m = min(self.autopilot.parameters["WP_RADIUS"], near_m)
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
+        return abs(self._control.off_m(self._place)) <= near_m or self._along() >= 1.0
+
+    @property
+    def lands(self) -> bool:
+        """Where AUTO does."""
+        leg = self.autopilot.route.leg
+        return leg is not None and leg.does is Does.LAND
+
+    # --- failsafes ----------------------------------------------------------------------------
+
+    def on_gcs_failsafe(self) -> None:
+        """FS_LONG_ACTN: 0 goes on in AUTO and returns otherwise, 1 returns."""
+        goes_on = self.autopilot.parameters["FS_LONG_ACTN"] == 0.0
+        if self.flying and not (goes_on and self._flies == "flies_mission"):
+            self.autopilot.set_mode("RTL")
+        self.autopilot.say(4, f"GCS Failsafe On: {self.autopilot.mode_name}")
+
+    def on_battery_failsafe(self, action: int) -> None:
+        """1 returns, 2 lands where the mission does, or returns."""
+        if action in (1, 2) and not self.lands:
+            self.autopilot.set_mode("RTL")
+
+    def on_fence_breach(self, action: int) -> None:
+        """FENCE_ACTION 0 only says it; all others fly home."""
+        if action != 0 and self.autopilot.mode_name != "MANUAL":
+            self.autopilot.set_mode("RTL")
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def handlers(self) -> dict[int, Handler]:
+        """The answers to commands that only this kind knows."""
+        return {
+            300: self._start_mission,
+            43000: self._change_airspeed,
+            43002: self._change_heading,
+        }
+
+    def take_off(self, command: Command) -> Result:
+        """There is the mode TAKEOFF for that."""
+        del command
+        return Result.FAILED
+
+    def reposition(self, command: Command) -> Result:
+        """DO_REPOSITION: a point to circle; without a radius the one before is kept."""
+        autopilot, p = self.autopilot, command.parameters
+        if command.frame is None:
+            return Result.UNSUPPORTED
+        if not math.isfinite(p[6]):
+            autopilot.say(2, _NO_HEIGHT.format("DO_REPOSITION"))
+            return Result.DENIED
+        place = autopilot.place_of(command)
+        if isinstance(place, Result) or p[4] == p[5] == 0.0 or autopilot.outside_fence(place):
+            return Result.DENIED
+        switches = math.isfinite(p[1]) and int(p[1]) & 1
+        if autopilot.mode_name != "GUIDED" and not switches:
+            return Result.FAILED
+        autopilot.set_mode("GUIDED")
+        radius_m = min(float(int(p[2])), 65535.0) if 0.0 < p[2] < math.inf else self._radius_m
+        self._go(place, radius_m=radius_m, left=math.isfinite(p[3]) and p[3] != 0.0)
+        self._course_rad = None
+        # until navigation has run again the height to be at is the present one
+        self._control.height_amsl_m = autopilot.estimate.altitude_amsl_m
+        return Result.ACCEPTED
+
+    def _start_mission(self, command: Command) -> Result:
+        if command.parameters[0] != 0.0 or command.parameters[1] != 0.0:
+            return Result.DENIED
+        return self.autopilot.to_mode("AUTO")(command)
+
+    def change_speed(self, command: Command) -> Result:
+        """DO_CHANGE_SPEED, in missions too; of speeds over the ground it takes no notice."""
+        kind, speed_m_s = command.parameters[:2]
+        known = kind == 1.0 or self._may_fly(kind, speed_m_s)
+        if self.autopilot.mode_name not in ("GUIDED", "AUTO") or not known:
+            return Result.FAILED
+        self._cruise_m_s = speed_m_s if kind == 0.0 else self._cruise_m_s
+        return Result.ACCEPTED
+
+    def _change_airspeed(self, command: Command) -> Result:
+        """GUIDED_CHANGE_SPEED."""
+        kind, speed_m_s = command.parameters[:2]
+        if self.autopilot.mode_name != "GUIDED":
+            return Result.FAILED
+        if not self._may_fly(kind, speed_m_s):
+            return Result.DENIED
+        self._airspeed_m_s = speed_m_s
+        return Result.ACCEPTED
+
+    def _may_fly(self, kind: float, speed_m_s: float) -> bool:
+        """Whether it is an airspeed, and within the limits."""
+        least_m_s, most_m_s = (self.autopilot.parameters[f"AIRSPEED_{of}"] for of in ("MIN", "MAX"))
+        return kind == 0.0 and least_m_s <= speed_m_s <= most_m_s
+
+    def _change_heading(self, command: Command) -> Result:
+        """GUIDED_CHANGE_HEADING: a course over the ground, until there is a new point."""
+        kind, course_deg, lateral_m_s2 = command.parameters[:3]
+        if self.autopilot.mode_name != "GUIDED":
+            return Result.FAILED
+        if kind != 0.0 or not (0.0 <= course_deg < 360.0 and 0.0 < lateral_m_s2 < math.inf):
+            return Result.DENIED
+        self._course_rad = math.radians(course_deg)
+        self._course_bank_rad = math.atan(lateral_m_s2 / GRAVITY_M_S2)
+        return Result.ACCEPTED
+
+    def on_setpoint(self, setpoint: Setpoint) -> None:
+        """Only heights are taken, and only in GUIDED."""
+        autopilot, z_m = self.autopilot, setpoint.position[2]
+        if autopilot.mode_name != "GUIDED" or (setpoint.type_mask & 4 and setpoint.is_global):
+            return
+        home_m = autopilot.home.altitude_amsl_m if autopilot.home else None
+        height_m = height_amsl_m(setpoint.frame, z_m, home_m, home_m)  # no terrain data either
+        if not setpoint.is_global:
+            height_m = self._place.altitude_amsl_m - z_m if setpoint.frame == 7 else None
+        if height_m is None:
+            return
+        if not math.isfinite(height_m):
+            autopilot.say(2, _NO_HEIGHT.format("a setpoint"))
+            return
+        self._place, self._slope_m = self._place.at(height_m), 0.0
+
+    # --- arming -------------------------------------------------------------------------------
+
+    def arming_refusal(self) -> str | None:
+        """Why it may not be armed now."""
+        if not self.autopilot.standing:
+            return None
+        if self._first_fix_s is None:
+            return "GPS 1: Bad fix"
+        if not self.autopilot.estimator.ok:
+            return "AHRS: not using configured AHRS type"
+        return self.autopilot.common_refusal()
+
+    def on_armed(self) -> None:
+        """A mission begins where it stands."""
+        if self._flies == "flies_mission":
+            self._seek(1)
+
+    def on_landed(self) -> None:
+        """It rolls out."""
+
+    def on_disarmed(self) -> None:
+        """A take-off is abandoned."""
+        self._climbing = False
+
+    def disarms_after_s(self) -> float | None:
+        """After a landing of a mission."""
+        wait_s: float = self.autopilot.parameters["LAND_DISARMDELAY"]
+        return wait_s if self.lands and wait_s > 0.0 else None
+
+    # --- ten times a second -------------------------------------------------------------------
+
+    def look(self, fix: Fix) -> None:
+        """Home is where the first fix was, a moment later: plane does not wait for the EKF."""
+        autopilot = self.autopilot
+        if autopilot.mode_name == "INITIALISING" and autopilot.now_s >= FIRMWARE.ready_s:
+            autopilot.mode = autopilot.modes["MANUAL"]
+            autopilot.send(HEARTBEAT)
+        if autopilot.home is not None or not fix.usable:
+            return
+        if self._first_fix_s is None:
+            self._first_fix_s = autopilot.now_s
+        elif autopilot.now_s - self._first_fix_s >= _HOME_SET_S:
+            autopilot.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
+            autopilot.send(HOME_POSITION)
+
+    def on_origin(self, origin: Place) -> None:
+        """It is told two seconds later."""
+        del origin
+        self._origin_due_s = self.autopilot.now_s + _ORIGIN_SAID_S
+
+    def check(self) -> None:
+        """How fast and how high, where to, and how to bank for it."""
+        autopilot, control = self.autopilot, self._control
+        if autopilot.now_s >= self._origin_due_s:
+            self._origin_due_s = math.inf
+            autopilot.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
+        self._choose_speed()
+        if not autopilot.estimator.ok or self._flies in ("glides", "cruises"):
+            control.bank_rad = 0.0
+        elif self._flies == "banks":
+            control.bank_rad = control.bank_most_rad / 3.0
+        else:
+            self._navigate()
+
+    def _choose_speed(self) -> None:
+        """Airspeed, and the climb where that is no matter of height."""
+        parameters, control = self.autopilot.parameters, self._control
+        slow = self._flies in ("glides", "cruises")
+        wanted_m_s = parameters["AIRSPEED_MIN" if slow else "AIRSPEED_CRUISE"]
+        wanted_m_s = self._airspeed_m_s or self._cruise_m_s or wanted_m_s
+        least_m_s, most_m_s = parameters["AIRSPEED_MIN"], parameters["AIRSPEED_MAX"]
+        self._demand_m_s = bounded(wanted_m_s, least_m_s, most_m_s)
+        altitude_m = self.autopilot.estimate.altitude_amsl_m
+        control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
+        control.climb_m_s = None
+        if self._flies == "glides":
+            control.climb_m_s = -_GLIDE_M_S
+        elif self._climbing:
+            control.airspeed_m_s *= _CLIMB_AIRSPEED
+            control.climb_m_s = _CLIMB_M_S
+        elif self.lands and self._along() >= 1.0:
+            control.climb_m_s = -_LANDING_SINK_M_S
+
+    def _navigate(self) -> None:
+        """By itself: to its point, along the way or around it."""
+        autopilot, control = self.autopilot, self._control
+        if self._flies == "takes_off" and autopilot.standing and autopilot.armed:
+            if abs(control.velocity) < _AIMED_M_S:
+                parameters = autopilot.parameters
+                self._aim_ahead(parameters["TKOFF_DIST"], parameters["TKOFF_ALT"])
+        elif self._flies == "flies_mission":
+            self._follow_mission()
+        circle = Circle(self._place, self._circle_m())
+        control.steer(Way(self._start, self._place) if self._straight else circle)
+        along = self._along()
+        if not self._arrived and not self._straight and (control.l1.circling or along > 1.0):
+            self._arrived = True
+            if autopilot.mode_name == "GUIDED" and self.flying:
+                autopilot.reached(0)
+        control.height_amsl_m = self._place.altitude_amsl_m
+        if not self._arrived and along < 1.0:
+            control.height_amsl_m -= self._slope_m * (1.0 - max(along, 0.0))
+        if self._course_rad is not None:
+            velocity, most_rad = control.velocity, self._course_bank_rad
+            error_rad = self._course_rad - math.atan2(velocity.imag, velocity.real)
+            bank_rad = _HEADING_GAIN * math.remainder(error_rad, math.tau)
+            control.bank_rad = bounded(bank_rad, -most_rad, most_rad)
+        if self._climbing:
+            self._watch_climb()
+        elif control.climb_m_s is not None:
+            control.bank_rad = 0.0  # it lands
+
+    def _along(self) -> float:
+        """Share of the way from where it came from to where it goes; may be over 1."""
+        leg_m = way_m(self._place, self._start)
+        square = abs(leg_m) ** 2
+        off_m = self._control.off_m(self._start)
+        return 1.0 if square < 1e-3 else -(off_m.conjugate() * leg_m).real / square
+
+    def _circle_m(self) -> float:
+        """Radius to fly, left negative: wider where the air is thin."""
+        usual_m = self.autopilot.parameters["WP_LOITER_RAD"]
+        asked_m = self._radius_m if self._radius_m > 1.0 else abs(usual_m)
+        thin = eas_to_tas(self.autopilot.estimate.altitude_amsl_m) ** 2
+        radius_m = (asked_m if asked_m > 1.0 else _USUAL_RADIUS_M) * thin
+        return -radius_m if self._left or usual_m < 0.0 else radius_m
+
+    def _watch_climb(self) -> None:
+        """Level near the ground; over at its height, or far enough away."""
+        autopilot, control = self.autopilot, self._control
+        parameters, here = autopilot.parameters, autopilot.estimate.place
+        climbed_m = here.altitude_amsl_m - self._start.altitude_amsl_m
+        share = bounded((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0, 1.0)
+        most_rad = _LEVEL_RAD + share * (control.bank_most_rad - _LEVEL_RAD)
+        control.bank_rad = bounded(control.bank_rad, -most_rad, most_rad)
+        if self._flies == "flies_mission":
+            leg = autopilot.route.leg
+            over = leg is None or leg.does is not Does.CLIMB
+        else:
+            away_m = abs(control.off_m(self._start))
+            over = climbed_m >= parameters["TKOFF_ALT"] - _REACHED_M
+            over = over or away_m >= parameters["TKOFF_DIST"]
+        if over:
+            self._end_climb()
+            autopilot.took_off()
+
+    def _end_climb(self) -> None:
+        self._climbing, self._settling = False, True
+        self._choose_speed()
+
+    # --- in each step -------------------------------------------------------------------------
+
+    def read_parameters(self) -> None:
+        """Some parameter has changed."""
+        parameters, control = self.autopilot.parameters, self._control
+        control.l1.period_s = max(parameters["NAVL1_PERIOD"], 1.0)
+        control.l1.damping = max(parameters["NAVL1_DAMPING"], 0.1)
+        control.heights.climb_most_m_s = max(parameters["TECS_CLMB_MAX"], 0.1)
+        control.heights.sink_most_m_s = max(parameters["TECS_SINK_MAX"], 0.1)
+        control.bank_most_rad = math.radians(min(abs(parameters["ROLL_LIMIT_DEG"]), 80.0))
+
+    def steer(self, dt_s: float) -> None:
+        """It is steered ten times a second."""
+
+    def move(self, dt_s: float) -> None:
+        """In the air."""
+        plane, control, least_m_s = self._plane, self._control, -math.inf
+        if plane.broken:
+            plane.fall(dt_s)
+            return
+        if self._settling:
+            excess_m_s = plane.airspeed_m_s - control.airspeed_m_s - 1.0
+            self._settling, least_m_s = excess_m_s > 0.0, _EXCESS_CLIMB * excess_m_s
+        control.advance(dt_s, at_least_m_s=least_m_s)
+
+    # --- on the ground ------------------------------------------------------------------------
+
+    def lifts_off(self) -> bool:
+        """Fast enough on the runway."""
+        lift_off_m_s = _LIFT_OFF_SHARE * self._control.airspeed_m_s
+        self._climbing = self._throttle > 0.0 and self._plane.airspeed_m_s >= lift_off_m_s
+        if self._climbing:
+            self._throttle = 0.0
+            self._choose_speed()
+        return self._climbing
+
+    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+        """On the runway: to a halt, or up to speed."""
+        autopilot, plane, leg = self.autopilot, self._plane, self.autopilot.route.leg
+        plane.altitude_amsl_m = ground_amsl_m
+        takes_off = self._flies == "takes_off" or (leg is not None and leg.does is Does.CLIMB)
+        if not (takes_off and autopilot.armed and autopilot.estimator.ok):
+            self._roll_s = autopilot.now_s
+        self._throttle = bounded(autopilot.now_s - self._roll_s - _THROTTLE_S, 0.0, 1.0)
+        acceleration = _BRAKING_M_S2
+        if self._throttle > 0.0:
+            acceleration = _FULL_THRUST_M_S2 * self._throttle**1.5 - _DRAG_1_S * plane.airspeed_m_s
+            if self._rolls:
+                autopilot.take_to_the_air()
+        plane.roll_on_ground(acceleration, dt_s)
+        plane.throttle = self._throttle
+
+    def touch_down(self, ground_amsl_m: float) -> None:
+        """Wheels or nose on the ground."""
+        self._plane.touch_down(ground_amsl_m)
+        self._climbing = False
+
+    @property
+    def _rolls(self) -> bool:
+        """So fast that it counts as flying."""
+        return abs(self._control.velocity) >= _FLYING_M_S
+
+    def lies(self) -> bool:
+        """Whether what touches the ground may be taken to have landed."""
+        return not (self.autopilot.armed and self._rolls)
+
+    # --- telling ------------------------------------------------------------------------------
+
+    @property
+    def flying(self) -> bool:
+        """What counts as flying: fast enough with the motor on, or in the air."""
+        return not self.autopilot.landed
+
+    def base_mode(self) -> int:
+        """Of the heartbeat."""
+        return self.autopilot.mode.base
+
+    def system_status(self) -> State:
+        """Of the heartbeat."""
+        autopilot = self.autopilot
+        if autopilot.mode_name == "INITIALISING":
+            return State.CALIBRATING
+        if autopilot.failsafe or autopilot.gcs_lost or autopilot.battery_acted:
+            return State.CRITICAL
+        return State.ACTIVE if self.flying else State.STANDBY
+
+    def landed_state(self) -> Landed:
+        """What EXTENDED_SYS_STATE says."""
+        if not self.flying:
+            return Landed.ON_GROUND
+        if self._climbing or self._throttle > 0.0:
+            return Landed.TAKEOFF
+        return Landed.LANDING if self.lands else Landed.IN_AIR
+
+    def airspeed_m_s(self) -> float:
+        """What the pitot tube measures: less than the true airspeed, as it is calibrated."""
+        altitude_m = self.autopilot.estimate.altitude_amsl_m
+        return indicated_airspeed_m_s(self._plane.airspeed_m_s, altitude_m)
+
+    def unaided_ned_m(self) -> Vector | None:
+        """About home, by another estimator, until this one flies for the first time."""
+        home, estimator = self.autopilot.home, self.autopilot.estimator
+        if home is None or estimator.state is not Estimates.START:
+            return None
+        return 0.0, 0.0, home.altitude_amsl_m - estimator.estimate.altitude_amsl_m
+
+    def echo(self) -> None:
+        """It has none: it is steered by waypoints."""
+
+    def waypoint(self) -> Waypoint | None:
+        """Where it goes; MANUAL says nothing."""
+        if self.autopilot.mode_name in ("MANUAL", "INITIALISING"):
+            return None
+        control = self._control
+        return Waypoint(
+            place=self._place,
+            distance_m=abs(control.off_m(self._place)),
+            bearing_rad=control.l1.bearing_rad,
+            altitude_error_m=control.height_amsl_m - self.autopilot.estimate.altitude_amsl_m,
+            cross_track_m=control.l1.cross_track_m,
+            radius_m=self._circle_m(),
+            airspeed_error_m_s=self._demand_m_s - self.airspeed_m_s(),
+        )
+
+
+def make(
+    plane: Plane, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
+) -> ArduPilot:
+    """One that boots; InputError names a parameter that it does not have."""
+    make_flight = functools.partial(ArduPlaneFlight, plane=plane)
+    return ArduPilot(FIRMWARE, make_flight, plane, parameters, plans, rng)

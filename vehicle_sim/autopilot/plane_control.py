@@ -1,0 +1,250 @@
+"""How both planes are flown: towards circles and lines by L1, towards heights, at airspeeds.
+
+Vectors in the plane are complex numbers: north + east j, metres and metres a second.  L1 is the law
+of Park, Deyst and How (A new nonlinear guidance logic for trajectory tracking, AIAA 2004-4900) with
+ArduPilot's period and damping, and ArduPilot's PD law about circles (ardupilot.md 7).  Near a
+straight line it is a damped oscillator of that period and damping in the distance off it, and so
+is PX4's own law (NPFG), which is not imitated further.
+"""
+
+import bisect
+import cmath
+import math
+from typing import Final, NamedTuple, final
+
+from vehicle_sim.autopilot.earth import way_m
+from vehicle_sim.autopilots import Estimate, Place
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.dynamics.plane import Plane
+
+# --- airspeeds ------------------------------------------------------------------------------------
+
+_DEMANDED_M_S = (10.0, 20.0, 22.0, 25.0, 30.0)
+_HELD_M_S = (10.17, 20.34, 22.70, 26.83, 33.0)
+"""What ArduPlane flies at these demands, at sea level: 18 m/s demanded is flown at 18.9, 20 at 21,
+22 at 23.5, 25 at 27.7 m/s, all at 600 m above the sea (ardupilot.md 7); thin air adds 3 %."""
+
+
+def eas_to_tas(altitude_amsl_m: float) -> float:
+    """True over equivalent airspeed in the standard atmosphere, troposphere."""
+    altitude_amsl_m = bounded(altitude_amsl_m, -1000.0, 11000.0)
+    ratio: float = (1.0 - 2.25577e-5 * altitude_amsl_m) ** -2.12794
+    return ratio
+
+
+def true_airspeed_m_s(demanded_m_s: float, altitude_amsl_m: float) -> float:
+    """What ArduPlane flies when it is asked for this airspeed."""
+    return _interpolated(demanded_m_s, _DEMANDED_M_S, _HELD_M_S) * eas_to_tas(altitude_amsl_m)
+
+
+def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
+    """What its pitot tube says then: the inverse."""
+    return _interpolated(true_m_s / eas_to_tas(altitude_amsl_m), _HELD_M_S, _DEMANDED_M_S)
+
+
+def _interpolated(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> float:
+    """Linear between the points, and beyond them in the ratio of the last one."""
+    if x <= xs[0]:
+        return x * ys[0] / xs[0]
+    if x >= xs[-1]:
+        return x * ys[-1] / xs[-1]
+    k = bisect.bisect_right(xs, x)
+    share = (x - xs[k - 1]) / (xs[k] - xs[k - 1])
+    return ys[k - 1] + share * (ys[k] - ys[k - 1])
+
+
+def bounded(value: float, least: float, most: float) -> float:
+    """The nearest value within these."""
+    return least if value < least else most if value > most else value
+
+
+# --- where to: lateral accelerations --------------------------------------------------------------
+
+_UNDECIDED_RAD: Final = 0.9 * math.pi
+_STEEPEST: Final = math.sin(math.radians(45.0))
+"""A line is approached at 45 degrees at most."""
+_PAST_S: Final = 3.0
+"""Beyond the end of a leg by so much flight: back to its end."""
+
+
+@final
+class L1:
+    """Of right-positive lateral acceleration; remembers what it tells of the last step."""
+
+    def __init__(self) -> None:
+        self.period_s, self.damping = 15.0, 0.75
+        self.circling = False
+        """On the circle, and not on the way to it."""
+        self.cross_track_m = self.bearing_rad = 0.0
+        self._before_rad = 0.0
+
+    def length_m(self, speed_m_s: float) -> float:
+        """How far ahead it looks."""
+        return self.damping * self.period_s * speed_m_s / math.pi
+
+    def line(self, off_m: complex, way: complex, velocity: complex) -> float:
+        """Onto a line in a direction (of unit length), from so far off some point of it."""
+        self.circling = False
+        self.cross_track_m = (off_m.conjugate() * way).imag  # positive: left of it
+        sine = self.cross_track_m / self.length_m(abs(velocity))
+        towards_rad = math.asin(bounded(sine, -_STEEPEST, _STEEPEST))
+        self.bearing_rad = cmath.phase(way) + towards_rad
+        return self._turn(towards_rad + cmath.phase(way / velocity), abs(velocity))
+
+    def leg(self, off_m: complex, leg_m: complex, velocity: complex) -> float:
+        """Along a leg, both from its start: first there if far behind, back if past its end."""
+        away_m, length_m, to_go_m = abs(off_m), abs(leg_m), leg_m - off_m
+        straight = to_go_m / abs(to_go_m) if abs(to_go_m) > 1e-6 else velocity / abs(velocity)
+        way = leg_m / length_m if length_m > 1e-6 else straight
+        along_m = (way.conjugate() * off_m).real
+        if away_m > self.length_m(abs(velocity)) and along_m < -_STEEPEST * max(away_m, 1.0):
+            return self.line(0j, -off_m / away_m, velocity)
+        if along_m > length_m + _PAST_S * abs(velocity):
+            return self.line(0j, straight, velocity)
+        return self.line(off_m, way, velocity)
+
+    def circle(self, off_m: complex, radius_m: float, velocity: complex) -> float:
+        """To and around a circle, clockwise; with a negative radius the other way.
+
+        What is missing of the bank in a steady turn is made up for by the PD law, so that the
+        circle flown by an airframe that slips is wider than this radius.
+        """
+        away_m, way = abs(off_m), math.copysign(1.0, radius_m)
+        out = off_m / away_m if away_m > 1e-6 else velocity / abs(velocity)
+        outward_m_s, across_m_s = (velocity / out).real, (velocity / out).imag
+        capture = self._turn(math.atan2(across_m_s, -outward_m_s), abs(velocity))
+        omega, tangential_m_s = math.tau / self.period_s, across_m_s * way
+        self.cross_track_m = outside_m = away_m - abs(radius_m)
+        pd = outside_m * omega * omega + outward_m_s * 2.0 * self.damping * omega
+        if outward_m_s > 0.0 and tangential_m_s < 0.0 and pd < 0.0:
+            pd = 0.0
+        centripetal = tangential_m_s * tangential_m_s / max(0.5 * abs(radius_m), away_m, 1e-3)
+        circle = way * (pd + centripetal)
+        self.bearing_rad = cmath.phase(-out)
+        self.circling = not (outside_m > 0.0 and way * capture < way * circle)
+        return circle if self.circling else capture
+
+    def _turn(self, angle_rad: float, speed_m_s: float) -> float:
+        """Towards a direction so far to the right; right behind it goes on as it turns."""
+        angle_rad = math.remainder(angle_rad, math.tau)
+        both = min(abs(angle_rad), abs(self._before_rad)) > _UNDECIDED_RAD
+        if both and angle_rad * self._before_rad < 0.0:
+            angle_rad = self._before_rad
+        self._before_rad = angle_rad
+        sine = math.sin(bounded(angle_rad, -0.5 * math.pi, 0.5 * math.pi))
+        return 4.0 * self.damping**2 * speed_m_s**2 / self.length_m(speed_m_s) * sine
+
+
+# --- how high -------------------------------------------------------------------------------------
+# Constants are fitted to arduplane-guided-reposition.tlog: two steps of 10 m are followed to 0.2 m
+# rms, the climb while points are streamed to 1.3 m.
+
+_DEMAND_S = 3.5
+"""Time constant of the demanded height."""
+_ERROR_S = 5.0
+
+
+@final
+class HeightControl:
+    """From a wanted height to a climb rate: limited in rate, then smoothed, then followed."""
+
+    def __init__(self) -> None:
+        self.climb_most_m_s = self.sink_most_m_s = 5.0
+        self._limited_m = self._smooth_m = 0.0
+
+    def begin(self, height_m: float) -> None:
+        """Start from this height."""
+        self._limited_m = self._smooth_m = height_m
+
+    def climb_m_s(self, wanted_m: float, height_m: float, dt_s: float) -> float:
+        """Climb rate for this step."""
+        change_m = wanted_m - self._limited_m
+        self._limited_m += bounded(change_m, -self.sink_most_m_s * dt_s, self.climb_most_m_s * dt_s)
+        rate_m_s = (self._limited_m - self._smooth_m) / _DEMAND_S
+        self._smooth_m += rate_m_s * dt_s
+        return rate_m_s + (self._smooth_m - height_m) / _ERROR_S
+
+
+# --- all of it ------------------------------------------------------------------------------------
+
+
+@final
+class Circle(NamedTuple):
+    """About a place; clockwise, or the other way with a negative radius."""
+
+    centre: Place
+    radius_m: float
+
+
+@final
+class Way(NamedTuple):
+    """Straight from one place to another."""
+
+    start: Place
+    end: Place
+
+
+@final
+class Line(NamedTuple):
+    """Through a place in a direction (of unit length), or bent there (positive: to the right)."""
+
+    place: Place
+    way: complex
+    curvature_1_m: float = 0.0
+
+
+@final
+class PlaneControl:
+    """Where to, how high and how fast; and the plane's commands for that.  Mutable."""
+
+    def __init__(self, plane: Plane, estimate: Estimate) -> None:
+        self._plane, self._estimate = plane, estimate
+        self.l1, self.heights = L1(), HeightControl()
+        self.height_amsl_m = 0.0
+        self.climb_m_s: float | None = None
+        """Instead of going to the height."""
+        self.airspeed_m_s = 0.0
+        """True airspeed to aim at."""
+        self.bank_rad, self.bank_most_rad = 0.0, 1.0
+        self.slowing_m_s2 = math.inf
+        """How fast it loses speed with the throttle closing."""
+        self._speed_m_s = 0.0
+
+    @property
+    def velocity(self) -> complex:
+        """Over the ground; who stands is about to go where the nose points."""
+        e = self._estimate
+        velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
+        return velocity if abs(velocity) > 1.0 else cmath.rect(1.0, self._plane.heading_rad)
+
+    def off_m(self, place: Place) -> complex:
+        """How far it is from a place."""
+        return way_m(place, self._estimate.place)
+
+    def steer(self, aim: Circle | Way | Line) -> None:
+        """Bank for where it is to go."""
+        l1, velocity = self.l1, self.velocity
+        match aim:
+            case Circle():
+                lateral = l1.circle(self.off_m(aim.centre), aim.radius_m, velocity)
+            case Way():
+                off_m = self.off_m(aim.start)
+                lateral = l1.leg(off_m, off_m - self.off_m(aim.end), velocity)
+            case Line():
+                lateral = l1.line(self.off_m(aim.place), aim.way, velocity)
+                lateral += abs(velocity) ** 2 * aim.curvature_1_m
+        self.bank_rad = math.atan(lateral / (GRAVITY_M_S2 * math.cos(self._plane.pitch_rad)))
+
+    def advance(self, dt_s: float, *, at_least_m_s: float = -math.inf) -> None:
+        """One step in the air; climb at least so fast."""
+        plane, height_m, climb = self._plane, self._estimate.altitude_amsl_m, self.climb_m_s
+        if climb is None:
+            climb = self.heights.climb_m_s(self.height_amsl_m, height_m, dt_s)
+        else:
+            self.heights.begin(height_m)
+        slower_m_s = self._speed_m_s - self.slowing_m_s2 * dt_s
+        self._speed_m_s = max(self.airspeed_m_s, slower_m_s)
+        bank_rad = bounded(self.bank_rad, -self.bank_most_rad, self.bank_most_rad)
+        plane.advance(bank_rad, max(climb, at_least_m_s), self._speed_m_s, dt_s)
+        if self.climb_m_s is not None:
+            plane.throttle = 1.0 if self.climb_m_s > 0.0 else 0.0
