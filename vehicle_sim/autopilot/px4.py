@@ -14,7 +14,6 @@ import numpy as np
 
 from vehicle_sim.autopilot.core import (
     AUTOPILOT_VERSION,
-    FORCE,
     GPS_GLOBAL_ORIGIN,
     HOME_POSITION,
     Autopilot,
@@ -26,7 +25,7 @@ from vehicle_sim.autopilot.earth import Projection, Vector
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Zones
-from vehicle_sim.autopilot.legs import Does, Leg, leg_of
+from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
 from vehicle_sim.autopilots import (
     Command,
@@ -171,7 +170,11 @@ def firmware(
         first_check_s=0.06,  # events at x.06 s in the logs
         believes_landing_s=1.8,  # contact to "landing detected": 54.6 to 56.4 s of offboard-short
         refused=Result.TEMPORARILY_REJECTED,
+        missions="Mission",
         first_item=0,
+        arms="Armed by external command\t",
+        disarms="Disarmed by {}\t",
+        cannot_arm="Arming denied: {}\t",
         acks_modes_twice=True,
     )
 
@@ -288,18 +291,14 @@ class Px4(Autopilot):
         self._flown = self._fused = False
         self._disarmed_s = -_STILL_S
         self.flight = flight = make_flight(self)
-        self.handlers = {
-            20: self.to_mode(firmware.returns),
+        self.handlers |= {
             21: self._land,
             22: flight.take_off,
             176: self._do_set_mode,
             178: flight.change_speed,
             179: self._do_set_home,
             192: flight.reposition,
-            224: self._do_set_mission_current,
-            246: self.reboot,
             300: self._start_mission,
-            400: self._arm_or_disarm,
             401: lambda _: Result.ACCEPTED,
             410: self.answer(HOME_POSITION),
             519: self.answer(300),
@@ -522,51 +521,23 @@ class Px4(Autopilot):
             return self.offboard_signal and ok
         return ok or not self.mode.needs_position
 
-    def _arm_or_disarm(self, command: Command) -> Result:
-        wanted, force = command.parameters[:2]
-        if wanted not in (0.0, 1.0):
-            return Result.UNSUPPORTED
-        if wanted == 1.0:
-            return self._arm(forced=force == FORCE)
-        flies = self.armed and not self.landed and self.mode.name not in MANUAL
-        if flies and force != FORCE:
-            return Result.TEMPORARILY_REJECTED
-        self.disarm("external command")
-        return Result.ACCEPTED
+    def refusal(self) -> str | None:
+        """Why it may not be armed now."""
+        return None if self.armable else "Resolve system health failures first"
 
-    def _arm(self, *, forced: bool = False) -> Result:
-        if self.armed:
-            return Result.ACCEPTED
-        if not forced and not self.armable:
-            self.say_event(2, "Arming denied: Resolve system health failures first")
-            return Result.TEMPORARILY_REJECTED
-        self.start_motors()
-        self.say_event(6, "Armed by external command")
+    def on_armed(self) -> None:
+        """The mode begins."""
         self.flight.begin(self.mode)
-        return Result.ACCEPTED
 
-    def disarm(self, by: str) -> None:
-        """Stop the motors.  The mode returns to the one last commanded for flight."""
-        if not self.armed:
-            return
-        self.armed, self._disarmed_s = False, self.now_s
+    def on_disarmed(self) -> None:
+        """The mode returns to the one last commanded for flight."""
+        self._disarmed_s = self.now_s
         self.landed = self.landed or self.touched_s is not None
         self._incidents.clear()
         self._ill.clear()
         self.intended, self.action = self._after_disarming, Action.NONE
-        self.say_event(6, f"Disarmed by {by}")
-        self.flight.on_disarmed()
         if self.intended is not self.mode:
             self._change(self.intended)
-
-    def disarm_by_itself(self) -> None:
-        """It has stood on the ground for long enough."""
-        self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
-
-    def crash(self) -> Sequence[Reply]:
-        """It has hit something, which its failure detector notices at once."""
-        self.disarm("failure detector")
-        return self.taken()
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to Position mode and holds the sticks centred."""
@@ -601,18 +572,10 @@ class Px4(Autopilot):
 
     # --- missions -----------------------------------------------------------------------------
 
-    def seek(self, number: int) -> None:
-        """Fly the mission from this item on."""
-        route, items = self.route, self.plans[PlanKind.MISSION]
-        here = self.estimate.place
-        home, ground_m = self.home or here, self.ground_m
-        speed_m_s = route.seek(
-            items, number, lambda item: leg_of(item, here, home, ground_m), self.now_s
-        )
+    def on_leg(self, speed_m_s: float | None) -> None:
+        """Another leg of the mission, or none any more; the speed that was asked for before it."""
         self.speed_m_s = speed_m_s or self.speed_m_s
-        if route.leg is None:
-            route.current, route.complete = max(len(items) - 1, 0), bool(items)
-        if route.leg is not None and route.leg.does is Does.RETURN:
+        if self.route.leg is not None and self.route.leg.does is Does.RETURN:
             self.intend("Return")
         else:
             self.flight.begin_leg()
@@ -630,23 +593,9 @@ class Px4(Autopilot):
         if not self.plans[PlanKind.MISSION]:
             return Result.DENIED
         if math.isfinite(first) and first >= 1.0:
-            self._jump(int(first))
+            self.jump(int(first))
         result = self.command_mode("Mission")
-        return self._arm() if result is Result.ACCEPTED else result
-
-    def _do_set_mission_current(self, command: Command) -> Result:
-        number = command.parameters[0]
-        known = math.isfinite(number) and self._jump(int(number))
-        return Result.ACCEPTED if known else Result.DENIED
-
-    def _jump(self, number: int) -> bool:
-        """Make this the current item; tells whether there is such an item."""
-        if not 0 <= number < len(self.plans[PlanKind.MISSION]):
-            return False
-        self.route.current, self.route.complete = number, False
-        if self.mode.name == "Mission":
-            self.seek(number)
-        return True
+        return self.arm() if result is Result.ACCEPTED else result
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission is flown from its beginning."""
@@ -694,16 +643,6 @@ class Px4(Autopilot):
             self._companion_s = self.now_s
         return ()
 
-    def _mission_state(self) -> int:
-        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
-        if not self.plans[PlanKind.MISSION]:
-            return 1
-        if self.route.complete:
-            return 5
-        if self.mode.name == "Mission":
-            return 3
-        return 4 if self.route.current else 2
-
     def _system_status(self) -> State:
         if self.armed:
             return State.CRITICAL if self.action > Action.WARN else State.ACTIVE
@@ -723,7 +662,7 @@ class Px4(Autopilot):
             waypoint=self.flight.waypoint() if armed and mode.name in NAVIGATED else None,
             intended_mode=self.intended.number,
             mission_current=self.route.current,
-            mission_state=self._mission_state(),
+            mission_state=self.mission_state(),
             mission_total=len(self.plans[PlanKind.MISSION]) or 65535,
             above_ground_m=self.height_m,
             fusing=self._fused,

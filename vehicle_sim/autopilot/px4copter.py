@@ -185,9 +185,6 @@ class Px4CopterFlight(Px4Flight):
             self._goal = self._here
         self._aim_yaw_rad = leg.yaw_rad
 
-    def on_armed(self) -> None:
-        """The motors idle until something wants up."""
-
     def on_disarmed(self) -> None:
         """They stand."""
         self._flying, self._ramp_s = False, None
@@ -238,10 +235,7 @@ class Px4CopterFlight(Px4Flight):
         self.copter.stand(ground_amsl_m)
         if self._ramp_s is None:
             self._control.forget_wind()
-
-    def on_landed(self) -> None:
-        """The motors idle."""
-        self._flying = False
+            self._flying = self._flying and not self.autopilot.landed
 
     def _starts(self) -> bool:
         """Whether the take-off ramp begins: motors spun up and a climb demanded."""
