@@ -5,6 +5,7 @@ px4.py) answers and decides; its `Flight`, a class for each way to fly, steers t
 """
 
 import abc
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -300,7 +301,7 @@ class Autopilot(abc.ABC):
                 self.touched_s = None
             elif self.touched_s is None:
                 self.touched_s = self.now_s
-            waited_s = 0.0 if self.touched_s is None else self.now_s - self.touched_s
+            waited_s = -math.inf if self.touched_s is None else self.now_s - self.touched_s
             if not self.armed or waited_s >= self.firmware.believes_landing_s:
                 self.landed, self.landed_s = True, self.now_s
                 self.flight.on_landed()
@@ -339,7 +340,10 @@ class Autopilot(abc.ABC):
 
     def to_mode(self, name: str) -> Handler:
         """The answer to a command that asks for a mode."""
-        return lambda _: Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
+        return functools.partial(self._enter, name)
+
+    def _enter(self, name: str, _: Command) -> Result:
+        return Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
 
     def start_motors(self) -> None:
         """Arm, whatever there is against it; home is here then."""
@@ -379,12 +383,11 @@ class Autopilot(abc.ABC):
 
     def answer(self, message: int) -> Handler:
         """An old command that asks for one message."""
+        return functools.partial(self._send, message)
 
-        def send(command: Command) -> Result:
-            self.reply(SendTelemetry(message=message, to=command.sender))
-            return Result.ACCEPTED
-
-        return send
+    def _send(self, message: int, command: Command) -> Result:
+        self.reply(SendTelemetry(message=message, to=command.sender))
+        return Result.ACCEPTED
 
     def reboot(self, command: Command) -> Result:
         """PREFLIGHT_REBOOT_SHUTDOWN: only while disarmed."""

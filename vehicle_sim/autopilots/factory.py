@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.autopilot import arducopter, arduplane
+from vehicle_sim.autopilot import arducopter, arduplane, px4plane
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
+from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
@@ -36,7 +36,7 @@ _STEEPEST_CDEG = 8000.0
 class AutopilotVariant:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    autopilot: Callable[..., Autopilot | Px4Multicopter | Px4FixedWing]
+    autopilot: Callable[..., Autopilot | Px4Multicopter]
     """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
     does not have."""
     system_id: str
@@ -60,7 +60,7 @@ PERSONALITIES: Final = {
         Px4Multicopter, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
     ),
     ("px4", "plane"): AutopilotVariant(
-        Px4FixedWing, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
+        px4plane.make, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
     ),
 }
 
