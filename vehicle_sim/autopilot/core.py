@@ -299,12 +299,12 @@ class Autopilot(abc.ABC):
         if not self.landed:
             if not self.flight.lies():
                 self.touched_s = None
-            elif self.touched_s is None:
-                self.touched_s = self.now_s
-            waited_s = -math.inf if self.touched_s is None else self.now_s - self.touched_s
-            if not self.armed or waited_s >= self.firmware.believes_landing_s:
-                self.landed, self.landed_s = True, self.now_s
-                self.flight.on_landed()
+            else:
+                self.touched_s = self.now_s if self.touched_s is None else self.touched_s
+                waited_s = self.now_s - self.touched_s
+                if not self.armed or waited_s >= self.firmware.believes_landing_s:
+                    self.landed, self.landed_s = True, self.now_s
+                    self.flight.on_landed()
         if self.armed and self.landed:
             wait_s = self.flight.disarms_after_s()
             since_s = self.armed_s if self.landed_s is None else self.landed_s
