@@ -13,10 +13,8 @@ from hypothesis import strategies as st
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import arducopter, arduplane, px4copter
+from vehicle_sim.autopilot import arducopter, arduplane, px4copter, px4plane
 from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
-from vehicle_sim.autopilots.px4.autopilot import parameter_rows
-from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import RENAMED, Kind, Parameter, Parameters
 from vehicle_sim.simulation import Simulation
@@ -454,7 +452,7 @@ def test_names_of_other_releases_are_told_by_the_one_of_here(
 
 def test_every_name_of_another_release_is_known_by_its_new_one_somewhere() -> None:
     rows = {row.name for row in (*arducopter.FIRMWARE.table, *arduplane.FIRMWARE.table)}
-    rows |= {row.name for row in (*px4copter.FIRMWARE.table, *parameter_rows(*Px4FixedWing.TABLES))}
+    rows |= {row.name for row in (*px4copter.FIRMWARE.table, *px4plane.FIRMWARE.table)}
     for was, now, *_ in RENAMED:
         pattern = now.replace("\\1", r"\w+")
         assert any(re.fullmatch(pattern, name) for name in rows), f"{was}: there is no {now}"

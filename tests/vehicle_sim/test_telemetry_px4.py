@@ -8,8 +8,8 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 from tracking_px4 import Rig
 
+from vehicle_sim.autopilot import px4plane
 from vehicle_sim.autopilots import Battery, Report
-from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.telemetry_px4 import MESSAGES
 
@@ -37,7 +37,7 @@ def test_everything_it_streams_can_be_made_and_packed(flying: Rig) -> None:
     fresh.step()
     for rig in (fresh, flying):
         report = _report(rig)
-        for number in (*Px4FixedWing.profile.rates_hz, 49, 148, 300):
+        for number in (*px4plane.FIRMWARE.profile.rates_hz, 49, 148, 300):
             said = MESSAGES[number](report)
             if said is not None:
                 frame = Packer(1, 1).frame(said)

@@ -5,6 +5,7 @@ px4.py) answers and decides; its `Flight`, a class for each way to fly, steers t
 """
 
 import abc
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -342,7 +343,10 @@ class Autopilot(abc.ABC):
 
     def to_mode(self, name: str) -> Handler:
         """The answer to a command that asks for a mode."""
-        return lambda _: Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
+        return functools.partial(self._enter, name)
+
+    def _enter(self, name: str, _: Command) -> Result:
+        return Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
 
     @abc.abstractmethod
     def refusal(self) -> str | None:
@@ -469,12 +473,11 @@ class Autopilot(abc.ABC):
 
     def answer(self, message: int) -> Handler:
         """An old command that asks for one message."""
+        return functools.partial(self._send, message)
 
-        def send(command: Command) -> Result:
-            self.reply(SendTelemetry(message=message, to=command.sender))
-            return Result.ACCEPTED
-
-        return send
+    def _send(self, message: int, command: Command) -> Result:
+        self.reply(SendTelemetry(message=message, to=command.sender))
+        return Result.ACCEPTED
 
     def reboot(self, command: Command) -> Result:
         """PREFLIGHT_REBOOT_SHUTDOWN: only while disarmed."""
