@@ -114,6 +114,16 @@ MODES: Final = (
     _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs_position=False),
 )
 """Descend is a failsafe only, told as AUTO:LAND."""
+MODE_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
+STANDARD_MODES: Final = {
+    "Position": 1,
+    "Altitude": 4,
+    "Return": 5,
+    "Mission": 6,
+    "Land": 7,
+    "Takeoff": 8,
+}
+"""MAV_STANDARD_MODE of CURRENT_MODE: 7 and 8 as recorded, the others from the source."""
 MANUAL: Final = frozenset(mode.name for mode in MODES if mode.base == _BY_HAND)
 NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
 """Modes in which the navigator has a place to go to."""
@@ -504,7 +514,7 @@ class Px4(Autopilot):
         if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
             return Result.TEMPORARILY_REJECTED
         number = int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0)
-        name = next((each.name for each in MODES if each.number == number), None)
+        name = MODE_NAMES.get(number)
         return Result.TEMPORARILY_REJECTED if name is None else self.command_mode(name)
 
     @property

@@ -457,12 +457,6 @@ class Px4PlaneFlight(Px4Flight):
         speed_m_s = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
         return speed_m_s < _LANDING_SEEN_M_S and not self._wants_up
 
-    def on_landed(self) -> None:
-        """It waits."""
-
-    def on_armed(self) -> None:
-        """It rolls as soon as it is to take off."""
-
     def on_disarmed(self) -> None:
         """The motor stands."""
 

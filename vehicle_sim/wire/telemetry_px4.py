@@ -8,9 +8,8 @@ from typing import Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot.px4 import ARMABLE_S, MODE_NAMES, STANDARD_MODES
 from vehicle_sim.autopilots import Landed, Report
-from vehicle_sim.autopilots.px4.autopilot import ARMABLE_US
-from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, standard_mode
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded
 from vehicle_sim.wire.telemetry import (
@@ -31,9 +30,6 @@ _UNKNOWN: Final = (_NAN, _NAN, _NAN)
 _SENSORS: Final = 0x0200_000F
 """SYS_STATUS: gyroscopes, accelerometers, compass, pressure, battery: always there and well."""
 _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x10000000
-_BY_MODE: Final = {
-    number: mode for mode, number in CUSTOM_MODES.items() if mode is not Mode.DESCEND
-}
 
 
 def _on_ground(report: Report) -> bool:
@@ -47,7 +43,7 @@ def _on_ground(report: Report) -> bool:
 def _masks(report: Report) -> tuple[int, int, int]:
     """What is there, wanted and well."""
     there = _SENSORS | (_GPS_BIT if report.status.fusing else 0)
-    flies = report.estimate.position_ok and report.time_us >= ARMABLE_US
+    flies = report.estimate.position_ok and report.time_us >= ARMABLE_S * 1e6
     position = _POSITION_BIT if flies else 0
     prearm = _PREARM_BIT if report.status.prearm_ok else 0
     wanted = there | _POSITION_BIT | _PREARM_BIT
@@ -60,15 +56,15 @@ def _masks(report: Report) -> tuple[int, int, int]:
 def _mission_mode(report: Report) -> int:
     """1 while the navigator lands, takes off or flies the mission, else 2."""
     status = report.status
-    flies = (Mode.LAND, Mode.TAKEOFF, Mode.MISSION)
-    return 1 if status.waypoint is not None and _BY_MODE[status.mode] in flies else 2
+    flies = MODE_NAMES[status.mode] in ("Land", "Takeoff", "Mission")
+    return 1 if status.waypoint is not None and flies else 2
 
 
 def _waypoint(report: Report) -> tuple[float, ...] | None:
     waypoint = report.status.waypoint
     if waypoint is None:
         return None
-    lands = report.status.mode == CUSTOM_MODES[Mode.LAND] and not is_plane(report)
+    lands = MODE_NAMES[report.status.mode] == "Land" and not is_plane(report)
     return (*place_e7(waypoint.place), 0.0 if lands else waypoint.place.altitude_amsl_m)
 
 
@@ -91,8 +87,7 @@ def _home_down_m(report: Report) -> float | None:
 def _modes(report: Report) -> tuple[int, int, int]:
     """Standard mode, the mode and the intended one."""
     status = report.status
-    mode = _BY_MODE.get(status.mode)
-    standard = 0 if status.failsafe or mode is None else standard_mode(mode)
+    standard = 0 if status.failsafe else STANDARD_MODES.get(MODE_NAMES[status.mode], 0)
     intended = status.mode if status.intended_mode is None else status.intended_mode
     return standard, status.mode, intended
 
