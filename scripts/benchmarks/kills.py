@@ -40,7 +40,7 @@ PLANES: Final = ("plane", "short-plane")
 """Families of drawn worlds (`campaign.families`)."""
 _PX4_PLANE_M_S: Final = 13.5
 """PX4's own simulated plane makes 13.9 m/s; told to fly the 22 of a family it trades height for
-them, and flies 18 m low (`vehicle_sim.autopilots.px4.course`)."""
+them, and flies 18 m low (`vehicle_sim.autopilot.px4plane`)."""
 AUTOPILOTS: Final = ("ardupilot", "px4")
 _PX4_ERROR_M: Final = 1.0
 """How wrong the position of the simulated PX4 may be: it tells of no less than 0.4 m."""

@@ -41,9 +41,8 @@ from companion.mission.events import (
     Vector,
     VehicleStatus,
 )
-from vehicle_sim.autopilot.earth import FlatEarth
+from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.px4.setpoints import Projection
 
 each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 
@@ -242,8 +241,7 @@ def test_an_echo_of_arducopter_is_read_on_its_flat_earth(
 @pytest.mark.parametrize("origin", ORIGINS)
 @pytest.mark.parametrize("ne_m", [(0.0, 0.0), (300.0, -200.0), (9000.0, 4000.0), (-4e4, 3e4)])
 def test_an_echo_of_px4_is_read_on_its_sphere(origin: Vector, ne_m: tuple[float, float]) -> None:
-    projection = Projection(*geodetic(*origin[:2]))
-    there = projection.to_geographic(*ne_m)
+    there = Projection(Place(*geodetic(*origin[:2]), 0.0)).place(*ne_m, 0.0)[:2]
     read = event(local_target(*ne_m, -60.0, vx=3.0), PX4_MULTICOPTER, origin)
     assert isinstance(read, Echo)
     _, _, off_m = GEOD.inv(*reversed(geodetic(*read.position_nea_m[:2])), *reversed(there))

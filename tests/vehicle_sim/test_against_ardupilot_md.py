@@ -366,22 +366,6 @@ def auto_without_a_mission() -> None:
     assert wire.mode == GUIDED
 
 
-@says("2", "DO_PAUSE_CONTINUE stops and ignores setpoints until it goes on, in GUIDED")
-def pause() -> None:
-    wire, north_m = cruising(6.0, ALL)
-    assert wire.command(193, 0) == ACCEPTED
-    wire.run(6.0, lambda: wire.send(local((north_m + 50.0, 0.0, -30.0))))
-    stopped_m = wire.ned_m[0]
-    assert wire.level_m_s == pytest.approx(0.0, abs=0.25)
-    wire.run(3.0, lambda: wire.send(local((north_m + 50.0, 0.0, -30.0))))
-    assert wire.ned_m[0] == pytest.approx(stopped_m, abs=0.5)
-    assert wire.mode == GUIDED
-    assert wire.command(193, 1) == ACCEPTED
-    wire.send(local((north_m + 50.0, 0.0, -30.0)))
-    wire.run(5.0)
-    assert wire.ned_m[0] > stopped_m + 5.0
-
-
 def fastest_m_s(wire: Wire, seconds: float) -> float:
     begun_s = wire.now_s
     wire.run(seconds)

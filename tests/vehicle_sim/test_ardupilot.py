@@ -100,7 +100,6 @@ ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
         (246, (1,), {}, ACCEPTED),
         (246, (0,), {}, UNSUPPORTED),
         (20, (), {}, ACCEPTED),  # a mode change, which is not checked while disarmed
-        (193, (7,), {}, DENIED),
         (300, (), {}, FAILED),
         (178, (1, 0), {}, FAILED),
         (31000, (), {}, UNSUPPORTED),

@@ -8,8 +8,7 @@ import pytest
 from over_the_wire import KINDS, PLACE, Link, flying, ready
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import arducopter, arduplane
-from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, NAMES, Mode
+from vehicle_sim.autopilot import arducopter, arduplane, px4
 
 Kind = tuple[Any, Any]
 CAN: Final = {
@@ -20,6 +19,7 @@ CAN: Final = {
 ACCEPTED: Final = 0
 IDS: Final = (1, 1)
 PX4S = KINDS[2:]
+PX4: Final = {mode.name: mode.number for mode in px4.MODES}
 
 
 def ask(client: Link, message: Any, kind: str) -> Any:
@@ -36,7 +36,7 @@ def stream(client: Link, make: Callable[[], Any], seconds: float) -> None:
     client.aim = lambda _: make()
     if client.firmware == "px4":
         client.run(1.0)
-        assert client.set_mode(CUSTOM_MODES[Mode.OFFBOARD]) == ACCEPTED
+        assert client.set_mode(PX4["Offboard"]) == ACCEPTED
     client.run(seconds)
 
 
@@ -164,7 +164,7 @@ def test_what_it_says_that_it_can_do_it_does(kind: Kind) -> None:
 
 def modes_of(kind: Kind) -> dict[int, str]:
     if kind[0] == "px4":
-        return {number: NAMES[mode] for mode, number in CUSTOM_MODES.items()}
+        return px4.MODE_NAMES
     firmware = arducopter.FIRMWARE if kind[1] == "copter" else arduplane.FIRMWARE
     return {mode.number: mode.name for mode in firmware.modes}
 
@@ -172,10 +172,7 @@ def modes_of(kind: Kind) -> dict[int, str]:
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
 def test_every_mode_is_flown_or_refused_with_a_word(kind: Kind) -> None:
     client = flying(*kind)
-    if client.firmware == "px4":
-        back = CUSTOM_MODES[Mode.LOITER]
-    else:
-        back = 4 if client.kind == "copter" else 15
+    back = PX4["Hold"] if client.firmware == "px4" else {"copter": 4, "plane": 15}[client.kind]
     for number, name in modes_of((client.firmware, client.kind)).items():
         since_s = client.now_s
         result = client.set_mode(number)
@@ -197,7 +194,7 @@ def test_every_mode_is_flown_or_refused_with_a_word(kind: Kind) -> None:
 def test_px4_returns_in_mode_return_when_its_mission_says_so(kind: Kind) -> None:
     client = ready(*kind)
     takes_a_plan(client, 0, 22, 16, 20)
-    assert client.set_mode(CUSTOM_MODES[Mode.MISSION]) == ACCEPTED
+    assert client.set_mode(PX4["Mission"]) == ACCEPTED
     assert client.command(400, 1) == ACCEPTED
-    returns = CUSTOM_MODES[Mode.RTL]
+    returns = PX4["Return"]
     assert client.until(lambda: client.last("HEARTBEAT").custom_mode == returns, 180.0) < 180.0

@@ -22,6 +22,7 @@ from hypothesis.stateful import (
 )
 from rig import STRONG
 
+from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilots import (
     Ack,
     Autopilot,
@@ -32,7 +33,6 @@ from vehicle_sim.autopilots import (
     Text,
 )
 from vehicle_sim.autopilots.factory import PERSONALITIES
-from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits

@@ -13,10 +13,7 @@ from over_the_wire import COMPANION, GCS, PLACE, VEHICLE, Link
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilot import arducopter, arduplane
-from vehicle_sim.autopilots.px4.autopilot import parameter_rows
-from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
-from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
+from vehicle_sim.autopilot import arducopter, arduplane, px4copter, px4plane
 from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import RENAMED, Firmware, Kind, Parameter, Parameters
 from vehicle_sim.world import VehicleKind
@@ -295,9 +292,9 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
         (arducopter.FIRMWARE.table, "MAV_SYS_ID", "It is called MAV_SYSID here."),
         (arduplane.FIRMWARE.table, "TRIM_ARSPD_CM", "It is called AIRSPEED_CRUISE here, in m/s."),
         (arduplane.FIRMWARE.table, "FS_GCS_ENABLE", "It is called FS_GCS_ENABL here."),
-        (parameter_rows(*Px4Multicopter.TABLES), "SYSID_THISMAV", "It is called MAV_SYS_ID here."),
+        (px4copter.FIRMWARE.table, "SYSID_THISMAV", "It is called MAV_SYS_ID here."),
         (
-            parameter_rows(*Px4Multicopter.TABLES),
+            px4copter.FIRMWARE.table,
             "COM_OBL_ACT",
             "It is called COM_OBL_RC_ACT here.",
         ),
@@ -315,7 +312,7 @@ def test_names_of_other_releases_are_told_by_the_one_of_here(
 
 def test_every_name_of_another_release_is_known_by_its_new_one_somewhere() -> None:
     rows = {row.name for row in (*arducopter.FIRMWARE.table, *arduplane.FIRMWARE.table)}
-    rows |= {row.name for t in (Px4Multicopter, Px4FixedWing) for row in parameter_rows(*t.TABLES)}
+    rows |= {row.name for row in (*px4copter.FIRMWARE.table, *px4plane.FIRMWARE.table)}
     for was, now, *_ in RENAMED:
         pattern = now.replace("\\1", r"\w+")
         assert any(re.fullmatch(pattern, name) for name in rows), f"{was}: there is no {now}"

@@ -7,7 +7,6 @@ import pytest
 from tracking_px4 import TABLE, Rig, Row
 
 from vehicle_sim.autopilots import Landed, Result
-from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.plans import PlanItem, PlanKind
 
 # --- px4.md 5: tracking a curve -------------------------------------------------------------------
@@ -85,7 +84,7 @@ def test_it_lands_slower_the_nearer_the_ground() -> None:
     assert sinking[1] == pytest.approx(0.4, abs=0.2)
     assert not rig.px4.armed
     assert rig.px4.status().landed_state == Landed.ON_GROUND
-    assert rig.px4.mode is Mode.OFFBOARD  # the last commanded flight mode again: px4.md 3
+    assert rig.px4.mode_name == "Offboard"  # the last commanded flight mode again: px4.md 3
 
 
 # --- px4.md 7: mission and fence ------------------------------------------------------------------
@@ -118,8 +117,8 @@ def test_it_flies_a_mission() -> None:
     nearest_m = [math.inf, math.inf]
     while rig.px4.armed and rig.now_s < 200.0:
         rig.step()
-        if not seen or seen[-1] != rig.px4.mission.current:
-            seen.append(rig.px4.mission.current)
+        if not seen or seen[-1] != rig.px4.route.current:
+            seen.append(rig.px4.route.current)
         north_m, east_m, _ = rig.px4.local_m
         for index, place in enumerate(((40.0, 0.0), (40.0, 40.0))):
             away_m = math.hypot(north_m - place[0], east_m - place[1])
@@ -139,7 +138,7 @@ def test_a_reposition_into_the_fence_is_refused() -> None:
     outside = (47.397742 - 30.0 / 111194.9, 8.545594, 500.0)
     assert rig.command(192, -1.0, 1.0, 0.0, math.nan, *outside, frame=5) == [Result.ACCEPTED]
     rig.run(15.0)
-    assert rig.px4.mode is Mode.LOITER
+    assert rig.px4.mode_name == "Hold"
     assert rig.px4.local_m[0] == pytest.approx(-30.0, abs=1.0)
 
 

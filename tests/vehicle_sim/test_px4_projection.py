@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from vehicle_sim.autopilots.px4.setpoints import Projection
+from vehicle_sim.autopilot.earth import Projection
+from vehicle_sim.autopilots import Place
 
 
 @given(
@@ -19,9 +20,9 @@ from vehicle_sim.autopilots.px4.setpoints import Projection
 def test_there_and_back(
     latitude_deg: float, longitude_deg: float, north_m: float, east_m: float
 ) -> None:
-    projection = Projection(latitude_deg, longitude_deg)
-    back = projection.to_local(*projection.to_geographic(north_m, east_m))
-    assert back == pytest.approx((north_m, east_m), abs=1e-4)
+    projection = Projection(Place(latitude_deg, longitude_deg, 400.0))
+    back = projection.ned_m(projection.place(north_m, east_m, -30.0))
+    assert back == pytest.approx((north_m, east_m, -30.0), abs=1e-4)
 
 
 @pytest.mark.parametrize("origin", [(47.397742, 8.545594), (-33.9, 151.2), (0.0, 0.0)])
@@ -32,11 +33,12 @@ def test_it_is_pyprojs_on_the_sphere(origin: tuple[float, float]) -> None:
         f"+proj=aeqd +lat_0={latitude_deg} +lon_0={longitude_deg} +R=6371000 +units=m",
         always_xy=True,
     )
-    projection = Projection(latitude_deg, longitude_deg)
+    projection = Projection(Place(latitude_deg, longitude_deg, 0.0))
     for bearing_deg in range(0, 360, 37):
         for away_deg in (1e-5, 0.01, 0.5):
             north_deg = away_deg * math.cos(math.radians(bearing_deg))
             east_deg = away_deg * math.sin(math.radians(bearing_deg))
             place = (latitude_deg + north_deg, longitude_deg + east_deg)
             east_m, north_m = transformer.transform(place[1], place[0])
-            assert projection.to_local(*place) == pytest.approx((north_m, east_m), abs=1e-3)
+            there = projection.ned_m(Place(*place, 0.0))
+            assert there == pytest.approx((north_m, east_m, 0.0), abs=1e-3)

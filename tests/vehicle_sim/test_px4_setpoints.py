@@ -7,23 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracking_px4 import Rig, Vector
 
+from vehicle_sim.autopilot.setpoints import Target, is_flyable, read_by_px4
 from vehicle_sim.autopilots import Setpoint
-from vehicle_sim.autopilots.px4.modes import Mode
-from vehicle_sim.autopilots.px4.setpoints import (
-    Projection,
-    SetpointFrames,
-    Target,
-    flyable,
-    read_setpoint,
-)
 
-_BEARINGS = SetpointFrames(
-    projection=Projection(47.4, 8.5),
-    origin_amsl_m=488.0,
-    home_amsl_m=493.0,
-    ground_amsl_m=480.0,
-    heading_rad=math.pi / 2.0,
-)
+_EAST_RAD = math.pi / 2.0
 _P, _V, _A = (10.0, 20.0, -30.0), (1.0, 2.0, -0.5), (0.1, 0.2, -0.3)
 _POSITION, _VELOCITY, _ACCELERATION = 0xFF8, 0xFC7, 0xE3F
 """Masks that leave only one of them (FORCE apart)."""
@@ -38,7 +25,7 @@ def _read(
     velocity: Vector = _V,
     acceleration: Vector = _A,
 ) -> Target | None:
-    return read_setpoint(
+    return read_by_px4(
         Setpoint(
             is_global=is_global,
             frame=frame,
@@ -49,7 +36,7 @@ def _read(
             yaw_rad=0.3,
             yaw_rate_rad_s=0.1,
         ),
-        _BEARINGS,
+        _EAST_RAD,
     )
 
 
@@ -81,24 +68,24 @@ def test_local_ned_takes_any_mixture(
 ) -> None:
     target = _read(mask)
     assert target is not None
-    assert flyable(target)
-    assert _same(target.position_m, position)
-    assert _same(target.velocity_m_s, velocity)
-    assert _same(target.acceleration_m_s2, acceleration)
+    assert is_flyable(target)
+    assert _same(target.position, position)
+    assert _same(target.velocity, velocity)
+    assert _same(target.acceleration, acceleration)
     assert math.isnan(target.yaw_rad)
 
 
 def test_mask_0_uses_every_field() -> None:
     target = _read(0)
     assert target is not None
-    assert (target.position_m, target.yaw_rad, target.yaw_rate_rad_s) == (_P, 0.3, 0.1)
+    assert (target.position, target.yaw_rad, target.yaw_rate_rad_s) == (_P, 0.3, 0.1)
 
 
 def test_body_frame_velocity_turns_with_the_heading() -> None:
     """Heading east: ahead is east, to the right is south."""
     target = _read(_VELOCITY, frame=8)
     assert target is not None
-    assert _same(target.velocity_m_s, (-2.0, 1.0, -0.5))
+    assert _same(target.velocity, (-2.0, 1.0, -0.5))
 
 
 @pytest.mark.parametrize(
@@ -133,7 +120,7 @@ def test_a_force_is_refused_only_with_an_acceleration() -> None:
             acceleration_ned_m_s2=_A,
             yaw_rad=0.0,
         )
-        return read_setpoint(setpoint, _BEARINGS)
+        return read_by_px4(setpoint, _EAST_RAD)
 
     assert forced(0xC00) is None
     assert forced(0xDC0) is not None
@@ -143,7 +130,7 @@ def test_a_force_is_refused_only_with_an_acceleration() -> None:
 def test_half_a_position_is_taken_but_cannot_be_flown(mask: int) -> None:
     target = _read(mask)
     assert target is not None
-    assert not flyable(target)
+    assert not is_flyable(target)
 
 
 def test_numbers_that_are_not_finite_count_as_not_given() -> None:
@@ -151,44 +138,43 @@ def test_numbers_that_are_not_finite_count_as_not_given() -> None:
     assert _read(_POSITION, position=nothing) is None
     target = _read(0xFC0, velocity=nothing)
     assert target is not None
-    assert _same(target.velocity_m_s, _NONE)
-    assert flyable(target)
+    assert _same(target.velocity, _NONE)
+    assert is_flyable(target)
 
 
 @pytest.mark.parametrize(
-    ("frame", "above_origin_m"),
+    ("frame", "z_m", "above_origin_m"),
     [
-        (5, 10.0),  # 498 m AMSL, origin at 488 m
-        (6, 493.0),  # 498 m above home, 5 m above the origin: with the wrong sign, 493 m
-        (11, 490.0),  # 498 m above ground at 480 m
+        (5, 498.0, 10.0),  # origin at 488 m
+        (6, 498.0, 493.0),  # 498 m above home, 5 m above the origin: with the wrong sign, 493 m
+        (6, 10.0, 5.0),  # px4.md 1, item 6: asked 10 m above home, flew to home's height
+        (11, 498.0, 490.0),  # 498 m above ground at 480 m
     ],
 )
-def test_frames_of_global_int(frame: int, above_origin_m: float) -> None:
-    target = _read(_POSITION, frame=frame, is_global=True, position=(47.4, 8.5, 498.0))
+def test_frames_of_global_int(frame: int, z_m: float, above_origin_m: float) -> None:
+    rig = Rig()
+    rig.run(4.0)
+    origin = rig.px4.estimator.origin = rig.px4.estimate.place.at(488.0)
+    rig.px4.frame = rig.px4.firmware.frame(origin)
+    rig.px4.home, rig.px4.ground_m = origin.at(493.0), 480.0
+    rig.command(176, 1.0, 6.0)
+    rig.send((*origin[:2], z_m), mask=_POSITION & ~0x200, frame=frame, is_global=True)
+    target = rig.px4.target
     assert target is not None
-    assert -target.position_m[2] == pytest.approx(above_origin_m)
-    assert math.hypot(*target.position_m[:2]) < 1e-6
-
-
-def test_relative_altitude_has_the_sign_error() -> None:
-    """px4.md 1, item 6: home 5 m above the origin, asked 10 m above home, flew to home's height."""
-    target = _read(_POSITION, frame=6, is_global=True, position=(47.4, 8.5, 10.0))
-    assert target is not None
-    flown_above_home_m = -target.position_m[2] + 488.0 - 493.0
-    assert flown_above_home_m == pytest.approx(0.0)
+    assert target.position == pytest.approx((0.0, 0.0, -above_origin_m), abs=1e-6)
 
 
 @pytest.mark.parametrize("frame", [0, 3, 5, 6, 10, 11])
 def test_a_velocity_alone_is_taken_in_every_frame_of_global_int(frame: int) -> None:
     target = _read(_VELOCITY, frame=frame, is_global=True, position=(0.0, 0.0, 0.0))
     assert target is not None
-    assert _same(target.velocity_m_s, _V)
+    assert _same(target.velocity, _V)
 
 
 @pytest.mark.parametrize("mask", [0xFC4, 0xFC3])
 def test_a_global_position_needs_all_three_axes(mask: int) -> None:
     target = _read(mask, frame=5, is_global=True, position=(47.4, 8.5, 498.0))
-    assert target is None or _same(target.position_m, _NONE)
+    assert target is None or _same(target.position, _NONE)
 
 
 @given(
@@ -211,7 +197,7 @@ def test_nothing_that_is_sent_breaks_it(
         acceleration=(g, h, i),
     )
     if target is not None:
-        flat = (*target.position_m, *target.velocity_m_s, *target.acceleration_m_s2)
+        flat = (*target.position, *target.velocity, *target.acceleration)
         assert not any(map(math.isinf, flat))
 
 
@@ -233,6 +219,6 @@ def test_a_setpoint_before_offboard_is_a_sign_of_life_only() -> None:
     rig.run(0.2)
     rig.command(176, 1.0, 6.0)
     rig.run(0.6)
-    assert rig.px4.mode is Mode.OFFBOARD
+    assert rig.px4.mode_name == "Offboard"
     assert rig.px4.target is None
     assert rig.speed_m_s < 0.6

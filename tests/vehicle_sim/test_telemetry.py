@@ -7,9 +7,9 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 from tracking_copter import Flown
 from tracking_px4 import Rig
+from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 
 from vehicle_sim.autopilots import Battery, Report
-from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire.frames import Packer, number_of
 from vehicle_sim.wire.telemetry import MESSAGES

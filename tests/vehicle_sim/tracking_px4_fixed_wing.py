@@ -13,8 +13,9 @@ from typing import Any, Final, Literal, NamedTuple, final
 import numpy as np
 import rig
 
+from vehicle_sim.autopilot import px4plane
+from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilots import Sender
-from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.plans import Plans
@@ -62,12 +63,9 @@ class Rig(rig.Rig):
             limits=SIH_AIRPLANE,
         )
         self.plans = Plans()
-        self.px4 = Px4FixedWing(
-            self.plane,
-            {"COM_OBL_RC_ACT": 5.0, **parameters},
-            self.plans,
-            rng=np.random.default_rng(seed),
-        )
+        rng = np.random.default_rng(seed)
+        given = {"COM_OBL_RC_ACT": 5.0, **parameters}
+        self.px4 = px4plane.make(self.plane, given, self.plans, rng=rng)
         gps = Gps(PX4, np.random.default_rng(seed + 1000))
         super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 
@@ -87,7 +85,8 @@ class Rig(rig.Rig):
 
     def place(self, north_m: float, east_m: float, height_m: float) -> tuple[float, float, float]:
         """Latitude, longitude and altitude AMSL of a point of the local frame."""
-        return (*self.px4.projection.to_geographic(north_m, east_m), GROUND_AMSL_M + height_m)
+        place = self.px4.frame.place(north_m, east_m, 0.0)
+        return place.latitude_deg, place.longitude_deg, GROUND_AMSL_M + height_m
 
     def take_off(self, north_m: float = 300.0, height_m: float = 50.0) -> None:
         """As in the recorded flight: NAV_TAKEOFF, arm, until Hold."""
@@ -118,7 +117,6 @@ class Rig(rig.Rig):
         plane.heading_rad, plane.roll_rad, plane.airspeed_m_s = heading_rad, 0.0, speed_m_s
         plane.velocity_north_m_s = speed_m_s * math.cos(heading_rad)
         plane.velocity_east_m_s = speed_m_s * math.sin(heading_rad)
-        self.px4.course.start(speed_m_s)
         self.step()
 
 

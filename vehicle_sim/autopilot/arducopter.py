@@ -15,18 +15,8 @@ from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, b
 from vehicle_sim.autopilot.core import Firmware, Handler, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.ideal import Ideal, Spatial
-from vehicle_sim.autopilot.legs import RETURN, Does, Leg, back, leg_of
-from vehicle_sim.autopilot.setpoints import (
-    IGNORE_ACCELERATION,
-    IGNORE_POSITION,
-    IGNORE_VELOCITY,
-    IGNORE_YAW,
-    IGNORE_YAW_RATE,
-    Stop,
-    Target,
-    given,
-    read_by_arducopter,
-)
+from vehicle_sim.autopilot.legs import RETURN, Does, back
+from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
 from vehicle_sim.autopilots import (
     Command,
     Landed,
@@ -43,7 +33,7 @@ from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import around, metres_per_degree
 from vehicle_sim.parameters import table
-from vehicle_sim.plans import PlanItem, PlanKind, Plans
+from vehicle_sim.plans import PlanKind, Plans
 
 _HOLDS: Final = 0x59
 """Custom mode and manual input enabled, stabilised, and "guided" while it holds a position."""
@@ -78,7 +68,12 @@ FIRMWARE: Final = Firmware(
     prearm_s=23.3,
     believes_landing_s=1.57,
     refused=Result.FAILED,
+    missions="AUTO",
     first_item=1,
+    arms="Arming motors",
+    disarms="Disarming motors",
+    cannot_arm="Arm: {}",
+    crashes="Crash: Disarming: AngErr=90>30, Accel=0.5<3.0",
 )
 
 _EKF_CHECKS: Final = 10
@@ -121,14 +116,14 @@ class Kind(enum.Enum):
     """An acceleration alone."""
 
 
-_YAWS: Final = IGNORE_YAW | IGNORE_YAW_RATE
 _ECHO_MASKS: Final = {
-    Kind.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _YAWS,
-    Kind.POSITION: IGNORE_VELOCITY | IGNORE_ACCELERATION | _YAWS,
-    Kind.PATH: _YAWS,
-    Kind.VELOCITY: IGNORE_POSITION | _YAWS,
-    Kind.PUSH: IGNORE_POSITION | IGNORE_VELOCITY | _YAWS,
+    Kind.TAKEOFF: 0xDF8,
+    Kind.POSITION: 0xDF8,
+    Kind.PATH: 0xC00,
+    Kind.VELOCITY: 0xC07,
+    Kind.PUSH: 0xC3F,
 }
+"""type_mask of POSITION_TARGET_LOCAL_NED."""
 Order = Spatial
 """Acceleration of the thrust."""
 
@@ -137,7 +132,6 @@ class CopterFlight(ArduFlight):
     """An ArduCopter: its modes, on the position controller."""
 
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
-    CRASH_TEXT: ClassVar[str] = "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0"
 
     def __init__(self, autopilot: ArduPilot, copter: Copter) -> None:
         super().__init__(autopilot)
@@ -146,7 +140,6 @@ class CopterFlight(ArduFlight):
         """Of one without drag, which no autopilot was tuned for."""
         self._flown_in = {mode.name: getattr(self, mode.flies) for mode in MODES}
         self.kind = Kind.VELOCITY
-        self.paused = False
         self._place_deg, self._altitude_m = 0j, 0.0
         self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
         """What GUIDED was told, as it has run on since."""
@@ -192,7 +185,7 @@ class CopterFlight(ArduFlight):
     def _mode(self) -> str:
         return self.autopilot.mode.name
 
-    def refusal(self, name: str) -> str | None:
+    def cannot_fly_in(self, name: str) -> str | None:
         """Checks are only made in flight, as the real one does."""
         autopilot = self.autopilot
         if not autopilot.armed:
@@ -208,7 +201,6 @@ class CopterFlight(ArduFlight):
         del before
         autopilot, route, name = self.autopilot, self.autopilot.route, self._mode
         self._abandon_takeoff()
-        self.paused = route.paused = False
         self._set_looks_ahead()
         self._look_ahead()
         self._stand_still()
@@ -221,7 +213,7 @@ class CopterFlight(ArduFlight):
             count = len(autopilot.plans[PlanKind.MISSION])
             again = autopilot.parameters["MIS_RESTART"] or not 1 <= route.current < count
             route.forget_jumps()
-            self._seek(1 if again else route.current)
+            autopilot.seek(1 if again else route.current)
 
     def _stand_still(self) -> None:
         """Reset to zero velocity: mode_guided.init."""
@@ -233,18 +225,21 @@ class CopterFlight(ArduFlight):
         self.kind, tuning = kind, self.tuning
         self.speed_m_s = tuning.speed_m_s
         self._speeds_up_down = (tuning.speed_up_m_s, tuning.speed_down_m_s)
-        estimate = self.autopilot.estimate
         self.level.start(self._here_deg, self._flown)
-        self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+        self._start_vertical()
         if self._ideal is not None:
             self._ideal.forget()
-            self._ideal.tracks = False
-            self.level.follow(self._here_deg, self._flown, self._felt)
+            self._go_on()
 
-    @property
-    def _felt(self) -> complex:
-        """The acceleration that there is."""
-        return complex(self.copter.acceleration_north_m_s2, self.copter.acceleration_east_m_s2)
+    def _start_vertical(self) -> None:
+        estimate = self.autopilot.estimate
+        self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+
+    def _go_on(self) -> None:
+        """Level, with the acceleration that there is."""
+        copter = self.copter
+        felt = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
+        self.level.follow(self._here_deg, self._flown, felt)
 
     @property
     def _here_deg(self) -> complex:
@@ -265,11 +260,6 @@ class CopterFlight(ArduFlight):
             return self._mode == "LAND"
         return leg.command == RETURN or self.autopilot.route.arrived_s is not None
 
-    @property
-    def flying(self) -> bool:
-        """Whether it may not be disarmed."""
-        return not self.autopilot.landed
-
     # --- arming -------------------------------------------------------------------------------
 
     def arming_refusal(self) -> str | None:
@@ -282,9 +272,6 @@ class CopterFlight(ArduFlight):
         if autopilot.now_s < autopilot.firmware.prearm_s:
             return "AHRS: waiting for home"
         return autopilot.common_refusal()
-
-    def on_armed(self) -> None:
-        """It idles until a take-off, or until DISARM_DELAY is over."""
 
     def on_disarmed(self) -> None:
         """A take-off that was going on is over."""
@@ -322,41 +309,29 @@ class CopterFlight(ArduFlight):
             autopilot.failsafe = False
             autopilot.say(2, "EKF Failsafe Cleared")
 
-    def on_gcs_failsafe(self) -> None:
-        """FS_GCS_ENABLE 1: return; 5: land."""
-        self.autopilot.say(4, "GCS Failsafe")
-        self._go_home_or_land(land=self.autopilot.parameters["FS_GCS_ENABLE"] == 5)
+    def on_failsafe(self, cause: str, action: int) -> None:
+        """FS_GCS_ENABLE 5, BATT_FS_*_ACT 1 and 4, FENCE_ACTION 2: land; 5 of a battery: stop.
 
-    def on_battery_failsafe(self, action: int) -> None:
-        """1: land; 2: return; 3: return; 4: land; 5: stop the motors."""
-        if action == 0:
-            return
-        self.autopilot.say(4, "Battery Failsafe")
-        if action == 5:
-            self.autopilot.disarm()
-        else:
-            self._go_home_or_land(land=action in (1, 4))
-
-    def on_fence_breach(self, action: int) -> None:
-        """1: return, or land; 2: land; 4: brake, or land; 3 and 5 try SMARTRTL first, as RTL."""
-        brakes = action == 4 and not self.autopilot.landed
-        if action != 0 and not (brakes and self.autopilot.set_mode("BRAKE")):
-            self._go_home_or_land(land=action in (2, 4))
-
-    def _go_home_or_land(self, *, land: bool) -> None:
+        FENCE_ACTION 4: brake, or land.  All else: return, or land.
+        """
         autopilot = self.autopilot
-        if autopilot.landed:
+        if cause != "Fence":
+            autopilot.say(4, f"{cause} Failsafe")
+        if autopilot.landed or (cause, action) == ("Battery", 5):
             autopilot.disarm()
-        elif land or not autopilot.set_mode("RTL"):
+            return
+        first = "BRAKE" if (cause, action) == ("Fence", 4) else "RTL"
+        lands = action in {"GCS": (5,), "Battery": (1, 4), "Fence": (2,)}[cause]
+        if lands or not autopilot.set_mode(first):
             autopilot.set_mode("LAND")
             self._pauses_until_s = autopilot.now_s + _FAILSAFE_PAUSE_S
 
     # --- commands -----------------------------------------------------------------------------
 
     def handlers(self) -> dict[int, Handler]:
-        """CONDITION_YAW, DO_PAUSE_CONTINUE, MISSION_START, NAV_LAND."""
-        lands = self.autopilot.to_mode(self.autopilot.firmware.lands)
-        return {21: lands, 115: self._turn, 193: self._pause_or_continue, 300: self._start_mission}
+        """NAV_LAND, CONDITION_YAW, MISSION_START."""
+        to_mode = self.autopilot.to_mode
+        return {21: to_mode("LAND"), 115: self._turn, 300: self._start_mission}
 
     def take_off(self, command: Command) -> Result:
         """Straight up, in GUIDED."""
@@ -415,35 +390,15 @@ class CopterFlight(ArduFlight):
             return Result.FAILED
         return Result.ACCEPTED if self._take(Target(), place) else Result.FAILED
 
-    def _pause_or_continue(self, command: Command) -> Result:
-        """In GUIDED and AUTO: stop and ignore setpoints, or go on."""
-        wanted = command.parameters[0]
-        if wanted not in (0.0, 1.0):
-            return Result.DENIED
-        if self._mode == "GUIDED":
-            self._stand_still()
-            self.paused = wanted == 0.0
-        elif self._mode == "AUTO":
-            self.autopilot.route.paused = wanted == 0.0
-        else:
-            return Result.FAILED
-        return Result.ACCEPTED
-
     def _start_mission(self, command: Command) -> Result:
-        del command
-        if not self.autopilot.armed:
-            return Result.FAILED
-        if self._mode == "AUTO":
-            self.autopilot.route.paused = False
-            return Result.ACCEPTED
-        return Result.ACCEPTED if self.autopilot.set_mode("AUTO") else Result.FAILED
+        return self.autopilot.to_mode("AUTO")(command) if self.autopilot.armed else Result.FAILED
 
     # --- setpoints ----------------------------------------------------------------------------
 
     def on_setpoint(self, setpoint: Setpoint) -> None:
         """Steer for this from now on; outside GUIDED it is not even read."""
         autopilot, home = self.autopilot, self.autopilot.home
-        if self._mode != "GUIDED" or home is None or self.paused:
+        if self._mode != "GUIDED" or home is None:
             return
         target = read_by_arducopter(setpoint, self.copter.heading_rad)
         if isinstance(target, Stop):
@@ -551,18 +506,14 @@ class CopterFlight(ArduFlight):
         self.copter.stand(ground_amsl_m)
         self._abandon_takeoff()
         self.level.rest()
-        self.level.start(self._here_deg, 0j)
-        self.up.start(ground_amsl_m, 0.0)
-
-    def on_landed(self) -> None:
-        """The landing is believed."""
+        self.autopilot.estimator.follow()
         self._stand_still()
 
     # --- flying -------------------------------------------------------------------------------
 
     def steer(self, dt_s: float) -> None:
         """The target of GUIDED runs on, also on the ground."""
-        if self._mode == "GUIDED" and not self.paused:
+        if self._mode == "GUIDED":
             self._run_on(dt_s)
 
     def move(self, dt_s: float) -> None:
@@ -621,15 +572,12 @@ class CopterFlight(ArduFlight):
         if not self.autopilot.estimator.aiding:
             return self._level_out(0.0, dt_s)
         if self._ideal is not None:
-            if self.kind is Kind.PATH and not self.paused and self._age_s <= self._timeout_s:
+            if self.kind is Kind.PATH and self._age_s <= self._timeout_s:
                 return self._track(self._ideal)
             if self._ideal.tracks:
                 self._ideal.tracks = False
-                estimate = self.autopilot.estimate
-                self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
-                self.level.follow(self._here_deg, self._flown, self._felt)
-        if self.paused:
-            return self._stop(0.0, dt_s)
+                self._start_vertical()
+                self._go_on()
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return self._go(self._place_deg, self._altitude_m, dt_s)
         self._move_desired(dt_s)
@@ -722,46 +670,28 @@ class CopterFlight(ArduFlight):
         autopilot.route.number = number
         self._lands_with_position = True
 
-    def _seek(self, number: int) -> None:
-        """The mission from this item on."""
-        autopilot, route = self.autopilot, self.autopilot.route
-        items = autopilot.plans[PlanKind.MISSION]
-        speed_m_s = route.seek(items, number, self._leg_of, autopilot.now_s)
+    def begin_leg(self, speed_m_s: float | None) -> None:
+        """Another item of the mission, or none any more."""
+        autopilot, route, leg = self.autopilot, self.autopilot.route, self.autopilot.route.leg
         self.speed_m_s = speed_m_s or self.speed_m_s
-        estimate = autopilot.estimate
-        self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
-        if route.leg is None:
+        self._start_vertical()
+        if leg is None:
             self._stand_still()
-        elif route.leg.does is Does.RETURN:
+            return
+        here = autopilot.estimate.place
+        if leg.does is Does.RETURN:
             self._begin_return(climb=True)
-        elif route.leg.does is Does.CLIMB:
-            self._takeoff_s = autopilot.now_s
-
-    def _leg_of(self, item: PlanItem) -> Leg | None:
-        here, home = self.autopilot.estimate.place, self.autopilot.home
-        leg = leg_of(item, here, home or here, 0.0)  # the ground is at sea level without its data
-        if leg is not None and leg.does is Does.CLIMB:
+        elif leg.does is Does.LAND:
+            route.leg = leg._replace(place=leg.place.at(here.altitude_amsl_m))
+        elif leg.does is Does.CLIMB:
             height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
-            return leg._replace(place=here.at(height_m))
-        if leg is not None and leg.does is Does.LAND:
-            return leg._replace(place=leg.place.at(here.altitude_amsl_m))
-        return leg
-
-    def fly_item(self, number: int) -> None:
-        """Of the mission, in AUTO."""
-        if self._mode == "AUTO" and number > 0:
-            self.autopilot.route.forget_jumps()
-            self._seek(number)
-
-    def flies_mission(self) -> bool:
-        """Whether the mission is under way."""
-        return self._mode == "AUTO"
+            route.leg, self._takeoff_s = leg._replace(place=here.at(height_m)), autopilot.now_s
 
     def fly_mission(self, dt_s: float) -> Order:
         """AUTO: item by item."""
         autopilot, route = self.autopilot, self.autopilot.route
         leg, now_s = route.leg, autopilot.now_s
-        if leg is None or route.paused or not autopilot.estimator.aiding:
+        if leg is None or not autopilot.estimator.aiding:
             return self._stop(0.0, dt_s)
         if leg.command == RETURN:
             return self.fly_back(dt_s)
@@ -786,7 +716,7 @@ class CopterFlight(ArduFlight):
             done = near and route.has_waited(now_s, leg.hold_s)
         if done and route.number is not None:
             autopilot.reached(route.number)
-            self._seek(route.number + 1)
+            autopilot.seek(route.number + 1)
         return order
 
     def _go_to(self, place: Place, dt_s: float) -> Order:

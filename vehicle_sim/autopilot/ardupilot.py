@@ -9,11 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Final, final
 
 import numpy as np
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.core import (
     AUTOPILOT_VERSION,
-    FORCE,
     GPS_GLOBAL_ORIGIN,
     HEARTBEAT,
     HOME_POSITION,
@@ -29,11 +27,11 @@ from vehicle_sim.autopilot.guards import Fence, named
 from vehicle_sim.autopilots import (
     Command,
     FirmwareProfile,
+    Landed,
     Place,
     Reply,
     Result,
     Sender,
-    SendMessage,
     Setpoint,
     State,
     Status,
@@ -105,7 +103,6 @@ EKF3: Final = Timing(
 )
 _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
-_FORCE_ARM: Final = 2989.0
 _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
 _GCS_EARLY_S: Final = 0.1
@@ -118,25 +115,18 @@ class ArduFlight(Flight):
 
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
-    CRASH_TEXT: ClassVar[str]
-    ARMS, DISARMS = "Arming motors", "Disarming motors"
 
     @property
     @abc.abstractmethod
     def lands(self) -> bool:
         """Whether it comes down to land: the fence has no floor then."""
 
-    @property
-    @abc.abstractmethod
-    def flying(self) -> bool:
-        """Whether it may not be disarmed."""
-
     @abc.abstractmethod
     def handlers(self) -> dict[int, Handler]:
         """The answers to commands that only this kind knows."""
 
     @abc.abstractmethod
-    def refusal(self, name: str) -> str | None:
+    def cannot_fly_in(self, name: str) -> str | None:
         """Why it cannot fly in this mode now."""
 
     @abc.abstractmethod
@@ -148,24 +138,20 @@ class ArduFlight(Flight):
         """Ten times a second: what only this kind looks at."""
 
     @abc.abstractmethod
-    def on_gcs_failsafe(self) -> None:
-        """The ground station has gone."""
-
-    @abc.abstractmethod
-    def on_battery_failsafe(self, action: int) -> None:
-        """BATT_FS_LOW_ACT or BATT_FS_CRT_ACT."""
-
-    @abc.abstractmethod
-    def on_fence_breach(self, action: int) -> None:
-        """FENCE_ACTION: 0 only says it."""
+    def on_failsafe(self, cause: str, action: int) -> None:
+        """Of "GCS", "Battery" or "Fence", what its parameter asks for."""
 
     @abc.abstractmethod
     def on_setpoint(self, setpoint: Setpoint) -> None:
         """Take a setpoint."""
 
     @abc.abstractmethod
-    def fly_item(self, number: int) -> None:
-        """Another item of the mission is the current one: in AUTO it goes there at once."""
+    def landed_state(self) -> Landed:
+        """What EXTENDED_SYS_STATE says."""
+
+    @abc.abstractmethod
+    def begin_leg(self, speed_m_s: float | None) -> None:
+        """Another leg of the mission, or none any more; the speed that was asked for before it."""
 
     @abc.abstractmethod
     def base_mode(self) -> int:
@@ -174,10 +160,6 @@ class ArduFlight(Flight):
     @abc.abstractmethod
     def system_status(self) -> State:
         """Of the heartbeat."""
-
-    @abc.abstractmethod
-    def flies_mission(self) -> bool:
-        """Whether the mission is under way."""
 
     def airspeed_m_s(self) -> float | None:
         """Indicated; None: there is no pitot tube."""
@@ -226,18 +208,14 @@ class ArduPilot(Autopilot):
         self._battery_low_s: float | None = None
         self._fence_left_alone_s = 0.0
         self.flight = flight = make_flight(self)
-        self.handlers = {
+        self.handlers |= {
             17: self.to_mode(firmware.holds),
-            20: self.to_mode(firmware.returns),
             22: flight.take_off,
             176: self._do_set_mode,
             178: flight.change_speed,
             179: self._do_set_home,
             192: flight.reposition,
             207: self._do_fence_enable,
-            224: self._do_set_mission_current,
-            246: self.reboot,
-            400: self._arm_or_disarm,
             401: self._run_prearm_checks,
             410: self._get_home,
             520: self._capabilities,
@@ -270,7 +248,7 @@ class ArduPilot(Autopilot):
             return
         if self.now_s - self._gcs_s >= timeout_s - _GCS_EARLY_S:
             self.gcs_lost = True
-            self.flight.on_gcs_failsafe()
+            self.flight.on_failsafe("GCS", int(enabled))
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """Only those of MAV_GCS_SYSID count."""
@@ -299,8 +277,8 @@ class ArduPilot(Autopilot):
                 how = "critical" if level == 2 else "low"
                 used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
                 self.say(4, f"Battery 1 is {how} {used}")
-                if self.armed:
-                    self.flight.on_battery_failsafe(int(parameters[action]))
+                if self.armed and parameters[action]:
+                    self.flight.on_failsafe("Battery", int(parameters[action]))
             return
         self._battery_low_s = None
 
@@ -329,7 +307,8 @@ class ArduPilot(Autopilot):
             *first, last = named(new)
             joined = f"{', '.join(first)} and {last} fences" if first else f"{last} fence"
             self.say(5, f"{joined} breached")
-            self.flight.on_fence_breach(int(self.parameters["FENCE_ACTION"]))
+            if self.parameters["FENCE_ACTION"]:
+                self.flight.on_failsafe("Fence", int(self.parameters["FENCE_ACTION"]))
 
     def outside_fence(self, place: Place) -> int:
         """Which kinds of fence this place would breach."""
@@ -342,7 +321,7 @@ class ArduPilot(Autopilot):
         mode, before = self.modes[name], self.mode
         if mode is before:
             return True
-        refusal = self.flight.refusal(name)
+        refusal = self.flight.cannot_fly_in(name)
         if refusal is not None:
             self.say(4, f"Mode change to {name} failed: {refusal}")
             return False
@@ -395,17 +374,6 @@ class ArduPilot(Autopilot):
         self.fence.enabled = command.parameters[0] == 1.0
         return Result.ACCEPTED
 
-    def _do_set_mission_current(self, command: Command) -> Result:
-        """MISSION_SET_CURRENT comes here too."""
-        number = command.parameters[0]
-        if not math.isfinite(number):
-            return Result.DENIED
-        if not 0 <= int(number) < max(len(self.plans[PlanKind.MISSION]), 1):
-            return Result.FAILED
-        self.route.current = int(number)
-        self.flight.fly_item(int(number))
-        return Result.ACCEPTED
-
     def _get_home(self, command: Command) -> Result:
         del command
         if self.home is None:
@@ -422,36 +390,16 @@ class ArduPilot(Autopilot):
         del command
         if self.armed:
             return Result.TEMPORARILY_REJECTED
-        refusal = self.flight.arming_refusal()
+        refusal = self.refusal()
         if refusal is not None:
             self.say(2, f"PreArm: {refusal}")
         return Result.ACCEPTED
 
     # --- arming -------------------------------------------------------------------------------
 
-    def _arm_or_disarm(self, command: Command) -> Result:
-        arm, force = command.parameters[:2]
-        if arm not in (0.0, 1.0):
-            return Result.UNSUPPORTED
-        if arm == 0.0:
-            if self.flight.flying and self.armed and force != FORCE:
-                return Result.FAILED
-            self.disarm()
-            return Result.ACCEPTED
-        if self.armed:
-            return Result.ACCEPTED
-        refusal = None if force in (_FORCE_ARM, FORCE) else self.flight.arming_refusal()
-        if refusal is not None:
-            self.say(2, f"Arm: {refusal}")
-            return Result.FAILED
-        self.start_motors()
-        self._was_armed = True
-        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-            self.fence.enabled = True
-        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
-        self.say(6, self.flight.ARMS)
-        self.flight.on_armed()
-        return Result.ACCEPTED
+    def refusal(self) -> str | None:
+        """Why it may not be armed now."""
+        return self.flight.arming_refusal()
 
     def common_refusal(self) -> str | None:
         """Why neither kind may be armed now."""
@@ -463,26 +411,23 @@ class ArduPilot(Autopilot):
                 return "Vehicle breaching " + ", ".join(named(outside))
         return None
 
-    def disarm(self) -> None:
-        """Stop the motors, wherever it is."""
-        if self.armed:
-            self.armed = False
-            self.say(6, self.flight.DISARMS)
-            if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-                self.fence.enabled = False
-            self.flight.on_disarmed()
+    def on_armed(self) -> None:
+        """Home is told; a mission begins where it stands."""
+        self._was_armed = True
+        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+            self.fence.enabled = True
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
+        if self.mode.name == self.firmware.missions:
+            self.seek(self.firmware.first_item)
 
-    def disarm_by_itself(self) -> None:
-        """It has stood on the ground for long enough."""
-        self.disarm()
+    def on_leg(self, speed_m_s: float | None) -> None:
+        """Another leg of the mission, or none any more; the speed that was asked for before it."""
+        self.flight.begin_leg(speed_m_s)
 
-    def crash(self) -> Sequence[Reply]:
-        """It has hit something; who lies on the ground need not wait to believe it."""
-        self.landed = self.landed or self.standing
-        if self.armed:
-            self.say(0, self.flight.CRASH_TEXT)
-            self.disarm()
-        return self.taken()
+    def on_disarmed(self) -> None:
+        """The motors have stopped."""
+        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+            self.fence.enabled = False
 
     # --- the rest of the protocol -------------------------------------------------------------
 
@@ -505,10 +450,6 @@ class ArduPilot(Autopilot):
         self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
         return ()
 
-    def reached(self, number: int) -> None:
-        """Send MISSION_ITEM_REACHED to all links."""
-        self.reply(SendMessage(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
-
     # --- telling ------------------------------------------------------------------------------
 
     def local_ned_m(self) -> Vector | None:
@@ -516,16 +457,6 @@ class ArduPilot(Autopilot):
         if self.estimator.origin is None or not self.estimator.aiding:
             return self.flight.unaided_ned_m()
         return self.frame.ned_m(self.estimate.place)
-
-    def mission_state(self) -> int:
-        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
-        if len(self.plans[PlanKind.MISSION]) < 2:
-            return 1
-        if self.route.complete:
-            return 5
-        if not self.flight.flies_mission():
-            return 2
-        return 4 if self.route.paused else 3
 
     def status(self) -> Status:
         """The status for telemetry."""

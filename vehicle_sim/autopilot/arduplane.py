@@ -22,7 +22,7 @@ from vehicle_sim.autopilot.core import (
 )
 from vehicle_sim.autopilot.earth import FlatEarth, Vector, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.legs import LOITER_TIME, LOITER_UNLIM, Does, Leg, leg_of
+from vehicle_sim.autopilot.legs import LOITER_TIME, LOITER_UNLIM, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
     Circle,
     PlaneControl,
@@ -46,7 +46,7 @@ from vehicle_sim.conditions import SIM_PARAMETERS
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import table
-from vehicle_sim.plans import PlanItem, PlanKind, Plans
+from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import Fix
 
 _BY_HAND, _BY_ITSELF = 0x51, 0x59
@@ -86,7 +86,12 @@ FIRMWARE: Final = Firmware(
     prearm_s=22.8,
     believes_landing_s=0.0,
     refused=Result.FAILED,
+    missions="AUTO",
     first_item=1,
+    arms="Throttle armed",
+    disarms="Throttle disarmed",
+    cannot_arm="Arm: {}",
+    crashes="Crash detected",
 )
 _ORIGIN_SAID_S: Final = 2.261
 """From setting the origin to saying it and home."""
@@ -137,8 +142,6 @@ class ArduPlaneFlight(ArduFlight):
     """Modes, GUIDED's points, take-off and the runway."""
 
     GCS_FAILSAFE = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
-    CRASH_TEXT = "Crash detected"
-    ARMS, DISARMS = "Throttle armed", "Throttle disarmed"
 
     def __init__(self, autopilot: ArduPilot, plane: Plane) -> None:
         super().__init__(autopilot)
@@ -150,6 +153,8 @@ class ArduPlaneFlight(ArduFlight):
         self._origin_due_s = math.inf
         self._start = self._place = autopilot.estimate.place
         """Where it goes, and where from."""
+        self._next_start: Place | None = None
+        """Where the next leg of a mission begins; None: here."""
         self._straight = False
         """Along the way between the two, and not to circle at once."""
         self._radius_m, self._left = 0.0, False
@@ -191,7 +196,7 @@ class ArduPlaneFlight(ArduFlight):
         if self._flies == "returns":
             self._return()
         elif self._flies == "flies_mission":
-            self._seek(max(autopilot.route.current, 1))
+            autopilot.seek(max(autopilot.route.current, 1))
         elif self._flies == "takes_off" and not autopilot.standing:
             home_m = autopilot.home.altitude_amsl_m if autopilot.home else 0.0
             missing_m = autopilot.parameters["TKOFF_ALT"] - (here.altitude_amsl_m - home_m)
@@ -228,52 +233,36 @@ class ArduPlaneFlight(ArduFlight):
             here_m = self.autopilot.estimate.altitude_amsl_m
             self._go(home.at(here_m if above_m < 0.0 else home.altitude_amsl_m + above_m))
 
-    def refusal(self, name: str) -> str | None:
+    def cannot_fly_in(self, name: str) -> str | None:
         """Plane refuses only the mode that nobody may choose."""
         return "cannot be chosen" if name == "INITIALISING" else None
 
     # --- missions -----------------------------------------------------------------------------
 
-    def _seek(self, number: int, start: Place | None = None) -> None:
-        """Fly the mission from this item on, from the last item's place or from here."""
-        autopilot = self.autopilot
-        here, home = autopilot.estimate.place, autopilot.home or autopilot.estimate.place
-
-        def leg_at(item: PlanItem) -> Leg | None:
-            return leg_of(item, here, home, home.altitude_amsl_m)  # there are no terrain data
-
-        route, items = autopilot.route, autopilot.plans[PlanKind.MISSION]
-        speed_m_s = route.seek(items, number, leg_at, autopilot.now_s)
-        self._cruise_m_s = speed_m_s or self._cruise_m_s
-        if route.leg is None:
-            route.current = max(len(items) - 1, 0)
-        elif route.leg.does is Does.RETURN:
+    def begin_leg(self, speed_m_s: float | None) -> None:
+        """Another item, from the last one's place or from here."""
+        autopilot, leg = self.autopilot, self.autopilot.route.leg
+        here, start = autopilot.estimate.place, self._next_start
+        self._cruise_m_s, self._next_start = speed_m_s or self._cruise_m_s, None
+        if leg is None:
+            return
+        if leg.does is Does.RETURN:
             self._return()
-        elif route.leg.does is Does.CLIMB:
-            up_m = route.leg.place.altitude_amsl_m - here.altitude_amsl_m
-            self._aim_ahead(_RUNWAY_AHEAD_M, up_m)
+        elif leg.does is Does.CLIMB:
+            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here.altitude_amsl_m)
         else:
-            lands, place = route.leg.does is Does.LAND, route.leg.place
-            straight = route.leg.command not in (LOITER_UNLIM, LOITER_TIME)
+            lands, place = leg.does is Does.LAND, leg.place
+            straight = leg.command not in (LOITER_UNLIM, LOITER_TIME)
             place = place.at(here.altitude_amsl_m) if lands else place
             self._go(place, start, straight=straight)
-
-    def fly_item(self, number: int) -> None:
-        """Another item is the current one."""
-        if self._flies == "flies_mission":
-            self.autopilot.route.forget_jumps()
-            self._seek(max(number, 1))
-
-    def flies_mission(self) -> bool:
-        """Whether the mission is under way."""
-        return self._flies == "flies_mission" and self.autopilot.route.leg is not None
 
     def _follow_mission(self) -> None:
         """Ten times a second: on to the next item when this one is done; home after the last."""
         autopilot, route, leg = self.autopilot, self.autopilot.route, self.autopilot.route.leg
         if leg is not None and self._is_done(leg):
             autopilot.reached(route.current)
-            self._seek(route.current + 1, self._place if leg.does is Does.GO else None)
+            self._next_start = self._place if leg.does is Does.GO else None
+            autopilot.seek(route.current + 1)
         if route.leg is None and not autopilot.standing:
             autopilot.set_mode("RTL")
 
@@ -298,22 +287,18 @@ class ArduPlaneFlight(ArduFlight):
 
     # --- failsafes ----------------------------------------------------------------------------
 
-    def on_gcs_failsafe(self) -> None:
-        """FS_LONG_ACTN: 0 goes on in AUTO and returns otherwise, 1 returns."""
-        goes_on = self.autopilot.parameters["FS_LONG_ACTN"] == 0.0
-        if self.flying and not (goes_on and self._flies == "flies_mission"):
-            self.autopilot.set_mode("RTL")
-        self.autopilot.say(4, f"GCS Failsafe On: {self.autopilot.mode_name}")
-
-    def on_battery_failsafe(self, action: int) -> None:
-        """1 returns, 2 lands where the mission does, or returns."""
-        if action in (1, 2) and not self.lands:
-            self.autopilot.set_mode("RTL")
-
-    def on_fence_breach(self, action: int) -> None:
-        """FENCE_ACTION 0 only says it; all others fly home."""
-        if action != 0 and self.autopilot.mode_name != "MANUAL":
-            self.autopilot.set_mode("RTL")
+    def on_failsafe(self, cause: str, action: int) -> None:
+        """It returns, but for FS_LONG_ACTN 0 in AUTO, BATT_FS_*_ACT 2 in a landing, and MANUAL."""
+        autopilot, returns = self.autopilot, self.autopilot.mode_name != "MANUAL"
+        if cause == "GCS":
+            goes_on = autopilot.parameters["FS_LONG_ACTN"] == 0.0
+            returns = not autopilot.landed and not (goes_on and self._flies == "flies_mission")
+        elif cause == "Battery":
+            returns = action in (1, 2) and not self.lands
+        if returns:
+            autopilot.set_mode("RTL")
+        if cause == "GCS":
+            autopilot.say(4, f"GCS Failsafe On: {autopilot.mode_name}")
 
     # --- commands -----------------------------------------------------------------------------
 
@@ -420,14 +405,6 @@ class ArduPlaneFlight(ArduFlight):
             return "AHRS: not using configured AHRS type"
         return self.autopilot.common_refusal()
 
-    def on_armed(self) -> None:
-        """A mission begins where it stands."""
-        if self._flies == "flies_mission":
-            self._seek(1)
-
-    def on_landed(self) -> None:
-        """It rolls out."""
-
     def on_disarmed(self) -> None:
         """A take-off is abandoned."""
         self._climbing = False
@@ -505,7 +482,7 @@ class ArduPlaneFlight(ArduFlight):
         along = self._along()
         if not self._arrived and not self._straight and (control.l1.circling or along > 1.0):
             self._arrived = True
-            if autopilot.mode_name == "GUIDED" and self.flying:
+            if autopilot.mode_name == "GUIDED" and not autopilot.landed:
                 autopilot.reached(0)
         control.height_amsl_m = self._place.altitude_amsl_m
         if not self._arrived and along < 1.0:
@@ -626,11 +603,6 @@ class ArduPlaneFlight(ArduFlight):
 
     # --- telling ------------------------------------------------------------------------------
 
-    @property
-    def flying(self) -> bool:
-        """What counts as flying: fast enough with the motor on, or in the air."""
-        return not self.autopilot.landed
-
     def base_mode(self) -> int:
         """Of the heartbeat."""
         return self.autopilot.mode.base
@@ -642,11 +614,11 @@ class ArduPlaneFlight(ArduFlight):
             return State.CALIBRATING
         if autopilot.failsafe or autopilot.gcs_lost or autopilot.battery_acted:
             return State.CRITICAL
-        return State.ACTIVE if self.flying else State.STANDBY
+        return State.STANDBY if autopilot.landed else State.ACTIVE
 
     def landed_state(self) -> Landed:
         """What EXTENDED_SYS_STATE says."""
-        if not self.flying:
+        if self.autopilot.landed:
             return Landed.ON_GROUND
         if self._climbing or self._throttle > 0.0:
             return Landed.TAKEOFF

@@ -5,27 +5,29 @@ px4.py) answers and decides; its `Flight`, a class for each way to fly, steers t
 """
 
 import abc
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.earth import Frame, Vector
 from vehicle_sim.autopilot.estimator import Estimator, Timing
-from vehicle_sim.autopilot.legs import Route
+from vehicle_sim.autopilot.legs import Route, leg_of
 from vehicle_sim.autopilots import (
     HIGHEST_HOME_M,
     Ack,
     Command,
     FirmwareProfile,
-    Landed,
     Place,
     Reboot,
     Reply,
     Result,
     Sender,
+    SendMessage,
     SendTelemetry,
     Setpoint,
     Status,
@@ -39,9 +41,10 @@ from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
+DO_SET_MODE: Final = 176
 HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
-FORCE: Final = 21196.0
-"""Second parameter of COMPONENT_ARM_DISARM: without asking."""
+_FORCE, _FORCE_ARM = 21196.0, 2989.0
+"""Second parameter of COMPONENT_ARM_DISARM: without asking; and of arming alone."""
 _CHECK_US: Final = 100_000
 """What need not be looked at in every step is looked at so often."""
 _MAX_RAD_S: Final = 10.0
@@ -89,8 +92,17 @@ class Firmware:
     """From touching the ground to believing it."""
     refused: Result
     """The answer to what cannot be done now."""
+    missions: str
+    """Mode that flies them."""
     first_item: int
     """Of a mission: ArduPilot keeps home as item 0."""
+    arms: str
+    disarms: str
+    cannot_arm: str
+    crashes: str = ""
+    """Texts; with a gap for what it is disarmed by, or why it cannot be armed."""
+    acks_modes_twice: bool = False
+    """DO_SET_MODE is accepted whatever it asks for; the real result follows (px4.md 1, item 1)."""
 
 
 class Flight(abc.ABC):
@@ -141,24 +153,12 @@ class Flight(abc.ABC):
         return True
 
     @abc.abstractmethod
-    def on_landed(self) -> None:
-        """The landing is believed."""
-
-    @abc.abstractmethod
     def disarms_after_s(self) -> float | None:
         """On the ground, armed: seconds since it landed or was armed; None: never."""
 
     @abc.abstractmethod
-    def on_armed(self) -> None:
-        """The motors turn."""
-
-    @abc.abstractmethod
     def on_disarmed(self) -> None:
         """The motors have stopped."""
-
-    @abc.abstractmethod
-    def landed_state(self) -> Landed:
-        """What EXTENDED_SYS_STATE says."""
 
     @abc.abstractmethod
     def echo(self) -> TargetEcho | None:
@@ -208,8 +208,14 @@ class Autopilot(abc.ABC):
         self._check_us = round(firmware.first_check_s * 1e6)
         self._attitude_rad = (0.0, 0.0, vehicle.heading_rad)
         self._turned_rad, self._turned_s = (0.0, 0.0, 0.0), 0.01
-        self.handlers: dict[int, Handler] = {}
-        """What answers which MAV_CMD."""
+        self._any_component = firmware.profile.firmware == "px4"  # its own may be any
+        self.handlers: dict[int, Handler] = {
+            20: self.to_mode(firmware.returns),
+            224: self._do_set_mission_current,
+            246: self.reboot,
+            400: self._arm_or_disarm,
+        }
+        """What answers which MAV_CMD; the families and flights add theirs."""
 
     # --- saying -------------------------------------------------------------------------------
 
@@ -297,16 +303,16 @@ class Autopilot(abc.ABC):
         if not self.landed:
             if not self.flight.lies():
                 self.touched_s = None
-            elif self.touched_s is None:
-                self.touched_s = self.now_s
-            elif self.now_s - self.touched_s >= self.firmware.believes_landing_s:
-                self.landed, self.landed_s = True, self.now_s
-                self.flight.on_landed()
+            else:
+                self.touched_s = self.now_s if self.touched_s is None else self.touched_s
+                waited_s = self.now_s - self.touched_s
+                if not self.armed or waited_s >= self.firmware.believes_landing_s:
+                    self.landed, self.landed_s = True, self.now_s
         if self.armed and self.landed:
             wait_s = self.flight.disarms_after_s()
             since_s = self.armed_s if self.landed_s is None else self.landed_s
             if wait_s is not None and self.now_s - since_s >= wait_s:
-                self.disarm_by_itself()
+                self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
 
     def _feel(self, dt_s: float) -> None:
         """Rates of turn, as gyroscopes feel them: a point mass has none."""
@@ -337,26 +343,125 @@ class Autopilot(abc.ABC):
 
     def to_mode(self, name: str) -> Handler:
         """The answer to a command that asks for a mode."""
-        return lambda _: Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
+        return functools.partial(self._enter, name)
 
-    def start_motors(self) -> None:
-        """Arm, whatever there is against it; home is here then."""
+    def _enter(self, name: str, _: Command) -> Result:
+        return Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
+
+    @abc.abstractmethod
+    def refusal(self) -> str | None:
+        """Why it may not be armed now."""
+
+    @abc.abstractmethod
+    def on_armed(self) -> None:
+        """The motors turn."""
+
+    @abc.abstractmethod
+    def on_disarmed(self) -> None:
+        """The motors have stopped."""
+
+    def arm(self, *, forced: bool = False) -> Result:
+        """Start the motors, or say why not; home is here then."""
+        if self.armed:
+            return Result.ACCEPTED
+        why = None if forced else self.refusal()
+        if why is not None:
+            self.say(2, self.firmware.cannot_arm.format(why))
+            return self.firmware.refused
         self.armed, self.armed_s, self.landed_s = True, self.now_s, None
         if self.estimator.ok:
             self.home = self.estimate.place
+        self.say(6, self.firmware.arms)
+        self.on_armed()
+        return Result.ACCEPTED
+
+    def disarm(self, by: str = "external command") -> None:
+        """Stop the motors, wherever it is."""
+        if self.armed:
+            self.armed = False
+            self.say(6, self.firmware.disarms.format(by))
+            self.flight.on_disarmed()
+            self.on_disarmed()
+
+    def _arm_or_disarm(self, command: Command) -> Result:
+        wanted, force = command.parameters[:2]
+        if wanted not in (0.0, 1.0):
+            return Result.UNSUPPORTED
+        if wanted == 1.0:
+            return self.arm(forced=force in (_FORCE, _FORCE_ARM))
+        if self.armed and not self.landed and force != _FORCE:
+            return self.firmware.refused
+        self.disarm()
+        return Result.ACCEPTED
+
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something; who lies on the ground need not wait to believe it."""
+        self.landed = self.landed or self.standing
+        if self.armed and self.firmware.crashes:
+            self.say(0, self.firmware.crashes)
+        self.disarm("failure detector")
+        return self.taken()
+
+    # --- missions -----------------------------------------------------------------------------
+
+    def seek(self, number: int) -> None:
+        """Fly the mission from this item on."""
+        items, here = self.plans[PlanKind.MISSION], self.estimate.place
+        home, ground_m = self.home or here, self.ground_m
+        speed_m_s = self.route.seek(
+            items, number, lambda item: leg_of(item, here, home, ground_m), self.now_s
+        )
+        self.on_leg(speed_m_s)
 
     @abc.abstractmethod
-    def disarm_by_itself(self) -> None:
-        """It has stood on the ground for long enough."""
+    def on_leg(self, speed_m_s: float | None) -> None:
+        """Another leg of the mission, or none any more; the speed that was asked for before it."""
+
+    def jump(self, number: int) -> bool:
+        """Make this the current item, in a mission fly it; tells whether there is such an item."""
+        if not 0 <= number < max(len(self.plans[PlanKind.MISSION]), 1):
+            return False
+        self.route.current, self.route.complete = number, False
+        if self.mode.name == self.firmware.missions:
+            self.route.forget_jumps()
+            self.seek(max(number, self.firmware.first_item))
+        return True
+
+    def _do_set_mission_current(self, command: Command) -> Result:
+        """MISSION_SET_CURRENT comes here too."""
+        number = command.parameters[0]
+        if not math.isfinite(number):
+            return Result.DENIED
+        return Result.ACCEPTED if self.jump(int(number)) else self.firmware.refused
+
+    def reached(self, number: int) -> None:
+        """Send MISSION_ITEM_REACHED to all links."""
+        self.reply(SendMessage(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
+
+    def mission_state(self) -> int:
+        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
+        first = self.firmware.first_item
+        if len(self.plans[PlanKind.MISSION]) <= first:
+            return 1
+        if self.route.complete:
+            return 5
+        if self.mode.name == self.firmware.missions:
+            return 3
+        return 4 if self.route.current and first == 0 else 2
 
     # --- commands -----------------------------------------------------------------------------
 
     def on_command(self, command: Command) -> Sequence[Reply]:
         """Handle a command; returns the replies."""
-        handler, result = self.handlers.get(command.number), Result.UNSUPPORTED
-        if handler is not None and command.target_component in (0, 1):
+        number, sender, result = command.number, command.sender, Result.UNSUPPORTED
+        handler = self.handlers.get(number)
+        if handler is not None and (self._any_component or command.target_component in (0, 1)):
             result = handler(command)
-        return [Ack(to=command.sender, command=command.number, result=result), *self.taken()]
+        said = [Ack(to=sender, command=number, result=result), *self.taken()]
+        if number == DO_SET_MODE and self.firmware.acks_modes_twice:
+            self._said = said
+            return [Ack(to=sender, command=number, result=Result.ACCEPTED)]
+        return said
 
     def set_home(self, place: Place) -> Result:
         """DO_SET_HOME, once it is known where to."""
@@ -368,12 +473,11 @@ class Autopilot(abc.ABC):
 
     def answer(self, message: int) -> Handler:
         """An old command that asks for one message."""
+        return functools.partial(self._send, message)
 
-        def send(command: Command) -> Result:
-            self.reply(SendTelemetry(message=message, to=command.sender))
-            return Result.ACCEPTED
-
-        return send
+    def _send(self, message: int, command: Command) -> Result:
+        self.reply(SendTelemetry(message=message, to=command.sender))
+        return Result.ACCEPTED
 
     def reboot(self, command: Command) -> Result:
         """PREFLIGHT_REBOOT_SHUTDOWN: only while disarmed."""
@@ -397,10 +501,6 @@ class Autopilot(abc.ABC):
     @abc.abstractmethod
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission, fence or rally list was replaced by a client."""
-
-    @abc.abstractmethod
-    def crash(self) -> Sequence[Reply]:
-        """It has hit something: the motors stop, wherever it is."""
 
     @abc.abstractmethod
     def status(self) -> Status:

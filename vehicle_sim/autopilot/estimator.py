@@ -6,6 +6,7 @@ error drifts, the position is given up, and jumps when GPS is back.  How long ea
 flags that tell of it, are the firmware's `Timing`.
 """
 
+import cmath
 import enum
 import math
 from collections.abc import Mapping
@@ -135,9 +136,8 @@ class Estimator:
         """Of the position; what the output has still to make of a jump; by how much GPS counts as
         off; of the velocity."""
         self._up_m = self._climb_m_s = 0.0
-        turn_rad = rng.uniform(0.0, math.tau)
-        self._drift = complex(math.cos(turn_rad), math.sin(turn_rad))
-        self._drifts = False
+        self._drift, self._drifts = 0j, False
+        """Without GPS: which way, and 1 or a little more or less."""
         self._noise: list[float] = []
         self._scale = metres_per_degree(vehicle.latitude_deg)
 
@@ -222,7 +222,7 @@ class Estimator:
                 up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * self.lag_s
                 up_m -= self._vehicle.altitude_amsl_m
                 self._up_m += timing.follows * (up_m - self._up_m)
-        if timing.noise_m_s:
+        if timing.noise_m_s and estimate.position_ok:
             self._stir()
 
     def _innovation(self, fix: Fix) -> complex:
@@ -251,8 +251,12 @@ class Estimator:
         self._rate, self._climb_m_s = 0j, 0.0
 
     def _tell(self, ratio: float) -> None:
-        """The test ratios; what noise would make of the velocity's is drawn."""
-        self.estimate.velocity_variance = 0.004 + 0.016 * self._rng.random()
+        """The test ratios: of the velocity's what noise makes of it."""
+        if self.timing.noise_m_s:
+            errs = abs(self._rate.real) + abs(self._rate.imag)
+            self.estimate.velocity_variance = 0.05 + 0.5 * errs
+        else:
+            self.estimate.velocity_variance = 0.004 + 0.016 * self._rng.random()
         self.estimate.horizontal_variance = ratio
 
     def _stir(self) -> None:
@@ -292,6 +296,8 @@ class Estimator:
             self._be(State.GOOD)
         if now_s - self.used_s > _DRIFTS_S and self.state is not State.START:
             if not self._drifts:
+                angle_rad, size = self._rng.uniform(0.0, math.tau), self._rng.uniform(0.85, 1.15)
+                self._drift = cmath.rect(size, angle_rad)
                 self._drifts, self._climb_m_s = True, timing.sink_m_s
                 self._rate = self._drift * (timing.drift_m_s + timing.drift_m_s2 * silent_s)
             self._rate += self._drift * timing.drift_m_s2 * dt_s
@@ -306,6 +312,8 @@ class Estimator:
         off = self._innovation(fix)
         if first:
             self._error += timing.first_share * off
+            if timing.noise_m_s:
+                self._stir()
         else:
             self._jump(off)
             self.returned_s = now_s

@@ -90,7 +90,7 @@ class Route:
         """Item of the mission that it belongs to; None: it is no mission's."""
         self.current = 0
         """Item of the mission that is flown, or would be."""
-        self.complete = self.paused = False
+        self.complete = False
         self.began_s = 0.0
         """When the leg did."""
         self.arrived_s: float | None = None
@@ -133,7 +133,7 @@ class Route:
             if self.leg is not None:
                 self.current = self.number = at
                 return speed_m_s
-        self.complete = True
+        self.current, self.complete = max(len(items) - 1, 0), bool(items)
         return speed_m_s
 
     def has_waited(self, now_s: float, seconds: float) -> bool:

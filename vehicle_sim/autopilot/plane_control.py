@@ -73,6 +73,8 @@ class L1:
 
     def __init__(self) -> None:
         self.period_s, self.damping = 15.0, 0.75
+        self.upright = False
+        """From afar it approaches a line at a right angle, as PX4 does (npfg: bearing)."""
         self.circling = False
         """On the circle, and not on the way to it."""
         self.cross_track_m = self.bearing_rad = 0.0
@@ -87,7 +89,11 @@ class L1:
         self.circling = False
         self.cross_track_m = (off_m.conjugate() * way).imag  # positive: left of it
         sine = self.cross_track_m / self.length_m(abs(velocity))
-        towards_rad = math.asin(bounded(sine, -_STEEPEST, _STEEPEST))
+        if self.upright:
+            share = min(abs(sine) / math.pi, 1.0)
+            towards_rad = math.copysign(0.5 * math.pi * (2.0 - share) * share, sine)
+        else:
+            towards_rad = math.asin(bounded(sine, -_STEEPEST, _STEEPEST))
         self.bearing_rad = cmath.phase(way) + towards_rad
         return self._turn(towards_rad + cmath.phase(way / velocity), abs(velocity))
 
@@ -185,15 +191,6 @@ class Way(NamedTuple):
 
 
 @final
-class Line(NamedTuple):
-    """Through a place in a direction (of unit length), or bent there (positive: to the right)."""
-
-    place: Place
-    way: complex
-    curvature_1_m: float = 0.0
-
-
-@final
 class PlaneControl:
     """Where to, how high and how fast; and the plane's commands for that.  Mutable."""
 
@@ -221,19 +218,22 @@ class PlaneControl:
         """How far it is from a place."""
         return way_m(place, self._estimate.place)
 
-    def steer(self, aim: Circle | Way | Line) -> None:
+    def steer(self, aim: Circle | Way) -> None:
         """Bank for where it is to go."""
-        l1, velocity = self.l1, self.velocity
-        match aim:
-            case Circle():
-                lateral = l1.circle(self.off_m(aim.centre), aim.radius_m, velocity)
-            case Way():
-                off_m = self.off_m(aim.start)
-                lateral = l1.leg(off_m, off_m - self.off_m(aim.end), velocity)
-            case Line():
-                lateral = l1.line(self.off_m(aim.place), aim.way, velocity)
-                lateral += abs(velocity) ** 2 * aim.curvature_1_m
-        self.bank_rad = math.atan(lateral / (GRAVITY_M_S2 * math.cos(self._plane.pitch_rad)))
+        if isinstance(aim, Circle):
+            self._turn(self.l1.circle(self.off_m(aim.centre), aim.radius_m, self.velocity))
+        else:
+            off_m = self.off_m(aim.start)
+            self._turn(self.l1.leg(off_m, off_m - self.off_m(aim.end), self.velocity))
+
+    def follow(self, off_m: complex, way: complex, curvature_1_m: float = 0.0) -> None:
+        """Bank for a line in a direction (of unit length), or bent there: so far off its point."""
+        velocity = self.velocity
+        lateral = self.l1.line(off_m, way, velocity)
+        self._turn(lateral + abs(velocity) ** 2 * curvature_1_m)
+
+    def _turn(self, lateral_m_s2: float) -> None:
+        self.bank_rad = math.atan(lateral_m_s2 / (GRAVITY_M_S2 * math.cos(self._plane.pitch_rad)))
 
     def advance(self, dt_s: float, *, at_least_m_s: float = -math.inf) -> None:
         """One step in the air; climb at least so fast."""

@@ -1,8 +1,7 @@
 """Inputs and outputs of the simulated autopilots: values in SI units, no bytes, no clock.
 
-wire/ converts frames to these and back. One module per autopilot: ardupilot/arducopter.py,
-ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of them share, and their
-parts, are beside them.  Parameters are data: *.parm.
+wire/ converts frames to these and back; the autopilots are in vehicle_sim/autopilot.
+Parameters are data: *.parm.
 """
 
 import enum

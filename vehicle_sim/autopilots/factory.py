@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
-from vehicle_sim.autopilot import arducopter, arduplane
+from vehicle_sim.autopilot import arducopter, arduplane, px4copter, px4plane
 from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
-from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
+from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
@@ -36,7 +35,7 @@ _STEEPEST_CDEG = 8000.0
 class AutopilotVariant:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    autopilot: Callable[..., Autopilot | Px4Multicopter | Px4FixedWing]
+    autopilot: Callable[..., Autopilot]
     """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
     does not have."""
     system_id: str
@@ -57,10 +56,10 @@ PERSONALITIES: Final = {
         arduplane.make, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
     ),
     ("px4", "copter"): AutopilotVariant(
-        Px4Multicopter, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
+        px4copter.make, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
     ),
     ("px4", "plane"): AutopilotVariant(
-        Px4FixedWing, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
+        px4plane.make, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
     ),
 }
 

@@ -1,0 +1,682 @@
+"""What PX4's multicopter and aeroplane share: modes, arming, commands, failsafes, what is told.
+
+Source: px4.md 1 to 3 and 6 to 8, and the recorded flights (1.17).  Results of commands that were
+not measured are those of the source: a mode that cannot run is TEMPORARILY_REJECTED.
+"""
+
+import abc
+import enum
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, final
+
+import numpy as np
+
+from vehicle_sim.autopilot.core import (
+    AUTOPILOT_VERSION,
+    GPS_GLOBAL_ORIGIN,
+    HOME_POSITION,
+    Autopilot,
+    Firmware,
+    Flight,
+    Mode,
+)
+from vehicle_sim.autopilot.earth import Projection, Vector
+from vehicle_sim.autopilot.estimator import State as Estimates
+from vehicle_sim.autopilot.estimator import Timing
+from vehicle_sim.autopilot.guards import Zones
+from vehicle_sim.autopilot.legs import Does, Leg
+from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
+from vehicle_sim.autopilots import (
+    Command,
+    FirmwareProfile,
+    Landed,
+    Place,
+    Reply,
+    Result,
+    Sender,
+    Setpoint,
+    State,
+    Status,
+    height_amsl_m,
+)
+from vehicle_sim.conditions import SIM_PARAMETERS_PX4
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.parameters import Parameter, table
+from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
+
+_NAN: Final = math.nan
+
+# --- on the wire ----------------------------------------------------------------------------------
+
+_BY_RATE: Final = {
+    0.5: (147, 242, 436),
+    1.0: (0, 2, 42, 230),
+    5.0: (1, 245),
+    8.0: (24,),
+    10.0: (74, 85, 87, 111, 132, 141),
+    30.0: (32, 331),
+    50.0: (31, 33),
+    100.0: (30,),
+}
+RATES_HZ: Final = dict(sorted((n, hz) for hz, ns in _BY_RATE.items() for n in ns))
+"""What a fresh onboard link gets, by message number, in Hz of vehicle time."""
+_NOT_TOLD: Final = frozenset({4, 8, 29, 36, 40, 62, 65, 83, 105, 241, 360, 380, 441, 12901, 12904})
+"""Their intervals are taken, as the real one takes them."""
+_NOT_STREAMABLE: Final = frozenset({0, 42})
+"""Sent by other parts of PX4: SET_MESSAGE_INTERVAL fails, as for unknown messages."""
+
+
+def profile(*, vehicle_type: int, rates_hz: dict[int, float]) -> FirmwareProfile:
+    """PX4 on its onboard link (px4.md 2), for a vehicle of this MAV_TYPE."""
+    told = frozenset(rates_hz) | {231}
+    return FirmwareProfile(
+        firmware="px4",
+        vehicle_type=vehicle_type,
+        autopilot=12,
+        capabilities=0xE8FF,
+        software_version=0x01110040,
+        custom_version=bytes((0, 0, 0, 178, 57, 165, 123, 187)),
+        first_heartbeat_us=1_600_000,  # px4.md 3
+        rates_hz=rates_hz,
+        streamable=(told | _NOT_TOLD | {GPS_GLOBAL_ORIGIN, 77}) - _NOT_STREAMABLE,
+        requestable=told | {42, 46, GPS_GLOBAL_ORIGIN, 77, AUTOPILOT_VERSION, 300},
+    )
+
+
+def parameter_rows(*names: str) -> tuple[Parameter, ...]:
+    """Those of these tables in the alphabetic order that PX4 numbers them in, then the faults'."""
+    return (*sorted(table(*names), key=lambda row: row.name), *SIM_PARAMETERS_PX4)
+
+
+def _mode(
+    name: str, main: int, sub: int, flies: str, base: int, *, needs_position: bool = True
+) -> Mode:
+    number = main << 16 | sub << 24
+    return Mode(name, number, flies, needs_position=needs_position, base=base)
+
+
+_BY_HAND, _BY_ITSELF, _BY_COMMAND = 0x51, 0x1D, 0x11
+"""base_mode as recorded: 29 in AUTO, 17 in OFFBOARD."""
+MODES: Final = (
+    _mode("Hold", 4, 3, "hold", _BY_ITSELF),
+    _mode("Manual", 1, 0, "sink", _BY_HAND, needs_position=False),
+    _mode("Altitude", 2, 0, "sink", _BY_HAND, needs_position=False),
+    _mode("Position", 3, 0, "sink", _BY_HAND),
+    _mode("Acro", 5, 0, "sink", _BY_HAND, needs_position=False),
+    _mode("Stabilized", 7, 0, "sink", _BY_HAND, needs_position=False),
+    _mode("Offboard", 6, 0, "fly_target", _BY_COMMAND, needs_position=False),
+    _mode("Takeoff", 4, 2, "climb", _BY_ITSELF),
+    _mode("Mission", 4, 4, "fly_mission", _BY_ITSELF),
+    _mode("Return", 4, 5, "fly_back", _BY_ITSELF),
+    _mode("Land", 4, 6, "land", _BY_ITSELF),
+    _mode("Descend", 4, 6, "descend", _BY_ITSELF, needs_position=False),
+)
+"""Descend is a failsafe only, told as AUTO:LAND."""
+MODE_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
+STANDARD_MODES: Final = {
+    "Position": 1,
+    "Altitude": 4,
+    "Return": 5,
+    "Mission": 6,
+    "Land": 7,
+    "Takeoff": 8,
+}
+"""MAV_STANDARD_MODE of CURRENT_MODE: 7 and 8 as recorded, the others from the source."""
+MANUAL: Final = frozenset(mode.name for mode in MODES if mode.base == _BY_HAND)
+NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
+"""Modes in which the navigator has a place to go to."""
+
+ARMABLE_S: Final = 3.5
+"""Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
+_TIMING: Final = Timing(
+    # px4-gps-loss.tlog and px4.md 8
+    stages=((0.0, 0x0E5),),
+    flags={
+        Estimates.GOOD: 0x37F,
+        Estimates.GLITCH: 0x37F,
+        Estimates.YIELDS: 0x37F,
+        Estimates.LOST: 0x365,
+        Estimates.STOPPED: 0x065,
+    },
+    origin_s=2.0,  # between 1.65 and 2.65 s of px4-offboard-short.tlog
+    good_s=2.0,
+    gate_m=5.375,  # about EKF2_GPS_P_GATE (5) standard deviations of what is recorded
+    yields_s=6.875,  # source: reset_timeout_max 7 s, from the last fix that was used
+    lost_s=5.06,  # EKF2_NOAID_TOUT 5 s: 80.97 to 86.06 s in the log
+    stopped_s=7.2,  # "GNSS data fusion stopped": at 88.19 s
+    back_s=1.24,  # "fusion started": 110.97 to 112.20 s
+    trusted_s=1.0,  # Land: at 113.21 s
+    precise_s=1.2,  # all else: at 113.4 s
+    follows=0.06,  # at 8 Hz: smooths over about two seconds
+    first_share=0.06,
+    drift_m_s=0.2,
+    drift_m_s2=0.05,  # 31 m after 31 s
+    sink_m_s=-0.05,  # 1.2 m below the truth after 26 s
+    jump_s=0.25,  # 31 m in a second
+    noise_m_s=0.1,  # hover of px4-offboard-8mps.tlog, whose position wanders by 0.13 m
+    stays=False,
+    freezes=False,
+)
+
+
+def firmware(
+    *, vehicle_type: int, rates_hz: dict[int, float], parameters: str, pilot: str = "Position"
+) -> Firmware:
+    """PX4 for one kind of vehicle, with these parameters besides the common ones."""
+    return Firmware(
+        profile=profile(vehicle_type=vehicle_type, rates_hz=rates_hz),
+        table=parameter_rows("px4/common", parameters),
+        modes=MODES,
+        holds="Hold",
+        lands="Land",
+        returns="Return",
+        pilot=pilot,
+        timing=_TIMING,
+        frame=Projection,
+        ready_s=ARMABLE_S,
+        prearm_s=ARMABLE_S,
+        first_check_s=0.06,  # events at x.06 s in the logs
+        believes_landing_s=1.8,  # contact to "landing detected": 54.6 to 56.4 s of offboard-short
+        refused=Result.TEMPORARILY_REJECTED,
+        missions="Mission",
+        first_item=0,
+        arms="Armed by external command\t",
+        disarms="Disarmed by {}\t",
+        cannot_arm="Arming denied: {}\t",
+        acks_modes_twice=True,
+    )
+
+
+# --- failsafes: which mode is flown instead of the wanted one (px4.md 6 to 8) ---------------------
+
+
+class Action(enum.IntEnum):
+    """failsafe_action_t: the worse, the greater."""
+
+    NONE = 0
+    WARN = 1
+    POSITION = 2
+    ALTITUDE = 3
+    STABILIZED = 4
+    HOLD = 5
+    RETURN = 6
+    LAND = 7
+    DESCEND = 8
+    DISARM = 9
+    TERMINATE = 10
+
+
+_INSTEAD: Final = {
+    Action.POSITION: "Position",
+    Action.ALTITUDE: "Altitude",
+    Action.STABILIZED: "Stabilized",
+    Action.HOLD: "Hold",
+    Action.RETURN: "Return",
+    Action.LAND: "Land",
+    Action.DESCEND: "Descend",
+}
+_CHOICES: Final = {
+    "COM_OBL_RC_ACT": (
+        *(Action.POSITION, Action.ALTITUDE, Action.STABILIZED, Action.RETURN),
+        *(Action.LAND, Action.HOLD, Action.TERMINATE, Action.DISARM),
+    ),
+    "GF_ACTION": (
+        *(Action.NONE, Action.WARN, Action.HOLD, Action.RETURN),
+        *(Action.TERMINATE, Action.LAND),
+    ),
+    "NAV_DLL_ACT": (
+        *(Action.NONE, Action.HOLD, Action.RETURN, Action.LAND),
+        *(Action.NONE, Action.TERMINATE, Action.DISARM),
+    ),
+}
+"""What the values of these parameters ask for; another one asks for the first."""
+_STILL_S: Final = 2.0
+"""Disarmed to the estimator's constant-position mode."""
+_LOW_M: Final = 1.2
+"""Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
+_STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
+_GROUND_STATION, _ONBOARD_CONTROLLER = 6, 18
+_HIGHEST_M: Final = 1e5
+"""Altitudes beyond count as not given: they do not fit into any answer."""
+Asked = tuple[float, float, float, float]
+"""Latitude, longitude, altitude AMSL and yaw in radians of a command; NaN: not given."""
+
+
+class Px4Flight(Flight):
+    """How a PX4 flies.  What was commanded it finds at the autopilot."""
+
+    def __init__(self, autopilot: "Px4") -> None:
+        self.autopilot = autopilot
+
+    @abc.abstractmethod
+    def begin_leg(self) -> None:
+        """Another leg of the mission, or none any more."""
+
+
+@final
+class Px4(Autopilot):
+    """One vehicle's autopilot."""
+
+    flight: Px4Flight
+
+    def __init__(
+        self,
+        firmware: Firmware,
+        make_flight: Callable[["Px4"], Px4Flight],
+        vehicle: Vehicle,
+        parameters: Mapping[str, float],
+        plans: Plans,
+        rng: np.random.Generator,
+    ) -> None:
+        super().__init__(firmware, vehicle, parameters, plans, rng)
+        self.intended = self.mode
+        """The mode that is wanted; `mode` is flown."""
+        self.action = Action.NONE
+        self.local_m: Vector = (0.0, 0.0, 0.0)
+        """The estimate in the local frame: north, east, down."""
+        self.target: Target | None = None
+        """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
+        self.takeoff: Asked | None = None
+        self.asked: Asked | None = None
+        """Where DO_REPOSITION or NAV_LAND, which brought about the mode, wants it."""
+        self.speed_m_s: float | None = None
+        """DO_CHANGE_SPEED, in AUTO modes."""
+        self.pilot_present = False
+        """Holds the sticks centred: without one the manual modes sink."""
+        self.offboard_signal = False
+        """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
+        self.fence_breached, self.fence_breaches = False, 0
+        self.zones = Zones(plans)
+        self._system = int(self.parameters["MAV_SYS_ID"])
+        """As it has booted; a change counts from the next boot on."""
+        self._signal_s = self._station_s = self._companion_s = -math.inf
+        """When a setpoint and these two were heard."""
+        self._incidents: dict[str, Action] = {}
+        """What fence, ground station and battery have brought about: it stays when they are well
+        again, until another mode is commanded."""
+        self._ill: set[str] = set()
+        self._after_disarming = self.mode
+        self._flown = self._fused = False
+        self._disarmed_s = -_STILL_S
+        self.flight = flight = make_flight(self)
+        self.handlers |= {
+            21: self._land,
+            22: flight.take_off,
+            176: self._do_set_mode,
+            178: flight.change_speed,
+            179: self._do_set_home,
+            192: flight.reposition,
+            300: self._start_mission,
+            401: lambda _: Result.ACCEPTED,
+            410: self.answer(HOME_POSITION),
+            519: self.answer(300),
+            520: self.answer(AUTOPILOT_VERSION),
+        }
+
+    # --- each step ----------------------------------------------------------------------------
+
+    def on_origin(self, origin: Place) -> None:
+        """With the first GPS that is fused: origin and home; the origin is told once."""
+        self.home = origin
+        self.send(GPS_GLOBAL_ORIGIN)
+
+    def look(self, fix: Fix) -> None:
+        """In every step, before the checks."""
+        del fix
+        if self.estimator.origin is not None:
+            self.local_m = self.frame.ned_m(self.estimate.place)
+
+    @property
+    def height_m(self) -> float:
+        """Above the ground: SIH has a distance sensor."""
+        return max(self.vehicle.altitude_amsl_m - self.ground_m, 0.0)
+
+    @property
+    def reference(self) -> Place:
+        """The origin, or where it is before there is one."""
+        return self.estimator.origin or self.estimate.place
+
+    def say_event(self, severity: int, words: str) -> None:
+        """A STATUSTEXT; PX4 ends those that are events as well with a tab."""
+        self.say(severity, words + "\t")
+
+    def took_off(self) -> None:
+        """The land detector sees it in the air."""
+        if self.landed:
+            self._flown = True
+            self.take_to_the_air()
+
+    def check(self) -> None:
+        """Ten times a second: arming checks, incidents, and which mode is flown now."""
+        now_s, parameters = self.now_s, self.parameters
+        self._check_estimate()
+        if 0.0 < now_s - self._companion_s - parameters["COM_OBC_LOSS_T"] < math.inf:
+            self._companion_s = -math.inf
+            self.say_event(2, "Connection to mission computer lost")
+        self.offboard_signal = now_s - self._signal_s <= parameters["COM_OF_LOSS_T"]
+        if self.armed:
+            silent_s = now_s - self._station_s
+            lost = parameters["COM_DL_LOSS_T"] < silent_s < math.inf
+            self._note("ground station", self._choice("NAV_DLL_ACT") if lost else Action.NONE)
+            self._check_fence()
+            if self._note("battery", self._battery_action()):
+                self.say_event(2, "Critical battery level, land now")
+        self._select()
+
+    def _check_estimate(self) -> None:
+        """Flags and accuracies; "fusion started" and "stopped"."""
+        estimator, estimate, now_s = self.estimator, self.estimate, self.now_s
+        estimator.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
+        estimator.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
+        low = self.height_m < _LOW_M and not self.landed and self.mode.name != "Takeoff"
+        flags = _TIMING.flags.get(estimator.state, _TIMING.stages[0][1])
+        if flags == _TIMING.flags[Estimates.GOOD]:
+            flags |= _STILL_FLAG if estimator.still else 0
+            flags &= ~_HEIGHT_FLAG if low else -1
+        estimate.flags = flags
+        silent_s, returned_s = max(now_s - estimator.used_s - 0.2, 0.0), estimator.returned_s
+        settled_m = 0.29 * min(now_s / 8.0, 1.0)
+        if returned_s is not None:
+            settled_m = 0.29 + 0.73 * math.exp((returned_s - now_s) / 0.7)
+        estimate.horizontal_accuracy_m = settled_m + silent_s * (0.06 + 0.0335 * silent_s)
+        if not estimator.aiding:
+            estimate.velocity_variance = estimate.horizontal_variance = _NAN
+        if estimator.aiding != self._fused:
+            self._fused = estimator.aiding
+            if self._flown:
+                self.say_event(6, f"GNSS data fusion {'started' if self._fused else 'stopped'}")
+
+    def _check_fence(self) -> None:
+        home, parameters = self.home, self.parameters
+        if home is None or not self.estimator.ok:
+            return
+        here, (north_m, east_m, _) = self.estimate.place, self.local_m
+        home_n, home_e, _ = self.frame.ned_m(home)
+        breached = (
+            0.0 < parameters["GF_MAX_HOR_DIST"] < math.hypot(north_m - home_n, east_m - home_e)
+            or 0.0 < parameters["GF_MAX_VER_DIST"] < here.altitude_amsl_m - home.altitude_amsl_m
+            or self.forbidden(here)
+        )
+        self.fence_breaches += breached and not self.fence_breached
+        self.fence_breached = breached
+        if self._note("fence", self._choice("GF_ACTION") if breached else Action.NONE):
+            self.say_event(4, "Geofence: approaching or outside geofence")
+
+    def forbidden(self, place: Place) -> bool:
+        """Whether the fence forbids it; setpoints are never checked, but DO_REPOSITION's place."""
+        return self.zones.forbid(self.frame, place, union=True)
+
+    def _battery_action(self) -> Action:
+        """COM_LOW_BAT_ACT: 0 warn, 2 land, 3 return, then land when critical turns emergency."""
+        left, choice = self.battery.remaining, int(self.parameters["COM_LOW_BAT_ACT"])
+        if left > self.parameters["BAT_CRIT_THR"]:
+            return Action.NONE
+        if choice == 3:
+            urgent = left <= self.parameters["BAT_EMERGEN_THR"]
+            return Action.LAND if urgent else Action.RETURN
+        return Action.LAND if choice == 2 else Action.WARN
+
+    def _choice(self, name: str) -> Action:
+        """What the value of this parameter asks for."""
+        choices, value = _CHOICES[name], int(self.parameters[name])
+        return choices[value if 0 <= value < len(choices) else 0]
+
+    def _note(self, cause: str, action: Action) -> bool:
+        """The state of a cause now (NONE: it is well); tells whether it has begun or got worse."""
+        if action is Action.NONE:
+            self._ill.discard(cause)
+            return False
+        worse = cause not in self._ill or action > self._incidents.get(cause, Action.TERMINATE)
+        self._ill.add(cause)
+        if worse:
+            self._incidents[cause] = action
+        return worse
+
+    def _failsafe(self) -> Action:
+        """What is to be done instead of the wanted mode; NONE while that can be flown."""
+        intended, ok, precise = self.intended, self.estimator.ok, self.estimator.precise
+        action = max(self._incidents.values(), default=Action.NONE)
+        action = action if action > Action.WARN else Action.NONE
+        if intended.name == "Offboard":
+            if not self.offboard_signal or not precise:
+                action = max(action, self._choice("COM_OBL_RC_ACT"))
+        elif intended.needs_position and not ok:
+            manual = intended.name in MANUAL
+            action = max(action, Action.ALTITUDE if manual else Action.DESCEND)
+        if intended.name in ("Land", "Return") and action is Action.RETURN and ok:
+            return Action.NONE
+        # landing needs less of a position than others: the real one landed for 0.2 s on its way
+        # from Descend back to OFFBOARD (px4-gps-loss.tlog)
+        if action in (Action.HOLD, Action.RETURN, Action.LAND) and not ok:
+            return Action.DESCEND
+        if action in (Action.HOLD, Action.RETURN) and not precise:
+            return Action.LAND
+        return Action.ALTITUDE if action is Action.POSITION and not precise else action
+
+    def _select(self) -> None:
+        """Which mode is flown now."""
+        before, self.action = self.action, self._failsafe() if self.armed else Action.NONE
+        if self.action > before and self.action > Action.WARN:
+            self.say_event(2, "Failsafe activated")
+        if self.action in (Action.DISARM, Action.TERMINATE):
+            self.disarm("external command")
+            return
+        mode = self.modes[_INSTEAD.get(self.action, self.intended.name)]
+        if mode is not self.mode:
+            self._change(mode)
+
+    # --- modes and arming ---------------------------------------------------------------------
+
+    def _change(self, mode: Mode) -> None:
+        """Fly this from now on."""
+        before, self.mode = self.mode, mode
+        if mode.name == "Offboard":
+            self.target = None
+        if before.name == "Mission":
+            self.route.stop()
+        if mode.name == "Mission":
+            self.seek(0 if self.route.complete else self.route.current)
+        self.flight.begin(before)
+
+    def intend(self, name: str) -> None:
+        """Want this mode from now on; if nothing forbids it, it is flown at once."""
+        mode = self.intended = self.modes[name]
+        self._incidents.clear()
+        if name not in ("Land", "Return", "Takeoff"):
+            self._after_disarming = mode
+        if mode is self.mode:
+            self.flight.begin(mode)
+        self._select()
+
+    def command_mode(
+        self, name: str, *, takeoff: Asked | None = None, asked: Asked | None = None
+    ) -> Result:
+        """Request a mode.  On the ground, disarmed, every mode is accepted."""
+        precise = self.estimator.precise
+        able = precise or not self.modes[name].needs_position
+        if name == "Offboard":
+            able = self.offboard_signal and precise
+        if self.armed and not able:
+            return Result.TEMPORARILY_REJECTED
+        self.takeoff, self.asked = takeoff, asked
+        self.intend(name)
+        return Result.ACCEPTED
+
+    def set_mode(self, name: str) -> bool:
+        """Fly in this mode from now on, if it can be."""
+        return self.command_mode(name) is Result.ACCEPTED
+
+    def _do_set_mode(self, command: Command) -> Result:
+        """p1 bit 0 says that p2 and p3 are PX4's own numbers; of other modes than AUTO p3 is 0."""
+        flags, main, sub = command.parameters[:3]
+        if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
+            return Result.TEMPORARILY_REJECTED
+        number = int(main) << 16 | (int(sub) << 24 if int(main) == 4 else 0)
+        name = MODE_NAMES.get(number)
+        return Result.TEMPORARILY_REJECTED if name is None else self.command_mode(name)
+
+    @property
+    def armable(self) -> bool:
+        """Whether it could be armed now, in the mode that is flown."""
+        name, ok = self.mode.name, self.estimator.ok
+        if self.now_s < ARMABLE_S:
+            return False
+        if name in MANUAL:
+            return self.pilot_present
+        if name == "Mission" and not self.plans[PlanKind.MISSION]:
+            return False
+        if name == "Offboard":
+            return self.offboard_signal and ok
+        return ok or not self.mode.needs_position
+
+    def refusal(self) -> str | None:
+        """Why it may not be armed now."""
+        return None if self.armable else "Resolve system health failures first"
+
+    def on_armed(self) -> None:
+        """The mode begins."""
+        self.flight.begin(self.mode)
+
+    def on_disarmed(self) -> None:
+        """The mode returns to the one last commanded for flight."""
+        self._disarmed_s = self.now_s
+        self.landed = self.landed or self.touched_s is not None
+        self._incidents.clear()
+        self._ill.clear()
+        self.intended, self.action = self._after_disarming, Action.NONE
+        if self.intended is not self.mode:
+            self._change(self.intended)
+
+    def pilot_takes(self) -> Sequence[Reply]:
+        """Fault: the pilot changes to Position mode and holds the sticks centred."""
+        self.pilot_present = True
+        return super().pilot_takes()
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def asked_by(self, command: Command, yaw_rad: float = _NAN) -> Asked:
+        """Where p5 to p7 are; a latitude and longitude of 0 are not given."""
+        latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
+        known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
+        if not known or latitude_deg == longitude_deg == 0.0:
+            latitude_deg = longitude_deg = _NAN
+        altitude_m = altitude_m if abs(altitude_m) <= _HIGHEST_M else _NAN
+        if self.home is not None and altitude_m == altitude_m:
+            home_m, frame = self.home.altitude_amsl_m, command.frame or 0
+            height_m = height_amsl_m(frame, altitude_m, home_m, self.ground_m)
+            altitude_m = altitude_m if height_m is None else height_m
+        return latitude_deg, longitude_deg, altitude_m, yaw_rad
+
+    def _land(self, command: Command) -> Result:
+        asked = self.asked_by(command)
+        return self.command_mode("Land", asked=asked if asked[0] == asked[0] else None)
+
+    def _do_set_home(self, command: Command) -> Result:
+        if command.parameters[0] == 1.0:
+            ok = self.estimator.ok
+            return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
+        *place, _ = self.asked_by(command)
+        return self.set_home(Place(*place)) if all(map(math.isfinite, place)) else Result.DENIED
+
+    # --- missions -----------------------------------------------------------------------------
+
+    def on_leg(self, speed_m_s: float | None) -> None:
+        """Another leg of the mission, or none any more; the speed that was asked for before it."""
+        self.speed_m_s = speed_m_s or self.speed_m_s
+        if self.route.leg is not None and self.route.leg.does is Does.RETURN:
+            self.intend("Return")
+        else:
+            self.flight.begin_leg()
+
+    def arrived(self, leg: Leg) -> None:
+        """The vehicle is at the leg's place (call it in every step there): wait, then go on."""
+        if self.route.arrived_s is None:
+            self.reached(self.route.current)
+        if self.route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND:
+            self.seek(self.route.current + 1)
+
+    def _start_mission(self, command: Command) -> Result:
+        """MISSION_START: AUTO:MISSION, and arm if need be."""
+        first = command.parameters[0]
+        if not self.plans[PlanKind.MISSION]:
+            return Result.DENIED
+        if math.isfinite(first) and first >= 1.0:
+            self.jump(int(first))
+        result = self.command_mode("Mission")
+        return self.arm() if result is Result.ACCEPTED else result
+
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
+        """A mission is flown from its beginning."""
+        if kind is PlanKind.MISSION:
+            self.route.forget_jumps()
+            self.route.current, self.route.complete = 0, False
+            if self.mode.name == "Mission":
+                self.seek(0)
+        return ()
+
+    # --- the rest of the protocol -------------------------------------------------------------
+
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+        """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
+        if self.estimator.origin is None and setpoint.is_global:
+            return ()
+        target = read_by_px4(setpoint, self.vehicle.heading_rad)
+        if target is not None:
+            self._signal_s = self.now_s
+            if not self.offboard_signal:  # the arming checks run at once for it
+                self.offboard_signal = True
+                self.check_now()
+            if self.mode.name == "Offboard":
+                self.target = self._in_local_frame(target)
+        return ()
+
+    def _in_local_frame(self, target: Target) -> Target:
+        if not target.is_global or not given(target.position):
+            return target
+        latitude_deg, longitude_deg, z_m = target.position
+        origin_m = self.reference.altitude_amsl_m
+        home_m = origin_m if self.home is None else self.home.altitude_amsl_m
+        # the sign of the home's height is wrong in PX4 (px4.md 1, item 6), and so it is here
+        up_m = {5: z_m - origin_m, 6: z_m - home_m + origin_m}.get(
+            target.frame, z_m + self.ground_m - origin_m
+        )
+        north_m, east_m, _ = self.frame.ned_m(Place(latitude_deg, longitude_deg, 0.0))
+        return target._replace(position=(north_m, east_m, -up_m))
+
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """Of ground stations, and of companions of this system."""
+        if vehicle_type == _GROUND_STATION:
+            self._station_s = self.now_s
+        elif vehicle_type == _ONBOARD_CONTROLLER and sender.system == self._system:
+            self._companion_s = self.now_s
+        return ()
+
+    def _system_status(self) -> State:
+        if self.armed:
+            return State.CRITICAL if self.action > Action.WARN else State.ACTIVE
+        return State.STANDBY if self.armable else State.UNINIT
+
+    def status(self) -> Status:
+        """The status for telemetry."""
+        armed, mode = self.armed, self.mode
+        in_air = {"Takeoff": Landed.TAKEOFF, "Land": Landed.LANDING}.get(mode.name, Landed.IN_AIR)
+        return Status(
+            mode=mode.number,
+            base_mode=mode.base | (0x80 if armed else 0),
+            system_status=self._system_status(),
+            landed_state=Landed.ON_GROUND if self.landed else in_air,
+            prearm_ok=self.armable,
+            origin=self.estimator.origin,
+            waypoint=self.flight.waypoint() if armed and mode.name in NAVIGATED else None,
+            intended_mode=self.intended.number,
+            mission_current=self.route.current,
+            mission_state=self.mission_state(),
+            mission_total=len(self.plans[PlanKind.MISSION]) or 65535,
+            above_ground_m=self.height_m,
+            fusing=self._fused,
+            fence_breached=self.fence_breached,
+            fence_breaches=self.fence_breaches,
+            failsafe=armed and self.action > Action.WARN,
+        )

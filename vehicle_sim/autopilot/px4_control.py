@@ -1,0 +1,195 @@
+"""PX4's multicopter: P on position, PID on velocity, no look-ahead; and the point of AUTO modes.
+
+PositionControl.cpp in metres and seconds.  Horizontal vectors are north + east j, the rest points
+down; NaN: not given.
+"""
+
+import math
+from typing import Final, NamedTuple, final
+
+from vehicle_sim.autopilot.copter_control import bounded, clipped, dot
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.parameters import Parameters
+
+_NAN: Final = math.nan
+NONE: Final = complex(_NAN, _NAN)
+_ATTITUDE_S: Final = 0.15
+"""Wanted to actual tilt (1 / MC_ROLL_P), on top of Copter's own response."""
+_STANDS_M_S: Final = 0.05
+
+
+@final
+class State(NamedTuple):
+    """Position, velocity and acceleration: level, and down."""
+
+    place: complex = NONE
+    down: float = _NAN
+    velocity: complex = NONE
+    sink: float = _NAN
+    push: complex = NONE
+    push_down: float = _NAN
+
+
+def given(vector: complex) -> bool:
+    """Whether it is there."""
+    return vector == vector
+
+
+@final
+class Control:
+    """The position controller and its integrals.  Mutable."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.read(parameters)
+        self.velocity, self.sink, self.asked, self.asked_down = 0j, 0.0, 0j, 0.0
+        """What it wants, as POSITION_TARGET_LOCAL_NED tells it."""
+        self.reset()
+
+    def read(self, parameters: Parameters) -> None:
+        """Take the gains and limits as they stand."""
+        p = parameters
+        self._p, self._p_down = p["MPC_XY_P"], p["MPC_Z_P"]
+        self._gain, self._gain_down = (
+            max(p[name], 0.1) for name in ("MPC_XY_VEL_P_ACC", "MPC_Z_VEL_P_ACC")
+        )
+        self._integrates, self._integrates_down = p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]
+        self._damping = p["MPC_XY_VEL_D_ACC"]
+        self._fastest, self._fastest_down = p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_DN"]
+        self.fastest_up_m_s = p["MPC_Z_VEL_MAX_UP"]
+        tilt_rad = math.radians(bounded(p["MPC_TILTMAX_AIR"], 5.0, 85.0))
+        self._tilt_m_s2 = GRAVITY_M_S2 * math.tan(tilt_rad)
+        hover = bounded(p["MPC_THR_HOVER"], 0.1, 0.8)
+        self._most_up_m_s2 = GRAVITY_M_S2 * (p["MPC_THR_MAX"] / hover - 1.0)
+        self._most_down_m_s2 = GRAVITY_M_S2 * (1.0 - p["MPC_THR_MIN"] / hover)
+
+    def reset(self, down_m_s2: float = 0.0) -> None:
+        """Start afresh, with this much of a downward push left over."""
+        self._lean, self._integral, self._integral_down = 0j, 0j, down_m_s2
+
+    def forget_wind(self) -> None:
+        """Forget what held against the air: on the ground."""
+        self._integral = 0j
+
+    def run(
+        self, wanted: State, flown: State, most_up_m_s: float, dt_s: float
+    ) -> tuple[complex, float]:
+        """Acceleration of the thrust, level and down."""
+        velocity = self._wanted_velocity(wanted.place - flown.place, wanted.velocity)
+        sink = (wanted.down - flown.down) * self._p_down
+        if sink != sink:  # the one that is given, or both
+            sink = wanted.sink
+        elif wanted.sink == wanted.sink:
+            sink += wanted.sink
+        sink = bounded(sink, -most_up_m_s, self._fastest_down)
+
+        asked, error = 0j, velocity - flown.velocity
+        if given(error):
+            asked = self._gain * error + self._integral - self._damping * flown.push
+        else:  # no horizontal control: upright, and what held against the air is forgotten
+            error = self._integral = 0j
+        asked += wanted.push if given(wanted.push) else 0j
+        if abs(asked) > self._tilt_m_s2:
+            # anti-windup: the error less what the tilt limit does not let through
+            over = asked - clipped(asked, self._tilt_m_s2)
+            error, asked = error - 2.0 / self._gain * over, asked - over
+        self._integral += self._integrates * dt_s * error
+
+        drop = wanted.push_down if wanted.push_down == wanted.push_down else 0.0
+        off = sink - flown.sink
+        if off == off:
+            drop += self._gain_down * off + self._integral_down
+            if -self._most_up_m_s2 < drop < self._most_down_m_s2 or drop * off < 0.0:
+                grown = self._integral_down + self._integrates_down * off * dt_s
+                self._integral_down = bounded(grown, -GRAVITY_M_S2, GRAVITY_M_S2)
+        drop = bounded(drop, -self._most_up_m_s2, self._most_down_m_s2)
+        self.velocity, self.sink, self.asked, self.asked_down = velocity, sink, asked, drop
+        self._lean += (asked - self._lean) * (dt_s / (_ATTITUDE_S + dt_s))
+        return self._lean, drop
+
+    def _wanted_velocity(self, off: complex, velocity: complex) -> complex:
+        """The position's share first, then as much of the feed-forward as reaches the limit."""
+        most, share = self._fastest, off * self._p
+        if not given(share):
+            return clipped(velocity, most) if given(velocity) else velocity
+        size = abs(share)
+        if size >= most:
+            return share * (most / size)
+        if not given(velocity) or not velocity:
+            return share
+        if abs(share + velocity) <= most:
+            return share + velocity
+        way = velocity / abs(velocity)
+        along = dot(way, share)
+        return share + way * (
+            math.sqrt(max(along * along - size * size + most * most, 0.0)) - along
+        )
+
+
+def braking_speed_m_s(distance_m: float, acceleration_m_s2: float, jerk_m_s3: float) -> float:
+    """Speed from which this distance suffices to stop (PX4's computeMaxSpeedFromDistance)."""
+    lost = 4.0 * acceleration_m_s2 * acceleration_m_s2 / jerk_m_s3
+    return 0.5 * (math.sqrt(lost * lost + 8.0 * acceleration_m_s2 * distance_m) - lost)
+
+
+@final
+class Point:
+    """The point that the controller follows in AUTO modes, within acceleration and jerk.  Mutable.
+
+    MPC_ACC_HOR 3 and MPC_JERK_AUTO 4 stop 12 m/s in 31 m (px4.md 4).
+    """
+
+    def __init__(self) -> None:
+        self.at = State()
+        self._most, self._most_up, self._jerk = 3.0, 4.0, 4.0
+
+    def limit(self, parameters: Parameters, *, manual: bool) -> None:
+        """Take the limits of the AUTO modes, or of the manual ones."""
+        self._most = max(parameters["MPC_ACC_HOR_MAX" if manual else "MPC_ACC_HOR"], 0.5)
+        self._most_up = max(parameters["MPC_ACC_UP_MAX"], 0.5)
+        self._jerk = max(parameters["MPC_JERK_MAX" if manual else "MPC_JERK_AUTO"], 0.5)
+
+    def start(self, flown: State) -> None:
+        """From what the vehicle does."""
+        self.at = flown._replace(push=0j, push_down=0.0)
+
+    @property
+    def stands(self) -> bool:
+        """It has come to rest horizontally."""
+        return abs(self.at.velocity) < _STANDS_M_S
+
+    def towards_velocity(self, velocity: complex, sink_m_s: float, dt_s: float) -> None:
+        """One step towards this velocity."""
+        at, most, step = self.at, self._most, self._jerk * dt_s
+        gain = 1.2 * self._jerk / most
+        push = at.push + clipped(clipped(gain * (velocity - at.velocity), most) - at.push, step)
+        wanted = bounded(gain * (sink_m_s - at.sink), -self._most_up, most)
+        push_down = at.push_down + bounded(wanted - at.push_down, -step, step)
+        velocity, sink_m_s = at.velocity + push * dt_s, at.sink + push_down * dt_s
+        place, down = at.place + velocity * dt_s, at.down + sink_m_s * dt_s
+        self.at = State(place, down, velocity, sink_m_s, push, push_down)
+
+    def towards_place(
+        self,
+        goal: complex,
+        down: float,
+        speeds_m_s: tuple[float, float, float],
+        dt_s: float,
+        sink_m_s: float = _NAN,
+    ) -> None:
+        """One step towards a place; speeds: cruise, up and down.  What is NaN comes to rest.
+
+        sink_m_s: descend at this speed, regardless of the height.
+        """
+        velocity, off, off_down = 0j, goal - self.at.place, down - self.at.down
+        most = 0.7 * self._most
+        if given(off) and abs(off) > 1e-6:
+            speed = min(speeds_m_s[0], braking_speed_m_s(abs(off), most, self._jerk))
+            velocity = off * (speed / abs(off))
+        if sink_m_s != sink_m_s:
+            sink_m_s = 0.0
+            if off_down == off_down:
+                speed = braking_speed_m_s(abs(off_down), most, self._jerk)
+                sink_m_s = (
+                    min(speed, speeds_m_s[2]) if off_down > 0.0 else -min(speed, speeds_m_s[1])
+                )
+        self.towards_velocity(velocity, sink_m_s, dt_s)

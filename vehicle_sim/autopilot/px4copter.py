@@ -1,0 +1,449 @@
+"""PX4 1.17 flying a multicopter: OFFBOARD without look-ahead, and AUTO modes (px4.md 3 to 8)."""
+
+import math
+from collections.abc import Mapping
+from typing import Final, final
+
+import numpy as np
+
+from vehicle_sim.autopilot.copter_control import bounded
+from vehicle_sim.autopilot.core import Mode
+from vehicle_sim.autopilot.legs import Does
+from vehicle_sim.autopilot.px4 import MANUAL, MODES, NAVIGATED, RATES_HZ, Px4, Px4Flight, firmware
+from vehicle_sim.autopilot.px4_control import NONE, Control, Point, State, given
+from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
+from vehicle_sim.autopilots import Command, Place, Result, TargetEcho, Waypoint
+from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.plans import Plans
+
+FIRMWARE: Final = firmware(vehicle_type=2, rates_hz=RATES_HZ, parameters="px4/multicopter")
+
+_NAN: Final = math.nan
+_STOPS: Final = State(velocity=0j, sink=0.0)
+_RAMP_FROM_M_S: Final = 2.47
+"""Downward speed limit that the take-off ramp begins with: z of POSITION_TARGET in the log."""
+_DETECTED_S: Final = 0.85
+"""Spool-up to "takeoff detected": 1.8 to 2.0 s after arming in the logs, COM_SPOOLUP_TIME 1 s."""
+_HEAVY_M_S2: Final = 1.5
+"""What the integral pushes down with when the ramp begins."""
+_LIES_S: Final = 1.1
+"""Contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog."""
+_ARRIVED_M: Final = 0.5
+_WANTS_UP: Final = 0.1
+"""Metres, m/s or m/s2 of a demand that count as one to climb."""
+_NEAR_M: Final = 2.0
+"""Of its goal: nearer, the nose does not turn to it."""
+_RESPONSE_S: Final = 0.1
+"""Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
+_TAKEN_OFF_S: Final = 2.2
+"""At its height, until a take-off is over: 7.8 s after arming at the default height (px4.md 3)."""
+_SLOW_M_S: Final = 0.3
+_STANDS_M_S: Final = 0.05
+_IDLE: Final = TargetEcho(
+    position_ned_m=NOTHING,
+    velocity_ned_m_s=NOTHING,
+    acceleration_ned_m_s2=(0.0, 0.0, 100.0),
+    yaw_rad=0.0,
+    type_mask=63,
+)
+"""POSITION_TARGET_LOCAL_NED while the motors idle, as recorded."""
+
+
+@final
+class Px4CopterFlight(Px4Flight):
+    """A quadcopter of PX4's SIH simulator: 1 kg, drag SIH_KDV."""
+
+    def __init__(self, autopilot: Px4, copter: Copter) -> None:
+        super().__init__(autopilot)
+        self.copter = copter
+        self._control, self._point = Control(autopilot.parameters), Point()
+        self._ways = {mode.name: getattr(self, mode.flies) for mode in MODES}
+        self._goal, self._goal_down = NONE, _NAN
+        """Of the AUTO modes, in the local frame; NaN: still braking."""
+        self._began, self._began_down = 0j, 0.0
+        """Where the mode began, or where its braking ends."""
+        self._ramp_s: float | None = None
+        """When the take-off ramp began; None: on the ground or done with it."""
+        self._flying = False
+        """The position controller runs."""
+        self._wanted = State()
+        self._order = (0j, 0.0)
+        self._stage = 0
+        """Of a return: 0 climbs, 1 flies home, 2 descends and lands."""
+        self._up_s: float | None = None
+        """When a take-off has come to its height."""
+        self._yaw_rad, self._aim_yaw_rad, self._turn_rad_s = copter.heading_rad, _NAN, 0.0
+        self._judged: Target | None = None
+        self._offboard = _STOPS
+
+    def read_parameters(self) -> None:
+        """They are read live."""
+        p, copter = self.autopilot.parameters, self.copter
+        self._control.read(p)
+        self._point.limit(p, manual=self.autopilot.mode.name in MANUAL)
+        copter.drag_1_m, copter.response_s = 0.0, _RESPONSE_S
+        copter.drag_1_s = p["SIH_KDV"] / max(p["SIH_MASS"], 0.1)
+        copter.hover_throttle = p["MPC_THR_HOVER"]
+
+    @property
+    def _flown(self) -> State:
+        """Where it believes to be, and what it does."""
+        estimate, copter = self.autopilot.estimate, self.copter
+        north_m, east_m, down_m = self.autopilot.local_m
+        return State(
+            complex(north_m, east_m),
+            down_m,
+            complex(estimate.velocity_north_m_s, estimate.velocity_east_m_s),
+            -estimate.velocity_up_m_s,
+            complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2),
+        )
+
+    @property
+    def _here(self) -> complex:
+        north_m, east_m, _ = self.autopilot.local_m
+        return complex(north_m, east_m)
+
+    def _level(self, place: Place) -> complex:
+        """A place in the local frame."""
+        north_m, east_m, _ = self.autopilot.frame.ned_m(place)
+        return complex(north_m, east_m)
+
+    def _down(self, altitude_amsl_m: float) -> float:
+        """A height in the local frame."""
+        return self.autopilot.reference.altitude_amsl_m - altitude_amsl_m
+
+    # --- modes --------------------------------------------------------------------------------
+
+    def begin(self, before: Mode) -> None:
+        """Start the smooth motion of the AUTO modes from what the vehicle does."""
+        autopilot, name, flown = self.autopilot, self.autopilot.mode.name, self._flown
+        p = autopilot.parameters
+        self.read_parameters()
+        if before is not autopilot.mode or not self._flying:
+            self._point.start(flown)
+        self._goal, self._goal_down, self._stage = NONE, _NAN, 0
+        self._began, self._began_down = flown.place, flown.down
+        self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
+        if name == "Takeoff":
+            self._goal, self._goal_down = flown.place, self._down(self._takeoff_altitude_m())
+        elif name == "Hold":
+            # where braking will end: the navigator holds there (preproject_stop_point)
+            braking, jerk = max(p["MPC_ACC_HOR"], 0.5), max(p["MPC_JERK_AUTO"], 0.5)
+            seconds = abs(flown.velocity) / (2.0 * braking) + braking / jerk
+            self._began = self._goal = flown.place + flown.velocity * seconds
+            self._goal_down = flown.down
+            if autopilot.asked is not None:
+                *place, altitude_m, self._aim_yaw_rad = autopilot.asked
+                self._goal = flown.place if place[0] != place[0] else self._asked_place
+                self._goal_down = flown.down if altitude_m != altitude_m else self._down(altitude_m)
+        elif name == "Land" and autopilot.asked is not None:
+            self._goal = self._asked_place
+        elif name == "Return":
+            height_m = self._home.altitude_amsl_m + self._return_height_m()
+            self._goal, self._goal_down = flown.place, min(flown.down, self._down(height_m))
+        elif name == "Mission":
+            self.begin_leg()
+
+    @property
+    def _home(self) -> Place:
+        return self.autopilot.home or self.autopilot.reference
+
+    @property
+    def _asked_place(self) -> complex:
+        assert self.autopilot.asked is not None
+        latitude_deg, longitude_deg, _, _ = self.autopilot.asked
+        return self._level(Place(latitude_deg, longitude_deg, 0.0))
+
+    def _takeoff_altitude_m(self) -> float:
+        """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
+        autopilot = self.autopilot
+        if autopilot.takeoff is not None and math.isfinite(autopilot.takeoff[2]):
+            return max(autopilot.takeoff[2], autopilot.estimate.altitude_amsl_m)
+        return self._home.altitude_amsl_m + autopilot.parameters["MIS_TAKEOFF_ALT"]
+
+    def _return_height_m(self) -> float:
+        """Above home: RTL_RETURN_ALT, less within the cone about it."""
+        p, away_m = self.autopilot.parameters, abs(self._here - self._level(self._home))
+        height_m = p["RTL_RETURN_ALT"]
+        if away_m < p["RTL_MIN_DIST"]:
+            return min(height_m, p["RTL_DESCEND_ALT"])
+        if p["RTL_CONE_ANG"] > 0.0:
+            cone_rad = math.radians(min(p["RTL_CONE_ANG"], 89.0))
+            return min(height_m, max(away_m / math.tan(cone_rad), 10.0))
+        return height_m
+
+    def begin_leg(self) -> None:
+        """Another leg of the mission, or none any more."""
+        leg = self.autopilot.route.leg
+        self._goal, self._goal_down = NONE, _NAN
+        if leg is None:
+            return
+        self._goal, self._goal_down = self._level(leg.place), self._down(leg.place.altitude_amsl_m)
+        if leg.does is Does.LAND:
+            self._goal_down = self._point.at.down
+        elif leg.does is Does.CLIMB and self.autopilot.landed:
+            self._goal = self._here
+        self._aim_yaw_rad = leg.yaw_rad
+
+    def on_disarmed(self) -> None:
+        """They stand."""
+        self._flying, self._ramp_s = False, None
+
+    def disarms_after_s(self) -> float | None:
+        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
+        landed = self.autopilot.landed_s is not None
+        wait_s = self.autopilot.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
+        return wait_s if wait_s > 0.0 else None
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def take_off(self, command: Command) -> Result:
+        """Straight up."""
+        return self.autopilot.command_mode("Takeoff", takeoff=self.autopilot.asked_by(command))
+
+    def reposition(self, command: Command) -> Result:
+        """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
+        autopilot, (_, flags, _, yaw_rad) = self.autopilot, command.parameters[:4]
+        asked = autopilot.asked_by(command, yaw_rad)
+        if asked[0] == asked[0] and autopilot.forbidden(Place(asked[0], asked[1], 0.0)):
+            return Result.DENIED
+        switches = math.isfinite(flags) and bool(int(flags) & 1)
+        if not switches and autopilot.mode.name != "Hold":
+            return Result.UNSUPPORTED
+        return autopilot.command_mode("Hold", asked=asked)
+
+    def change_speed(self, command: Command) -> Result:
+        """Accepted always, of effect in AUTO modes only (px4.md 3)."""
+        speed_m_s = command.parameters[1]
+        if math.isfinite(speed_m_s):
+            self.autopilot.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
+        return Result.ACCEPTED
+
+    # --- on the ground ------------------------------------------------------------------------
+
+    def lifts_off(self) -> bool:
+        """Whether the thrust carries it, once the take-off ramp has begun."""
+        return self._flying and self._order[1] < 0.0
+
+    def lies(self) -> bool:
+        """Whether nothing wants up."""
+        return self._ramp_s is None
+
+    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+        """It stands, even if the motors turn."""
+        del dt_s
+        self.copter.stand(ground_amsl_m)
+        if self._ramp_s is None:
+            self._control.forget_wind()
+            self._flying = self._flying and not self.autopilot.landed
+
+    def _starts(self) -> bool:
+        """Whether the take-off ramp begins: motors spun up and a climb demanded."""
+        autopilot, wanted = self.autopilot, self._wanted
+        if autopilot.now_s - autopilot.armed_s < autopilot.parameters["COM_SPOOLUP_TIME"]:
+            return False
+        climbs = wanted.down < autopilot.local_m[2] - _WANTS_UP or wanted.sink < -_WANTS_UP
+        climbs = climbs or wanted.push_down < -_WANTS_UP
+        if not climbs or autopilot.mode.name not in ("Takeoff", "Offboard", "Mission"):
+            return False
+        self._ramp_s, self._flying = autopilot.now_s, True
+        self._control.reset(_HEAVY_M_S2)
+        self._point.start(self._flown)
+        return True
+
+    def _most_up_m_s(self) -> float:
+        """MPC_Z_VEL_MAX_UP, in the take-off ramp less, negative at first."""
+        most, autopilot = self._control.fastest_up_m_s, self.autopilot
+        if self._ramp_s is None:
+            return most
+        since_s = autopilot.now_s - self._ramp_s
+        if since_s >= _DETECTED_S:
+            autopilot.took_off()
+        ramp_s = max(autopilot.parameters["MPC_TKO_RAMP_T"], 0.1)
+        if since_s >= ramp_s:
+            self._ramp_s = None
+            return most
+        return (most + _RAMP_FROM_M_S) * since_s / ramp_s - _RAMP_FROM_M_S
+
+    # --- one step -----------------------------------------------------------------------------
+
+    def steer(self, dt_s: float) -> None:
+        """The mode says what it wants, the position controller what that takes."""
+        self._wanted = self._ways[self.autopilot.mode.name](dt_s)
+        if not self.autopilot.armed or not (self._flying or self._starts()):
+            return
+        self._order = self._control.run(self._wanted, self._flown, self._most_up_m_s(), dt_s)
+        self._turn(dt_s)
+
+    def move(self, dt_s: float) -> None:
+        """Thrust."""
+        level, down = self._order
+        self.copter.advance(level.real, level.imag, -down, dt_s)
+
+    def fly_target(self, dt_s: float) -> State:
+        """OFFBOARD: the setpoint goes straight to the controller; what it cannot fly stops it."""
+        del dt_s
+        target = self.autopilot.target
+        if target is not self._judged:
+            self._judged, self._offboard = target, _STOPS
+            if target is not None and is_flyable(target):
+                (n, e, d), (v_n, v_e, v_d), (a_n, a_e, a_d) = target[:3]
+                self._offboard = State(
+                    complex(n, e), d, complex(v_n, v_e), v_d, complex(a_n, a_e), a_d
+                )
+        return _STOPS if target is None else self._offboard
+
+    def descend(self, dt_s: float) -> State:
+        """Without a position or a pilot: level, and down."""
+        del dt_s
+        return State(sink=self.autopilot.parameters["MPC_LAND_SPEED"])
+
+    def sink(self, dt_s: float) -> State:
+        """By hand: a pilot's sticks are centred; without one it comes down."""
+        if not self.autopilot.pilot_present:
+            return self.descend(dt_s)
+        self._point.towards_velocity(0j, 0.0, dt_s)
+        return self._point.at
+
+    # --- AUTO modes: they move the point that the controller follows --------------------------
+
+    def _waits(self) -> bool:
+        """At the beginning of the take-off ramp the point stays where the vehicle is."""
+        if self._ramp_s is None or self._most_up_m_s() > 0.0:
+            return False
+        self._point.start(self._flown._replace(velocity=0j, sink=0.0))
+        return True
+
+    def hold(self, dt_s: float) -> State:
+        """To the goal; without one, brake, and stay where that ends."""
+        if self._waits():
+            return self._point.at
+        p, point, autopilot = self.autopilot.parameters, self._point, self.autopilot
+        if not given(self._goal) and point.stands and abs(point.at.sink) < _STANDS_M_S:
+            self._goal, self._goal_down = self._began, self._began_down
+        climbs = p["MPC_TKO_SPEED" if autopilot.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
+        cruise = min(autopilot.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
+        speeds = (cruise, climbs, p["MPC_Z_V_AUTO_DN"])
+        point.towards_place(self._goal, self._goal_down, speeds, dt_s)
+        return point.at
+
+    def climb(self, dt_s: float) -> State:
+        """Takeoff; then Hold (COM_TAKEOFF_ACT 0), once it has stood at its height for a moment."""
+        at, autopilot = self.hold(dt_s), self.autopilot
+        below_m = autopilot.local_m[2] - self._goal_down
+        if (
+            autopilot.landed
+            or below_m >= autopilot.parameters["NAV_MC_ALT_RAD"]
+            or abs(at.sink) >= _SLOW_M_S
+        ):
+            self._up_s = None
+        elif self._up_s is None:
+            self._up_s = autopilot.now_s
+        elif autopilot.now_s - self._up_s >= _TAKEN_OFF_S:
+            autopilot.intend("Hold")
+        return at
+
+    def land(self, dt_s: float) -> State:
+        """Down to the ground, slower the nearer it is."""
+        if self._waits():
+            return self._point.at
+        p, point = self.autopilot.parameters, self._point
+        if not given(self._goal) and point.stands:
+            self._goal = point.at.place
+        height_m, slow = self.autopilot.height_m, p["MPC_LAND_SPEED"]
+        upper_m, lower_m = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
+        share = bounded((height_m - lower_m) / max(upper_m - lower_m, 0.1), 0.0, 1.0)
+        sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
+        if height_m < p["MPC_LAND_ALT3"]:
+            sink_m_s = min(slow, p["MPC_LAND_CRWL"])
+        cruise = min(self.autopilot.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
+        point.towards_place(self._goal, _NAN, (cruise, 0.0, 0.0), dt_s, sink_m_s)
+        return point.at
+
+    def fly_back(self, dt_s: float) -> State:
+        """Return: up, home, and land from there."""
+        down_m = self.autopilot.local_m[2]
+        if self._stage == 0 and abs(self._goal_down - down_m) < _ARRIVED_M:
+            self._stage, self._goal = 1, self._level(self._home)
+        elif self._stage == 1 and abs(self._goal - self._here) < _ARRIVED_M:
+            self._stage = 2
+        return self.land(dt_s) if self._stage == 2 else self.hold(dt_s)
+
+    def fly_mission(self, dt_s: float) -> State:
+        """Leg by leg."""
+        autopilot, leg = self.autopilot, self.autopilot.route.leg
+        if leg is None:
+            return self.hold(dt_s)
+        away_m = abs(self._goal - self._here)
+        if leg.does is Does.LAND:
+            if away_m < _ARRIVED_M and autopilot.route.arrived_s is None:
+                autopilot.arrived(leg)
+            return self.hold(dt_s) if autopilot.route.arrived_s is None else self.land(dt_s)
+        at, p = self.hold(dt_s), autopilot.parameters
+        near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
+        off_m = abs(self._goal_down - autopilot.local_m[2])
+        if away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]:
+            autopilot.arrived(leg)
+        return at
+
+    def _turn(self, dt_s: float) -> None:
+        """Turn the nose: to the setpoint's yaw, or along the way."""
+        autopilot, copter, name = self.autopilot, self.copter, self.autopilot.mode.name
+        p, target = autopilot.parameters, autopilot.target
+        if name == "Offboard":
+            if target is not None and target.yaw_rad == target.yaw_rad:
+                self._yaw_rad = target.yaw_rad
+            elif target is not None and target.yaw_rate_rad_s == target.yaw_rate_rad_s:
+                self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / p["MC_YAW_P"]
+        elif name in NAVIGATED and name != "Land":
+            way = self._aim[0] - self._here
+            if self._aim_yaw_rad == self._aim_yaw_rad:
+                self._yaw_rad = self._aim_yaw_rad
+            elif abs(way) > _NEAR_M:
+                self._yaw_rad = math.atan2(way.imag, way.real)
+        most = math.radians(p["MC_YAWRATE_MAX" if name == "Offboard" else "MPC_YAWRAUTO_MAX"])
+        off_rad = math.remainder(self._yaw_rad - copter.heading_rad, math.tau)
+        self._turn_rad_s = bounded(p["MC_YAW_P"] * off_rad, -most, most)
+        copter.heading_rad = math.remainder(copter.heading_rad + self._turn_rad_s * dt_s, math.tau)
+
+    # --- to tell ------------------------------------------------------------------------------
+
+    def echo(self) -> TargetEcho | None:
+        """What the controller steers for: its own velocity and acceleration, not those sent."""
+        autopilot, control, wanted = self.autopilot, self._control, self._wanted
+        touched_s = autopilot.touched_s
+        lies = touched_s is not None and autopilot.now_s - touched_s > _LIES_S
+        if lies or not self._flying or (autopilot.landed and self._ramp_s is None):
+            return _IDLE._replace(yaw_rad=self.copter.heading_rad)
+        position = (wanted.place.real, wanted.place.imag, wanted.down)
+        velocity = (control.velocity.real, control.velocity.imag, control.sink)
+        mask = sum(1 << bit for bit, v in enumerate((*position, *velocity)) if v != v)
+        return TargetEcho(
+            position_ned_m=position,
+            velocity_ned_m_s=velocity,
+            acceleration_ned_m_s2=(control.asked.real, control.asked.imag, control.asked_down),
+            yaw_rad=self._yaw_rad,
+            yaw_rate_rad_s=0.0 if autopilot.mode.name == "Offboard" else self._turn_rad_s,
+            type_mask=mask,
+        )
+
+    @property
+    def _aim(self) -> tuple[complex, float]:
+        """The navigator's place: the goal, or where the mode began."""
+        lands = self.autopilot.mode.name == "Land"
+        goal = self._began if lands or not given(self._goal) else self._goal
+        down = self._goal_down
+        return goal, self._began_down if lands or down != down else down
+
+    def waypoint(self) -> Waypoint:
+        """In AUTO modes."""
+        goal, down = self._aim
+        place = self.autopilot.frame.place(goal.real, goal.imag, down)
+        return Waypoint(place=place, distance_m=abs(goal - self._here))
+
+
+def make(
+    vehicle: Copter, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
+) -> Px4:
+    """A PX4 multicopter that boots."""
+    return Px4(FIRMWARE, lambda it: Px4CopterFlight(it, vehicle), vehicle, parameters, plans, rng)

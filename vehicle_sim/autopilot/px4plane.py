@@ -1,0 +1,532 @@
+"""PX4 1.17 flying a fixed wing: OFFBOARD and AUTO modes along circles and lines (px4.md 10).
+
+OFFBOARD takes from SET_POSITION_TARGET what FixedWingModeManager takes: a position alone is flown
+at, straight, and circled tightly when there; a position with a velocity is a point of a path and
+its direction there; an acceleration with them bends that path, to the wrong side; without a
+position nothing is steered and the last commands stay.  The speed is always FW_AIRSPD_TRIM.
+
+The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offboard.tlog, 25 to
+150 s), and takes most of a minute to find the last of its throttle.  This one does neither.
+"""
+
+import cmath
+import math
+from collections.abc import Mapping
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from vehicle_sim.autopilot.core import Mode
+from vehicle_sim.autopilot.earth import FlatEarth
+from vehicle_sim.autopilot.legs import Does
+from vehicle_sim.autopilot.plane_control import (
+    Circle,
+    PlaneControl,
+    Way,
+    bounded,
+    eas_to_tas,
+)
+from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, Px4Flight, firmware
+from vehicle_sim.autopilot.setpoints import NOTHING, Target
+from vehicle_sim.autopilots import Command, Place, Result, TargetEcho, Waypoint
+from vehicle_sim.dynamics import GRAVITY_M_S2
+from vehicle_sim.dynamics.plane import Plane, PlaneLimits
+from vehicle_sim.plans import Plans
+
+FIRMWARE: Final = firmware(
+    vehicle_type=1, rates_hz=RATES_HZ | {231: 10.0}, parameters="px4/fixed_wing"
+)
+"""WIND_COV as well."""
+SIH_AIRPLANE: Final = PlaneLimits(
+    airspeed_min_m_s=5.0,
+    airspeed_max_m_s=13.95,
+    bank_max_rad=math.radians(60.0),
+    roll_rate_rad_s=math.radians(60.0),
+    climb_max_m_s=2.9,
+    sink_max_m_s=5.0,
+    acceleration_m_s2=4.0,
+)
+"""PX4's simulated aeroplane: 13.9 m/s at full throttle, climbs 2.5 to 3.0 m/s (the log)."""
+
+# Times and speeds are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a second
+# later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing contact at 436.0,
+# 0.9 m/s and "landing detected" at 438.7 s after boot.  A landing ends without a flare.
+_TAKEOFF_SEEN_M_S: Final = 6.6
+"""The land detector believes in a take-off from here on, still on the wheels."""
+_CLIMB_OUT_M_S: Final = 2.63
+"""Climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle."""
+_LIFTS_OFF_AT: Final = 1.1
+"""Share of the take-off airspeed at which it leaves the ground: 11.3 m/s (RunwayTakeoff.cpp)."""
+_LANDING_SEEN_M_S: Final = 3.2
+"""From here on the landing detector counts its 1.8 s: 0.9 m/s when it is done."""
+_LANDS_FASTER_M_S: Final = 0.5
+"""Flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3."""
+_SLOPE_FLOWN: Final = 0.98
+"""Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
+_SINKS_FASTER_1_S: Final = 0.15
+"""Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
+_ROLL_OUT_S: Final = 0.8
+"""Time constant of the speed on the wheels without throttle, so that it stands when and where the
+recorded one does, whose flare brakes it from 10.8 to 6.8 m/s before contact (then 1.33 s)."""
+_FULL_M_S2, _RAMP_M_S3, _RAMP_S = 6.4, 5.7, 2.0
+"""Acceleration on the runway, and while RWTO_RAMP_TIME opens the throttle."""
+_STEER_EVERY: Final = 4
+"""Steps: the guidance runs at 25 Hz (the real one at 50, which nothing measured tells apart)."""
+_GLIDE_M_S: Final = 1.6
+"""Sink without throttle."""
+_DESCEND_M_S: Final = 0.5
+"""Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
+_CLEARED_M: Final = 10.0
+"""A take-off climbs on by this much beyond its height (kClearanceAltitudeBuffer)."""
+_TRADED_M: Final = 15.0
+"""Of height for airspeed that it lacks, at most: told 15 m/s, which the simulated one does not
+reach, it stands 2 m low (TECS)."""
+_ON_CIRCLE_M: Final = 15.0
+_LEVEL_THROTTLE_S_M, _CLIMB_THROTTLE_S_M = 0.0875, 0.1
+"""Throttle for each m/s of airspeed and of climb: 86 % at 12.3 m/s, 100 % at 13.9, 64 % at 10.7
+and 0.85 m/s of sink (px4-fixedwing-offboard.tlog)."""
+_ECHO_MASK: Final = 3576
+
+
+@final
+class Line(NamedTuple):
+    """Through a place in a direction (of unit length), or bent there (positive: to the right)."""
+
+    place: Place
+    way: complex
+    curvature_1_m: float = 0.0
+
+
+@final
+class Px4PlaneFlight(Px4Flight):
+    """The aeroplane of PX4's SIH simulator, or one with other limits."""
+
+    def __init__(self, autopilot: Px4, plane: Plane) -> None:
+        super().__init__(autopilot)
+        self._plane = plane
+        self._control = PlaneControl(plane, autopilot.estimate)
+        self._control.l1.upright = True
+        self._aim: Circle | Way | Line | None = None
+        """None: the bank stays."""
+        self._goal: Place | None = None
+        """The place flown to; the middle of a circle."""
+        self._nearest = autopilot.estimate.place, 0j
+        """Of the path: a place and how far from it."""
+        self._settling = False
+        """At its point but not at its height: circles until it is."""
+        self._sink_m_s: float | None = None
+        """It lands: on a slope."""
+        self._seen: Target | None = None
+        """The setpoint that it flies by; with a velocity it is not echoed."""
+        self._before: Place | None = None
+        """Where the last leg of the mission went, if that was a waypoint."""
+        self._began_s = 0.0
+        """When the mode did."""
+        self._steps = 0
+
+    # --- where to -----------------------------------------------------------------------------
+
+    def _circle(self, place: Place) -> None:
+        """About a place, at its height."""
+        self._aim, self._settling, self._sink_m_s = Circle(place, self._radius_m), False, None
+        self._hold(place)
+
+    def _ahead(self, altitude_amsl_m: float) -> None:
+        """Straight on where the nose points."""
+        here = self.autopilot.estimate.place.at(altitude_amsl_m)
+        self._aim = Line(here, cmath.rect(1.0, self._plane.heading_rad))
+        self._hold(here)
+
+    def _hold(self, goal: Place) -> None:
+        self._goal, self._control.climb_m_s = goal, None
+
+    def _land(self, place: Place) -> None:
+        """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
+        p = self.autopilot.parameters
+        slow_m_s = p["FW_LND_AIRSPD"] if p["FW_LND_AIRSPD"] > 0.0 else p["FW_AIRSPD_MIN"]
+        self._circle(place)
+        self._control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
+        self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(p["FW_LND_ANG"]))
+
+    @property
+    def _radius_m(self) -> float:
+        """NAV_LOITER_RAD; a negative one turns left."""
+        radius_m = self.autopilot.parameters["NAV_LOITER_RAD"]
+        return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
+
+    def _true(self, equivalent_m_s: float) -> float:
+        return equivalent_m_s * eas_to_tas(self.autopilot.estimate.altitude_amsl_m)
+
+    @property
+    def _cruise_m_s(self) -> float:
+        """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
+        p, wanted_m_s = self.autopilot.parameters, self.autopilot.parameters["FW_AIRSPD_TRIM"]
+        if self.autopilot.mode.name in ("Hold", "Mission", "Return"):
+            wanted_m_s = self.autopilot.speed_m_s or wanted_m_s
+        least_m_s = p["FW_AIRSPD_MIN"]
+        return self._true(bounded(wanted_m_s, least_m_s, max(p["FW_AIRSPD_MAX"], least_m_s)))
+
+    @property
+    def _home(self) -> Place:
+        return self.autopilot.home or self.autopilot.reference
+
+    # --- modes --------------------------------------------------------------------------------
+
+    def begin(self, before: Mode) -> None:
+        """What the mode makes it fly; in the air, and for a take-off on the ground."""
+        autopilot, control, p = self.autopilot, self._control, self.autopilot.parameters
+        here = autopilot.estimate.place
+        self._began_s, self._seen, self._before = autopilot.now_s, None, None
+        match autopilot.mode.flies:
+            case "fly_target":
+                return  # the last commands stay until a setpoint comes
+            case "climb":
+                self._ahead(self._takeoff_altitude_m)
+            case "hold":
+                asked = autopilot.asked or (autopilot.takeoff if before.name == "Takeoff" else None)
+                latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
+                centre = here if altitude_m != altitude_m else here.at(altitude_m)
+                if latitude_deg == latitude_deg:
+                    centre = Place(latitude_deg, longitude_deg, centre.altitude_amsl_m)
+                self._circle(centre)
+            case "fly_back":
+                height_m = self._home.altitude_amsl_m + p["RTL_RETURN_ALT"]
+                self._circle(self._home.at(max(height_m, here.altitude_amsl_m)))
+            case "sink":
+                self._ahead(here.altitude_amsl_m)
+            case "descend":
+                self._aim, control.climb_m_s = None, 0.0
+                control.bank_rad = math.radians(p["NAV_GPSF_R"])
+            case _:
+                pass
+        control.airspeed_m_s = self._cruise_m_s
+        if autopilot.mode.flies == "land":
+            self._land(here)
+        elif autopilot.mode.flies == "fly_mission":
+            self.begin_leg()
+
+    def begin_leg(self) -> None:
+        """Along the line from the last waypoint, or about the leg's place."""
+        leg, control = self.autopilot.route.leg, self._control
+        here, before, self._before = self.autopilot.estimate.place, self._before, None
+        if leg is None:
+            self._circle(here)
+        elif leg.does is Does.CLIMB:
+            self._ahead(leg.place.altitude_amsl_m)
+            control.climb_m_s = _CLIMB_OUT_M_S
+        elif leg.does is Does.LAND:
+            self._land(leg.place)
+        elif leg.hold_s == 0.0:
+            self._circle(leg.place)
+            self._aim, self._before = Way(before or here, leg.place), leg.place
+        else:
+            self._circle(leg.place)
+
+    def read_parameters(self) -> None:
+        """Some parameter has changed."""
+        p, control = self.autopilot.parameters, self._control
+        control.l1.period_s, control.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
+        control.bank_most_rad = math.radians(p["FW_R_LIM"])
+        control.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
+        control.heights.sink_most_m_s = min(p["FW_T_SINK_R_SP"], p["FW_T_SINK_MAX"])
+        if isinstance(self._aim, Circle):
+            self._aim = self._aim._replace(radius_m=self._radius_m)
+        if self._sink_m_s is None:
+            control.airspeed_m_s = self._cruise_m_s
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def take_off(self, command: Command) -> Result:
+        """Along the runway, and on to the place."""
+        return self.autopilot.command_mode("Takeoff", takeoff=self.autopilot.asked_by(command))
+
+    def reposition(self, command: Command) -> Result:
+        """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
+        autopilot, flags = self.autopilot, command.parameters[1]
+        asked = autopilot.asked_by(command)
+        if asked[0] == asked[0] and autopilot.forbidden(Place(asked[0], asked[1], 0.0)):
+            return Result.DENIED
+        switches = math.isfinite(flags) and bool(int(flags) & 1)
+        if not switches and autopilot.mode.name != "Hold":
+            return Result.UNSUPPORTED
+        return autopilot.command_mode("Hold", asked=asked)
+
+    def change_speed(self, command: Command) -> Result:
+        """Accepted always, of effect in AUTO modes only (px4.md 3)."""
+        speed_m_s = command.parameters[1]
+        if math.isfinite(speed_m_s):
+            self.autopilot.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
+        return Result.ACCEPTED
+
+    # --- in the air ---------------------------------------------------------------------------
+
+    def steer(self, dt_s: float) -> None:
+        """Where to and how high."""
+        del dt_s
+        self._steps += 1
+        if self._steps % _STEER_EVERY == 0 and not self.autopilot.standing:
+            self._guide()
+
+    def _guide(self) -> None:
+        autopilot, control, plane = self.autopilot, self._control, self._plane
+        match autopilot.mode.flies:
+            case "fly_target" if autopilot.target is not self._seen:
+                self._take(autopilot.target)
+            case "climb":
+                self._climb_out()
+            case "fly_mission":
+                self._follow_mission()
+            case "fly_back":
+                self._return()
+            case "descend":
+                late = autopilot.now_s - self._began_s > autopilot.parameters["NAV_GPSF_LT"]
+                control.climb_m_s = -_DESCEND_M_S if late else 0.0
+            case _:
+                pass
+        excess_m_s = plane.airspeed_m_s - control.airspeed_m_s
+        if self._sink_m_s is not None:
+            control.climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * max(excess_m_s, 0.0)
+        if self._goal is not None:
+            energy = plane.airspeed_m_s**2 - control.airspeed_m_s**2
+            more_m = bounded(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M, _TRADED_M)
+            control.height_amsl_m = self._goal.altitude_amsl_m + more_m
+        self._steer_to(self._aim)
+
+    def _steer_to(self, aim: Circle | Way | Line | None) -> None:
+        """Bank for the nearest point of it, and the direction and the bend there."""
+        control = self._control
+        if isinstance(aim, Way):
+            if not self._settles(aim.end):
+                here = self.autopilot.estimate.place
+                points = self.autopilot.mode.flies == "fly_target"  # straight there, from anywhere
+                control.steer(aim._replace(start=here) if points else aim)
+                return
+            aim = Circle(aim.end, self._radius_m)
+        if isinstance(aim, Line):
+            off_m = control.off_m(aim.place)
+            self._nearest = aim.place, (off_m.conjugate() * aim.way).real * aim.way
+            control.follow(off_m, aim.way, aim.curvature_1_m)
+        elif aim is not None:
+            off_m, radius_m = control.off_m(aim.centre), aim.radius_m
+            out = off_m if abs(off_m) > 0.1 else control.velocity
+            out /= abs(out)
+            nearest_m = abs(radius_m) * out
+            self._nearest = aim.centre, nearest_m
+            control.follow(
+                off_m - nearest_m, math.copysign(1.0, radius_m) * 1j * out, 1.0 / radius_m
+            )
+
+    def _settles(self, place: Place) -> bool:
+        """At its point but off its height by more than NAV_FW_ALT_RAD: circle until it is not."""
+        high = self._control.climb_m_s is None and not self._is_level(place.altitude_amsl_m)
+        self._settling = high and (self._settling or self._is_near(place))
+        return self._settling
+
+    def _is_level(self, altitude_amsl_m: float) -> bool:
+        off_m = abs(self.autopilot.estimate.altitude_amsl_m - altitude_amsl_m)
+        return off_m < self.autopilot.parameters["NAV_FW_ALT_RAD"]
+
+    def _is_near(self, place: Place, acceptance_m: float = 0.0) -> bool:
+        """Within the distance at which PX4 switches to the next waypoint: 31 m at 13.9 m/s."""
+        control = self._control
+        near_m = control.l1.length_m(abs(control.velocity))
+        return abs(control.off_m(place)) < (acceptance_m if acceptance_m > near_m else near_m)
+
+    def _is_on_circle(self) -> bool:
+        if not isinstance(self._aim, Circle):
+            return False
+        away_m = abs(self._control.off_m(self._aim.centre))
+        return abs(away_m - abs(self._aim.radius_m)) < _ON_CIRCLE_M
+
+    def _take(self, target: Target | None) -> None:
+        """A setpoint of OFFBOARD (px4.md 10)."""
+        self._seen = target
+        if target is None:
+            return
+        (north_m, east_m, down_m), (v_n, v_e, v_d) = target.position, target.velocity
+        if not (north_m == north_m and east_m == east_m):
+            self._aim = None
+            return
+        place = self.autopilot.frame.place(north_m, east_m, down_m if down_m == down_m else 0.0)
+        speed_m_s = math.hypot(v_n, v_e)
+        self._aim = Way(self.autopilot.estimate.place, place)
+        if speed_m_s > 1e-6:  # not NaN
+            self._aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
+        self._control.airspeed_m_s = self._cruise_m_s
+        self._hold(place)
+        if down_m != down_m:
+            self._control.climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
+
+    def _climb_out(self) -> None:
+        """Up to the take-off's height, then Hold; for good if it was not told where to."""
+        autopilot, control, goal_m = self.autopilot, self._control, self._takeoff_altitude_m
+        control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
+        if autopilot.estimate.altitude_amsl_m < goal_m:
+            return
+        self._hold(autopilot.estimate.place.at(goal_m + _CLEARED_M))
+        if autopilot.takeoff is not None and autopilot.takeoff[0] == autopilot.takeoff[0]:
+            autopilot.intend("Hold")
+
+    @property
+    def _takeoff_altitude_m(self) -> float:
+        """AMSL: NAV_TAKEOFF's, or MIS_TAKEOFF_ALT above home."""
+        takeoff = self.autopilot.takeoff
+        if takeoff is not None and takeoff[2] == takeoff[2]:
+            return takeoff[2]
+        return self._home.altitude_amsl_m + self.autopilot.parameters["MIS_TAKEOFF_ALT"]
+
+    def _return(self) -> None:
+        """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
+        autopilot, home, p = self.autopilot, self._home, self.autopilot.parameters
+        if self._sink_m_s is not None or not self._is_on_circle():
+            return
+        height_m = home.altitude_amsl_m + p["RTL_DESCEND_ALT"]
+        self._hold(home.at(height_m))
+        waited = 0.0 <= p["RTL_LAND_DELAY"] < autopilot.now_s - self._began_s
+        if waited and self._is_level(height_m):
+            self._land(home)
+
+    def _follow_mission(self) -> None:
+        """Fly on along the leg; tell the autopilot when it is done."""
+        leg = self.autopilot.route.leg
+        if leg is None or leg.does is Does.LAND:
+            return
+        height_m = leg.place.altitude_amsl_m
+        if leg.does is Does.CLIMB:
+            there = self.autopilot.estimate.altitude_amsl_m >= height_m
+        elif isinstance(self._aim, Way):
+            there = self._is_level(height_m) and self._is_near(leg.place, leg.acceptance_m)
+        else:
+            there = self._is_level(height_m) and self._is_on_circle()
+        if there:
+            self.autopilot.arrived(leg)
+
+    def move(self, dt_s: float) -> None:
+        """With what it was steered to."""
+        plane, control = self._plane, self._control
+        if plane.broken:
+            plane.fall(dt_s)
+            return
+        control.advance(dt_s)
+        effort = (plane.airspeed_m_s - plane.limits.airspeed_max_m_s) * _LEVEL_THROTTLE_S_M
+        effort += 1.0 + plane.velocity_up_m_s * _CLIMB_THROTTLE_S_M
+        plane.throttle = bounded(effort, 0.0, 1.0)
+
+    # --- on the wheels ------------------------------------------------------------------------
+
+    @property
+    def _wants_up(self) -> bool:
+        """Take-off, by mode or by a mission that begins with one."""
+        leg = self.autopilot.route.leg
+        climbs = leg is not None and leg.does is Does.CLIMB
+        return self.autopilot.armed and (self.autopilot.mode.flies == "climb" or climbs)
+
+    def lifts_off(self) -> bool:
+        """Fast enough on the runway."""
+        p = self.autopilot.parameters
+        chosen = p["FW_TKO_AIRSPD"]
+        takeoff_m_s = self._true(chosen if chosen > 0.0 else p["FW_AIRSPD_MIN"])
+        if not self._wants_up or self._plane.airspeed_m_s < _LIFTS_OFF_AT * takeoff_m_s:
+            return False
+        self._control.bank_rad, self._control.climb_m_s = 0.0, _CLIMB_OUT_M_S
+        return True
+
+    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+        """On the runway: up to speed, or to a halt."""
+        autopilot, plane = self.autopilot, self._plane
+        plane.altitude_amsl_m = ground_amsl_m
+        speed_m_s = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
+        if self._wants_up:
+            since_s = autopilot.now_s - max(autopilot.armed_s, self._began_s)
+            plane.roll_on_ground(min(_RAMP_M_S3 * since_s, _FULL_M_S2), dt_s)
+            plane.throttle = min(since_s / _RAMP_S, 1.0)
+            if plane.airspeed_m_s >= _TAKEOFF_SEEN_M_S:
+                autopilot.took_off()
+            return
+        plane.throttle = 0.0
+        if speed_m_s > 0.0:
+            plane.roll_on_ground(-max(speed_m_s / _ROLL_OUT_S, 0.05), dt_s)
+
+    def touch_down(self, ground_amsl_m: float) -> None:
+        """It rolls out."""
+        self._plane.touch_down(ground_amsl_m)
+
+    def lies(self) -> bool:
+        """Slow on the runway."""
+        plane = self._plane
+        speed_m_s = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
+        return speed_m_s < _LANDING_SEEN_M_S and not self._wants_up
+
+    def on_disarmed(self) -> None:
+        """The motor stands."""
+
+    def disarms_after_s(self) -> float | None:
+        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
+        landed = self.autopilot.landed_s is not None
+        wait_s = self.autopilot.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
+        return wait_s if wait_s > 0.0 else None
+
+    # --- to tell ------------------------------------------------------------------------------
+
+    def echo(self) -> TargetEcho | None:
+        """The nearest point of the path, as PX4 publishes it; nothing while it follows one."""
+        autopilot, flies = self.autopilot, self.autopilot.mode.flies
+        follows = self._seen is None or isinstance(self._aim, Line)
+        if flies in ("sink", "descend") or (flies == "fly_target" and follows):
+            return None
+        north_m, east_m, down_m = 0.0, 0.0, autopilot.reference.altitude_amsl_m
+        if autopilot.armed and self._goal is not None:
+            place, off_m = self._nearest
+            nearest = FlatEarth(place).place(off_m.real, off_m.imag, 0.0)
+            north_m, east_m, _ = autopilot.frame.ned_m(nearest)
+            down_m -= self._told_m(self._goal)
+        return TargetEcho(
+            position_ned_m=(north_m, east_m, down_m),
+            velocity_ned_m_s=NOTHING,
+            acceleration_ned_m_s2=NOTHING,
+            yaw_rad=math.nan,
+            yaw_rate_rad_s=math.nan,
+            type_mask=_ECHO_MASK,
+        )
+
+    def _told_m(self, goal: Place) -> float:
+        """The navigator's altitude; 0 in a landing, as recorded."""
+        return goal.altitude_amsl_m if self._sink_m_s is None else 0.0
+
+    def waypoint(self) -> Waypoint | None:
+        """The place flown to; the middle of a circle."""
+        goal, takeoff = self._goal, self.autopilot.takeoff
+        if goal is None:
+            return None
+        goal = goal.at(self._told_m(goal))
+        if (
+            self.autopilot.mode.flies == "climb"
+            and takeoff is not None
+            and takeoff[0] == takeoff[0]
+        ):
+            goal = Place(takeoff[0], takeoff[1], goal.altitude_amsl_m)
+        way_m = -self._control.off_m(goal)
+        return Waypoint(
+            place=goal,
+            distance_m=abs(way_m),
+            bearing_rad=cmath.phase(way_m),
+            radius_m=self._radius_m if isinstance(self._aim, Circle) else 0.0,
+        )
+
+
+def _bend(target: Target) -> float:
+    """Curvature that an acceleration asks for, 1/m, with the sign that PX4 gives it: the wrong one.
+
+    FixedWingModeManager.cpp:2074 against :2641-2644 (px4.md 1, item 7).
+    """
+    v_n, v_e, _ = target.velocity
+    a_n, a_e, a_d = target.acceleration
+    speed_m_s = math.hypot(v_n, v_e)
+    return -(v_n * a_e - v_e * a_n) / speed_m_s**3 if a_n + a_e + a_d == a_n + a_e + a_d else 0.0
+
+
+def make(
+    plane: Plane, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
+) -> Px4:
+    """A PX4 fixed wing that boots."""
+    return Px4(FIRMWARE, lambda it: Px4PlaneFlight(it, plane), plane, parameters, plans, rng)
