@@ -130,7 +130,8 @@ class RangeSensors:
 
     def bits(self, now_us: int) -> tuple[int, int]:
         """Of SYS_STATUS: what is there, and what of it is not well."""
-        there = (_PROXIMITY_BIT if self.proximity.kind else 0) | (_DOWN_BIT if self._has_rangefinder else 0)
+        there = _PROXIMITY_BIT if self.proximity.kind else 0
+        there |= _DOWN_BIT if self._has_rangefinder else 0
         lost = 0 if self.proximity.healthy(now_us) else _PROXIMITY_BIT
         return there, there & (lost | (_DOWN_BIT if self.rangefinder_off else 0))
 
