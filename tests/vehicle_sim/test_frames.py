@@ -86,13 +86,6 @@ def test_a_recorded_flight_is_read_as_pymavlink_reads_it(name: str) -> None:
     assert known > 1000
 
 
-def test_an_unsigned_frame_comes_back_bit_for_bit() -> None:
-    packer = Packer(7, 195)
-    for message in MESSAGES:
-        ((raw, got),) = StreamParser(datagrams=True).feed(packer.frame(message))
-        assert packed(got, sequence=got.get_seq()) == raw
-
-
 @given(
     old=st.booleans(),
     cuts=st.lists(st.integers(0, 400), max_size=12),
@@ -103,7 +96,8 @@ def test_a_stream_may_be_cut_anywhere(old: bool, cuts: list[int], noise: bytes) 
     edges = sorted({0, len(stream), *(cut for cut in cuts if cut < len(stream))})
     parser = StreamParser(datagrams=False)
     got = [message for a, b in itertools.pairwise(edges) for _, message in parser.feed(stream[a:b])]
-    assert [message.id for message in got] == [message.id for message in MESSAGES * 2]
+    assert [message.to_dict() for message in got] == [m.to_dict() for m in MESSAGES * 2]
+    assert {message.get_srcComponent() for message in got} == {195}
 
 
 @given(stream=st.binary(max_size=600), step=st.integers(1, 40))
@@ -174,13 +168,6 @@ def test_the_work_is_linear_in_the_bytes(monkeypatch: pytest.MonkeyPatch) -> Non
         assert StreamParser(datagrams=False).feed(data) == []
         assert summed <= longest * len(data), worst
         assert summed > len(data) or b"\x4c" not in worst
-
-
-def test_mavlink_1_and_2_are_both_spoken() -> None:
-    parser = StreamParser(datagrams=True)
-    got = [message for _, message in parser.feed(packed(ARM, old=True) + packed(ARM))]
-    assert [message.to_dict() for message in got] == [ARM.to_dict()] * 2
-    assert [message.get_srcComponent() for message in got] == [195, 195]
 
 
 def test_sequence_numbers_go_round() -> None:

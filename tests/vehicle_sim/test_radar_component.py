@@ -47,12 +47,6 @@ def request(mask: int = ALL_BLOCKS, spacing_m: int = 200) -> Any:
     return mavlink.MAVLink_terrain_request_message(*place, spacing_m, mask)
 
 
-def check(latitude_deg: float, longitude_deg: float = 8.0) -> Any:
-    return mavlink.MAVLink_terrain_check_message(
-        round(latitude_deg * 1e7), round(longitude_deg * 1e7)
-    )
-
-
 Said = Sequence[tuple[int, int | None, Any]]
 """When, on which link (None: on all), and what."""
 
@@ -260,32 +254,3 @@ def test_the_same_seed_spoils_the_same() -> None:
     bad = RadarConditions(noise_m=4.0, cells_missed=0.1, frames_lost=0.1)
     assert np.array_equal(heights(answered(bad)), heights(answered(bad)))
     assert not np.array_equal(heights(answered(bad)), heights(answered(bad, seed=2)))
-
-
-@pytest.mark.parametrize(
-    ("north_m", "seen"), [(1000.0, True), (3500.0, False), (5000.0, False), (0.0, True)]
-)
-def test_a_check_tells_the_height_of_a_place_in_sight(north_m: float, *, seen: bool) -> None:
-    """Before the wall, behind it, beyond the range, below the vehicle."""
-    run = Run()
-    latitude_deg, longitude_deg = FRAME.to_geographic(north_m, 0.0)
-    run.ask(check(latitude_deg, longitude_deg), 2)
-    said = run.until(100_000)
-    ((_, link, report),) = said
-    assert (report.get_type(), link) == ("TERRAIN_REPORT", 2)
-    assert (report.spacing, report.loaded) == (int(seen), 0)
-    if seen:
-        assert report.terrain_height == np.ceil(TERRAIN.height_at_amsl_m(north_m, 0.0))
-        assert report.current_height == 500.0 - report.terrain_height
-
-
-def test_a_blind_radar_knows_no_place_and_the_pole_is_no_place() -> None:
-    run = Run(RadarConditions(blind=True))
-    run.ask(check(47.0))
-    run.until(50_000)
-    run.conditions = FINE
-    run.ask(check(90.0))
-    run.until(100_000)
-    run.ask(check(-214.7, -214.7))
-    run.until(150_000)
-    assert [report.spacing for report in of(run.said, "TERRAIN_REPORT")] == [0, 0, 0]

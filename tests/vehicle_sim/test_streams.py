@@ -16,18 +16,15 @@ from vehicle_sim.autopilots import (
     FirmwareProfile,
     Result,
     Sender,
-    SendMessage,
     SendTelemetry,
     Text,
 )
 from vehicle_sim.parameters import Firmware, Parameters
-from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.streams import Streams
 
 STEP_US = 10_000
 BOOTED_US = 1_000_000
 HERE = Sender(system=1, component=191, link=0)
-THERE = Sender(system=255, component=190, link=1)
 POSITION, ATTITUDE, LOCAL, HEARTBEAT = 33, 30, 32, 0
 NOBODY_KNOWS = 230
 BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
@@ -54,11 +51,11 @@ def fresh(firmware: Firmware, *, links: int = 2, **rates_hz: float) -> Streams:
 
 
 def ask(
-    streams: Streams, number: int, *parameters: float, by: Sender = HERE, now_us: int = BOOTED_US
+    streams: Streams, number: int, *parameters: float, now_us: int = BOOTED_US
 ) -> Sequence[Any]:
     p1, p2, p3, p4, p5, p6, p7 = (*parameters, *[0.0] * (7 - len(parameters)))
     command = Command(
-        sender=by, target_component=1, number=number, parameters=(p1, p2, p3, p4, p5, p6, p7)
+        sender=HERE, target_component=1, number=number, parameters=(p1, p2, p3, p4, p5, p6, p7)
     )
     return streams.on_command(command, now_us)
 
@@ -161,7 +158,7 @@ def test_reserved_parameters_must_be_zero(
 def test_no_interval_and_no_number_breaks_the_table(interval_us: float, number: float) -> None:
     for firmware in ("ardupilot", "px4"):
         streams = fresh(firmware)  # type: ignore[arg-type]
-        for asked in (510, 511, 512):
+        for asked in (511, 512):
             ask(streams, asked, POSITION, interval_us)
             ask(streams, asked, number, interval_us)
         every = streams.interval_us(0, POSITION)
@@ -174,22 +171,6 @@ def test_ardupilots_intervals_are_whole_milliseconds_up_to_a_minute() -> None:
     for asked, kept in ((10_900, 10_000), (5, 1_000), (-7, 1_000), (2e9, 60_000_000)):
         ask(streams, 511, POSITION, asked)
         assert streams.interval_us(0, POSITION) == kept
-
-
-def test_the_interval_can_be_asked_for_by_link() -> None:
-    streams = fresh("ardupilot")
-    ask(streams, 511, POSITION, 250_000)
-    for number, by, told, accepted in (
-        (POSITION, HERE, 250_000, Result.ACCEPTED),
-        (POSITION, THERE, -1, Result.ACCEPTED),
-        (ATTITUDE, HERE, -1, Result.ACCEPTED),
-        (NOBODY_KNOWS, HERE, 0, Result.FAILED),
-    ):
-        answer, ack = ask(streams, 510, number, by=by)
-        assert isinstance(answer, SendMessage)
-        said = mavlink.MAVLink(None).decode(bytearray(Packer(1, 1).frame(answer.message)))
-        assert (said.message_id, said.interval_us) == (number, told)
-        assert (answer.to, ack.result) == (by, accepted)
 
 
 def test_a_message_is_sent_once_after_ardupilots_answer_and_before_px4s() -> None:

@@ -75,7 +75,7 @@ class Sender:
 class Command:
     """A COMMAND_LONG or COMMAND_INT that is for the autopilot.
 
-    Message intervals and message requests (510, 511, 512) never come here: wire/streams.py.
+    Message intervals and message requests (511, 512) never come here: wire/streams.py.
     """
 
     sender: Sender

@@ -26,7 +26,7 @@ _TIMEOUT_US, _CHECK_US = 1_000_000, 750_000
 _LOST_AFTER_US: Final = {RPLIDAR: 200_000, BY_MAVLINK: 500_000}
 _UNKNOWN: Final = 65535
 _DOWN, _LASER = 25, mavlink.MAV_DISTANCE_SENSOR_LASER
-_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
+_PROXIMITY_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
 _DOWN_BIT: Final = mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION
 
 
@@ -130,8 +130,9 @@ class RangeSensors:
 
     def bits(self, now_us: int) -> tuple[int, int]:
         """Of SYS_STATUS: what is there, and what of it is not well."""
-        there = (_BIT if self.proximity.kind else 0) | (_DOWN_BIT if self._has_rangefinder else 0)
-        lost = 0 if self.proximity.healthy(now_us) else _BIT
+        there = _PROXIMITY_BIT if self.proximity.kind else 0
+        there |= _DOWN_BIT if self._has_rangefinder else 0
+        lost = 0 if self.proximity.healthy(now_us) else _PROXIMITY_BIT
         return there, there & (lost | (_DOWN_BIT if self.rangefinder_off else 0))
 
     def messages(self, number: int, now_us: int) -> list[Any]:

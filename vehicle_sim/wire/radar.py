@@ -30,7 +30,7 @@ _LOWEST_M, _HIGHEST_M = -32767, 32767
 
 @final
 class RadarComponent:
-    """Answers one request after the other, in the time of the simulation."""
+    """Answers one TERRAIN_REQUEST after the other, in the time of the simulation."""
 
     def __init__(
         self, radar: TerrainRadar, rng: np.random.Generator, radio: Radio, component_id: int
@@ -38,10 +38,9 @@ class RadarComponent:
         self._radar, self._rng = radar, rng
         self._radio, self._id = radio, component_id
         self._asked: tuple[Any, int] | None = None
-        """TERRAIN_REQUEST or TERRAIN_CHECK, and by which link."""
-        self._answer: tuple[Sequence[Any], int] | None = None
-        self._answer_us = 0
-        self._sweep_us = 0
+        """The request, and by which link."""
+        self._answer: tuple[Sequence[Prepared], int] | None = None
+        self._answer_us = self._sweep_us = 0
         self._beat_us = HEARTBEAT_US
         self.due_us = HEARTBEAT_US
         """Nothing is to be done before."""
@@ -52,12 +51,12 @@ class RadarComponent:
 
     def receive(self, message: Any, sender: Sender) -> None:
         """Handle a message that is for the radar; commands that name it are refused."""
-        match message.get_type():
-            case "TERRAIN_REQUEST" | "TERRAIN_CHECK":
-                self._asked, self.due_us = (message, sender.link), 0
-            case "COMMAND_LONG" | "COMMAND_INT" if message.target_component == self._id:
-                refusal = Ack(to=sender, command=message.command, result=Result.UNSUPPORTED)
-                self._radio.send(messages.ack(refusal), sender.link, self._id)
+        kind = message.get_type()
+        if kind == "TERRAIN_REQUEST":
+            self._asked, self.due_us = (message, sender.link), 0
+        elif kind in ("COMMAND_LONG", "COMMAND_INT") and message.target_component == self._id:
+            refusal = Ack(to=sender, command=message.command, result=Result.UNSUPPORTED)
+            self._radio.send(messages.ack(refusal), sender.link, self._id)
 
     def step(
         self, now_us: int, vehicle: Vehicle, conditions: RadarConditions, *, tick: bool
@@ -75,9 +74,7 @@ class RadarComponent:
             and self._looks(now_us, conditions, tick)
         ):
             (asked, link), self._asked = self._asked, None
-            view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, vehicle.altitude_amsl_m)
-            see = self._scanned if asked.get_type() == "TERRAIN_REQUEST" else self._checked
-            self._answer = see(asked, view, conditions), link
+            self._answer = self._scan(asked, vehicle, conditions), link
             self._answer_us = now_us + round(conditions.delay_s * 1e6)
         if self._answer is not None and now_us >= self._answer_us:
             (replies, link), self._answer = self._answer, None
@@ -96,39 +93,27 @@ class RadarComponent:
         self._sweep_us = now_us - now_us % interval_us + interval_us
         return True
 
-    def _scanned(self, asked: Any, view: Viewpoint, conditions: RadarConditions) -> list[Prepared]:
-        """TERRAIN_DATA of all blocks, then the report that says that this was all."""
+    def _scan(self, asked: Any, vehicle: Vehicle, conditions: RadarConditions) -> list[Prepared]:
+        """TERRAIN_DATA of all blocks; then TERRAIN_REPORT: nothing is pending, this was all.
+
+        The report counts the blocks that get lost, too.
+        """
+        radar, height_m = self._radar, vehicle.altitude_amsl_m
+        place, spacing_m = (asked.lat / 1e7, asked.lon / 1e7), asked.grid_spacing
         request = ScanRequest(
-            latitude_deg=asked.lat / 1e7,
-            longitude_deg=asked.lon / 1e7,
-            spacing_m=asked.grid_spacing,
-            mask=asked.mask,
+            latitude_deg=place[0], longitude_deg=place[1], spacing_m=spacing_m, mask=asked.mask
         )
-        head = (asked.lat, asked.lon, asked.grid_spacing)
-        replies = [
-            make(
-                "TERRAIN_DATA", *head, block.gridbit, self._spoilt(block.heights_amsl_m, conditions)
-            )
-            for block in self._radar.answer(request, view)
-        ]
-        count = len(replies)
+        view = Viewpoint(vehicle.latitude_deg, vehicle.longitude_deg, height_m)
+        told, head = list[Prepared](), (asked.lat, asked.lon, spacing_m)
+        for block in radar.answer(request, view):
+            heights = self._spoilt(block.heights_amsl_m, conditions)
+            told.append(make("TERRAIN_DATA", *head, block.gridbit, heights))
+        count = len(told)
         if conditions.frames_lost:
             kept = self._rng.random(count) >= conditions.frames_lost
-            replies = [reply for reply, keep in zip(replies, kept, strict=True) if keep]
-        ground_amsl_m = self._radar.height_amsl_m(request.latitude_deg, request.longitude_deg)
-        return [*replies, _report(asked, request.spacing_m, ground_amsl_m, view, count)]
-
-    def _checked(self, asked: Any, view: Viewpoint, conditions: RadarConditions) -> list[Prepared]:
-        """The height of one place, with a spacing of 0 if the radar does not see it."""
-        place = asked.lat / 1e7, asked.lon / 1e7
-        height = UNSEEN_M
-        if self._radar.sees(*place, view):
-            height_m = self._radar.height_amsl_m(*place)
-            height = min(max(-int(-height_m // 1), _LOWEST_M), _HIGHEST_M)
-        (height,) = self._spoilt((height,), conditions)
-        if height == UNSEEN_M:
-            return [make("TERRAIN_REPORT", asked.lat, asked.lon)]
-        return [_report(asked, 1, float(height), view, 0)]
+            told = [each for each, keep in zip(told, kept, strict=True) if keep]
+        ground_m = radar.height_amsl_m(*place)
+        return [*told, make("TERRAIN_REPORT", *head, ground_m, height_m - ground_m, 0, count)]
 
     def _spoilt(self, heights_amsl_m: Sequence[int], conditions: RadarConditions) -> list[int]:
         """The heights as a radar in this state has them."""
@@ -150,11 +135,3 @@ class RadarComponent:
         heights[~seen] = UNSEEN_M
         spoilt: list[int] = heights.tolist()
         return spoilt
-
-
-def _report(
-    asked: Any, spacing_m: int, ground_amsl_m: float, view: Viewpoint, blocks: int
-) -> Prepared:
-    """TERRAIN_REPORT: nothing is pending; lost blocks are counted too."""
-    heights_m = (ground_amsl_m, view.altitude_amsl_m - ground_amsl_m)
-    return make("TERRAIN_REPORT", asked.lat, asked.lon, spacing_m, *heights_m, 0, blocks)

@@ -15,15 +15,13 @@ from vehicle_sim.autopilots import (
     FirmwareProfile,
     Reply,
     Result,
-    SendMessage,
     SendTelemetry,
     Text,
 )
 from vehicle_sim.parameters import Parameters
-from vehicle_sim.wire.frames import make
 
-GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
-COMMANDS = frozenset({GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE})
+_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
+COMMANDS = frozenset({_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE})
 """These are answered here and never reach the autopilot."""
 FORGOTTEN_US = 60_000
 """Since boot: ArduPilot sets up its streams at its first chance to send and wipes what an earlier
@@ -95,10 +93,8 @@ class Streams:
         """Answer a command of COMMANDS."""
         number = command.parameters[0]
         whole = round(number) if 0 <= number < 1 << 24 else -1
-        if command.number == SET_MESSAGE_INTERVAL:
+        if command.number == _SET_MESSAGE_INTERVAL:
             return self._on_set(command, whole, now_us)
-        if command.number == GET_MESSAGE_INTERVAL:
-            return self._on_get(command, whole)
         return self._on_request(command, whole)
 
     def on_data_stream(self, message: Any, link: int, now_us: int) -> None:
@@ -149,15 +145,6 @@ class Streams:
         if is_px4 or not wiped:
             self._set(link, {number: us}, now_us)
         return [_ack(command, Result.ACCEPTED)]
-
-    def _on_get(self, command: Command, number: int) -> list[Reply]:
-        known = number in self._style.streamable
-        interval_us = self.interval_us(command.sender.link, number)
-        if interval_us is None:
-            interval_us = -1 if known and not self._is_px4 else 0
-        said = make("MESSAGE_INTERVAL", number & 0xFFFF, interval_us)  # the field has 16 bits
-        result = Result.ACCEPTED if known or self._is_px4 else Result.FAILED
-        return [SendMessage(message=said, to=command.sender), _ack(command, result)]
 
     def _on_request(self, command: Command, number: int) -> list[Reply]:
         if number not in self._style.requestable:
