@@ -4,7 +4,7 @@ import itertools
 import select
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +16,6 @@ from vehicle_sim.simulation import STEP_US, Simulation
 from vehicle_sim.wire.frames import StreamParser
 from vehicle_sim.wire.routing import targets
 
-FIRST_HEARTBEAT_S = 60.0
-SILENCE_S = 30.0
 _HELLO_S = 0.05
 _PATIENCE_S = 0.1
 """How long a wait may last before it looks whether it shall stop."""
@@ -42,9 +40,9 @@ class Settings:
     """Simulated time after which to end; None: when told."""
     strict: bool = False
     """End with an error when something came in that the real autopilot does not survive."""
-    first_heartbeat_s: float = FIRST_HEARTBEAT_S
+    first_heartbeat_s: float = 60.0
     """Wall time that lockstep waits for the companions at the start."""
-    silence_s: float = SILENCE_S
+    silence_s: float = 30.0
     """Wall time without a word from a companion after which lockstep gives up."""
 
 
@@ -71,13 +69,38 @@ def stopping_on_signals() -> Iterator[Stop]:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True, eq=False)
 class Station:
     """One vehicle, the links that it is on, in its own order, and where its truth is written."""
 
     simulation: Simulation
     links: Sequence[Link]
     truth: TextIO | None = None
+
+    def send(self, shared: Container[Link]) -> None:
+        """What is due; after a reboot from other ports, except where others are that have none."""
+        if self.simulation.take_port_change():
+            for link in self.links:
+                if link not in shared:
+                    link.move()
+        by_link: dict[int, list[bytes]] = {}
+        for number, frame in self.simulation.take_frames():
+            by_link.setdefault(number, []).append(frame)
+        for number, frames in by_link.items():
+            self.links[number].send(frames)
+
+    def write(self, *, flush: bool) -> str:
+        """New lines of truth; returns what is wrong with their file, which then gets no more."""
+        lines, file = self.simulation.take_truth(), self.truth
+        try:
+            if file is not None and lines:
+                file.write("\n".join(lines) + "\n")
+            if file is not None and flush:
+                file.flush()
+        except OSError as error:
+            self.truth = None
+            return f"{file.name if file else ''} stopped: {error.strerror or error}"
+        return ""
 
 
 @final
@@ -92,21 +115,21 @@ class Server:
         *,
         say: Callable[[str], None],
     ) -> None:
-        self._settings = settings
-        self._stop = stop
-        self._say = say
+        self._settings, self._stop, self._say = settings, stop, say
         self._stations = stations
         self._simulations = [station.simulation for station in stations]
-        self._truths = [station.truth for station in stations]
         self._flush_s = 0.0
         self._heard: dict[Link, list[tuple[Simulation, int]]] = {}
         """Who hears what comes in by a link, and as which of its own links."""
         for station in stations:
             for number, link in enumerate(station.links):
                 self._heard.setdefault(link, []).append((station.simulation, number))
-        self._sorters = {
-            link: StreamParser(datagrams=link.endpoint.kind != "tcpin") for link in self._heard
+        self._shared = {
+            link: StreamParser(datagrams=link.endpoint.kind != "tcpin")
+            for link, hearers in self._heard.items()
+            if len(hearers) > 1
         }
+        """Links of several vehicles, and what finds the frames in what comes by them."""
 
     def run(self) -> float:
         """Fly; returns the wall time that the flying took, in seconds."""
@@ -116,11 +139,6 @@ class Server:
             return self._real_time()
         finally:
             self._write()
-
-    @property
-    def _now_us(self) -> int:
-        """Vehicle time; in real time all of them have the same."""
-        return self._simulations[0].now_us
 
     def _timed_out(self, simulation: Simulation) -> bool:
         duration_s = self._settings.duration_s
@@ -140,15 +158,7 @@ class Server:
 
     def _send(self) -> None:
         for station in self._stations:
-            if station.simulation.take_port_change():
-                for link in station.links:
-                    if len(self._heard[link]) == 1:  # others of its port have not rebooted
-                        link.move()
-            by_link: dict[int, list[bytes]] = {}
-            for number, frame in station.simulation.take_frames():
-                by_link.setdefault(number, []).append(frame)
-            for number, frames in by_link.items():
-                station.links[number].send(frames)
+            station.send(self._shared)
 
     def _write(self) -> None:
         """Truth to its files, notices to the terminal."""
@@ -156,25 +166,12 @@ class Server:
         flush = now_s >= self._flush_s
         if flush:
             self._flush_s = now_s + _FLUSH_S
-        for number, simulation in enumerate(self._simulations):
-            self._write_truth(number, simulation.take_truth(), flush=flush)
-            for notice in simulation.take_notices():
+        for station in self._stations:
+            simulation, wrong = station.simulation, station.write(flush=flush)
+            for notice in [*simulation.take_notices(), *filter(None, [wrong])]:
                 self._say(notice)
             if self._settings.strict and simulation.not_survived is not None:
                 raise NotSurvived(simulation.not_survived)
-
-    def _write_truth(self, number: int, lines: list[str], *, flush: bool) -> None:
-        file = self._truths[number]
-        if file is None:
-            return
-        try:
-            if lines:
-                file.write("\n".join(lines) + "\n")
-            if flush:
-                file.flush()
-        except OSError as error:
-            self._say(f"{file.name} stopped: {error.strerror or error}")
-            self._truths[number] = None
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -190,26 +187,22 @@ class Server:
             for _ in range(_MAX_DATAGRAMS):
                 datagram = link.receive()
                 if link.take_reopened():
-                    self._sorters[link].forget()
+                    if link in self._shared:
+                        self._shared[link].forget()
                     for simulation, number in hearers:
                         simulation.reopen(number)
                 if datagram is None:
                     break
                 any_came = True
-                if len(hearers) == 1:
-                    ((simulation, number),) = hearers
-                    simulation.receive(number, datagram)
-                else:
-                    self._sort(link, hearers, datagram)
+                if link not in self._shared:
+                    hearers[0][0].receive(hearers[0][1], datagram)
+                    continue
+                for frame, message in self._shared[link].feed(datagram):
+                    system, _ = targets(message)  # each vehicle gets what is for it, or for all
+                    for simulation, number in hearers:
+                        if not system or system == simulation.system_id:
+                            simulation.receive(number, frame)
         return any_came
-
-    def _sort(self, link: Link, hearers: list[tuple[Simulation, int]], datagram: bytes) -> None:
-        """Of a shared link: each vehicle gets what is for it, or for all."""
-        for frame, message in self._sorters[link].feed(datagram):
-            system, _ = targets(message)
-            for simulation, number in hearers:
-                if not system or system == simulation.system_id:
-                    simulation.receive(number, frame)
 
     # --- lockstep -----------------------------------------------------------------------------
 
@@ -251,31 +244,29 @@ class Server:
     def _await_answers(self, asked: dict[Simulation, int]) -> None:
         """Handle messages until all these TIMESYNC requests are answered."""
         asked_s = again_s = time.monotonic()
-        while True:
+        while not self._stop.requested:
             waiting = [
-                (each, question_ns)
+                each
                 for each, question_ns in asked.items()
                 if each.answered_ns != question_ns and not each.companion_ended
             ]
-            if not waiting or self._stop.requested:
+            if not waiting:
                 return
             if self._listen(_PATIENCE_S):
                 continue
             now_s = time.monotonic()
             if now_s - asked_s >= self._settings.silence_s:
-                raise self._silent(*waiting[0])
+                silence_s, at_s = self._settings.silence_s, waiting[0].now_us * 1e-6
+                what = f"was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
+                if waiting[0].mistaken_ns == asked[waiting[0]]:
+                    what += "; it answered TIMESYNC with a time of its own: in lockstep tc1 must "
+                    what += "echo ts1"
+                raise CompanionSilent(f"the companion {what}")
             if now_s - again_s >= _AGAIN_S:  # it may have been lost, or its client has changed
                 again_s = now_s
-                for each, _ in waiting:
+                for each in waiting:
                     each.ask_again()
                 self._send()
-
-    def _silent(self, simulation: Simulation, question_ns: int) -> CompanionSilent:
-        silence_s, at_s = self._settings.silence_s, simulation.now_us * 1e-6
-        what = f"the companion was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
-        if simulation.mistaken_ns == question_ns:
-            what += "; it answered TIMESYNC with a time of its own: in lockstep tc1 must echo ts1"
-        return CompanionSilent(what)
 
     # --- real time ----------------------------------------------------------------------------
 
@@ -283,7 +274,8 @@ class Server:
         speedup = self._settings.speedup
         start_s = origin_s = time.monotonic()  # origin: wall time of vehicle time 0, kept to
         while not self._over():
-            behind_us = (time.monotonic() - origin_s) * speedup * 1e6 - self._now_us
+            behind_us = (time.monotonic() - origin_s) * speedup * 1e6
+            behind_us -= self._simulations[0].now_us  # all of them have the same
             if behind_us > _SLIP_S * speedup * 1e6:  # too slow a computer: let time slip
                 origin_s += (behind_us - STEP_US) / (speedup * 1e6)
                 behind_us = STEP_US

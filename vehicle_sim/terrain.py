@@ -45,7 +45,7 @@ class PeakTerrain:
     def __init__(self, peaks: Sequence[PeakRow], *, combine: Combine, ground_amsl_m: float) -> None:
         self.combine, self.ground_amsl_m = combine, float(ground_amsl_m)
         self._peaks = np.array(peaks, dtype=np.float64).reshape(-1, 5)
-        self._columns = self._peaks.T.copy()
+        self._rows = self._peaks.tolist()  # for single points, ten times a second
         self.level = not len(peaks)
         """There is nothing but the ground."""
 
@@ -54,7 +54,7 @@ class PeakTerrain:
         north, east = np.broadcast_arrays(north_m, east_m)
         if self.level:
             return np.full(north.shape, self.ground_amsl_m)
-        n, e, height, s_n, s_e = self._columns.reshape(5, -1, *[1] * north.ndim)
+        n, e, height, s_n, s_e = self._peaks.T.reshape(5, -1, *[1] * north.ndim)
         each_m = height * np.exp(-(((north - n) / s_n) ** 2) - ((east - e) / s_e) ** 2)
         joined = each_m.max(axis=0) if self.combine == "maximum" else each_m.sum(axis=0)
         return np.maximum(joined, self.ground_amsl_m)
@@ -63,9 +63,10 @@ class PeakTerrain:
         """Height of the terrain at one point."""
         if self.level:
             return self.ground_amsl_m
-        n, e, height, s_n, s_e = self._columns
-        x, y = (north_m - n) / s_n, (east_m - e) / s_e
-        each_m = (height * np.exp(-x * x - y * y)).tolist()
+        each_m = [
+            height * math.exp(-(((north_m - n) / s_n) ** 2) - ((east_m - e) / s_e) ** 2)
+            for n, e, height, s_n, s_e in self._rows
+        ]
         return max(self.ground_amsl_m, max(each_m) if self.combine == "maximum" else sum(each_m))
 
     def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -14,15 +14,18 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.links import parse_endpoint
+from vehicle_sim.links import open_link, parse_endpoint
+from vehicle_sim.server import Server, Settings, Station, Stop
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import flat_world
 
 Start = Callable[..., "subprocess.Popen[str]"]
 MARKER, TIMESYNC = 0xFD, 111
 
 
-def question_of(message: Any) -> int | None:
+def question_of(message: Any, endings: tuple[int, ...]) -> int | None:
     """The time that a lockstep question carries; ArduPilot asks others that end in 1."""
-    if message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1 % 1000 == 0:
+    if message.get_type() == "TIMESYNC" and message.tc1 == 0 and message.ts1 % 1000 in endings:
         return int(message.ts1)
     return None
 
@@ -38,6 +41,7 @@ class Follower:
         self.parser.robust_parsing = True
         self.digest = hashlib.sha256()
         self.newest_ns = self.passed_ns = 0
+        self.endings: tuple[int, ...] = (0,)
 
     def say(self, message: Any) -> None:
         data = message.pack(self.mav)
@@ -63,7 +67,7 @@ class Follower:
             for message in self.read():
                 if self.newest_ns:
                     self.digest.update(message.get_msgbuf())
-                asked_ns = question_of(message)
+                asked_ns = question_of(message, self.endings)
                 if asked_ns:
                     since_ns = self.newest_ns if asked_ns >= self.newest_ns else 0
                     self.passed_ns += asked_ns - since_ns
@@ -206,6 +210,36 @@ def test_vehicles_on_one_port_ask_different_questions_and_wait_for_all(start: St
         assert systems[:6] == [1, 2, 3, 1, 2, 3]
         process.terminate()
         ended(process)
+
+
+def test_each_of_several_vehicles_flies_its_own_time() -> None:
+    """The clock of the one whose companion ends first stands, and the other's goes on."""
+    with udp() as (first, first_port), udp() as (second, second_port):
+        home = {"latitude_deg": 47.0, "longitude_deg": 8.0, "altitude_amsl_m": 0.0}
+        stations = []
+        for port in (first_port, second_port):
+            world = flat_world("copter", "px4", heading_deg=0.0, **home)
+            link = open_link(parse_endpoint(f"udpout:127.0.0.1:{port}"))
+            stations.append(Station(simulation=Simulation(world), links=[link]))
+        second.endings = (0, 1)
+        settings = Settings(lockstep=True, duration_s=3.0)
+        server = Server(stations, settings, Stop(), say=lambda _: None)
+        flight = threading.Thread(target=server.run)
+        flight.start()
+        for follower in (first, second):
+            follower.read()
+            follower.beat()
+        answers = threading.Thread(target=second.follow, args=[3.0])
+        answers.start()
+        first.follow(1.0).beat(7)
+        for thread in (answers, flight):
+            thread.join(20.0)
+            assert not thread.is_alive()
+        for station in stations:
+            station.links[0].close()
+    times_us = [station.simulation.now_us for station in stations]
+    assert times_us[0] <= 1_100_000
+    assert times_us[1] == 3_000_000
 
 
 def test_half_a_frame_of_a_client_that_has_gone_swallows_nothing_of_the_next(start: Start) -> None:

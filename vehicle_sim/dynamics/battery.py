@@ -81,8 +81,10 @@ class PowerModule:
         left = max(1.0 - battery.consumed_mah / capacity_mah, 0.0) if capacity_mah else 1.0
         if not is_plane:
             sag_v = battery.current_a * _RESISTANCE_OHM if capacity_mah else 0.0
-        resting = float(np.interp(min(left, conditions.most), _LEFT, _RESTING))
-        battery.voltage_v = max(conditions.voltage_v * resting - sag_v, 0.0)
+        left, resting_v = min(left, conditions.most), conditions.voltage_v
+        if left < 1.0:
+            resting_v *= float(np.interp(left, _LEFT, _RESTING))
+        battery.voltage_v = max(resting_v - sag_v, 0.0)
         told = 1.0 - battery.consumed_mah / max(conditions.gauge_mah, 1.0)
         battery.remaining = min(max(told, 0.0), conditions.most)
 

@@ -258,14 +258,14 @@ class _Jamming:
     """A jammer near by, as ArduPilot's simulation has it: nothing for a while, then wild values."""
 
     _SILENT_S = (1.0, 6.0)
-    _LOCK_HZ, _CLIMB_HZ, _LEVEL_HZ, _PLACE_HZ = 3.0, 0.5, 0.8, 1.1
-    """How often satellites and fix, climb, level velocity and position change."""
     _MIN_SATELLITES = 4
     _WILD_M_S, _WILD_M = 400.0, 200.0
+    _CHANGE_HZ = 1.1
+    """How often fix, satellites, velocity and position become others."""
     _FORGOTTEN_US = 1_000_000
 
     def __init__(self, rng: np.random.Generator, interval_s: float) -> None:
-        self._rng, self._interval_s = rng, interval_s
+        self._rng, self._share = rng, self._CHANGE_HZ * interval_s
         self._last_us = -self._FORGOTTEN_US - 1
         self._silent_until_us = 0
         self._place_deg = (0.0, 0.0)
@@ -279,25 +279,17 @@ class _Jamming:
         self._last_us = now_us
         if now_us < self._silent_until_us:
             return sample, False, 0
-        if self._changes(self._LOCK_HZ):
+        changes = (rng.random(3) < self._share).tolist()
+        if changes[0]:
             satellites = 2 + int(rng.integers(15))
             locked = satellites >= self._MIN_SATELLITES and bool(rng.integers(2))
-        if self._changes(self._CLIMB_HZ):
-            sample = sample._replace(up_m_s=self._wild(self._WILD_M_S))
-        if self._changes(self._LEVEL_HZ):
-            north, east = self._wild(self._WILD_M_S), self._wild(self._WILD_M_S)
-            sample = sample._replace(north_m_s=north, east_m_s=east)
-        if self._changes(self._PLACE_HZ):
-            step_deg = self._WILD_M / ARDUPILOT_M_PER_DEG
-            latitude_deg = self._place_deg[0] + self._wild(step_deg)
-            longitude_deg = around(self._place_deg[1] + self._wild(step_deg))
-            self._place_deg = (min(max(latitude_deg, -90.0), 90.0), longitude_deg)
+        if changes[1]:
+            north, east, up = rng.uniform(-self._WILD_M_S, self._WILD_M_S, 3).tolist()
+            sample = sample._replace(north_m_s=north, east_m_s=east, up_m_s=up)
+        if changes[2]:
+            step_deg = (rng.uniform(-self._WILD_M, self._WILD_M, 2) / ARDUPILOT_M_PER_DEG).tolist()
+            latitude_deg = min(max(self._place_deg[0] + step_deg[0], -90.0), 90.0)
+            self._place_deg = (latitude_deg, around(self._place_deg[1] + step_deg[1]))
         latitude_deg, longitude_deg = self._place_deg
         at_place = sample._replace(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
         return at_place, locked, satellites
-
-    def _changes(self, rate_hz: float) -> bool:
-        return bool(self._rng.random() < rate_hz * self._interval_s)
-
-    def _wild(self, most: float) -> float:
-        return float(self._rng.uniform(-most, most))
