@@ -150,12 +150,9 @@ def slowed_m_s(room_m: float, braking_m_s2: float, delay_s: float) -> float:
 
 def ending_m_s(it: Envelope, left_m: float) -> float:
     """The fastest that the reference point is so far before the end of a leg, where it stops."""
-    speed = it.speed_m_s
-    for room_m, delay_s in ((left_m, it.settling_s), (left_m + it.overrun_m, it.dead_man_s)):
-        delay = it.braking_m_s2 * delay_s  # as in `slowed_m_s`: it is asked for with each position
-        eased = math.sqrt(delay * delay + 2.0 * it.braking_m_s2 * max(room_m, 0.0)) - delay
-        speed = min(speed, eased)
-    return speed
+    eased = slowed_m_s(left_m, it.braking_m_s2, it.settling_s)
+    alone = slowed_m_s(left_m + it.overrun_m, it.braking_m_s2, it.dead_man_s)
+    return min(min(it.speed_m_s, eased), alone)
 
 
 def rising_m_s(it: Envelope, flown_m: float) -> float:

@@ -396,10 +396,6 @@ class _Plan:
         leaving = None if self._stop() else self._attempt(scene)
         return leaving is not None and self._prices.price_m(leaving) + stop_m < price_m
 
-    def _attempt(self, scene: Scene) -> Planned | None:
-        """One search, and the best of its candidates that has a certificate."""
-        return self._first_proven(self._search(scene), scene)
-
     def _search(self, scene: Scene) -> FloatArray:
         """The candidates of one search, best first.  -> (M, D)."""
         request, settings = self._request, self._request.task.settings
@@ -425,10 +421,10 @@ class _Plan:
         self._evaluations += refined_de.spent(state)
         return refined_de.ranked(state)[0]
 
-    def _first_proven(self, candidates: FloatArray, scene: Scene) -> Planned | None:
-        """The best candidate with a certificate."""
+    def _attempt(self, scene: Scene) -> Planned | None:
+        """One search, and the best of its candidates that has a certificate."""
         request, weights = self._request, self._scene.weights
-        for rank, x in enumerate(candidates[:_CERTIFIED]):
+        for rank, x in enumerate(self._search(scene)[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=control_points(x, scene))
             if not subpath.is_longer_than(scene.shortest_m):
                 continue  # the certificate is about a vehicle that can stop (or hold) at the end

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import hills
 
 from companion.paper.compare.missions import KINDS, bundled_case, peak_distance_m, violations
 from companion.path.subpath import Subpath
 from companion.world.radars import Radar
-from companion.world.terrain import Peak, PeakTerrain
 
 Point = tuple[float, float, float]
 TASK = replace(bundled_case("environment-1").task, radars=())
 """The limits of environment-1: 3 to 5 km, turns of 2.5 km, 10 degrees; d_s 500 m."""
-FLAT = PeakTerrain(peaks=(), ground_amsl_m=0.0)
+FLAT = hills()
 STEP_M = 10.0
 LEVEL = ((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0))
 
@@ -101,10 +101,7 @@ def test_what_is_not_flown_is_not_measured_and_subpaths_add_up() -> None:
 def test_near_a_peak_its_distance_is_that_of_the_nearest_of_many_points_of_its_surface(
     spread_m: float, at_m: float, above_m: float
 ) -> None:
-    peak = Peak(
-        north_m=0.0, east_m=0.0, height_amsl_m=4000.0, spread_north_m=spread_m, spread_east_m=9e3
-    )
-    terrain = PeakTerrain(peaks=(peak,), ground_amsl_m=-1e6)
+    terrain = hills((0.0, 0.0, 4000.0, spread_m, 9e3), ground_m=-1e6)
     east_m = 2_000.0
     ground_m = 4000.0 * math.exp(-((at_m / spread_m) ** 2) - (east_m / 9e3) ** 2)
     point = np.array([at_m, east_m, ground_m + above_m])
@@ -117,9 +114,6 @@ def test_near_a_peak_its_distance_is_that_of_the_nearest_of_many_points_of_its_s
 
 
 def test_the_nearest_of_peaks_and_ground_counts_and_inside_is_negative() -> None:
-    peak = Peak(
-        north_m=7e3, east_m=-4e3, height_amsl_m=1000.0, spread_north_m=5e3, spread_east_m=5e3
-    )
-    terrain = PeakTerrain(peaks=(peak,), ground_amsl_m=100.0)
+    terrain = hills((7e3, -4e3, 1000.0, 5e3, 5e3), ground_m=100.0)
     points = np.array([(7e3, -4e3, 1300.0), (7e3, -4e3, 900.0), (9e4, 0.0, 350.0)])
     assert peak_distance_m(points, terrain).tolist() == pytest.approx([300.0, -100.0, 250.0])
