@@ -25,12 +25,19 @@ from msgspec.structs import replace
 from companion.mavlink import near_scanner, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
-from companion.mavlink.clock import TIME_ONLY_MESSAGES, ClockReading, VehicleClock
 from companion.mavlink.commands import MESSAGES as COMMANDS
 from companion.mavlink.component import Component, heartbeat
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Incoming, boot_ms_of
-from companion.mavlink.link import FrameEncoder, Inbox, Output
+from companion.mavlink.link import (
+    TIME_ONLY_MESSAGES,
+    ClockReading,
+    FrameEncoder,
+    Inbox,
+    Output,
+    VehicleClock,
+    VehicleSelector,
+)
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.rangefinder import Rangefinder
@@ -38,7 +45,6 @@ from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, final_text
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
 from companion.mavlink.terrain_download import ScanClient
-from companion.mavlink.who import VehicleSelector
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, parting
 from companion.mission.events import Disarm, End, Mode, SetMode, Vector, VehicleStatus

@@ -174,8 +174,9 @@ def decoded(frame: bytes, kind: Any) -> Message:
             if isinstance(text := getattr(message, name), str):
                 setattr(message, name, printable(text))
         return message
-    size = kind.unpacker.size
-    message = kind(*in_order(kind.unpacker.unpack(payload_of(frame, size)[:size])))
+    size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
+    payload = frame[head : head + frame[1]].ljust(size, b"\0")
+    message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
     message._msgbuf = bytearray(frame)
     message._payload = message._msgbuf[6:-2]
     (message._crc,) = _CRC.unpack_from(frame, len(frame) - 2)
@@ -260,7 +261,8 @@ class Receiver:
             at = found.start()
             end, number = frame_extent(data, at)
             kind = None if number is None else KINDS.get(number)
-            if number is not None and not _is_plausible(data, at, end, kind):
+            doubtful = number is not None and (kind is None or data[at] == V1)
+            if doubtful and not _is_plausible(data, at, end, kind):
                 end = 0
             elif end > size and not (at < portion_at < size and intact_end(data, portion_at)):
                 break
@@ -300,7 +302,8 @@ class Receiver:
                 self.passed[Skipped.CHECKSUM] += 1
                 return True
             message._signed = bool(signed) and self._signing is not None
-        heard.append(Incoming(plain, kind.id, *sender_of(plain), message, at_s))
+        system, component = plain[5:7] if plain[0] == V2 else plain[3:5]
+        heard.append(Incoming(plain, kind.id, system, component, message, at_s))
         return True
 
 

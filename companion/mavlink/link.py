@@ -1,13 +1,13 @@
-"""The two ends of a session's link: what was received and waits, and what is to be sent."""
+"""A session's link: what was received, which vehicle it is of, its time, and what is sent."""
 
+import enum
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
-from companion.mavlink.clock import TIME_ONLY_MESSAGES
-from companion.mavlink.dialect import Message, codec
-from companion.mavlink.frames import IGNORED_MESSAGES, Incoming, Receiver, sequence_of
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, codec, wire
+from companion.mavlink.frames import IGNORED_MESSAGES, V2, Incoming, Receiver
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mavlink.who import DuplicateIdDetector
 from companion.mission.checkpoint import Values
@@ -16,9 +16,21 @@ from companion.mission.events import End
 from companion.planner.request import PlanRequest
 from companion.world.known_map import KnownMap
 
+TIME_ONLY_MESSAGES: Final = frozenset(
+    {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
+)
+"""Messages of which only time_boot_ms is used: not decoded."""
 _UNDECODED: Final = IGNORED_MESSAGES | TIME_ONLY_MESSAGES
 _BEGUN_AGAIN = 128
 _MAX_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
+
+_HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
+_ENOUGH = 10  # of any: then it will not become clear by itself
+_NO_AUTOPILOTS = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
+
+_REBOOT_S = 2.0  # a clock that falls by more has begun again; one that leaps by more is doubted
+_BEAT_S = 1.0  # between two heartbeats of an autopilot
+_OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 
 Stamped = tuple[float, bytes]
 """Vehicle time, seconds, and a frame."""
@@ -45,13 +57,175 @@ class Inbox:
         self.dropped += max(len(self.waiting) + len(heard) - _MAX_WAITING, 0)
         self.waiting.extend(heard)
         for each in heard:
-            sender, number = (each.system, each.component), sequence_of(each.frame)
+            sender, frame = (each.system, each.component), each.frame
+            number = frame[4] if frame[0] == V2 else frame[2]
             before, frames, lost = self.counted.get(sender, (number - 1, 0, 0))
             gap = (number - before - 1) & 0xFF
             # more than half of all numbers: it is late, came twice, or its sender began again
             lost += gap if gap < _BEGUN_AGAIN else 0
             self.counted[sender] = number, frames + 1, lost
         return heard
+
+
+@final
+class VehicleSelector:
+    """Selects our vehicle: the one that the mission names, or the only one heard.
+
+    Counts heartbeats of autopilots instead of measuring time, so that a replay of the same messages
+    selects the same vehicle.
+    """
+
+    def __init__(self, system_id: int | None) -> None:
+        self.system_id = system_id
+        """Of our vehicle; None: not known yet."""
+        self.others: set[int] = set()
+        """Systems with an autopilot that are not ours, or may not be."""
+        self.elsewhere: set[tuple[int, int]] = set()
+        """System and component of what sends an autopilot's heartbeat and is not component 1."""
+        self._heard: dict[int, int] = {}
+
+    @property
+    def ambiguity(self) -> str:
+        """A warning once several autopilots have been heard for a while; empty: unambiguous."""
+        if self.system_id is not None or sum(self._heard.values()) < _ENOUGH:
+            return ""
+        names = ", ".join(str(system) for system in sorted(self.others))
+        return f"systems {names} are heard, choose one with --system"
+
+    def is_ours(self, heard: Incoming) -> bool:
+        """Whether our autopilot sent this; before one is selected: whether any autopilot did."""
+        if self.system_id is None:
+            return heard.component == AUTOPILOT_COMPONENT and _is_an_autopilots(heard)
+        return heard.system == self.system_id and heard.component == AUTOPILOT_COMPONENT
+
+    def on_heartbeat(self, heard: Incoming) -> bool:
+        """Whether this heartbeat completes the selection."""
+        system = heard.system
+        if not _is_an_autopilots(heard):
+            return False
+        if heard.component != AUTOPILOT_COMPONENT:
+            self.elsewhere.add((system, heard.component))
+            return False
+        if system == self.system_id:
+            return False
+        self.others.add(system)
+        if self.system_id is not None:
+            return False
+        self._heard[system] = self._heard.get(system, 0) + 1
+        if len(self._heard) > 1 or self._heard[system] < _HEARTBEATS:
+            return False
+        self.system_id = system
+        self.others.clear()
+        return True
+
+
+def _is_an_autopilots(heard: Incoming) -> bool:
+    """Whether this heartbeat tells of an autopilot, of whatever component."""
+    message = heard.message
+    if heard.number != wire.MAVLINK_MSG_ID_HEARTBEAT or message is None:
+        return False
+    return message.type not in _NO_AUTOPILOTS and message.autopilot != wire.MAV_AUTOPILOT_INVALID
+
+
+class ClockReading(enum.Enum):
+    """Effect of a time stamp on the clock."""
+
+    FIRST = "the clock is known from now on"
+    LATER = "it has moved on"
+    SAME = "it has not"
+    REBOOTED = "it has begun again"
+    DOUBTED = "it has fallen or leapt, for the first time: one such message may be a mistake"
+
+
+@final
+class VehicleClock:
+    """Vehicle time, seconds since its boot."""
+
+    def __init__(self, start_s: float) -> None:
+        """start_s: used as the time until it is known."""
+        self.now_s = self.going_on_s = start_s
+        """What it shows; with the silence since on top: for what goes on meanwhile."""
+        self.is_known = False
+        self.passed_s = 0.0
+        """How long it has been known, all boots together."""
+        self._doubted_s: float | None = None
+        """The time stamp just before, if it was doubted."""
+        self._read_at_s: float | None = None
+        """When the newest time stamp arrived."""
+        self._beat: tuple[float, float, int] | None = None
+        """Time, time with the silence and sequence number at the last heartbeat."""
+        self._told_ms: dict[int, int] = {}
+
+    def is_newer(self, number: int, time_boot_ms: int) -> bool:
+        """Whether a time-only message is newer than the last one of its kind.
+
+        That one is remembered.
+        """
+        before_ms = self._told_ms.get(number)
+        if before_ms is not None and 0 <= time_boot_ms - before_ms < _OFTEN_MS:
+            return False
+        self._told_ms[number] = time_boot_ms
+        return True
+
+    def believes(self, time_s: float, at_s: float | None = None) -> bool:
+        """Whether read() would take this time stamp.
+
+        It fits what has passed by the vehicle's time stamps, by the silence or by the arrival; or
+        the one before did not fit either, and this one goes on from it.
+        """
+        if not self.is_known:
+            return True
+        passed_s = 0.0 if at_s is None or self._read_at_s is None else at_s - self._read_at_s
+        latest_s = max(self.going_on_s, self.now_s + passed_s) + _REBOOT_S
+        if self.now_s - _REBOOT_S <= time_s <= latest_s:
+            return True
+        # Two messages of one stamp, or two copies of one, are one mistake.
+        return self._doubted_s is not None and 0.0 < time_s - self._doubted_s < _REBOOT_S
+
+    def read(self, time_s: float, at_s: float | None = None) -> ClockReading:
+        """Take a time stamp of the vehicle; at_s: of its arrival, by any monotonic clock."""
+        goes_on = self.is_known and 0.0 <= time_s - self.now_s <= _REBOOT_S
+        if not goes_on and not self.believes(time_s, at_s):
+            self._doubted_s = time_s
+            return ClockReading.DOUBTED
+        self._doubted_s = None
+        before_s = self.now_s
+        if self.is_known and before_s - _REBOOT_S <= time_s <= before_s:
+            return ClockReading.SAME
+        self._read_at_s = at_s
+        self.now_s = self.going_on_s = time_s
+        if not self.is_known:
+            self.is_known = True
+            return ClockReading.FIRST
+        if time_s < before_s:
+            return ClockReading.REBOOTED
+        self.passed_s += time_s - before_s
+        return ClockReading.LATER
+
+    def beat(self, heartbeat: Message) -> bool:
+        """Whether this is a new heartbeat, with no time stamp since the last one.
+
+        Two heartbeats without a time in between are a second apart, if no more is known; a copy
+        has the sequence number of the first.
+        """
+        before, number = self._beat, heartbeat.get_seq()
+        if before is not None and before[2] == number:
+            return False
+        stands = self.is_known and before is not None and before[0] == self.now_s
+        if stands and before is not None:
+            self.going_on_s = max(self.going_on_s, before[1] + _BEAT_S)
+        self._beat = (self.now_s, self.going_on_s, number)
+        return stands
+
+    def on_silence(self, more_s: float, *, counts: bool) -> ClockReading:
+        """Advance the clock in a silence; counts: also before the vehicle's time is known."""
+        if self.is_known or not counts:
+            self.going_on_s += more_s
+            return ClockReading.SAME
+        if more_s <= 0.0:
+            return ClockReading.SAME
+        self.now_s = self.going_on_s = self.now_s + more_s
+        return ClockReading.LATER
 
 
 @final
@@ -107,7 +281,7 @@ class FrameEncoder:
             frame = message.pack(self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
             self.out.frames.append(frame if self._signing is None else self._signing.sign(frame))
-            self.duplicates.sent(frame)
+            self.duplicates.sent.append(frame)
             self.out.record.append((now_s, frame))
 
     def encode_unsent(self, messages: Iterable[Message]) -> list[bytes]:

@@ -165,40 +165,14 @@ def _judged(
     return replace(verdict, name=name, value=values[name])
 
 
-# --- checks that compare: texts have {value}, {planned} and {up}, the planned one up to tenths ----
-
-
-def at_least(
-    planned: Callable[[Limits], float], rule: str, remedy: str, *, share: float = 1.0
-) -> Check:
-    """Refuses a value below (a share of) what the mission plans with."""
-
-    def check(value: float, case: Case) -> Finding | None:
-        needed = planned(case.limits)
-        is_enough = value >= share * needed - EQUAL_WITHIN
-        return None if is_enough else _compared(rule, remedy, value, needed)
-
-    return check
-
-
-def at_most(planned: Callable[[Limits], float], rule: str, remedy: str) -> Check:
-    """Refuses a value above what the mission plans with."""
-
-    def check(value: float, case: Case) -> Finding | None:
-        needed = planned(case.limits)
-        return None if value <= needed + EQUAL_WITHIN else _compared(rule, remedy, value, needed)
-
-    return check
-
-
-def _compared(rule: str, remedy: str, value: float, planned: float) -> Finding:
-    known = {"value": value, "planned": planned, "up": up_to_tenths(planned)}
-    return Finding(rule.format_map(known), remedy.format_map(known))
-
-
 def up_to_tenths(value: float) -> float:
     """Rounded up to tenths, with a tolerance for rounding errors."""
     return math.ceil(value * 10.0 - EQUAL_WITHIN) / 10.0
+
+
+def enough(value: float, needed: float, rule: str, remedy: str) -> Finding | None:
+    """Refuse what is less than needed."""
+    return None if value >= needed - EQUAL_WITHIN else Finding(rule, remedy)
 
 
 def when(wrong: Callable[[float, Case], object], rule: str, remedy: str) -> Check:
@@ -301,39 +275,55 @@ def circles(wider_m: float, bank: str) -> Check:
     return check
 
 
-def _sink_m_s(limits: Limits) -> float:
-    """How fast a plane sinks, which flies every descent at its speed."""
-    return limits.speed_m_s * math.sin(limits.dive_angle_rad)
+# --- what the mission plans with ------------------------------------------------------------------
 
 
-_CLIMBS: Final = "it climbs with {value:g} m/s at most, and the mission asks for {planned:.1f}"
-_SINKS: Final = _CLIMBS.replace("climbs", "sinks")
-_RATE: Final = "Raise it to {up:g}, or set vehicle.climb_rate_m_s to {value:g}"
-_ANGLE: Final = "Raise it to {up:g}, or set a smaller vehicle."
-COPTER_CLIMBS: Final = at_least(
-    lambda limits: min(limits.climb_rate_m_s, limits.speed_m_s), _CLIMBS, _RATE
-)
-COPTER_SINKS: Final = at_least(
-    lambda limits: min(limits.climb_rate_m_s, _sink_m_s(limits)), _SINKS, _RATE
-)
-PLANE_CLIMBS: Final = at_least(
-    lambda limits: limits.speed_m_s * math.sin(limits.climb_angle_rad),
-    _CLIMBS,
-    _ANGLE + "climb_angle_deg",
-)
-PLANE_SINKS: Final = at_least(_sink_m_s, _SINKS, _ANGLE + "dive_angle_deg")
-BRAKES: Final = at_least(
-    lambda limits: limits.acceleration_m_s2,
-    "it brakes with {value:g} m/s2, and the mission counts on {planned:g}",
-    "Raise it, or set vehicle.acceleration_m_s2 to {value:g} or less",
-)
-SLOWEST: Final = at_most(
-    lambda limits: limits.speed_m_s,
-    "vehicle.speed_m_s = {planned:g} is slower than it may fly",
-    "Fly {value:g} m/s or faster",
-)
-FASTEST: Final = at_least(
-    lambda limits: limits.speed_m_s,
-    "vehicle.speed_m_s = {planned:g} is faster than it may fly",
-    "Fly {value:g} m/s or slower",
-)
+def copter_climbs(value: float, case: Case) -> Finding | None:
+    """How fast it climbs; no climb is steeper than its speed."""
+    needed = min(case.limits.climb_rate_m_s, case.limits.speed_m_s)
+    return _rate("climbs", value, needed, f"vehicle.climb_rate_m_s to {value:g}")
+
+
+def copter_sinks(value: float, case: Case) -> Finding | None:
+    """How fast it sinks, and a descent is no steeper than the mission's dive."""
+    limits = case.limits
+    needed = min(limits.climb_rate_m_s, limits.speed_m_s * math.sin(limits.dive_angle_rad))
+    return _rate("sinks", value, needed, f"vehicle.climb_rate_m_s to {value:g}")
+
+
+def plane_climbs(value: float, case: Case) -> Finding | None:
+    """How fast it climbs: a plane flies every climb at its speed."""
+    needed = case.limits.speed_m_s * math.sin(case.limits.climb_angle_rad)
+    return _rate("climbs", value, needed, "a smaller vehicle.climb_angle_deg")
+
+
+def plane_sinks(value: float, case: Case) -> Finding | None:
+    """How fast it sinks, likewise."""
+    needed = case.limits.speed_m_s * math.sin(case.limits.dive_angle_rad)
+    return _rate("sinks", value, needed, "a smaller vehicle.dive_angle_deg")
+
+
+def _rate(verb: str, value: float, needed: float, otherwise: str) -> Finding | None:
+    rule = f"it {verb} with {value:g} m/s at most, and the mission asks for {needed:.1f}"
+    remedy = f"Raise it to {up_to_tenths(needed):g}, or set {otherwise}"
+    return enough(value, needed, rule, remedy)
+
+
+def brakes(value: float, case: Case) -> Finding | None:
+    """How hard it brakes."""
+    needed = case.limits.acceleration_m_s2
+    rule = f"it brakes with {value:g} m/s2, and the mission counts on {needed:g}"
+    remedy = f"Raise it, or set vehicle.acceleration_m_s2 to {value:g} or less"
+    return enough(value, needed, rule, remedy)
+
+
+def slowest(value: float, case: Case) -> Finding | None:
+    """How slowly it may fly."""
+    rule = f"vehicle.speed_m_s = {case.limits.speed_m_s:g} is slower than it may fly"
+    return enough(case.limits.speed_m_s, value, rule, f"Fly {value:g} m/s or faster")
+
+
+def fastest(value: float, case: Case) -> Finding | None:
+    """How fast it may fly."""
+    rule = f"vehicle.speed_m_s = {case.limits.speed_m_s:g} is faster than it may fly"
+    return enough(value, case.limits.speed_m_s, rule, f"Fly {value:g} m/s or slower")

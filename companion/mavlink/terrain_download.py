@@ -251,11 +251,8 @@ class ScanClient:
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
         self._download: TerrainDownload | None = None
-
-    @property
-    def is_on(self) -> bool:
+        self.is_on = False
         """Whether there is a scan under way, or one that is over and was not told yet."""
-        return self._download is not None
 
     def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
         """Begin a scan around a point.  -> blocks of terrain to request."""
@@ -271,11 +268,13 @@ class ScanClient:
             frame=mission.frame,
             complete=mission.scanner_complete,
         )
+        self.is_on = True
         return self._download.asked
 
     def stop(self) -> None:
         """Forget it."""
         self._download = None
+        self.is_on = False
 
     def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
         """One of `MESSAGES`."""

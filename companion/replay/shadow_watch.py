@@ -11,10 +11,9 @@ from statistics import median
 from typing import Final, final
 
 from companion.mavlink.autopilots import FIRMWARES, Autopilot
-from companion.mavlink.clock import ClockReading, VehicleClock
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, KINDS, Message, wire
 from companion.mavlink.frames import boot_ms_of, decoded, number_of, payload_of, sender_of
-from companion.mavlink.link import Output
+from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
 from companion.planning import plan
 from companion.replay.shadow_notes import Notes

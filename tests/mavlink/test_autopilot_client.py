@@ -202,17 +202,20 @@ def test_a_long_fence_is_drawn_a_few_corners_at_a_time_and_told_when_it_is_whole
     held.upload(FENCE, [*polygon(30), *polygon(31), *polygon(32)])
     client = Side(held, "sitl-arducopter")
     portions: list[int] = []
+    times_s: list[float] = []
     draw = fence.drawn
 
     def counted(*of: Any) -> Iterator[fence.Fence | None]:
         for found in draw(*of):
             portions.append(0 if found is None else len(found.zones))
+            times_s.append(held.simulation.now_us * 1e-6)
             yield found
 
     monkeypatch.setattr(fence, "_CORNERS_AT_ONCE", 20)
     monkeypatch.setattr(fence, "drawn", counted)
     held.run(8.0, client)
     assert portions == [0, 0, 0, 3]
+    assert times_s[-1] - times_s[0] < 0.5  # with each message, whatever it is
     assert fences_told(client) == [3]
 
 

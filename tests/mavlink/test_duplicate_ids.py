@@ -46,7 +46,7 @@ def test_whatever_is_reflected_however_often_and_late_is_no_stranger() -> None:
     frames = []
     for tick in range(400):
         frame = us.beats() if tick % 10 == 0 else us.leads(tick * 100)
-        it.sent(frame)
+        it.sent.append(frame)
         frames.append(frame)
         for late in (0, 0, 1, 30, 200):
             if late <= tick:
@@ -56,7 +56,7 @@ def test_whatever_is_reflected_however_often_and_late_is_no_stranger() -> None:
 def test_a_reflection_may_have_lost_its_signature_its_version_or_its_zeros() -> None:
     us, it = Speaker(), DuplicateIdDetector()
     us.link.signing.secret_key, us.link.signing.sign_outgoing = b"k" * 32, True
-    it.sent(us.beats())
+    it.sent.append(us.beats())
     other = Speaker()
     beat = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
     assert heard(it, other.says(beat), 0.1) is None
@@ -67,7 +67,7 @@ def test_one_who_says_the_same_with_a_sequence_of_its_own_is_a_stranger() -> Non
     us, them, it = Speaker(), Speaker(seq=100), DuplicateIdDetector()
     told = []
     for second in range(6):
-        it.sent(us.beats())
+        it.sent.append(us.beats())
         told.append(heard(it, them.beats(), float(second)))
     first, second, third = told[:3]
     assert first == DuplicateId(time_s=0.0, certain=False)
@@ -117,11 +117,11 @@ def test_without_a_stranger_nothing_is_ever_told(steps: list[tuple[bool, float]]
     """Whatever the link does with our frames: sends them back in any order, again, or late."""
     us, it, now_s = Speaker(), DuplicateIdDetector(), 0.0
     frames = [us.beats()]
-    it.sent(frames[0])
+    it.sent.append(frames[0])
     for sends, wait_s in steps:
         now_s += wait_s
         if sends:
             frames.append(us.leads(len(frames)))
-            it.sent(frames[-1])
+            it.sent.append(frames[-1])
         else:
             assert heard(it, frames[int(wait_s * 1e6) % len(frames)], now_s) is None

@@ -14,8 +14,8 @@ from companion.mavlink.autopilots.arducopter import ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING
 from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER
-from companion.mavlink.clock import ClockReading, VehicleClock
 from companion.mavlink.frames import IGNORED_MESSAGES, Receiver
+from companion.mavlink.link import ClockReading, VehicleClock
 from companion.session import Session
 
 COMPANION = Path(__file__).parents[2] / "companion"

@@ -2,7 +2,7 @@ import pytest
 from renewed import replace
 
 from companion.config import load_mission
-from companion.mavlink.clock import VehicleClock
+from companion.mavlink.link import VehicleClock
 from companion.mission.events import Position
 from companion.mission.state import Reason, Vehicle
 from companion.session import Session

@@ -67,12 +67,16 @@ _IGNORES: Final = rules.when(
     "what it does not tell of is taken for clear, and so many degrees are ignored",
     "Set it to 0, and raise scanner.blind_m over parts of the vehicle",
 )
-_CLIMBS: Final = rules.at_least(  # the machine waits twice as long for a take-off as it plans with
-    lambda limits: limits.climb_rate_m_s,
-    "it climbs with {value:g} m/s at take-off, and the mission counts on {planned:g}",
-    "Raise it, or set vehicle.climb_rate_m_s to {value:g}",
-    share=0.5,
-)
+
+
+def _climbs(value: float, case: Case) -> Finding | None:
+    """The machine waits twice as long for a take-off as it plans with."""
+    planned = case.limits.climb_rate_m_s
+    rule = f"it climbs with {value:g} m/s at take-off, and the mission counts on {planned:g}"
+    remedy = f"Raise it, or set vehicle.climb_rate_m_s to {value:g}"
+    return rules.enough(value, 0.5 * planned, rule, remedy)
+
+
 _HANDLING: Final = Handling(
     name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3, leading_s2=0.5
 )
@@ -82,9 +86,9 @@ _RULES: Final = (
     Rule("GUID_TIMEOUT", _guid_timeout, "how long it flies on without setpoints"),
     Rule("GUID_OPTIONS", _guided_options),
     Rule("ANGLE_MAX", rules.tilt, "its tilt limits its speed", CENTI, "ATC_ANGLE_MAX"),
-    Rule("WPNAV_ACCEL", rules.BRAKES, scale=CENTI, also="WP_ACC"),
+    Rule("WPNAV_ACCEL", rules.brakes, scale=CENTI, also="WP_ACC"),
     *only_read("PSC_JERK_XY/PSC_JERK_NE WPNAV_SPEED/WP_SPD"),
-    Rule("WPNAV_SPEED_UP", _CLIMBS, scale=CENTI, also="WP_SPD_UP"),
+    Rule("WPNAV_SPEED_UP", _climbs, scale=CENTI, also="WP_SPD_UP"),
     *only_read("WPNAV_SPEED_DN/WP_SPD_DN LAND_SPEED/LAND_SPD_MS FS_GCS_ENABLE FS_EKF_ACTION"),
     *only_read("AVOID_ENABLE"),
     Rule("OA_TYPE", matters=_by_its_own_lidar),

@@ -90,15 +90,15 @@ def _take_off_height(value: float, case: Case) -> Finding | None:
 
 
 _RULES: Final = (
-    Rule("AIRSPEED_MIN", rules.SLOWEST, "its least airspeed", also="ARSPD_FBW_MIN"),
-    Rule("AIRSPEED_MAX", rules.FASTEST, "its highest airspeed", also="ARSPD_FBW_MAX"),
+    Rule("AIRSPEED_MIN", rules.slowest, "its least airspeed", also="ARSPD_FBW_MIN"),
+    Rule("AIRSPEED_MAX", rules.fastest, "its highest airspeed", also="ARSPD_FBW_MAX"),
     Rule("AIRSPEED_CRUISE", also="TRIM_ARSPD_CM"),
     Rule(
         "WP_LOITER_RAD", rules.circles(_WIDER_M, "ROLL_LIMIT_DEG"), "the circles that it holds on"
     ),
     Rule("ROLL_LIMIT_DEG", rules.bank, also="LIM_ROLL_CD", also_scale=CENTI),
-    Rule("TECS_CLMB_MAX", rules.PLANE_CLIMBS),
-    Rule("TECS_SINK_MAX", rules.PLANE_SINKS),
+    Rule("TECS_CLMB_MAX", rules.plane_climbs),
+    Rule("TECS_SINK_MAX", rules.plane_sinks),
     Rule("TKOFF_ALT", _take_off_height),
     *only_read("FS_GCS_ENABL/FS_GCS_ENABLE Q_ENABLE"),
     *ardupilot.RULES,

@@ -139,7 +139,7 @@ def place_of(
     latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
 ) -> Vector | None:
     """A position from the wire; None if there is none yet, or it is nowhere on Earth."""
-    if is_nowhere(latitude_deg, longitude_deg) or not abs(longitude_deg) <= 180.0:
+    if max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG or not abs(longitude_deg) <= 180.0:
         return None
     place = (*frame.to_local_m(latitude_deg, longitude_deg), altitude_m)
     return place if all(map(math.isfinite, place)) else None  # beyond a pole it is not

@@ -83,13 +83,13 @@ def _timeout(value: float, case: Case) -> Finding | None:
 _RULES: Final = (
     Rule("COM_OF_LOSS_T", _timeout, "how long it flies on without setpoints"),
     Rule("FW_AIRSPD_TRIM", _only_speed, "the airspeed that it flies"),
-    Rule("FW_AIRSPD_MIN", rules.SLOWEST),
-    Rule("FW_AIRSPD_MAX", rules.FASTEST),
+    Rule("FW_AIRSPD_MIN", rules.slowest),
+    Rule("FW_AIRSPD_MAX", rules.fastest),
     # circles are held within 0.4 m (px4.md 10)
     Rule("NAV_LOITER_RAD", rules.circles(5.0, "FW_R_LIM"), "the circles that it holds on"),
     Rule("FW_R_LIM", rules.bank),
-    Rule("FW_T_CLMB_R_SP", rules.PLANE_CLIMBS),
-    Rule("FW_T_SINK_R_SP", rules.PLANE_SINKS),
+    Rule("FW_T_CLMB_R_SP", rules.plane_climbs),
+    Rule("FW_T_SINK_R_SP", rules.plane_sinks),
     *px4.RULES,
 )
 

@@ -46,10 +46,10 @@ def _speed_of_offboard(value: float, case: Case) -> Finding | None:
 _RULES: Final = (
     Rule("COM_OF_LOSS_T", _offboard_timeout, "how long it flies on without setpoints"),
     Rule("MPC_XY_VEL_MAX", _speed_of_offboard, "its highest speed"),
-    Rule("MPC_Z_VEL_MAX_UP", rules.COPTER_CLIMBS, "how fast it climbs"),
-    Rule("MPC_Z_VEL_MAX_DN", rules.COPTER_SINKS, "how fast it sinks"),
+    Rule("MPC_Z_VEL_MAX_UP", rules.copter_climbs, "how fast it climbs"),
+    Rule("MPC_Z_VEL_MAX_DN", rules.copter_sinks, "how fast it sinks"),
     Rule("MPC_TILTMAX_AIR", rules.tilt),
-    Rule("MPC_ACC_HOR", rules.BRAKES),
+    Rule("MPC_ACC_HOR", rules.brakes),
     *only_read("MPC_JERK_AUTO MPC_LAND_SPEED"),
     *px4.RULES,
 )
