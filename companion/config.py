@@ -14,7 +14,7 @@ from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.mission.mission import Mission
 from companion.planner import rules
-from companion.sources.elevation import read_terrain
+from companion.sources.elevation import ElevationFile
 from companion.sources.files import (
     RawTable,
     answer,
@@ -164,14 +164,13 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
         )
     origin, area = model.origin, model.area
     rules.refuse(rules.of_area(*area.sides_m), f"{name_or_path}: ")
-    return read_terrain(
-        folder_of(name_or_path) / model.terrain.file,
-        LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg),
-        area.sides_m,
+    file = ElevationFile(
+        path=folder_of(name_or_path) / model.terrain.file,
         vertical_datum=model.terrain.vertical_datum,
         nodata=model.terrain.nodata,
         field=f"{name_or_path}: terrain.file",
     )
+    return file.terrain(LocalFrame(**dict(origin)), area.sides_m)
 
 
 # --- files

@@ -16,12 +16,12 @@ from typing import Protocol, final
 from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link, datagrams
 from companion.runtime.planning import AtOnce, PlanFunction
-from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer
+from companion.runtime.recorder import InlineWriter, Recorder, Writer
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
-_PORTION = 20_000  # frames: two megabytes
+_PORTION = 20_000  # frames, 2 MB: what is cut short here is flown again, not resumed
 
 
 class SimulatedVehicle(Protocol):
@@ -104,29 +104,6 @@ class VehicleLink(Link):
         self._waiting.extend(datagrams([frame for _, frame in vehicle.take_frames()]))
 
 
-@final
-class _PortionWriter:
-    """Writes in large portions: a flight that is cut short here is flown again, not resumed."""
-
-    def __init__(self, writer: InlineWriter) -> None:
-        self._writer, self._portion = writer, Batch()
-
-    def put(self, batch: Batch) -> None:
-        """Write it, now or with what follows."""
-        self._portion.add(batch)
-        if len(self._portion.record) >= _PORTION:
-            self._write()
-
-    def close(self) -> None:
-        """Write what is left."""
-        self._write()
-        self._writer.close()
-
-    def _write(self) -> None:
-        self._writer.put(self._portion)
-        self._portion = Batch()
-
-
 def fly_in_process(
     session: Session,
     vehicle: SimulatedVehicle,
@@ -148,7 +125,7 @@ def fly_in_process(
     )
     if folder is not None:
         recorder = Recorder(folder, loop.clock, persist=None)
-        loop.writer = _PortionWriter(InlineWriter(recorder, loop.lost))
+        loop.writer = InlineWriter(recorder, loop.lost, _PORTION)
     try:
         loop.run()
     finally:

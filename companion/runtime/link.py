@@ -226,8 +226,6 @@ class _StreamLink(Link, Generic[_Stream]):
         """The rest of a frame of which a part is sent."""
         self._waiting: dict[object, tuple[bytes, float]] = {}
         """Whole frames by what they say, in order, and since when they wait."""
-        self._size = 0
-        """Of all that waits, bytes."""
         self._lock = threading.Lock()
         """Held while bytes are written: a stream that is closed under it is not written to."""
         self._next_s = -math.inf
@@ -241,7 +239,11 @@ class _StreamLink(Link, Generic[_Stream]):
             if self._over.is_set():  # it was closed meanwhile
                 self._drop()
             return None
-        timeout_s = min(timeout_s, self._push(stream))
+        if self._begun or self._waiting:
+            with self._lock:
+                self._flush(stream)
+            if self._begun or self._waiting:
+                timeout_s = min(timeout_s, _PUSH_S)
         try:
             data = self._read(stream, timeout_s)
         except (BlockingIOError, InterruptedError):
@@ -253,55 +255,37 @@ class _StreamLink(Link, Generic[_Stream]):
         return data or None
 
     def send(self, frames: list[bytes]) -> None:
-        """Frames in order; dropped while there is no stream."""
+        """Frames in order, each in the place of one that says the same; dropped without a stream.
+
+        Where there is no room, the computer is first given all that it takes.
+        """
         stream = self._stream
         if stream is None:
             return
         with self._lock:
-            full = False
+            tried = False
             for frame in frames:
-                if not self._put(frame) and not full:
+                self._waiting.pop(says := _says(frame), None)
+                if not (tried or self._has_room(frame)):
                     self._flush(stream, all_of_it=True)
-                    full = not self._put(frame)
+                    tried = True
+                if self._has_room(frame):
+                    self._waiting[says] = frame, time.monotonic()
             self._flush(stream)
 
-    def _put(self, frame: bytes) -> bool:
-        """Queue a frame, last, in the place of one that says the same; False: there is no room."""
-        says = _says(frame)
-        self._remove(says)
-        if self._size + len(frame) > _WAITING_BYTES and not _is_order(frame):
-            return False
-        self._waiting[says] = frame, time.monotonic()
-        self._size += len(frame)
-        return True
-
-    def _remove(self, says: object) -> bytes:
-        """The frame that says so waits no more; empty: there was none."""
-        frame = self._waiting.pop(says, (b"", 0.0))[0]
-        self._size -= len(frame)
-        return frame
-
-    def _push(self, stream: _Stream) -> float:
-        """Send what waits, as far as there is room; for how long then to wait for more."""
-        if self._waiting or self._begun:
-            if self._lock.acquire(blocking=False):  # else somebody is at it
-                try:
-                    self._flush(stream)
-                finally:
-                    self._lock.release()
-            if self._waiting or self._begun:
-                return _PUSH_S
-        return math.inf
+    def _has_room(self, frame: bytes) -> bool:
+        size = sum(len(each) for each, _ in self._waiting.values())
+        return _is_order(frame) or size + len(frame) <= _WAITING_BYTES
 
     def _flush(self, stream: _Stream, *, all_of_it: bool = False) -> None:
         """Write what waits, as far as there is room; a lost stream clears it."""
         try:
-            while self._begun or self._waiting:
-                data = self._next(stream, all_of_it=all_of_it)
-                if not data:
-                    return
+            while data := self._next(stream, all_of_it=all_of_it):
                 taken = self._write(stream, data)
-                self._taken(taken)
+                rest, self._begun = taken - len(self._begun), self._begun[taken:]
+                while rest > 0:
+                    frame, _ = self._waiting.pop(next(iter(self._waiting)))
+                    rest, self._begun = rest - len(frame), frame[rest:]
                 if taken < len(data):
                     return
         except BlockingIOError:
@@ -317,7 +301,7 @@ class _StreamLink(Link, Generic[_Stream]):
         """
         setpoint = self._waiting.get(True)
         if setpoint is not None and time.monotonic() - setpoint[1] > _STALE_S:
-            self._remove(True)
+            del self._waiting[True]
         frames = [frame for frame, _ in self._waiting.values()]
         if all_of_it or any(map(_is_order, frames)):
             room = sys.maxsize
@@ -330,17 +314,8 @@ class _StreamLink(Link, Generic[_Stream]):
             data += frame
         return data
 
-    def _taken(self, count: int) -> None:
-        """So many bytes of what was next are written."""
-        rest = count - len(self._begun)
-        self._begun = self._begun[count:]
-        while rest > 0:
-            frame = self._remove(next(iter(self._waiting)))
-            self._begun = frame[rest:]
-            rest -= len(frame)
-
     def _clear(self) -> None:
-        self._begun, self._size = b"", 0
+        self._begun = b""
         self._waiting.clear()
 
     def close(self) -> None:

@@ -110,27 +110,38 @@ class Recorder:
 
 @final
 class InlineWriter:
-    """Writes at once, in the control loop's thread."""
+    """Writes in the control loop's thread."""
 
-    def __init__(self, recorder: Recorder, on_loss: Callable[[Failure], None]) -> None:
-        self._recorder, self._on_loss = recorder, on_loss
+    def __init__(
+        self, recorder: Recorder, on_loss: Callable[[Failure], None], portion: int = 0
+    ) -> None:
+        """portion: so many frames are written at once; 0: all that is put, when it is put."""
+        self._recorder, self._on_loss, self._portion = recorder, on_loss, portion
+        self._unwritten = Batch()
         self._failed = False
 
     def put(self, batch: Batch) -> None:
-        """Write it."""
+        """Write it, now or with what follows."""
+        self._unwritten.add(batch)
+        if len(self._unwritten.record) >= self._portion:
+            self._write()
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._write()
+        self._recorder.persist()
+
+    def _write(self) -> None:
+        batch, self._unwritten, folder = self._unwritten, Batch(), self._recorder.folder
         if self._failed or batch.is_empty:
             return
         try:
             self._recorder.write(batch)
         except Exception as error:  # noqa: BLE001 - no recording is worth a flight
-            self._recorder.folder.failure = f"{type(error).__name__}: {error}"
-        if self._recorder.folder.failure is not None:
+            folder.failure = f"{type(error).__name__}: {error}"
+        if folder.failure is not None:
             self._failed = True
-            self._on_loss(Failure(part=WRITER, error=self._recorder.folder.failure))
-
-    def close(self) -> None:
-        """Nothing is waiting."""
-        self._recorder.persist()
+            self._on_loss(Failure(part=WRITER, error=folder.failure))
 
 
 @final

@@ -41,92 +41,113 @@ _WARP = "Convert it to EPSG:4326 (gdalwarp -t_srs EPSG:4326)."
 _NAME_ONE = "Name a GeoTIFF or an SRTM .hgt file."
 
 
-def read_terrain(
-    path: Path,
-    frame: LocalFrame,
-    area_m: _Area,
-    *,
-    vertical_datum: VerticalDatum,
-    nodata: Nodata,
-    field: str,
-) -> GridTerrain:
-    """The terrain of an area from an elevation file, of which only the part about it is read.
+class _RefusedError(Exception):
+    """A rule that a file breaks, and the remedy: the file is named where it is opened."""
 
-    Raises InputError naming the field (of the world file) if the file cannot be read, is not in
-    latitude and longitude (WGS84 or alike), is not in metres, does not cover the area, has holes
-    that nodata does not fill, or names another datum.
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ElevationFile:
+    """A file of heights, and what is said of it; its methods raise InputError naming the field.
+
+    They do if the file cannot be read, is not in latitude and longitude (WGS84 or alike), is not in
+    metres, or names another datum.
     """
-    with _opened(path, vertical_datum, field) as source:
-        part = _part(source, frame, area_m)
-        if part.beyond.any():
-            at, (height, width) = source.transform, source.shape
-            south, west = at.f + (height - 0.5) * at.e, at.c + 0.5 * at.a
-            has = _reach(south, at.f + 0.5 * at.e, west, at.c + (width - 0.5) * at.a)
-            rule = f"[area] reaches beyond the middles of its outer cells, {has}: to {part.reach}"
-            raise _RefusedError(rule, "Make [area] smaller, or name another file.")
-        return part.terrain(frame, part.filled(nodata))
 
+    path: Path
+    vertical_datum: VerticalDatum
+    nodata: Nodata
+    """What lies where it has no height; None: that is not known."""
+    field: str
+    """What names it."""
 
-def read_known_map(
-    path: Path,
-    frame: LocalFrame,
-    blank: KnownMap,
-    *,
-    vertical_datum: VerticalDatum,
-    nodata: Nodata,
-    datum_error_m: float,
-    may_be_scanned: bool,
-    field: str,
-) -> KnownMap:
-    """What an elevation file tells in advance about the cells of a blank map.
+    def terrain(self, frame: LocalFrame, area_m: _Area) -> GridTerrain:
+        """The terrain of an area, of which only the part about it is read.
 
-    Each cell gets the highest terrain in it, plus datum_error_m.  It counts as seen, so that
-    nothing looks at it again, unless it may_be_scanned: a scan replaces what the file says.
-    Cells where the file has no height stay unknown, unless nodata fills them.
+        InputError, too, if it does not cover the area, or has holes that nodata does not fill.
+        """
+        with self._opened() as source:
+            part = _part(source, frame, area_m)
+            if part.beyond.any():
+                at, (height, width) = source.transform, source.shape
+                south, west = at.f + (height - 0.5) * at.e, at.c + 0.5 * at.a
+                has = _reach(south, at.f + 0.5 * at.e, west, at.c + (width - 0.5) * at.a)
+                rule = f"[area] reaches beyond the middles of its outer cells, {has}: to "
+                rule += part.reach
+                raise _RefusedError(rule, "Make [area] smaller, or name another file.")
+            return part.terrain(frame, part.filled(self.nodata))
 
-    Raises InputError naming the field as `read_terrain` does; a file that covers a part of the map
-    will do, one that covers none of it will not.
-    """
-    rows, columns = blank.upper_m.shape
-    north_m = blank.north_min_m, blank.north_min_m + rows * blank.cell_m
-    east_m = blank.east_min_m, blank.east_min_m + columns * blank.cell_m
-    with _opened(path, vertical_datum, field) as source:
-        part = _part(source, frame, (north_m, east_m))
-        if part.empty.all():
-            raise _RefusedError(
-                "it has no height anywhere on the map", "Name the file of this place."
-            )
-        if nodata is not None:
-            part = replace(part, heights=part.filled(nodata), empty=part.beyond)
-        terrain = part.terrain(frame, part.filled(_LOWEST_M))
-        holes = part.terrain(frame, part.empty.astype(np.uint8)) if part.empty.any() else None
-    upper = _highest_m(terrain, blank) + datum_error_m
-    if holes is not None:
-        upper[_highest_m(holes, blank) > 0.0] = np.inf
-    known = np.isfinite(upper)
-    seen = np.zeros_like(known) if may_be_scanned else known
-    return replace(blank, upper_m=upper, seen=seen, given=known)
+    def known_map(
+        self, frame: LocalFrame, blank: KnownMap, *, datum_error_m: float, may_be_scanned: bool
+    ) -> KnownMap:
+        """What it tells in advance about the cells of a blank map.
 
+        Each cell gets the highest terrain in it, plus datum_error_m.  It counts as seen, so that
+        nothing looks at it again, unless it may_be_scanned: a scan replaces what the file says.
+        Cells where the file has no height stay unknown, unless nodata fills them.  InputError, too,
+        if it has none anywhere on the map.
+        """
+        rows, columns = blank.upper_m.shape
+        north_m = blank.north_min_m, blank.north_min_m + rows * blank.cell_m
+        east_m = blank.east_min_m, blank.east_min_m + columns * blank.cell_m
+        with self._opened() as source:
+            part = _part(source, frame, (north_m, east_m))
+            if part.empty.all():
+                rule = "it has no height anywhere on the map"
+                raise _RefusedError(rule, "Name the file of this place.")
+            if self.nodata is not None:
+                part = replace(part, heights=part.filled(self.nodata), empty=part.beyond)
+            terrain = part.terrain(frame, part.filled(_LOWEST_M))
+            holes = part.terrain(frame, part.empty.astype(np.uint8)) if part.empty.any() else None
+        upper = _highest_m(terrain, blank) + datum_error_m
+        if holes is not None:
+            upper[_highest_m(holes, blank) > 0.0] = np.inf
+        known = np.isfinite(upper)
+        seen = np.zeros_like(known) if may_be_scanned else known
+        return replace(blank, upper_m=upper, seen=seen, given=known)
 
-def height_at_m(
-    path: Path,
-    place_deg: tuple[float, float],
-    *,
-    vertical_datum: VerticalDatum,
-    nodata: Nodata,
-    field: str,
-) -> float | None:
-    """The highest of the cells of an elevation file about a latitude and longitude, metres AMSL.
+    def height_m(self, latitude_deg: float, longitude_deg: float) -> float | None:
+        """The highest of its cells about a place, metres AMSL.
 
-    None: one of them lies beyond the file, or has no height and nodata does not say any.  Raises
-    InputError naming the field as `read_terrain` does.
-    """
-    with _opened(path, vertical_datum, field) as source:
-        frame = LocalFrame(latitude_deg=place_deg[0], longitude_deg=place_deg[1])
-        part = _part(source, frame, ((0.0, 0.0), (0.0, 0.0)))
-        if part.beyond.any() or (part.empty.any() and nodata is None):
-            return None
-        return float(part.filled(nodata).max())
+        None: one of them lies beyond the file, or has no height and nodata does not say any.
+        """
+        with self._opened() as source:
+            frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+            part = _part(source, frame, ((0.0, 0.0), (0.0, 0.0)))
+            if part.beyond.any() or (part.empty.any() and self.nodata is None):
+                return None
+            return float(part.filled(self.nodata).max())
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[Any]:
+        """The file, that has been checked; InputError for what is refused meanwhile, too."""
+        path, field = self.path, self.field
+        try:
+            rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
+        except ImportError as error:
+            rule = f"elevation files need the package rasterio ({error})"
+            raise InputError(field, str(path), rule, "Install rasterio.") from None
+        if not answer(path.is_file):
+            raise InputError(field, str(path), "no such file", _NAME_ONE)
+        try:
+            with contextlib.ExitStack() as stack:
+                stack.enter_context(warnings.catch_warnings())
+                warnings.simplefilter("ignore")  # of files without coordinates: refused below
+                name: Any = path
+                if told_path(path) != str(path):  # no UTF-8, which GDAL does not take
+                    plain = path.name.encode(errors="replace").decode()
+                    memory = rasterio.MemoryFile(path.read_bytes(), filename=plain)
+                    name = stack.enter_context(memory).name
+                driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
+                source = stack.enter_context(rasterio.open(name, driver=driver))
+                for refusal in _refusals(source, self.vertical_datum):
+                    raise refusal
+                yield source
+        except _RefusedError as error:
+            raise InputError(field, str(path), *error.args) from None
+        except rasterio.errors.RasterioError as error:
+            rule = f"it cannot be read ({' '.join(str(error).split())})"
+            raise InputError(field, str(path), rule, _NAME_ONE) from None
 
 
 def write_elevation(
@@ -155,41 +176,6 @@ def write_elevation(
         predictor=3,
     ) as file:
         file.write(heights_m.astype(np.float32), 1)
-
-
-class _RefusedError(Exception):
-    """A rule that a file breaks, and the remedy: `_opened` says which file it is."""
-
-
-@contextlib.contextmanager
-def _opened(path: Path, vertical_datum: str, field: str) -> Iterator[Any]:
-    """An elevation file that has been checked; InputError for what is refused meanwhile, too."""
-    try:
-        rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
-    except ImportError as error:
-        rule = f"elevation files need the package rasterio ({error})"
-        raise InputError(field, str(path), rule, "Install rasterio.") from None
-    if not answer(path.is_file):
-        raise InputError(field, str(path), "no such file", _NAME_ONE)
-    try:
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(warnings.catch_warnings())
-            warnings.simplefilter("ignore")  # of files without coordinates: refused below
-            name: Any = path
-            if told_path(path) != str(path):  # no UTF-8, which GDAL does not take
-                plain = path.name.encode(errors="replace").decode()
-                memory = rasterio.MemoryFile(path.read_bytes(), filename=plain)
-                name = stack.enter_context(memory).name
-            driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
-            source = stack.enter_context(rasterio.open(name, driver=driver))
-            for refusal in _refusals(source, vertical_datum):
-                raise refusal
-            yield source
-    except _RefusedError as error:
-        raise InputError(field, str(path), *error.args) from None
-    except rasterio.errors.RasterioError as error:
-        rule = f"it cannot be read ({' '.join(str(error).split())})"
-        raise InputError(field, str(path), rule, _NAME_ONE) from None
 
 
 def _refusals(source: Any, vertical_datum: str) -> Iterator[_RefusedError]:

@@ -21,7 +21,6 @@ from companion.planner import rules
 from companion.planner.settings import PlannerSettings, Task
 from companion.profiles import PROFILES, Weights
 from companion.sources.altitudes import about_altitudes, carried_on
-from companion.sources.elevation import height_at_m, read_known_map
 from companion.sources.files import RawTable, path_of, plain, told_path
 from companion.sources.geojson import NoZone, Threats, read_geojson
 from companion.sources.mission_schema import KnownTerrainTable, MissionTable, ThreatsTable
@@ -136,17 +135,8 @@ def _ground(table: RawTable, folder: Path, where: str) -> Ground | None:
 
     def at(latitude_deg: float, longitude_deg: float) -> float | None:
         terrain = validated(KnownTerrainTable, said, f"{where}: terrain")
-        if terrain.highest_amsl_m is not None:
-            return terrain.highest_amsl_m
-        assert terrain.file is not None
-        assert terrain.vertical_datum is not None
-        return height_at_m(
-            folder / path_of(terrain.file),
-            (latitude_deg, longitude_deg),
-            vertical_datum=terrain.vertical_datum,
-            nodata=terrain.nodata,
-            field=f"{where}: terrain.file",
-        )
+        file = terrain.elevation(folder, where)
+        return file.height_m(latitude_deg, longitude_deg) if file else terrain.highest_amsl_m
 
     return at
 
@@ -247,27 +237,16 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
     if table is None:
         return None
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    may_be_scanned = model.vehicle.scanner
-    if table.highest_amsl_m is not None:  # a radar, if there is one, may see it lower
-        shape = blank.upper_m.shape
+    may_be_scanned, shape = model.vehicle.scanner, blank.upper_m.shape
+    if (file := table.elevation(Path(), where)) is not None:
+        error_m = _DATUM_ERROR_M if table.datum_error_m is None else table.datum_error_m
+        told = file.known_map(frame, blank, datum_error_m=error_m, may_be_scanned=may_be_scanned)
+    else:  # a radar, if there is one, may see it lower
         told = replace(
             blank,
             upper_m=np.full(shape, table.highest_amsl_m),
             seen=np.full(shape, not may_be_scanned),
             given=np.ones(shape, dtype=bool),
-        )
-    else:
-        assert table.file is not None
-        assert table.vertical_datum is not None
-        told = read_known_map(
-            path_of(table.file),
-            frame,
-            blank,
-            vertical_datum=table.vertical_datum,
-            nodata=table.nodata,
-            datum_error_m=_DATUM_ERROR_M if table.datum_error_m is None else table.datum_error_m,
-            may_be_scanned=may_be_scanned,
-            field=f"{where}: terrain.file",
         )
     if task.settings.is_near:  # known is the ground, and nothing of what stands on it
         return replace(blank, guess_m=told.upper_m)

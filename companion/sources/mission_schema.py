@@ -7,6 +7,7 @@ that it becomes; where the file has another unit or name for it, that is its ali
 import math
 from collections.abc import Iterator
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import AfterValidator, Field
@@ -21,7 +22,8 @@ from companion.path.limits import Limits, VehicleKind
 from companion.planner.settings import PlannerSettings
 from companion.profiles import Weights
 from companion.ranges import Latitude, Longitude, NotNegative, Positive
-from companion.sources.elevation import VerticalDatum
+from companion.sources.elevation import ElevationFile, VerticalDatum
+from companion.sources.files import path_of
 from companion.sources.geojson import NoZone
 from companion.sources.schema import (
     NAME,
@@ -312,6 +314,17 @@ class KnownTerrainTable(Table):
     datum_error_m: NotNegative | None = None
     trust: Literal["proof", "guidance"] | None = None
     """What reads the file: certificates too, or only the choice of the way; left out: proof."""
+
+    def elevation(self, folder: Path, where: str) -> ElevationFile | None:
+        """The file of it, named from a folder; None: it is a statement."""
+        if self.file is None or self.vertical_datum is None:
+            return None
+        return ElevationFile(
+            path=folder / path_of(self.file),
+            vertical_datum=self.vertical_datum,
+            nodata=self.nodata,
+            field=f"{where}: terrain.file",
+        )
 
     def broken(self) -> Iterator[Broken]:
         """It is a file and what its heights mean, or one height and nothing else."""

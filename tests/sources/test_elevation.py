@@ -17,7 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from companion.config import load_world
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
-from companion.sources.elevation import read_terrain
+from companion.sources.elevation import ElevationFile
 from companion.world.terrain import GridTerrain
 from vehicle_sim.world import read_world
 
@@ -71,7 +71,7 @@ def make(tmp_path: Path) -> Make:
 def read(path: Path, **changes: Any) -> GridTerrain:
     given_: dict[str, Any] = {"vertical_datum": "EGM96", "nodata": None, "field": "terrain.file"}
     area = changes.pop("area", AREA)
-    return read_terrain(path, FRAME, area, **(given_ | changes))
+    return ElevationFile(path=path, **(given_ | changes)).terrain(FRAME, area)
 
 
 def refused(path: Path, **changes: Any) -> str:
