@@ -20,13 +20,7 @@ from viser import uplot
 from companion.geodesy import FloatArray
 from companion.live_view import panel
 from companion.live_view.ground import Ground, Replica, last_ground
-from companion.live_view.panel import (
-    Charts,
-    Moment,
-    charts_of,
-    near_ground,
-    planning_of,
-)
+from companion.live_view.panel import CHARTS, Moment, charts_of, near_ground, planning_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.views.words import clock_text
@@ -150,28 +144,23 @@ class Page:
             )
         charts = gui.add_panel()
         with charts.add_tab("charts"):
-            self._charts = [self._add_chart(*each) for each in _CHARTS]
+            self._charts = [self._add_chart(*each) for each in CHARTS]
         charts.dock_left()
         charts.set_width(300)
 
-    def _add_chart(self, title: str, names: tuple[str, ...], colours: tuple[str, ...]) -> Any:
+    def _add_chart(self, title: str, lines: dict[str, str]) -> Any:
         series = [uplot.Series(label="time, s")]
-        series += [
-            uplot.Series(
-                label=name,
-                stroke=colour,
-                width=2,
-                points={"show": len(names) == 1 and "ms" in title},
-            )
-            for name, colour in zip(names, colours, strict=True)
-        ]
+        for name, colour in lines.items():
+            shows = "ms" in title  # each plan is a point
+            line = uplot.Series(label=name, stroke=colour, width=2, points={"show": shows})
+            series.append(line)
         nothing = np.zeros(0)
         return self._server.gui.add_uplot(
             tuple(nothing for _ in series),
             tuple(series),
             title=title,
             scales={"x": uplot.Scale(time=False)},
-            legend=uplot.Legend(show=len(names) > 1, live=False),
+            legend=uplot.Legend(show=len(lines) > 1, live=False),
             aspect=1.75,
         )
 
@@ -315,8 +304,7 @@ class Page:
         charted = len(recording.flight.times_s), samples
         if now_s - self._charted_at_s >= _CHARTS_S and charted != self._charted:
             self._charted_at_s, self._charted = now_s, charted
-            charts = charts_of(recording, replica)
-            for chart, data in zip(self._charts, _chart_data(charts), strict=True):
+            for chart, data in zip(self._charts, charts_of(recording, replica), strict=True):
                 chart.scales = _scales(data)
                 chart.data = data
 
@@ -337,24 +325,6 @@ class Page:
         if math.isnan(heading_deg):
             return math.atan2(float(track.east_m_s[row]), float(track.north_m_s[row]))
         return math.radians(heading_deg)
-
-
-_CHARTS: Final = (
-    ("altitude and known ground, m AMSL", ("altitude", "ground"), ("#0050b5", "#8a6a3a")),
-    ("clearance, m", ("clearance",), ("#00705a",)),
-    ("off the path, m", ("off the path",), ("#c2389b",)),
-    ("planning time, ms", ("planning",), ("#e8590c",)),
-)
-
-
-def _chart_data(charts: Charts) -> tuple[tuple[FloatArray, ...], ...]:
-    times_s = charts.times_s
-    return (
-        (times_s, charts.altitude_m, charts.under_m),
-        (times_s, charts.clearance_m),
-        (times_s, charts.aside_m),
-        (charts.plan_times_s, charts.planning_ms),
-    )
 
 
 def _scales(data: tuple[FloatArray, ...]) -> dict[str, uplot.Scale]:

@@ -5,7 +5,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -156,36 +156,36 @@ def event_list(events: list[Event], time_s: float) -> tuple[tuple[str, ...], str
 # --- charts
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Charts:
-    """What the charts show of one flight; (N,) each, of plans (K,)."""
+class Chart(NamedTuple):
+    """One chart: its title, and each of its lines by name and colour."""
 
-    times_s: FloatArray
-    altitude_m: FloatArray
-    under_m: FloatArray
-    clearance_m: FloatArray
-    aside_m: FloatArray
-    plan_times_s: FloatArray
-    planning_ms: FloatArray
+    title: str
+    lines: dict[str, str]
 
 
-def charts_of(recording: Recording, replica: Replica | None) -> Charts:
-    """All of a flight so far, at a few hundred points."""
+CHARTS: Final = (
+    Chart("altitude and known ground, m AMSL", {"altitude": "#0050b5", "ground": "#8a6a3a"}),
+    Chart("clearance, m", {"clearance": "#00705a"}),
+    Chart("off the path, m", {"off the path": "#c2389b"}),
+    Chart("planning time, ms", {"planning": "#e8590c"}),
+)
+
+
+def charts_of(recording: Recording, replica: Replica | None) -> tuple[tuple[FloatArray, ...], ...]:
+    """All of a flight so far, at a few hundred points: of each chart the times, then its lines."""
     flight, plans = recording.flight, recording.plans
     count = len(flight.times_s)
     rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.intp))
     times_s = flight.times_s[rows]
     clearance_m, under_m = near_ground(recording, replica, times_s)
-    planning = planning_of(recording, replica)
-    return Charts(
-        times_s=times_s,
-        altitude_m=flight.places_nea_m[rows, 2],
-        under_m=under_m,
-        clearance_m=clearance_m,
-        aside_m=_aside_m(flight, rows),
-        plan_times_s=np.array([time_s for time_s, _ in plans]),
-        planning_ms=np.array([planning.get(plan.plan_id, math.nan) * 1e3 for _, plan in plans]),
+    took_s = planning_of(recording, replica)
+    plan_times_s = np.array([time_s for time_s, _ in plans])
+    planning_ms = np.array([took_s.get(plan.plan_id, math.nan) * 1e3 for _, plan in plans])
+    return (
+        (times_s, flight.places_nea_m[rows, 2], under_m),
+        (times_s, clearance_m),
+        (times_s, _aside_m(flight, rows)),
+        (plan_times_s, planning_ms),
     )
 
 

@@ -38,7 +38,6 @@ _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.F
 RECORDED = (*_WRITTEN, "resume.json", "known.npz", "truth.jsonl")
 """The files of a flight that cannot be made again."""
 _STAMP = struct.Struct(">Q")
-_STAMP_BYTES = _STAMP.size
 _PORTION = 2**20
 LONGEST_RECORD = 288  # bytes, of the telemetry log
 _LONGEST_TORN = 2**26  # a start with a large map
@@ -165,7 +164,9 @@ class RunFolder:
 
     def frames(self, stamped: Iterable[tuple[float, bytes]]) -> None:
         """Frames with their vehicle times, seconds."""
-        self._write(self._tlog, log_records(stamped, self.epoch_us))
+        epoch_us = self.epoch_us
+        records = [_STAMP.pack(epoch_us + round(at_s * 1e6)) + frame for at_s, frame in stamped]
+        self._write(self._tlog, records)
 
     def entries(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Journal entries."""
@@ -277,68 +278,40 @@ def whole_records(path: Path, start: int = 0) -> int:
 
 def _first_stamp_us(tlog: Path) -> int | None:
     """The stamp of a log's first record: where vehicle time began, when that cannot be read."""
-    try:
-        with tlog.open("rb") as file:
-            data = file.read(LONGEST_RECORD)
-    except OSError:
-        return None
-    if not _record_end(data, 0):
-        return None
-    (stamp_us,) = _STAMP.unpack_from(data)
-    return stamp_us if 0 < stamp_us < _MOST else None
-
-
-def log_records(stamped: Iterable[tuple[float, bytes]], epoch_us: int) -> list[bytes]:
-    """The records of frames with their vehicle times, seconds."""
-    return [_STAMP.pack(epoch_us + round(time_s * 1e6)) + frame for time_s, frame in stamped]
+    with suppress(OSError), Records(tlog) as records:
+        stamp_us, _ = records.take() or (0, b"")
+        return stamp_us if 0 < stamp_us < _MOST else None
+    return None
 
 
 @final
 class Records:
     """The records of a telemetry log of ours, one by one, to the last whole one.
 
-    A log of a long flight is larger than the memory of a small computer: it is read in portions.
+    It goes on where it was once the log has grown.  A log of a long flight is larger than the
+    memory of a small computer: it is read in portions.
     """
 
     def __init__(self, path: Path, start: int = 0) -> None:
         """start: where some record begins."""
+        self.end = start
+        """Where in the file the last record that was taken ends."""
         self._file = path.open("rb")
         self._file.seek(start)
-        self._data, self._at, self._data_at = b"", 0, start
-
-    @property
-    def end(self) -> int:
-        """Where in the file the last record that was taken ends."""
-        return self._data_at + self._at
-
-    @property
-    def head(self) -> tuple[int, bytes] | None:
-        """What comes next: us since 1970, frame."""
-        self._read(LONGEST_RECORD)
-        data, at = self._data, self._at
-        if not 0 < (end := _record_end(data, at)) <= len(data):
-            return None
-        return _STAMP.unpack_from(data, at)[0], data[at + _STAMP_BYTES : end]
+        self._data, self._at = b"", 0
 
     def take(self) -> tuple[int, bytes] | None:
-        """What comes next, and on to what follows."""
-        if (head := self.head) is not None:
-            self._at += _STAMP_BYTES + len(head[1])
-        return head
-
-    def takes(self, records: bytes) -> bool:
-        """Whether exactly these records come next; if so they are consumed."""
-        self._read(len(records))
-        is_next = self._data.startswith(records, self._at)
-        self._at += len(records) if is_next else 0
-        return is_next
-
-    def _read(self, size: int) -> None:
-        """Read until this many bytes are buffered, or to the end."""
-        if len(self._data) - self._at < size:
-            self._data_at += self._at
-            self._data = self._data[self._at :] + self._file.read(size + _PORTION)
-            self._at = 0
+        """The next one: microseconds since 1970, frame; None: it is not whole, or not there."""
+        if len(self._data) - self._at < LONGEST_RECORD:
+            self._data, self._at = self._data[self._at :] + self._file.read(_PORTION), 0
+        data, begin = self._data, self._at + _STAMP.size
+        is_frame = begin < len(data) and data[begin] in (V1, V2)
+        end = frame_extent(data, begin)[0] if is_frame else len(data) + 1
+        if end > len(data):
+            return None
+        (stamp_us,) = _STAMP.unpack_from(data, self._at)
+        self.end, self._at = self.end + end - self._at, end
+        return stamp_us, data[begin:end]
 
     def close(self) -> None:
         """Close the file."""
@@ -349,13 +322,6 @@ class Records:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _record_end(data: bytes, at: int) -> int:
-    """Where the record ends that begins there, beyond the data perhaps; 0 if none does."""
-    begin = at + _STAMP_BYTES
-    is_frame = begin < len(data) and data[begin] in (V1, V2)
-    return frame_extent(data, begin)[0] if is_frame else 0
 
 
 def _whole_lines(path: Path) -> int:

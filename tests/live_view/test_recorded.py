@@ -110,16 +110,16 @@ def test_charts_tell_the_clearance_and_the_way_off_the_path(
     while flight.replica.advance(_PATIENCE_S):
         pass
     with flight.recording:
-        charts = charts_of(flight.recording, flight.replica)
-        phases = [flight.recording.flight.decided_at(float(t)).phase for t in charts.times_s]
+        height, clearance, aside, _ = charts_of(flight.recording, flight.replica)
+        phases = [flight.recording.flight.decided_at(float(t)).phase for t in aside[0]]
     down = np.array([phase in ("landing", "done") for phase in phases])
     assert down.any()
-    assert np.isnan(charts.aside_m[down]).all()
-    told = np.isfinite(charts.clearance_m)
-    above_m = (charts.altitude_m - charts.under_m)[told]
+    assert np.isnan(aside[1][down]).all()
+    told = np.isfinite(clearance[1])
+    above_m = (height[1] - height[2])[told]
     assert told.any()
-    assert (charts.clearance_m[told] <= above_m + 1e-6).all()  # straight down is one way
-    assert np.nanmax(charts.aside_m) < flight.recording.flight.mission.task.limits.tracking_error_m  # type: ignore[union-attr]
+    assert (clearance[1][told] <= above_m + 1e-6).all()  # straight down is one way
+    assert np.nanmax(aside[1]) < flight.recording.flight.mission.task.limits.tracking_error_m
 
 
 # --- the page

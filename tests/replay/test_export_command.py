@@ -66,11 +66,6 @@ def test_what_is_no_run_folder_is_refused(tmp_path: Path, copy: Path) -> None:
     assert "it holds no flight.tlog" in refused(copy, "kml")
 
 
-def test_a_journal_that_is_gone_is_said(copy: Path) -> None:
-    (copy / "journal.jsonl").unlink()
-    assert "No such file" in refused(copy, "kml")
-
-
 def test_a_journal_that_is_wrong_is_said_with_its_line(copy: Path) -> None:
     journal = copy / "journal.jsonl"
     lines = len(journal.read_bytes().splitlines())
@@ -133,12 +128,3 @@ def test_the_elevation_file_of_the_mission_may_be_on_another_computer(copy: Path
     export(copy, "geojson")
     found = json.loads((copy / "flight.geojson").read_text(encoding="utf-8"))
     assert found["altitude_datum"] == "AMSL"
-
-
-def test_a_newer_journal_is_refused_with_what_to_do(copy: Path) -> None:
-    text = (copy / "journal.jsonl").read_text(encoding="utf-8")
-    head, rest = text.split("\n", 1)
-    (copy / "journal.jsonl").write_text(
-        json.dumps({**json.loads(head), "version": 99}, separators=(",", ":")) + "\n" + rest
-    )
-    assert "line 1: version = 99" in refused(copy, "kml")

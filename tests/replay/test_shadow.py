@@ -428,17 +428,6 @@ def test_the_distance_from_a_path_is_that_of_its_nearest_point() -> None:
     assert 0.0 <= off.from_m <= off.until_m <= subpath.length_m
 
 
-def test_what_is_on_the_path_has_no_distance_from_it() -> None:
-    subpath = Subpath(
-        control_nea_m=np.array([[0.0, 0, 100], [80, 0, 110], [160, 60, 110], [300, 60, 120]])
-    )
-    chords = Chords(subpath)
-    for length_m in np.linspace(0.0, subpath.length_m, 80):
-        off_m, along_m = chords.nearest(subpath.points_nea_m(np.array([length_m]))[0])
-        assert off_m < 0.05
-        assert along_m == pytest.approx(length_m, abs=0.1)
-
-
 def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:
     """PX4's aeroplane sinks to the ground from 35 to 150 s, climbs, and lands at 442 s."""
     name = "px4-fixedwing-offboard.tlog"

@@ -117,42 +117,40 @@ def test_without_dates_for_stamps_time_is_the_vehicles(writer: Writer, stamp: by
     assert set(counts(log)) == {Odd.NO_STAMPS}
 
 
-def test_stamps_of_zero_and_nonsense_get_the_time_before(writer: Writer) -> None:
-    stamps = [1, 2, 0, 3, 1 << 63, 4, -400_000_000, 5, 900_000_000_000, 6]
+HOUR = 3_600_000_000
+SENSELESS = 1 << 63
+
+
+@pytest.mark.parametrize(
+    ("stamps", "times", "found"),
+    [
+        (  # nonsense gets the time before
+            [1, 2, -EPOCH_US, 3, SENSELESS, 4, -400_000_000, 5, 900_000_000_000, 6],
+            [1, 2, 2, 3, 3, 4, 4, 5, 5, 6],
+            {Odd.WRONG_STAMP: 4},
+        ),
+        (  # a clock that was set back: the first stamp after that is doubted
+            [0, 1000, 2000, 2000 - HOUR, 3000 - HOUR, 4000 - HOUR, 5000 - HOUR],
+            [0, 1000, 2000, 2000, 2000, 3000, 4000],
+            {Odd.TIME_BACK: 1},
+        ),
+        # a first stamp that nothing agrees with
+        ([500_000_000_000_000, 0, 1000, 2000], [0, 0, 1000, 2000], {Odd.WRONG_STAMP: 1}),
+        (  # a pause, and steps back of more and of less than a millisecond
+            [0, 1000, 990, 500_000, 400_000, HOUR, HOUR + 5, HOUR + 10],
+            [0, 1000, 1000, 500_000, 500_000, 500_000, HOUR + 5, HOUR + 10],
+            {Odd.TIME_JITTER: 1, Odd.TIME_GAP: 1},
+        ),
+    ],
+)
+def test_time_never_falls_and_what_is_odd_about_it_is_counted(
+    writer: Writer, stamps: list[int], times: list[int], found: dict[Odd, int]
+) -> None:
     for stamp in stamps:
-        writer.add(heartbeat(), stamp if stamp in (0, 1 << 63) else EPOCH_US + stamp)
+        writer.add(heartbeat(), stamp if stamp == SENSELESS else EPOCH_US + stamp)
     log = writer.open()
-    times = [record.time_us - EPOCH_US for record in log.records()]
-    assert times == [1, 2, 2, 3, 3, 4, 4, 5, 5, 6]
-    assert counts(log) == {Odd.WRONG_STAMP: 4}
-
-
-def test_time_that_falls_back_goes_on_from_where_it_was(writer: Writer) -> None:
-    hour = 3_600_000_000
-    for stamp in [0, 1000, 2000, 2000 - hour, 3000 - hour, 4000 - hour, 5000 - hour]:
-        writer.add(heartbeat(), EPOCH_US + stamp)
-    log = writer.open()
-    times = [record.time_us - EPOCH_US for record in log.records()]
-    assert times == [0, 1000, 2000, 2000, 2000, 3000, 4000]  # the first is doubted
-    assert counts(log) == {Odd.TIME_BACK: 1}
-
-
-def test_a_first_stamp_that_nothing_agrees_with_is_not_believed(writer: Writer) -> None:
-    for stamp in [500_000_000_000_000, 0, 1000, 2000]:
-        writer.add(heartbeat(), EPOCH_US + stamp)
-    log = writer.open()
-    assert [record.time_us - EPOCH_US for record in log.records()] == [0, 0, 1000, 2000]
-    assert counts(log) == {Odd.WRONG_STAMP: 1}
-
-
-def test_a_pause_is_told_and_steps_within_a_millisecond_are_not(writer: Writer) -> None:
-    hour = 3_600_000_000
-    for stamp in [0, 1000, 990, 500_000, 400_000, hour, hour + 5, hour + 10]:
-        writer.add(heartbeat(), EPOCH_US + stamp)
-    log = writer.open()
-    times = [record.time_us - EPOCH_US for record in log.records()]
-    assert times == [0, 1000, 1000, 500_000, 500_000, 500_000, hour + 5, hour + 10]
-    assert counts(log) == {Odd.TIME_JITTER: 1, Odd.TIME_GAP: 1}
+    assert [record.time_us - EPOCH_US for record in log.records()] == times
+    assert counts(log) == found
 
 
 def test_garbage_is_passed_over_and_counted(writer: Writer) -> None:

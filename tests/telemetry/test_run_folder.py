@@ -97,13 +97,6 @@ def test_pymavlink_reads_every_frame_of_the_log_at_its_time(folder: RunFolder) -
         assert time_s == pytest.approx(expected_s, abs=1e-5)
 
 
-def test_a_record_is_eight_bytes_of_microseconds_and_the_frame(folder: RunFolder) -> None:
-    folder.frames([(1.5, b"frame")])
-    close(folder)
-    stamp = struct.pack(">Q", EPOCH_US + 1_500_000)
-    assert (folder.path / "flight.tlog").read_bytes() == stamp + b"frame"
-
-
 def test_the_journal_is_a_header_and_a_line_for_each_entry(folder: RunFolder) -> None:
     folder.header({"seed": 1, "mission": "environment-1"})
     folder.entries([{"t_s": 0.1, "kind": "say", "text": 'a "quoted"\nline, é'}])

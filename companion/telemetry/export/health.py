@@ -30,8 +30,6 @@ class FlightHealth:
         """Frames of the autopilot that are missing, by their sequence numbers."""
         self.silence_us = 0
         """The longest time without a frame of the autopilot, microseconds."""
-        self.silent_from_us = 0
-        """When that began, microseconds since 1970."""
         self._sequence: int | None = None
         self._heard_us = 0
         self._setpoints_us = array("q")
@@ -48,9 +46,7 @@ class FlightHealth:
         if self._sequence is not None:
             missing = (sequence - self._sequence - 1) % 256
             self.lost += missing if missing < _OLD else 0
-            if record.time_us - self._heard_us > self.silence_us:
-                self.silence_us = record.time_us - self._heard_us
-                self.silent_from_us = self._heard_us
+            self.silence_us = max(self.silence_us, record.time_us - self._heard_us)
         self._sequence, self._heard_us = sequence, record.time_us
         self.heard += 1
         if number_of(frame) == _GPS.id:

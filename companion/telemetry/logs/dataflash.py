@@ -7,7 +7,7 @@ is looked through once beforehand: whose it is, when it was, and what it has.
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Final, final
@@ -274,7 +274,7 @@ def _told(log: Log) -> Iterator[Row]:
 
 @final
 class _Messages:
-    """The messages of the entries of one pass, from first to last."""
+    """The messages of the entries of one pass, from first to last; `_on_gps` is told of GPS."""
 
     def __init__(self, look: _Look) -> None:
         self._mav_type, self._epoch_us = look.mav_type, look.epoch_us
@@ -296,7 +296,7 @@ class _Messages:
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
         """Messages of one entry."""
         before = self._mode, self._armed, bool(self._failsafes), self._landed
-        yield from _HANDLERS[name](self, values, boot_us)
+        yield from getattr(self, f"_on_{name.lower()}")(values, boot_us)
         changed = before != (self._mode, self._armed, bool(self._failsafes), self._landed)
         if self._pace.is_due("heartbeat", boot_us) or changed:
             yield from self._state()
@@ -322,15 +322,15 @@ class _Messages:
             vtol = wire.MAV_VTOL_STATE_UNDEFINED
             yield wire.MAVLink_extended_sys_state_message(vtol, self._landed)
 
-    def _mode_is(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_mode(self, values: Values, _: int) -> Iterable[Message]:
         self._mode = int(values["ModeNum"])
         return ()
 
-    def _arm(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_arm(self, values: Values, _: int) -> Iterable[Message]:
         self._armed = bool(values["ArmState"])
         return ()
 
-    def _event(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_ev(self, values: Values, _: int) -> Iterable[Message]:
         event = values["Id"]
         if event in (_ARMED, _AUTO_ARMED, _DISARMED):
             self._armed = event != _DISARMED
@@ -338,12 +338,12 @@ class _Messages:
             self._landed = _ON_GROUND if event == _LANDED else _IN_AIR
         return ()
 
-    def _plane(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_stat(self, values: Values, _: int) -> Iterable[Message]:
         self._landed = _IN_AIR if values["isFlying"] else _ON_GROUND
         self._armed = bool(values["Armed"])
         return ()
 
-    def _error(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_err(self, values: Values, _: int) -> Iterable[Message]:
         subsystem = values["Subsys"]
         if subsystem in _FAILSAFES:
             (self._failsafes.add if values["ECode"] else self._failsafes.discard)(subsystem)
@@ -351,16 +351,16 @@ class _Messages:
 
     # --- where it is
 
-    def _estimate(self, values: Values, boot_us: int) -> Iterable[Message]:
+    def _on_xkf1(self, values: Values, boot_us: int) -> Iterable[Message]:
         velocity = (values["VN"], values["VE"], values["VD"])
         self._velocities[values.get("C", 0)] = (boot_us, *velocity)
         return ()
 
-    def _attitude(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_att(self, values: Values, _: int) -> Iterable[Message]:
         self._yaw_deg = values["Yaw"]
         return ()
 
-    def _position(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_pos(self, values: Values, boot_us: int) -> Iterator[Message]:
         """GLOBAL_POSITION_INT of POS, or of GPS; none without a velocity of the same moment."""
         velocity = self._velocities.get(self._core if self._has_velocity else _GPS)
         if velocity is None or boot_us - velocity[0] > _FRESH_US:
@@ -379,7 +379,7 @@ class _Messages:
                 heading,
             )
 
-    def _origin(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_orgn(self, values: Values, boot_us: int) -> Iterator[Message]:
         place = (*_degrees_e7(values), round(values["Alt"] * 1e3))
         if values["Type"] == 0:
             yield wire.MAVLink_gps_global_origin_message(*place, boot_us)
@@ -390,7 +390,7 @@ class _Messages:
 
     # --- how well it knows
 
-    def _gps(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_gps(self, values: Values, boot_us: int) -> Iterator[Message]:
         if values.get("I", 0) != 0:
             return
         speed, course = values["Spd"], values["GCrs"]
@@ -416,14 +416,14 @@ class _Messages:
         velocity = (speed * math.cos(angle), speed * math.sin(angle), values.get("VZ", 0.0))
         self._velocities[_GPS] = (boot_us, *velocity)
         if not self._has_position:
-            yield from self._position(values, boot_us)
+            yield from self._on_pos(values, boot_us)
 
-    def _gps_accuracy(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_gpa(self, values: Values, _: int) -> Iterable[Message]:
         if values.get("I", 0) == 0:
             self._accuracy = values
         return ()
 
-    def _filter(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_xkf4(self, values: Values, boot_us: int) -> Iterator[Message]:
         """EKF_STATUS_REPORT of the primary core's XKF4."""
         self._core = max(values.get("PI", 0), 0)
         if values.get("C", 0) != self._core or not self._pace.is_due("estimator", boot_us):
@@ -440,7 +440,7 @@ class _Messages:
 
     # --- the rest
 
-    def _battery(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_bat(self, values: Values, boot_us: int) -> Iterator[Message]:
         """SYS_STATUS; without RemPct, of what was used and BATT_CAPACITY, as ArduPilot reckons."""
         instance = values.get("Inst", values.get("Instance", values.get("I", 0)))
         if instance != 0 or not self._pace.is_due("battery", boot_us):
@@ -453,13 +453,13 @@ class _Messages:
             percent = -1
         yield battery(values["Volt"], values.get("Curr", 0.0), percent)
 
-    def _parameter(self, values: Values, _: int) -> Iterator[Message]:
+    def _on_parm(self, values: Values, _: int) -> Iterator[Message]:
         name, value = values["Name"], values["Value"]
         if name == "BATT_CAPACITY" and math.isfinite(value):
             self._capacity_mah = value
         yield parameter(name, value)
 
-    def _text(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_msg(self, values: Values, _: int) -> Iterable[Message]:
         self._texts = self._texts % 0xFFFF + 1
         return texts(values["Message"], wire.MAV_SEVERITY_INFO, self._texts)
 
@@ -469,23 +469,5 @@ def _degrees_e7(values: Values) -> tuple[int, int]:
     return round(values["Lat"] * 1e7), round(values["Lng"] * 1e7)
 
 
-_HANDLERS: Final[dict[str, Callable[[_Messages, Values, int], Iterable[Message]]]] = {
-    "ARM": _Messages._arm,
-    "ATT": _Messages._attitude,
-    "BAT": _Messages._battery,
-    "ERR": _Messages._error,
-    "EV": _Messages._event,
-    "GPA": _Messages._gps_accuracy,
-    "GPS": _Messages._gps,
-    "MODE": _Messages._mode_is,
-    "MSG": _Messages._text,
-    "ORGN": _Messages._origin,
-    "PARM": _Messages._parameter,
-    "POS": _Messages._position,
-    "STAT": _Messages._plane,
-    "VER": lambda *_: (),  # it tells beforehand
-    "XKF1": _Messages._estimate,
-    "XKF4": _Messages._filter,
-}
-ROWS: Final = frozenset(_HANDLERS)
+ROWS: Final = frozenset(name[4:].upper() for name in vars(_Messages) if name.startswith("_on_"))
 """Names of the entries that are translated."""

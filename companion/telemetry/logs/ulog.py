@@ -4,7 +4,7 @@ import heapq
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
@@ -40,7 +40,7 @@ from companion.telemetry.logs.made import (
     whole,
 )
 
-_PARAMETER, _TEXT = "(parameter)", "(text)"
+_PARAMETER, _TEXT = "parameter", "text"
 """Names of the rows that are of no topic."""
 _OLDEST: Final = (1, 13)
 _SAMPLE: Final = 200
@@ -220,7 +220,7 @@ def _begun(row: Row, start_us: int, zero_us: int) -> Row:
 
 @final
 class _Messages:
-    """The messages of the rows of one pass, from first to last."""
+    """The messages of the rows of one pass, from first to last; `_on_` a topic is told of it."""
 
     def __init__(self, epoch_us: int | None, *, has_estimator: bool) -> None:
         self._epoch_us, self._has_estimator = epoch_us, has_estimator
@@ -235,7 +235,7 @@ class _Messages:
 
     def of(self, name: str, values: Values, boot_us: int) -> Iterator[Message]:
         """Messages of one row."""
-        yield from _HANDLERS[name](self, values, boot_us)
+        yield from getattr(self, f"_on_{name}")(values, boot_us)
         if self._status and self._pace.is_due("heartbeat", boot_us):
             yield from self._state()
         if self._status and self._pace.is_due("clock", boot_us):
@@ -243,7 +243,7 @@ class _Messages:
 
     # --- its state
 
-    def _on_status(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_vehicle_status(self, values: Values, _: int) -> Iterable[Message]:
         seen = ("nav_state", "arming_state", "failsafe")
         changed = any(values.get(each) != self._status.get(each) for each in seen)
         self._status = values
@@ -251,7 +251,7 @@ class _Messages:
             raise ValueError("no such nav_state")
         return self._state() if changed else ()
 
-    def _on_landed(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_vehicle_land_detected(self, values: Values, _: int) -> Iterable[Message]:
         before, self._landed = self._landed, bool(values["landed"])
         return self._state() if self._status and before != self._landed else ()
 
@@ -284,7 +284,7 @@ class _Messages:
 
     # --- where it is
 
-    def _on_local(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_vehicle_local_position(self, values: Values, boot_us: int) -> Iterator[Message]:
         self._local = values
         origin = (values["ref_lat"], values["ref_lon"], values["ref_alt"])
         is_known = values["xy_global"] and values["z_global"] and all(map(math.isfinite, origin))
@@ -296,7 +296,7 @@ class _Messages:
         if not self._has_estimator:
             yield from self._made_estimator(values, boot_us)
 
-    def _on_global(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_vehicle_global_position(self, values: Values, boot_us: int) -> Iterator[Message]:
         """GLOBAL_POSITION_INT, with height, velocity and heading of the local position."""
         local = self._local
         if not local or not self._pace.is_due("position", boot_us):
@@ -313,7 +313,7 @@ class _Messages:
             direction(local["heading"]),
         )
 
-    def _on_home(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_home_position(self, values: Values, boot_us: int) -> Iterator[Message]:
         if not values.get("valid_hpos", True):
             return
         self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
@@ -329,7 +329,7 @@ class _Messages:
 
     # --- how well it knows
 
-    def _on_gps(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_sensor_gps(self, values: Values, boot_us: int) -> Iterator[Message]:
         if "latitude_deg" in values:
             place_deg = values["latitude_deg"], values["longitude_deg"]
             place = _wired(*place_deg, values["altitude_msl_m"])
@@ -352,7 +352,7 @@ class _Messages:
             vel_acc=whole(values["s_variance_m_s"] * 1e3, 0, 0xFFFFFFFF),
         )
 
-    def _on_estimator(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_estimator_status(self, values: Values, boot_us: int) -> Iterator[Message]:
         if not self._pace.is_due("estimator", boot_us):
             return
         ratios = ("vel", "pos", "hgt", "mag", "hagl", "tas")
@@ -364,7 +364,7 @@ class _Messages:
             values["pos_vert_accuracy"],
         )
 
-    def _on_flags(self, values: Values, _: int) -> Iterable[Message]:
+    def _on_estimator_status_flags(self, values: Values, _: int) -> Iterable[Message]:
         self._flags = values
         return ()
 
@@ -403,7 +403,7 @@ class _Messages:
 
     # --- the rest
 
-    def _on_battery(self, values: Values, boot_us: int) -> Iterator[Message]:
+    def _on_battery_status(self, values: Values, boot_us: int) -> Iterator[Message]:
         if self._pace.is_due("battery", boot_us):
             left, amperes = values["remaining"], values["current_a"]
             is_known = values.get("connected", True) and 0.0 <= left <= 1.0
@@ -443,18 +443,5 @@ def _mav_type(status: Values) -> int:
     return int(wire.MAV_TYPE_QUADROTOR if is_rotary else wire.MAV_TYPE_FIXED_WING)
 
 
-_HANDLERS: Final[dict[str, Callable[[_Messages, Values, int], Iterable[Message]]]] = {
-    _PARAMETER: _Messages._on_parameter,
-    _TEXT: _Messages._on_text,
-    "battery_status": _Messages._on_battery,
-    "estimator_status": _Messages._on_estimator,
-    "estimator_status_flags": _Messages._on_flags,
-    "home_position": _Messages._on_home,
-    "sensor_gps": _Messages._on_gps,
-    "vehicle_global_position": _Messages._on_global,
-    "vehicle_land_detected": _Messages._on_landed,
-    "vehicle_local_position": _Messages._on_local,
-    "vehicle_status": _Messages._on_status,
-}
-TOPICS: Final = frozenset(_HANDLERS)
+TOPICS: Final = frozenset(name[4:] for name in vars(_Messages) if name.startswith("_on_"))
 """Names of what is translated."""

@@ -9,13 +9,11 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
-from companion.geodesy import LocalFrame
 from companion.mission import journal as noted
 from companion.mission.journal import Header
 from companion.telemetry.export import shapes
 from companion.telemetry.export.kml import write_kml
 from companion.telemetry.flight import Flight
-from companion.world.radars import Radar
 
 EPOCH_US = 1_790_000_000_000_000
 MISSION = load_mission("environment-1")
@@ -196,12 +194,3 @@ def test_corners_are_all_that_a_broken_line_needs() -> None:
 def test_corners_of_a_point_that_does_not_move() -> None:
     assert shapes.corners(np.zeros((5, 3)), 1.0).tolist() == [0, 4]
     assert shapes.corners(np.zeros((1, 3)), 1.0).tolist() == [0]
-
-
-@pytest.mark.parametrize("radius_m", [50.0, 5000.0])
-def test_a_circle_has_its_radius(radius_m: float) -> None:
-    frame = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
-    radar = Radar(name="", centre_nea_m=(0.0, 0.0, 7.0), range_m=radius_m)
-    for longitude, latitude, altitude in shapes.of_radar(radar, frame):
-        assert np.hypot(*frame.to_local_m(latitude, longitude)) == pytest.approx(radius_m)
-        assert altitude == 7.0
