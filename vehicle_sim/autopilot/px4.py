@@ -433,10 +433,12 @@ class Px4(Autopilot):
         home, parameters = self.home, self.parameters
         if home is None or not self.estimator.ok:
             return
-        here, (north_m, east_m, _) = self.estimate.place, self.local_m
-        home_n, home_e, _ = self.frame.ned_m(home)
+        here, away_m, most_m = self.estimate.place, 0.0, parameters["GF_MAX_HOR_DIST"]
+        if most_m > 0.0:
+            (north_m, east_m, _), (home_n, home_e, _) = self.local_m, self.frame.ned_m(home)
+            away_m = math.hypot(north_m - home_n, east_m - home_e)
         breached = (
-            0.0 < parameters["GF_MAX_HOR_DIST"] < math.hypot(north_m - home_n, east_m - home_e)
+            away_m > most_m
             or 0.0 < parameters["GF_MAX_VER_DIST"] < here.altitude_amsl_m - home.altitude_amsl_m
             or self.forbidden(here)
         )

@@ -84,6 +84,11 @@ class Px4CopterFlight(Px4Flight):
         copter.drag_1_m, copter.response_s = 0.0, _RESPONSE_S
         copter.drag_1_s = p["SIH_KDV"] / max(p["SIH_MASS"], 0.1)
         copter.hover_throttle = p["MPC_THR_HOVER"]
+        self._turn_1_s = p["MC_YAW_P"]
+        self._turns_most = (
+            math.radians(p["MPC_YAWRAUTO_MAX"]),
+            math.radians(p["MC_YAWRATE_MAX"]),
+        )
 
     @property
     def _flown(self) -> State:
@@ -348,21 +353,21 @@ class Px4CopterFlight(Px4Flight):
     def _turn(self, dt_s: float) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""
         autopilot, copter, name = self.autopilot, self.copter, self.autopilot.mode.name
-        p, target = autopilot.parameters, autopilot.target
-        if name == "Offboard":
+        target, by_client = autopilot.target, name == "Offboard"
+        if by_client:
             if target is not None and target.yaw_rad == target.yaw_rad:
                 self._yaw_rad = target.yaw_rad
             elif target is not None and target.yaw_rate_rad_s == target.yaw_rate_rad_s:
-                self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / p["MC_YAW_P"]
+                self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / self._turn_1_s
         elif name in NAVIGATED and name != "Land":
             way = self._aim[0] - self._here
             if self._aim_yaw_rad == self._aim_yaw_rad:
                 self._yaw_rad = self._aim_yaw_rad
             elif abs(way) > _NEAR_M:
                 self._yaw_rad = math.atan2(way.imag, way.real)
-        most = math.radians(p["MC_YAWRATE_MAX" if name == "Offboard" else "MPC_YAWRAUTO_MAX"])
+        most = self._turns_most[by_client]
         off_rad = math.remainder(self._yaw_rad - copter.heading_rad, math.tau)
-        self._turn_rad_s = bounded(p["MC_YAW_P"] * off_rad, -most, most)
+        self._turn_rad_s = bounded(self._turn_1_s * off_rad, -most, most)
         copter.heading_rad = math.remainder(copter.heading_rad + self._turn_rad_s * dt_s, math.tau)
 
     # --- to tell ------------------------------------------------------------------------------
