@@ -114,6 +114,7 @@ def test_a_receiver_whose_noise_crosses_the_line_is_believed() -> None:
             altitude_amsl_m=400.0,
         )
         ekf.step(k * 0.01, 0.01, fix)
+        ekf.follow()
         assert abs(ekf.estimate.longitude_deg) <= 180.0
         if ekf.estimate.position_ok and math.isfinite(ekf.estimate.horizontal_variance):
             assert ekf.estimate.horizontal_variance < 1.0

@@ -552,9 +552,6 @@ class ArduPlaneFlight(ArduFlight):
     def move(self, dt_s: float) -> None:
         """In the air."""
         plane, control, least_m_s = self._plane, self._control, -math.inf
-        if plane.broken:
-            plane.fall(dt_s)
-            return
         if self._settling:
             excess_m_s = plane.airspeed_m_s - control.airspeed_m_s - 1.0
             self._settling, least_m_s = excess_m_s > 0.0, _EXCESS_CLIMB * excess_m_s

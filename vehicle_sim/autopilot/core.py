@@ -206,8 +206,9 @@ class Autopilot(abc.ABC):
         self._said: list[Reply] = []
         self._version = -1
         self._check_us = round(firmware.first_check_s * 1e6)
-        self._attitude_rad = (0.0, 0.0, vehicle.heading_rad)
-        self._turned_rad, self._turned_s = (0.0, 0.0, 0.0), 0.01
+        self._attitudes_rad = ((0.0, 0.0, vehicle.heading_rad),) * 2
+        """Before the last step and after it."""
+        self._step_s = 0.01
         self._any_component = firmware.profile.firmware == "px4"  # its own may be any
         self.handlers: dict[int, Handler] = {
             20: self.to_mode(firmware.returns),
@@ -256,7 +257,9 @@ class Autopilot(abc.ABC):
             self.check()
         self._fly(dt_s)
         estimator.follow()
-        self._feel(dt_s)
+        vehicle = self.vehicle
+        attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
+        self._attitudes_rad, self._step_s = (self._attitudes_rad[1], attitude_rad), dt_s
         return self.taken() if self._said else ()
 
     @abc.abstractmethod
@@ -314,19 +317,12 @@ class Autopilot(abc.ABC):
             if wait_s is not None and self.now_s - since_s >= wait_s:
                 self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
 
-    def _feel(self, dt_s: float) -> None:
-        """Rates of turn, as gyroscopes feel them: a point mass has none."""
-        vehicle, (roll_rad, pitch_rad, yaw_rad) = self.vehicle, self._attitude_rad
-        now = self._attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
-        self._turned_rad = (now[0] - roll_rad, now[1] - pitch_rad, now[2] - yaw_rad)
-        self._turned_s = dt_s
-
     @property
     def rates_rad_s(self) -> tuple[float, float, float]:
-        """Of roll, pitch and heading."""
+        """Of roll, pitch and heading, as gyroscopes feel them: a point mass has none."""
         roll, pitch, yaw = (
-            min(max(math.remainder(turned, math.tau) / self._turned_s, -_MAX_RAD_S), _MAX_RAD_S)
-            for turned in self._turned_rad
+            min(max(math.remainder(now - was, math.tau) / self._step_s, -_MAX_RAD_S), _MAX_RAD_S)
+            for was, now in zip(*self._attitudes_rad, strict=True)
         )
         return roll, pitch, yaw
 

@@ -178,7 +178,6 @@ class Estimator:
             self._held = 0j if abs(self._held) < 1e-3 else self._held
         if not self.estimate.position_ok:
             self.estimate.position_ok = self.state in _FLYING and now_s >= self._trusted_s
-        self.follow()
 
     def follow(self) -> None:
         """The estimate once the vehicle has moved."""

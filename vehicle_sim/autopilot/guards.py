@@ -25,6 +25,8 @@ class Zones:
             self._zones = zones_of(
                 self._plans[PlanKind.FENCE], lambda lat, lon: frame.ned_m(Place(lat, lon, 0.0))[:2]
             )
+        if not self._zones:
+            return False
         north_m, east_m, _ = frame.ned_m(place)
 
         def inside(zone: Zone) -> bool:
