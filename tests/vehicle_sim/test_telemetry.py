@@ -7,8 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 from tracking_copter import Flown
 from tracking_px4 import Rig
-from vehicle_sim.autopilots.px4.fixed_wing import Px4FixedWing
 
+from vehicle_sim.autopilot import px4plane
 from vehicle_sim.autopilots import Battery, Report
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire.frames import Packer, number_of
@@ -60,7 +60,7 @@ def test_every_message_can_be_packed_and_read_again(copter: Flown, multicopter: 
                     frame = Packer(1, 1).frame(said)
                     assert number_of(frame) == number
                     assert number == 300 or read(said).get_msgId() == number
-    assert {*Px4FixedWing.profile.rates_hz, 49, 148, 300} <= set(PX4)
+    assert {*px4plane.FIRMWARE.profile.rates_hz, 49, 148, 300} <= set(PX4)
 
 
 def test_the_receiver_has_no_speed_or_position_before_it_speaks(copter: Flown) -> None:
