@@ -44,8 +44,9 @@ class Scene:
         self._level_amsl_m = terrain.height_at_amsl_m(0.0, 0.0) if level else None
         self.things = tuple(things)
         rows = [row for number, thing in enumerate(things) for row in _pieces(thing, number)]
-        self._pieces = np.array(rows, dtype=np.float64).reshape(-1, 9)
-        """From, to, half-width, bottom, top, visible, which building (-1: none).  (K, 9)"""
+        self._pieces = np.array(rows, dtype=np.float64).reshape(-1, 10)
+        """From, to, half-width, bottom, top, visible, which building (-1: none), and how far from
+        its first end it reaches.  (K, 10)."""
         self.empty = not rows
         """Whether there is nothing but ground."""
 
@@ -98,7 +99,10 @@ def _pieces(thing: Upright, number: int) -> list[tuple[float, ...]]:
     ends = corners[1:] + corners[:1] if thing.closed else corners[1:] or corners
     rest = (thing.half_width_m, thing.bottom_amsl_m, thing.top_amsl_m, float(thing.visible))
     ring = number if thing.closed else -1
-    return [(*a, *b, *rest, ring) for a, b in zip(corners, ends, strict=False)]
+    return [
+        (*a, *b, *rest, ring, math.dist(a, b) + thing.half_width_m)
+        for a, b in zip(corners, ends, strict=False)
+    ]
 
 
 def _down_to_m(high_m: float, north: float, east: float, up: float) -> float:
@@ -131,7 +135,7 @@ def _begins_ring(pieces: FloatArray, k: int) -> bool:
 
 @compiled(_in_ring, _begins_ring)
 def _distances_m(points: FloatArray, pieces: FloatArray) -> FloatArray:
-    """From points to the nearest piece, or the inside of a building.  (P, 3), (K, 9) -> (P,)."""
+    """From points to the nearest piece, or the inside of a building.  (P, 3), (K, 10) -> (P,)."""
     nearest = np.full(len(points), np.inf)
     for i in range(len(points)):
         north, east, altitude = points[i, 0], points[i, 1], points[i, 2]
@@ -188,13 +192,12 @@ def _in_footprint(eye: FloatArray, way: FloatArray, piece: FloatArray) -> tuple[
 def _shortened_m(
     eye: FloatArray, ways: FloatArray, length_m: FloatArray, pieces: FloatArray, range_m: float
 ) -> FloatArray:
-    """Beams of these lengths at most, to the first thing.  (3,), (R, 3), (R,), (K, 9) -> (R,)."""
+    """Beams of these lengths at most, to the first thing.  (3,), (R, 3), (R,), (K, 10) -> (R,)."""
     nearest = np.minimum(length_m, range_m + 1.0)
     for k in range(len(pieces)):
         top, starts_ring = pieces[k, 6], _begins_ring(pieces, k)
-        length = math.hypot(pieces[k, 2] - pieces[k, 0], pieces[k, 3] - pieces[k, 1])
-        away = math.hypot(eye[0] - pieces[k, 0], eye[1] - pieces[k, 1])
-        is_far = away > range_m + length + pieces[k, 4]
+        away2 = (eye[0] - pieces[k, 0]) ** 2 + (eye[1] - pieces[k, 1]) ** 2
+        is_far = away2 > (range_m + pieces[k, 9]) ** 2
         if pieces[k, 7] == 0.0 or (is_far and not starts_ring):
             continue
         for i in range(len(ways)):

@@ -30,7 +30,7 @@ from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
 from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
-from vehicle_sim.sensors.lidar import Lidar, body_down_neu
+from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
 from vehicle_sim.sensors.terrain_radar import TerrainRadar
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire import messages
@@ -204,8 +204,8 @@ class Simulation:
 
     def _range_down_m(self) -> float:
         """Along the body's downward axis, to whatever is there."""
-        down, scene = body_down_neu(self.vehicle), self._contact.scene
-        met_m = scene.ray_lengths_m(self.place_nea_m(), down[None], _FARTHEST_DOWN_M)
+        down, scene = body_axes_neu(self.vehicle)[2:], self._contact.scene
+        met_m = scene.ray_lengths_m(self.place_nea_m(), down, _FARTHEST_DOWN_M)
         return min(float(met_m[0]), _FARTHEST_DOWN_M)
 
     @property

@@ -79,7 +79,8 @@ class Lidar:
     ) -> FloatArray:
         settings, rng = self._settings, self._rng
         angles_rad = self.angles_rad[fired] + conditions.turned_rad
-        ways = directions_neu(angles_rad, vehicle)
+        turned = np.array([np.cos(angles_rad), np.sin(angles_rad)])
+        ways = turned.T @ body_axes_neu(vehicle)[:2]
         true_m = self._scene.ray_lengths_m(eye_nea_m, ways, settings.range_m)
         noise, lost, dust = rng.standard_normal(len(fired)), *rng.random((2, len(fired)))
         told_m = true_m + settings.noise_m * noise
@@ -95,24 +96,24 @@ class Lidar:
         return told_m
 
 
-def body_down_neu(vehicle: Vehicle) -> FloatArray:
-    """The body's downward axis: north, east, up.  -> (3,)."""
+def body_axes_neu(vehicle: Vehicle) -> FloatArray:
+    """Where the body's axes point: forward, right and down, each north, east, up.  -> (3, 3)."""
     sine_r, cosine_r = math.sin(vehicle.roll_rad), math.cos(vehicle.roll_rad)
     sine_p, cosine_p = math.sin(vehicle.pitch_rad), math.cos(vehicle.pitch_rad)
     sine_y, cosine_y = math.sin(vehicle.heading_rad), math.cos(vehicle.heading_rad)
-    level = cosine_r * sine_p
-    north, east = level * cosine_y + sine_r * sine_y, level * sine_y - sine_r * cosine_y
-    return np.array([north, east, -cosine_r * cosine_p])
-
-
-def directions_neu(angles_rad: FloatArray, vehicle: Vehicle) -> FloatArray:
-    """Where beams in the body's plane point: unit vectors north, east, up.  (R,) -> (R, 3)."""
-    forward, right = np.cos(angles_rad), np.sin(angles_rad)
-    sine_r, cosine_r = math.sin(vehicle.roll_rad), math.cos(vehicle.roll_rad)
-    sine_p, cosine_p = math.sin(vehicle.pitch_rad), math.cos(vehicle.pitch_rad)
-    sine_y, cosine_y = math.sin(vehicle.heading_rad), math.cos(vehicle.heading_rad)
-    under = right * sine_r
-    level = forward * cosine_p + under * sine_p  # along the heading
-    aside = right * cosine_r
-    up = forward * sine_p - under * cosine_p
-    return np.stack([level * cosine_y - aside * sine_y, level * sine_y + aside * cosine_y, up], -1)
+    right, down = sine_r * sine_p, cosine_r * sine_p  # of what is along the heading
+    return np.array(
+        [
+            (cosine_p * cosine_y, cosine_p * sine_y, sine_p),
+            (
+                right * cosine_y - cosine_r * sine_y,
+                right * sine_y + cosine_r * cosine_y,
+                -sine_r * cosine_p,
+            ),
+            (
+                down * cosine_y + sine_r * sine_y,
+                down * sine_y - sine_r * cosine_y,
+                -cosine_r * cosine_p,
+            ),
+        ]
+    )
