@@ -24,14 +24,7 @@ from companion.planner.procedure import (
 )
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.recheck import meets_near_things
-from companion.planner.request import (
-    Backtrack,
-    NotPlanned,
-    Planned,
-    PlanOutcome,
-    PlanRequest,
-    Refusal,
-)
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, Scan
 from companion.world.near_map import NearMap, NearSensor, top_amsl_m
@@ -94,10 +87,10 @@ class OfflineFlight:
 
     def take(self, outcome: PlanOutcome) -> None:
         """Fly on with an answer, to where the next scan is made."""
-        assert not isinstance(outcome, Backtrack)  # it is never asked for
-        ask, task = self.next, self.next.task
-        self.failure = outcome if isinstance(outcome, NotPlanned) else None
-        if isinstance(outcome, NotPlanned):
+        ask, task, self.failure = self.next, self.next.task, None
+        if not isinstance(outcome, Planned):
+            assert isinstance(outcome, NotPlanned)  # the way back is never asked for
+            self.failure = outcome
             if ask.from_rest:
                 self.next = replace(ask, attempt=ask.attempt + 1)
             else:

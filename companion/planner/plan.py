@@ -14,14 +14,7 @@ import numpy as np
 from companion import jit
 from companion.geodesy import FloatArray
 from companion.objective.kernel import control_points
-from companion.objective.scene import (
-    TERMS,
-    Scene,
-    Workspace,
-    radar_table,
-    rows_of,
-    weights_of,
-)
+from companion.objective.scene import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
@@ -149,14 +142,9 @@ def _is_sane(request: PlanRequest) -> bool:
     numbers = *request.scan_nea_m, *request.target_ne_m, *rows_of(request.start).ravel()
     low, high = task.band_amsl_m
     positive = (
-        high - low,
-        limits.climb_angle_rad,
-        limits.dive_angle_rad,
-        limits.speed_m_s,
-        limits.acceleration_m_s2,
-        limits.turn_radius_m,
-        task.settings.safety_distance_m,
-        task.settings.scan_range_m,
+        *(high - low, task.settings.safety_distance_m, task.settings.scan_range_m),
+        *(limits.speed_m_s, limits.acceleration_m_s2, limits.turn_radius_m),
+        *(limits.climb_angle_rad, limits.dive_angle_rad),
     )
     return bool(np.isfinite(numbers).all() and np.isfinite(positive).all() and min(positive) > 0.0)
 
@@ -493,10 +481,8 @@ def _scene(request: PlanRequest, field: CostToGo) -> Scene:
 
 def _strict(scene: Scene) -> Scene:
     """The scene in which what breaks a bound counts more, so that it is not traded for way."""
-    a = list(scene.weights)
-    for name in ("crash", "constraints"):
-        a[TERMS.index(name)] *= _STRICTER
-    return scene._replace(weights=tuple(a))
+    times = (_STRICTER if name in ("crash", "constraints") else 1.0 for name in TERMS)
+    return scene._replace(weights=tuple(a * b for a, b in zip(scene.weights, times, strict=True)))
 
 
 def _near_polygons(task: Task) -> NearCells:

@@ -55,13 +55,7 @@ class _End:
 
 
 def way_out(
-    request: PlanRequest,
-    field: CostToGo,
-    prove: Prove,
-    price: Price,
-    *,
-    looks: bool,
-    strays: bool,
+    request: PlanRequest, field: CostToGo, prove: Prove, price: Price, *, looks: bool, strays: bool
 ) -> tuple[Planned, float] | None:
     """The straight piece to begin with, level or climbing, and what it costs with all that follows.
 

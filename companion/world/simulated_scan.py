@@ -55,9 +55,7 @@ def simulated_scan(
 
 
 def _in_sight(
-    here: KnownMap,
-    radar_nea_m: tuple[float, float, float],
-    wanted: BoolArray,
+    here: KnownMap, radar_nea_m: tuple[float, float, float], wanted: BoolArray
 ) -> BoolArray:
     """The cells that rise above all before them on some ray.  (rows, columns).
 

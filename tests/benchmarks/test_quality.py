@@ -11,6 +11,7 @@ import subpaths
 from numpy.typing import NDArray
 from quality import BUDGETS, OURS, RIVALS, Counted, Figures
 
+from companion.jit import compiled
 from companion.planner import kernels
 
 FloatArray = NDArray[np.float64]
@@ -44,7 +45,7 @@ def test_every_search_spends_the_budget_and_no_more(
 
     monkeypatch.setattr(quality, "Counted", Watched)
     cost, x = quality.solve(name, problem, 300, 1)
-    assert kernels.compiled().costs(x[None], problem.scene)[0] == pytest.approx(cost, rel=1e-12)
+    assert compiled(kernels.costs)(x[None], problem.scene)[0] == pytest.approx(cost, rel=1e-12)
     if name == OURS:
         return  # spends by `ask`: tests/optimise
     assert sum(len(each) for each in asked) == 300

@@ -16,16 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from companion.optimise import refined_de as names
-from companion.optimise.refined_de import (
-    Settings,
-    State,
-    ask,
-    begin,
-    others,
-    ranked,
-    spent,
-    tell,
-)
+from companion.optimise.refined_de import Settings, State, ask, begin, others, ranked, spent, tell
 
 FloatArray = NDArray[np.float64]
 Cost = Callable[[FloatArray], float]
@@ -68,11 +59,7 @@ def search(
 
 
 def started(
-    how: Settings = SMALL,
-    seed: int = 0,
-    evaluations: int = 700,
-    a: float = 0.5,
-    cr: float = 1.0,
+    how: Settings = SMALL, seed: int = 0, evaluations: int = 700, a: float = 0.5, cr: float = 1.0
 ) -> State:
     """A search whose population has random costs, and so far from the bounds that none clips."""
     rng = np.random.default_rng(seed)

@@ -41,8 +41,7 @@ def task() -> Task:
         zones=(
             CircleZone(name="c", north_m=2_300.0, east_m=4_300.0, radius_m=350.0),
             PolygonZone(
-                name="s",
-                vertices_ne_m=((5e3, 5e3), (5e3, 5.4e3), (5.4e3, 5.4e3), (5.4e3, 5e3)),
+                name="s", vertices_ne_m=((5e3, 5e3), (5e3, 5.4e3), (5.4e3, 5.4e3), (5.4e3, 5e3))
             ),
         ),
     )

@@ -82,8 +82,7 @@ def test_a_bound_is_not_ground() -> None:
 
 def test_zones_close_ways_too() -> None:
     fence = PolygonZone(
-        name="fence",
-        vertices_ne_m=((18e3, -1e3), (22e3, -1e3), (22e3, 41e3), (18e3, 41e3)),
+        name="fence", vertices_ne_m=((18e3, -1e3), (22e3, -1e3), (22e3, 41e3), (18e3, 41e3))
     )
     shut = replace(TASK, zones=(fence,))
     ajar = replace(

@@ -162,9 +162,7 @@ def endless(known: KnownMap) -> KnownMap:
 
 
 @given(
-    seed=seeds,
-    most_m=st.floats(10.0, 400.0),
-    registration_m=st.sampled_from([0.0, 12.0, 130.0]),
+    seed=seeds, most_m=st.floats(10.0, 400.0), registration_m=st.sampled_from([0.0, 12.0, 130.0])
 )
 def test_the_distance_of_a_point_is_that_to_the_nearest_column_that_counts(
     seed: int, most_m: float, registration_m: float
@@ -188,10 +186,7 @@ def test_the_distance_of_a_point_is_that_to_the_nearest_column_that_counts(
 
 def random_surface(rng: np.random.Generator) -> Surface:
     return Surface(
-        north_min_m=-200.0,
-        east_min_m=300.0,
-        cell_m=50.0,
-        vertex_m=rng.uniform(0.0, 400.0, (9, 7)),
+        north_min_m=-200.0, east_min_m=300.0, cell_m=50.0, vertex_m=rng.uniform(0.0, 400.0, (9, 7))
     )
 
 

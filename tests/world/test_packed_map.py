@@ -6,13 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.world.known_map import (
-    KnownMap,
-    digest_of,
-    empty_map,
-    packed_map,
-    unpacked_map,
-)
+from companion.world.known_map import KnownMap, digest_of, empty_map, packed_map, unpacked_map
 
 BLANK = empty_map(25.0, (0.0, 1000.0), (0.0, 500.0))
 

@@ -76,9 +76,7 @@ def test_what_the_offline_scan_does_not_see_is_below_its_bound(first: int) -> No
             known = both
 
 
-def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
-    first: int,
-) -> None:
+def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(first: int) -> None:
     for k, number in enumerate(range(first, first + BLOCK)):
         place, rng = ground(number)
         tops = place.tops_m()

@@ -133,11 +133,7 @@ def test_a_lattice_of_200_km_at_a_high_latitude_is_projected_to_a_millimetre() -
 
 
 @settings(max_examples=40)
-@given(
-    seed=seeds,
-    place=PLACES,
-    size_m=st.sampled_from([5.0, 19.0, 60.0, 150.0, 400.0, 1_500.0]),
-)
+@given(seed=seeds, place=PLACES, size_m=st.sampled_from([5.0, 19.0, 60.0, 150.0, 400.0, 1_500.0]))
 def test_no_point_of_a_height_grid_is_higher_than_the_bound_of_its_box(
     seed: int, place: tuple[float, float], size_m: float
 ) -> None:
@@ -160,10 +156,7 @@ def test_the_bound_of_a_small_box_is_tight() -> None:
     north, east = axis[:, None], axis[None, :]
     bound = terrain.highest_in_box_m(north, north + 19.0, east, east + 19.0)
     inside = np.linspace(0.0, 19.0, 8)
-    brute = np.max(
-        [terrain.height_m(north + a, east + b) for a in inside for b in inside],
-        axis=0,
-    )
+    brute = np.max([terrain.height_m(north + a, east + b) for a in inside for b in inside], axis=0)
     assert np.quantile(bound - brute, 0.99) < 10.0  # 1.4 m between samples, slopes up to 12
     assert np.median(bound - brute) < 0.3
 
