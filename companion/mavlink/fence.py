@@ -138,7 +138,7 @@ def drawn(items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> Iter
     Items that cannot be decoded prevent a flight, and are only noted during one.
     """
     zones, said, wrongs, corners = list[Zone](), list[str](), list[str](), 0
-    for number, shape in enumerate(_shapes(items), start=1):
+    for number, shape in enumerate(shapes_of(items), start=1):
         one = _drawn_one(shape, frame, margin_m, number)
         zones += [] if one.zone is None else [one.zone]
         said += [one.note] if one.note else []
@@ -151,30 +151,7 @@ def drawn(items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> Iter
     yield Fence(zones=tuple(zones), notes=notes, refusal=wrongs[0] if wrongs else "")
 
 
-def misread(items: Sequence[PlanItem], who: str) -> str:
-    """Which polygons an autopilot of that name misreads, with the remedy; empty: none.
-
-    After the first circle PX4's `geofence.cpp` takes each corner of a polygon for the beginning of
-    another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
-    """
-    circle, after = "", list[str]()
-    for number, (first, *_) in enumerate(_shapes(items), start=1):
-        side = "inclusion" if first.command in (POLYGON_IN, CIRCLE_IN) else "exclusion"
-        if first.command in (CIRCLE_IN, CIRCLE_OUT):
-            circle = circle or f"{side} {number}"
-        elif first.command in (POLYGON_IN, POLYGON_OUT) and circle:
-            after.append(f"{side} {number}")
-    if not after:
-        return ""
-    named = ", ".join(after[:3]) + (f" and {len(after) - 3} more" if len(after) > 3 else "")
-    polygons = "polygons come" if len(after) > 1 else "polygon comes"
-    return (
-        f"{who} misreads its fence, and may stop where no zone is: {polygons} after a circle "
-        f"({named} after {circle}). Upload polygons before circles"
-    )
-
-
-def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
+def shapes_of(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
     """The items of each circle or polygon; others by themselves, but no return points."""
     index = 0
     while index < len(items):

@@ -31,6 +31,9 @@ _HEADER_1, _HEADER_2 = 6, 10
 _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED: Final = 0x01
 _CRC: Final = Struct("<H")
+_PLAIN: Final = Struct("<BBBxxBBHB")
+"""A MAVLink 2 header: marker, length, flags, system, component, message number."""
+_EXTRA: Final = [bytes((extra,)) for extra in range(256)]
 _BOOT_MS_AT: Final = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
     wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0,
@@ -255,7 +258,7 @@ class Receiver:
         portion_at = len(self._rest)
         data = self._rest + data
         heard: list[Incoming] = []
-        at, size, passed = 0, len(data), 0
+        at, size, passed = self._read_plain(data, 0, at_s, heard), len(data), 0
         while (found := find_marker(data, at)) is not None:
             passed += found.start() - at
             at = found.start()
@@ -267,7 +270,7 @@ class Receiver:
             elif end > size and not (at < portion_at < size and intact_end(data, portion_at)):
                 break
             if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
-                at = end
+                at = self._read_plain(data, end, at_s, heard)
             else:
                 passed += 1
                 at += 1
@@ -278,6 +281,31 @@ class Receiver:
         if passed:
             self.passed[Skipped.GARBAGE] += passed
         return heard
+
+    def _read_plain(self, data: bytes, at: int, at_s: float | None, heard: list[Incoming]) -> int:
+        """Fast path, at half the price: the messages of whole, intact, unsigned frames in a row.
+
+        Where they end; what follows is looked at in every respect.
+        """
+        last = len(data) - _HEADER_2 - _CHECKSUM if self._signing is None else -1
+        while at <= last:
+            marker, length, flags, system, component, low, high = _PLAIN.unpack_from(data, at)
+            number, end = low | high << 16, at + _HEADER_2 + length
+            kind = KINDS.get(number)
+            if marker != V2 or flags or kind is None or end + _CHECKSUM > len(data):
+                break
+            covered = data[at + 1 : end] + _EXTRA[kind.crc_extra]
+            if mcrf4xx(covered) != data[end] | data[end + 1] << 8 or number in SECRETS:
+                break
+            frame, message = data[at : end + _CHECKSUM], None
+            if number not in self._ignored:
+                try:
+                    message = decoded(frame, kind)
+                except wire.MAVError:
+                    break
+            heard.append(Incoming(frame, number, system, component, message, at_s))
+            at = end + _CHECKSUM
+        return at
 
     def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
         """Add the message of a frame unless it is rejected; returns whether the frame is intact."""

@@ -84,9 +84,7 @@ class OwnFence:
         if made_of == self._made_of or self._drawn is None:
             return [], ""
         self._made_of = made_of
-        misread = ""
-        if self._autopilot.firmware.polygons_first:
-            misread = fence.misread(plan.items, self._autopilot.name)
+        misread = self._autopilot.firmware.misread(plan.items, self._autopilot.name)
         whole = self.fence = fence.in_force(
             replace(self._drawn, misread=misread),
             settings,

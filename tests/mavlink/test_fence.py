@@ -19,7 +19,6 @@ from companion.mavlink.fence import (
     conflicts,
     drawn,
     in_force,
-    misread,
     targets_of,
 )
 from companion.mavlink.plan_client import PlanItem
@@ -433,8 +432,8 @@ def test_px4_misreads_what_is_named_and_nothing_else(drawn: list[list[PlanItem]]
     for shape in drawn:
         begins.append(len(items))
         items += shape
-    said = misread(items, "PX4")
+    said = PX4_MULTICOPTER.firmware.misread(items, "PX4")
     assert bool(said) == (begins_of_px4(items) != begins)
     assert not said or said.endswith("Upload polygons before circles")
     in_order = sorted(drawn, key=lambda shape: shape[0].command in (CIRCLE_IN, CIRCLE_OUT))
-    assert misread([each for shape in in_order for each in shape], "PX4") == ""
+    assert PX4_MULTICOPTER.firmware.misread([e for shape in in_order for e in shape], "PX4") == ""

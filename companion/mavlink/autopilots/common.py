@@ -1,7 +1,7 @@
 """Commands common to all autopilots, and the interface that each strategy fills in."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -9,6 +9,7 @@ from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import DECODERS, Decoder, command_long, set_mode
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.fence import FenceSettings
+from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.rules import Rule
 from companion.mission.events import (
     Event,
@@ -73,8 +74,8 @@ class Firmware:
     """Searched for in its texts: it has crossed its fence."""
     breach_events: frozenset[int] = frozenset()
     """The ids of EVENT that say so, without the component's byte."""
-    polygons_first: bool = False
-    """Whether it misreads a fence's polygon that comes after a circle."""
+    misread: Callable[[Sequence[PlanItem], str], str] = lambda _items, _who: ""
+    """What of a fence an autopilot of that name misreads, with the remedy; empty: nothing."""
     all_is_well: Callable[[], Message]
     """What its estimator reports when the position may be believed."""
     how_to_record: Callable[[str], str] = lambda _: ""

@@ -7,7 +7,7 @@ streaming before requesting any other mode.  Measured: px4.md.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from companion.geodesy import LocalFrame
@@ -15,7 +15,15 @@ from companion.mavlink import rules
 from companion.mavlink.autopilots import messages
 from companion.mavlink.autopilots.common import Firmware, Modes
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.fence import FenceSettings
+from companion.mavlink.fence import (
+    CIRCLE_IN,
+    CIRCLE_OUT,
+    POLYGON_IN,
+    POLYGON_OUT,
+    FenceSettings,
+    shapes_of,
+)
+from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.rules import Case, Finding, Rule, only_read
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
@@ -193,6 +201,29 @@ def _fence(parameters: Mapping[str, float]) -> FenceSettings:
     )
 
 
+def _misread(items: Sequence[PlanItem], who: str) -> str:
+    """Which polygons an autopilot of that name misreads, with the remedy; empty: none.
+
+    After the first circle PX4's `geofence.cpp` takes each corner of a polygon for the beginning of
+    another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
+    """
+    circle, after = "", list[str]()
+    for number, (first, *_) in enumerate(shapes_of(items), start=1):
+        side = "inclusion" if first.command in (POLYGON_IN, CIRCLE_IN) else "exclusion"
+        if first.command in (CIRCLE_IN, CIRCLE_OUT):
+            circle = circle or f"{side} {number}"
+        elif first.command in (POLYGON_IN, POLYGON_OUT) and circle:
+            after.append(f"{side} {number}")
+    if not after:
+        return ""
+    named = ", ".join(after[:3]) + (f" and {len(after) - 3} more" if len(after) > 3 else "")
+    polygons = "polygons come" if len(after) > 1 else "polygon comes"
+    return (
+        f"{who} misreads its fence, and may stop where no zone is: {polygons} after a circle "
+        f"({named} after {circle}). Upload polygons before circles"
+    )
+
+
 def event_id(name: str) -> int:
     """The id of one of its events, without the component's byte: FNV-1a of its name (px4.md 7)."""
     value = 0x811C9DC5
@@ -210,7 +241,7 @@ FIRMWARE: Final = Firmware(
         event_id(f"check_gf_violation{why}")
         for why in ("", "_max_hor_dist", "_max_alt", "_custom_gf")
     ),
-    polygons_first=True,  # px4.md 7
+    misread=_misread,
     all_is_well=lambda: wire.MAVLink_estimator_status_message(0, _NEEDED, *[0.0] * 8),
     how_to_record=lambda name: (
         f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell"
