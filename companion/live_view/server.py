@@ -23,19 +23,24 @@ def serve(asked: Asked, on_ready: Callable[[str], None], stopped: Callable[[], b
     """Serve until stopped.  on_ready: told the address.  InputError if it cannot be served."""
     path = Path(asked.path)
     with ExitStack() as stack:
-        shown = None if asked.live else Shown.of(path, asked.system_id)
+        shown = None if asked.live else _read(path, asked.system_id, stack)
         server = _server(asked.port)
         stack.callback(server.stop)
         on_ready(f"http://{_HOST}:{server.get_port()}/")
         while shown is None:
             if all(answer((path / name).is_file) for name in ("mission.toml", "flight.tlog")):
-                shown = Shown.of(path)
+                shown = _read(path, None, stack)
             elif stopped():
                 return
             else:
                 time.sleep(_POLL_S)
-        stack.enter_context(shown.recording)
         Page(server, shown).run(stopped)
+
+
+def _read(path: Path, system_id: int | None, stack: ExitStack) -> Shown:
+    shown = Shown.of(path, system_id)
+    stack.enter_context(shown.recording)
+    return shown
 
 
 def _server(port: int) -> viser.ViserServer:

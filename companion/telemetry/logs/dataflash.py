@@ -92,8 +92,6 @@ _FLAGS: Final = (
 _INITIALISED: Final = 1 << 16
 """In XKF4.SS; a status of 16 bits, as logged before 4.3, does not say it."""
 
-DFReader.print = lambda *_, **__: None  # it prints each byte that it passes over
-
 
 # --- entries
 
@@ -120,6 +118,7 @@ def _rows(
 ) -> Iterator[Row]:
     """The entries of the kinds that are wanted; all are counted, by kind, if asked for."""
     log = _Entries(str(path))
+    vars(DFReader)["print"] = _nothing  # it prints each byte that it passes over
     try:
         end, size = 0, log.data_len
         while True:
@@ -148,7 +147,12 @@ def _rows(
                 yield Row(entry.fmt.name, time_us if type(time_us) is int else None, values, end)
         odd[Odd.CUT_SHORT if size - end < _LONGEST else Odd.GARBAGE] += size - end
     finally:
+        vars(DFReader).pop("print", None)
         log.close()
+
+
+def _nothing(*_: object, **__: object) -> None:
+    """Print nothing."""
 
 
 # --- the first look

@@ -64,8 +64,6 @@ _MODES: Final = {
 _NO_DIRECTION: Final = 65535
 _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 
-core.print = lambda *_, **__: None  # it prints what it takes for damage
-
 
 # --- rows
 
@@ -73,6 +71,7 @@ core.print = lambda *_, **__: None  # it prints what it takes for damage
 def _read(path: Path) -> ULog | None:
     """A log; None: it cannot be read.  InputError if it is of a later format."""
     with path.open("rb") as file:  # pyulog would not close it when it fails
+        vars(core)["print"] = lambda *_, **__: None  # it prints what it takes for damage
         try:
             return ULog(file, TOPICS)
         except ULogIncompatibleFlagException as error:
@@ -81,6 +80,8 @@ def _read(path: Path) -> ULog | None:
             raise InputError("log", str(path), rule, remedy) from error
         except Exception:  # noqa: BLE001 - whatever damage brings it to raise
             return None
+        finally:
+            del vars(core)["print"]
 
 
 def _topics(log: ULog) -> dict[str, ULog.Data]:
