@@ -118,8 +118,6 @@ class Px4PlaneFlight(Px4Flight):
         """It lands: on a slope."""
         self._seen: Target | None = None
         """The setpoint that it flies by; with a velocity it is not echoed."""
-        self._before: Place | None = None
-        """Where the last leg of the mission went, if that was a waypoint."""
         self._began_s = 0.0
         """When the mode did."""
         self._steps = 0
@@ -173,7 +171,7 @@ class Px4PlaneFlight(Px4Flight):
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
         autopilot, control, p = self.autopilot, self._control, self.autopilot.parameters
         here = autopilot.estimate.place
-        self._began_s, self._seen, self._before = autopilot.now_s, None, None
+        self._began_s, self._seen = autopilot.now_s, None
         match autopilot.mode.flies:
             case "fly_target":
                 return  # the last commands stay until a setpoint comes
@@ -203,21 +201,19 @@ class Px4PlaneFlight(Px4Flight):
             self.begin_leg()
 
     def begin_leg(self) -> None:
-        """Along the line from the last waypoint, or about the leg's place."""
-        leg, control = self.autopilot.route.leg, self._control
-        here, before, self._before = self.autopilot.estimate.place, self._before, None
+        """Straight to the leg's place, or about it."""
+        leg, here = self.autopilot.route.leg, self.autopilot.estimate.place
         if leg is None:
             self._circle(here)
         elif leg.does is Does.CLIMB:
             self._ahead(leg.place.altitude_amsl_m)
-            control.climb_m_s = _CLIMB_OUT_M_S
+            self._control.climb_m_s = _CLIMB_OUT_M_S
         elif leg.does is Does.LAND:
             self._land(leg.place)
-        elif leg.hold_s == 0.0:
-            self._circle(leg.place)
-            self._aim, self._before = Way(before or here, leg.place), leg.place
         else:
             self._circle(leg.place)
+            if leg.hold_s == 0.0:
+                self._aim = Way(here, leg.place)
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
