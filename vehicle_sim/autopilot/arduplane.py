@@ -632,7 +632,6 @@ class ArduPlaneFlight(ArduFlight):
             bearing_rad=control.l1.bearing_rad,
             altitude_error_m=control.height_amsl_m - self.autopilot.estimate.altitude_amsl_m,
             cross_track_m=control.l1.cross_track_m,
-            radius_m=self._circle_m(),
             airspeed_error_m_s=self._demand_m_s - self.airspeed_m_s(),
         )
 

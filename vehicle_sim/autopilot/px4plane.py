@@ -26,7 +26,7 @@ from vehicle_sim.autopilot.plane_control import (
     bounded,
     eas_to_tas,
 )
-from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, Px4Flight, firmware
+from vehicle_sim.autopilot.px4 import RATES_HZ, Asked, Px4, Px4Flight, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
@@ -177,13 +177,10 @@ class Px4PlaneFlight(Px4Flight):
                 return  # the last commands stay until a setpoint comes
             case "climb":
                 self._ahead(self.takeoff_altitude_m)
+                self._goal = self._asked_or(autopilot.takeoff, here.at(self.takeoff_altitude_m))
             case "hold":
                 asked = autopilot.asked or (autopilot.takeoff if before.name == "Takeoff" else None)
-                latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
-                centre = here if altitude_m != altitude_m else here.at(altitude_m)
-                if latitude_deg == latitude_deg:
-                    centre = Place(latitude_deg, longitude_deg, centre.altitude_amsl_m)
-                self._circle(centre)
+                self._circle(self._asked_or(asked, here))
             case "fly_back":
                 height_m = self.home.altitude_amsl_m + p["RTL_RETURN_ALT"]
                 self._circle(self.home.at(max(height_m, here.altitude_amsl_m)))
@@ -199,6 +196,15 @@ class Px4PlaneFlight(Px4Flight):
             self._land(here)
         elif autopilot.mode.flies == "fly_mission":
             self.begin_leg()
+
+    @staticmethod
+    def _asked_or(asked: Asked | None, here: Place) -> Place:
+        """What of a place was asked for, and here what was not."""
+        latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
+        place = here if altitude_m != altitude_m else here.at(altitude_m)
+        if latitude_deg != latitude_deg:
+            return place
+        return Place(latitude_deg, longitude_deg, place.altitude_amsl_m)
 
     def begin_leg(self) -> None:
         """Straight to the leg's place, or about it."""
@@ -332,7 +338,7 @@ class Px4PlaneFlight(Px4Flight):
         control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
         if autopilot.estimate.altitude_amsl_m < goal_m:
             return
-        self._hold(autopilot.estimate.place.at(goal_m + _CLEARED_M))
+        self._hold((self._goal or autopilot.estimate.place).at(goal_m + _CLEARED_M))
         if autopilot.takeoff is not None and autopilot.takeoff[0] == autopilot.takeoff[0]:
             autopilot.intend("Hold")
 
@@ -447,23 +453,8 @@ class Px4PlaneFlight(Px4Flight):
 
     def waypoint(self) -> Waypoint | None:
         """The place flown to; the middle of a circle."""
-        goal, takeoff = self._goal, self.autopilot.takeoff
-        if goal is None:
-            return None
-        goal = goal.at(self._told_m(goal))
-        if (
-            self.autopilot.mode.flies == "climb"
-            and takeoff is not None
-            and takeoff[0] == takeoff[0]
-        ):
-            goal = Place(takeoff[0], takeoff[1], goal.altitude_amsl_m)
-        way_m = -self._control.off_m(goal)
-        return Waypoint(
-            place=goal,
-            distance_m=abs(way_m),
-            bearing_rad=cmath.phase(way_m),
-            radius_m=self._radius_m if isinstance(self._aim, Circle) else 0.0,
-        )
+        goal = self._goal
+        return None if goal is None else Waypoint(place=goal.at(self._told_m(goal)))
 
 
 def _bend(target: Target) -> float:
@@ -473,8 +464,9 @@ def _bend(target: Target) -> float:
     """
     v_n, v_e, _ = target.velocity
     a_n, a_e, a_d = target.acceleration
-    speed_m_s = math.hypot(v_n, v_e)
-    return -(v_n * a_e - v_e * a_n) / speed_m_s**3 if a_n + a_e + a_d == a_n + a_e + a_d else 0.0
+    if math.isnan(a_n + a_e + a_d):
+        return 0.0
+    return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3
 
 
 def make(
