@@ -75,7 +75,6 @@ FIRMWARE: Final = Firmware(
     table=(*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS),
     modes=_MODES,
     holds="LOITER",
-    lands="RTL",
     returns="RTL",
     pilot="FBWA",
     timing=replace(
