@@ -104,13 +104,13 @@ class Px4PlaneFlight(Px4Flight):
     def __init__(self, autopilot: Px4, plane: Plane) -> None:
         super().__init__(autopilot)
         self._plane = plane
-        self._control = PlaneControl(plane, autopilot.estimate)
+        self._control = PlaneControl(plane, self.estimate)
         self._control.l1.upright = True
         self._aim: Circle | Way | Line | None = None
         """None: the bank stays."""
         self._goal: Place | None = None
         """The place flown to; the middle of a circle."""
-        self._nearest = autopilot.estimate.place, 0j
+        self._nearest = self.estimate.place, 0j
         """Of the path: a place and how far from it."""
         self._settling = False
         """At its point but not at its height: circles until it is."""
@@ -131,7 +131,7 @@ class Px4PlaneFlight(Px4Flight):
 
     def _ahead(self, altitude_amsl_m: float) -> None:
         """Straight on where the nose points."""
-        here = self.autopilot.estimate.place.at(altitude_amsl_m)
+        here = self.estimate.place.at(altitude_amsl_m)
         self._aim = Line(here, cmath.rect(1.0, self._plane.heading_rad))
         self._hold(here)
 
@@ -141,7 +141,7 @@ class Px4PlaneFlight(Px4Flight):
 
     def _land(self, place: Place) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
-        p = self.autopilot.parameters
+        p = self.parameters
         slow_m_s = p["FW_LND_AIRSPD"] if p["FW_LND_AIRSPD"] > 0.0 else p["FW_AIRSPD_MIN"]
         self._circle(place)
         self._control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
@@ -150,16 +150,16 @@ class Px4PlaneFlight(Px4Flight):
     @property
     def _radius_m(self) -> float:
         """NAV_LOITER_RAD; a negative one turns left."""
-        radius_m = self.autopilot.parameters["NAV_LOITER_RAD"]
+        radius_m = self.parameters["NAV_LOITER_RAD"]
         return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
 
     def _true(self, equivalent_m_s: float) -> float:
-        return equivalent_m_s * eas_to_tas(self.autopilot.estimate.altitude_amsl_m)
+        return equivalent_m_s * eas_to_tas(self.estimate.altitude_amsl_m)
 
     @property
     def _cruise_m_s(self) -> float:
         """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
-        p, wanted_m_s = self.autopilot.parameters, self.autopilot.parameters["FW_AIRSPD_TRIM"]
+        p, wanted_m_s = self.parameters, self.parameters["FW_AIRSPD_TRIM"]
         if self.autopilot.mode.name in ("Hold", "Mission", "Return"):
             wanted_m_s = self.autopilot.speed_m_s or wanted_m_s
         least_m_s = p["FW_AIRSPD_MIN"]
@@ -169,8 +169,8 @@ class Px4PlaneFlight(Px4Flight):
 
     def begin(self, before: Mode) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
-        autopilot, control, p = self.autopilot, self._control, self.autopilot.parameters
-        here = autopilot.estimate.place
+        autopilot, control, p = self.autopilot, self._control, self.parameters
+        here = self.estimate.place
         self._began_s, self._seen = autopilot.now_s, None
         match autopilot.mode.flies:
             case "fly_target":
@@ -208,7 +208,7 @@ class Px4PlaneFlight(Px4Flight):
 
     def begin_leg(self) -> None:
         """Straight to the leg's place, or about it."""
-        leg, here = self.autopilot.route.leg, self.autopilot.estimate.place
+        leg, here = self.route.leg, self.estimate.place
         if leg is None:
             self._circle(here)
         elif leg.does is Does.CLIMB:
@@ -223,7 +223,7 @@ class Px4PlaneFlight(Px4Flight):
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        p, control = self.autopilot.parameters, self._control
+        p, control = self.parameters, self._control
         control.l1.period_s, control.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
         control.bank_most_rad = math.radians(p["FW_R_LIM"])
         control.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
@@ -254,7 +254,7 @@ class Px4PlaneFlight(Px4Flight):
             case "fly_back":
                 self._return()
             case "descend":
-                late = autopilot.now_s - self._began_s > autopilot.parameters["NAV_GPSF_LT"]
+                late = autopilot.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
                 control.climb_m_s = -_DESCEND_M_S if late else 0.0
             case _:
                 pass
@@ -272,7 +272,7 @@ class Px4PlaneFlight(Px4Flight):
         control = self._control
         if isinstance(aim, Way):
             if not self._settles(aim.end):
-                here = self.autopilot.estimate.place
+                here = self.estimate.place
                 points = self.autopilot.mode.flies == "fly_target"  # straight there, from anywhere
                 control.steer(aim._replace(start=here) if points else aim)
                 return
@@ -298,8 +298,8 @@ class Px4PlaneFlight(Px4Flight):
         return self._settling
 
     def _is_level(self, altitude_amsl_m: float) -> bool:
-        off_m = abs(self.autopilot.estimate.altitude_amsl_m - altitude_amsl_m)
-        return off_m < self.autopilot.parameters["NAV_FW_ALT_RAD"]
+        off_m = abs(self.estimate.altitude_amsl_m - altitude_amsl_m)
+        return off_m < self.parameters["NAV_FW_ALT_RAD"]
 
     def _is_near(self, place: Place, acceptance_m: float = 0.0) -> bool:
         """Within the distance at which PX4 switches to the next waypoint: 31 m at 13.9 m/s."""
@@ -324,7 +324,7 @@ class Px4PlaneFlight(Px4Flight):
             return
         place = self.autopilot.frame.place(north_m, east_m, down_m if down_m == down_m else 0.0)
         speed_m_s = math.hypot(v_n, v_e)
-        self._aim = Way(self.autopilot.estimate.place, place)
+        self._aim = Way(self.estimate.place, place)
         if speed_m_s > 1e-6:  # not NaN
             self._aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
         self._control.airspeed_m_s = self._cruise_m_s
@@ -336,15 +336,15 @@ class Px4PlaneFlight(Px4Flight):
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
         autopilot, control, goal_m = self.autopilot, self._control, self.takeoff_altitude_m
         control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
-        if autopilot.estimate.altitude_amsl_m < goal_m:
+        if self.estimate.altitude_amsl_m < goal_m:
             return
-        self._hold((self._goal or autopilot.estimate.place).at(goal_m + _CLEARED_M))
+        self._hold((self._goal or self.estimate.place).at(goal_m + _CLEARED_M))
         if autopilot.takeoff is not None and autopilot.takeoff[0] == autopilot.takeoff[0]:
             autopilot.intend("Hold")
 
     def _return(self) -> None:
         """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
-        autopilot, home, p = self.autopilot, self.home, self.autopilot.parameters
+        autopilot, home, p = self.autopilot, self.home, self.parameters
         if self._sink_m_s is not None or not self._is_on_circle():
             return
         height_m = home.altitude_amsl_m + p["RTL_DESCEND_ALT"]
@@ -355,12 +355,12 @@ class Px4PlaneFlight(Px4Flight):
 
     def _follow_mission(self) -> None:
         """Fly on along the leg; tell the autopilot when it is done."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         if leg is None or leg.does is Does.LAND:
             return
         height_m = leg.place.altitude_amsl_m
         if leg.does is Does.CLIMB:
-            there = self.autopilot.estimate.altitude_amsl_m >= height_m
+            there = self.estimate.altitude_amsl_m >= height_m
         elif isinstance(self._aim, Way):
             there = self._is_level(height_m) and self._is_near(leg.place, leg.acceptance_m)
         else:
@@ -381,13 +381,13 @@ class Px4PlaneFlight(Px4Flight):
     @property
     def _wants_up(self) -> bool:
         """Take-off, by mode or by a mission that begins with one."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         climbs = leg is not None and leg.does is Does.CLIMB
         return self.autopilot.armed and (self.autopilot.mode.flies == "climb" or climbs)
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway."""
-        p = self.autopilot.parameters
+        p = self.parameters
         chosen = p["FW_TKO_AIRSPD"]
         takeoff_m_s = self._true(chosen if chosen > 0.0 else p["FW_AIRSPD_MIN"])
         if not self._wants_up or self._plane.airspeed_m_s < _LIFTS_OFF_AT * takeoff_m_s:
