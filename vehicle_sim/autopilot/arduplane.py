@@ -22,7 +22,7 @@ from vehicle_sim.autopilot.core import (
 )
 from vehicle_sim.autopilot.earth import FlatEarth, Vector, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.legs import LOITER_TIME, LOITER_UNLIM, Does, Leg
+from vehicle_sim.autopilot.legs import WAYPOINT, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
     Circle,
     PlaneControl,
@@ -129,8 +129,6 @@ _LANDING_SINK_M_S: Final = 1.5
 _BRAKING_M_S2: Final = -3.0
 _HEADING_GAIN: Final = math.radians(50.0)
 """Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
-_USUAL_RADIUS_M: Final = 60.0
-"""Where WP_LOITER_RAD gives none."""
 _RUNWAY_AHEAD_M: Final = 1000.0
 """A mission's take-off climbs straight on at a point so far ahead."""
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
@@ -152,10 +150,10 @@ class ArduPlaneFlight(ArduFlight):
         self._origin_due_s = math.inf
         self._start = self._place = autopilot.estimate.place
         """Where it goes, and where from."""
-        self._next_start: Place | None = None
-        """Where the next leg of a mission begins; None: here."""
         self._straight = False
         """Along the way between the two, and not to circle at once."""
+        self._passed: Place | None = None
+        """The last waypoint of the mission, from which the next leg leads on."""
         self._radius_m, self._left = 0.0, False
         """Asked for, 0: WP_LOITER_RAD; counter-clockwise."""
         self._arrived = False
@@ -196,23 +194,13 @@ class ArduPlaneFlight(ArduFlight):
             self._return()
         elif self._flies == "flies_mission":
             autopilot.seek(max(autopilot.route.current, 1))
-        elif self._flies == "takes_off" and not autopilot.standing:
-            home_m = autopilot.home.altitude_amsl_m if autopilot.home else 0.0
-            missing_m = autopilot.parameters["TKOFF_ALT"] - (here.altitude_amsl_m - home_m)
-            if missing_m > 0.0:
-                self._aim_ahead(autopilot.parameters["TKOFF_DIST"], missing_m)
 
     def _go(
-        self,
-        place: Place,
-        start: Place | None = None,
-        *,
-        straight: bool = False,
-        radius_m: float = 0.0,
-        left: bool = False,
+        self, place: Place, *, straight: bool = False, radius_m: float = 0.0, left: bool = False
     ) -> None:
         """To this point, at its height: along the way if that goes down (or is straight) enough."""
-        self._place, self._start = place, start or self.autopilot.estimate.place
+        self._place, self._start = place, self._passed or self.autopilot.estimate.place
+        self._passed = None
         self._straight, self._radius_m, self._left, self._arrived = straight, radius_m, left, False
         change_m = place.altitude_amsl_m - self._start.altitude_amsl_m
         steep = abs(change_m) >= self.autopilot.parameters["GLIDE_SLOPE_MIN"]
@@ -239,28 +227,26 @@ class ArduPlaneFlight(ArduFlight):
     # --- missions -----------------------------------------------------------------------------
 
     def begin_leg(self, speed_m_s: float | None) -> None:
-        """Another item, from the last one's place or from here."""
-        autopilot, leg = self.autopilot, self.autopilot.route.leg
-        here, start = autopilot.estimate.place, self._next_start
-        self._cruise_m_s, self._next_start = speed_m_s or self._cruise_m_s, None
+        """Another item."""
+        leg, here_m = self.autopilot.route.leg, self.autopilot.estimate.altitude_amsl_m
+        self._cruise_m_s = speed_m_s or self._cruise_m_s
         if leg is None:
             return
         if leg.does is Does.RETURN:
             self._return()
         elif leg.does is Does.CLIMB:
-            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here.altitude_amsl_m)
+            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here_m)
+        elif leg.does is Does.LAND:
+            self._go(leg.place.at(here_m), straight=True)
         else:
-            lands, place = leg.does is Does.LAND, leg.place
-            straight = leg.command not in (LOITER_UNLIM, LOITER_TIME)
-            place = place.at(here.altitude_amsl_m) if lands else place
-            self._go(place, start, straight=straight)
+            self._go(leg.place, straight=leg.command == WAYPOINT)
 
     def _follow_mission(self) -> None:
         """Ten times a second: on to the next item when this one is done; home after the last."""
         autopilot, route, leg = self.autopilot, self.autopilot.route, self.autopilot.route.leg
         if leg is not None and self._is_done(leg):
             autopilot.reached(route.current)
-            self._next_start = self._place if leg.does is Does.GO else None
+            self._passed = self._place if leg.does is Does.GO else None
             autopilot.seek(route.current + 1)
         if route.leg is None and not autopilot.standing:
             autopilot.set_mode("RTL")
@@ -506,9 +492,8 @@ class ArduPlaneFlight(ArduFlight):
     def _circle_m(self) -> float:
         """Radius to fly, left negative: wider where the air is thin."""
         usual_m = self.autopilot.parameters["WP_LOITER_RAD"]
-        asked_m = self._radius_m if self._radius_m > 1.0 else abs(usual_m)
-        thin = eas_to_tas(self.autopilot.estimate.altitude_amsl_m) ** 2
-        radius_m = (asked_m if asked_m > 1.0 else _USUAL_RADIUS_M) * thin
+        asked_m = self._radius_m if self._radius_m > 1.0 else max(abs(usual_m), 1.0)
+        radius_m = asked_m * eas_to_tas(self.autopilot.estimate.altitude_amsl_m) ** 2
         return -radius_m if self._left or usual_m < 0.0 else radius_m
 
     def _watch_climb(self) -> None:
@@ -551,9 +536,6 @@ class ArduPlaneFlight(ArduFlight):
     def move(self, dt_s: float) -> None:
         """In the air."""
         plane, control, least_m_s = self._plane, self._control, -math.inf
-        if plane.broken:
-            plane.fall(dt_s)
-            return
         if self._settling:
             excess_m_s = plane.airspeed_m_s - control.airspeed_m_s - 1.0
             self._settling, least_m_s = excess_m_s > 0.0, _EXCESS_CLIMB * excess_m_s
@@ -649,7 +631,6 @@ class ArduPlaneFlight(ArduFlight):
             bearing_rad=control.l1.bearing_rad,
             altitude_error_m=control.height_amsl_m - self.autopilot.estimate.altitude_amsl_m,
             cross_track_m=control.l1.cross_track_m,
-            radius_m=self._circle_m(),
             airspeed_error_m_s=self._demand_m_s - self.airspeed_m_s(),
         )
 

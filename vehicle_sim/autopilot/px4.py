@@ -234,6 +234,47 @@ class Px4Flight(Flight):
     def begin_leg(self) -> None:
         """Another leg of the mission, or none any more."""
 
+    @property
+    def home(self) -> Place:
+        """Home, or what comes nearest to it."""
+        return self.autopilot.home or self.autopilot.reference
+
+    @property
+    def takeoff_altitude_m(self) -> float:
+        """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
+        autopilot = self.autopilot
+        if autopilot.takeoff is not None and math.isfinite(autopilot.takeoff[2]):
+            return max(autopilot.takeoff[2], autopilot.estimate.altitude_amsl_m)
+        return self.home.altitude_amsl_m + autopilot.parameters["MIS_TAKEOFF_ALT"]
+
+    def take_off(self, command: Command) -> Result:
+        """NAV_TAKEOFF: a mode."""
+        return self.autopilot.command_mode("Takeoff", takeoff=self.autopilot.asked_by(command))
+
+    def reposition(self, command: Command) -> Result:
+        """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
+        autopilot, (_, flags, _, yaw_rad) = self.autopilot, command.parameters[:4]
+        asked = autopilot.asked_by(command, yaw_rad)
+        if asked[0] == asked[0] and autopilot.forbidden(Place(asked[0], asked[1], 0.0)):
+            return Result.DENIED
+        switches = math.isfinite(flags) and bool(int(flags) & 1)
+        if not switches and autopilot.mode.name != "Hold":
+            return Result.UNSUPPORTED
+        return autopilot.command_mode("Hold", asked=asked)
+
+    def change_speed(self, command: Command) -> Result:
+        """Accepted always, of effect in AUTO modes only (px4.md 3)."""
+        speed_m_s = command.parameters[1]
+        if math.isfinite(speed_m_s):
+            self.autopilot.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
+        return Result.ACCEPTED
+
+    def disarms_after_s(self) -> float | None:
+        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
+        landed = self.autopilot.landed_s is not None
+        wait_s = self.autopilot.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
+        return wait_s if wait_s > 0.0 else None
+
 
 @final
 class Px4(Autopilot):

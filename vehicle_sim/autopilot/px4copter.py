@@ -10,7 +10,7 @@ from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.px4 import MANUAL, MODES, NAVIGATED, RATES_HZ, Px4, Px4Flight, firmware
 from vehicle_sim.autopilot.px4_control import NONE, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
-from vehicle_sim.autopilots import Command, Place, Result, TargetEcho, Waypoint
+from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics.copter import Copter
 
 FIRMWARE: Final = firmware(vehicle_type=2, rates_hz=RATES_HZ, parameters="px4/multicopter")
@@ -128,7 +128,7 @@ class Px4CopterFlight(Px4Flight):
         self._began, self._began_down = flown.place, flown.down
         self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
         if name == "Takeoff":
-            self._goal, self._goal_down = flown.place, self._down(self._takeoff_altitude_m())
+            self._goal, self._goal_down = flown.place, self._down(self.takeoff_altitude_m)
         elif name == "Hold":
             # where braking will end: the navigator holds there (preproject_stop_point)
             braking, jerk = max(p["MPC_ACC_HOR"], 0.5), max(p["MPC_JERK_AUTO"], 0.5)
@@ -142,14 +142,10 @@ class Px4CopterFlight(Px4Flight):
         elif name == "Land" and autopilot.asked is not None:
             self._goal = self._asked_place
         elif name == "Return":
-            height_m = self._home.altitude_amsl_m + self._return_height_m()
+            height_m = self.home.altitude_amsl_m + self._return_height_m()
             self._goal, self._goal_down = flown.place, min(flown.down, self._down(height_m))
         elif name == "Mission":
             self.begin_leg()
-
-    @property
-    def _home(self) -> Place:
-        return self.autopilot.home or self.autopilot.reference
 
     @property
     def _asked_place(self) -> complex:
@@ -157,16 +153,9 @@ class Px4CopterFlight(Px4Flight):
         latitude_deg, longitude_deg, _, _ = self.autopilot.asked
         return self._level(Place(latitude_deg, longitude_deg, 0.0))
 
-    def _takeoff_altitude_m(self) -> float:
-        """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
-        autopilot = self.autopilot
-        if autopilot.takeoff is not None and math.isfinite(autopilot.takeoff[2]):
-            return max(autopilot.takeoff[2], self.estimate.altitude_amsl_m)
-        return self._home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
-
     def _return_height_m(self) -> float:
         """Above home: RTL_RETURN_ALT, less within the cone about it."""
-        p, away_m = self.parameters, abs(self._here - self._level(self._home))
+        p, away_m = self.parameters, abs(self._here - self._level(self.home))
         height_m = p["RTL_RETURN_ALT"]
         if away_m < p["RTL_MIN_DIST"]:
             return min(height_m, p["RTL_DESCEND_ALT"])
@@ -191,36 +180,6 @@ class Px4CopterFlight(Px4Flight):
     def on_disarmed(self) -> None:
         """They stand."""
         self._flying, self._ramp_s = False, None
-
-    def disarms_after_s(self) -> float | None:
-        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
-        landed = self.autopilot.landed_s is not None
-        wait_s = self.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
-        return wait_s if wait_s > 0.0 else None
-
-    # --- commands -----------------------------------------------------------------------------
-
-    def take_off(self, command: Command) -> Result:
-        """Straight up."""
-        return self.autopilot.command_mode("Takeoff", takeoff=self.autopilot.asked_by(command))
-
-    def reposition(self, command: Command) -> Result:
-        """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
-        autopilot, (_, flags, _, yaw_rad) = self.autopilot, command.parameters[:4]
-        asked = autopilot.asked_by(command, yaw_rad)
-        if asked[0] == asked[0] and autopilot.forbidden(Place(asked[0], asked[1], 0.0)):
-            return Result.DENIED
-        switches = math.isfinite(flags) and bool(int(flags) & 1)
-        if not switches and autopilot.mode.name != "Hold":
-            return Result.UNSUPPORTED
-        return autopilot.command_mode("Hold", asked=asked)
-
-    def change_speed(self, command: Command) -> Result:
-        """Accepted always, of effect in AUTO modes only (px4.md 3)."""
-        speed_m_s = command.parameters[1]
-        if math.isfinite(speed_m_s):
-            self.autopilot.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
-        return Result.ACCEPTED
 
     # --- on the ground ------------------------------------------------------------------------
 
@@ -367,7 +326,7 @@ class Px4CopterFlight(Px4Flight):
         """Return: up, home, and land from there."""
         down_m = self.autopilot.local_m[2]
         if self._stage == 0 and abs(self._goal_down - down_m) < _ARRIVED_M:
-            self._stage, self._goal = 1, self._level(self._home)
+            self._stage, self._goal = 1, self._level(self.home)
         elif self._stage == 1 and abs(self._goal - self._here) < _ARRIVED_M:
             self._stage = 2
         return self.land(dt_s) if self._stage == 2 else self.hold(dt_s)

@@ -26,9 +26,9 @@ from vehicle_sim.autopilot.plane_control import (
     bounded,
     eas_to_tas,
 )
-from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, Px4Flight, firmware
+from vehicle_sim.autopilot.px4 import RATES_HZ, Asked, Px4, Px4Flight, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target
-from vehicle_sim.autopilots import Command, Place, Result, TargetEcho, Waypoint
+from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.plans import Plans
@@ -118,8 +118,6 @@ class Px4PlaneFlight(Px4Flight):
         """It lands: on a slope."""
         self._seen: Target | None = None
         """The setpoint that it flies by; with a velocity it is not echoed."""
-        self._before: Place | None = None
-        """Where the last leg of the mission went, if that was a waypoint."""
         self._began_s = 0.0
         """When the mode did."""
         self._steps = 0
@@ -128,7 +126,7 @@ class Px4PlaneFlight(Px4Flight):
 
     def _circle(self, place: Place) -> None:
         """About a place, at its height."""
-        self._aim, self._settling, self._sink_m_s = Circle(place, self._radius_m), False, None
+        self._aim, self._settling = Circle(place, self._radius_m), False
         self._hold(place)
 
     def _ahead(self, altitude_amsl_m: float) -> None:
@@ -138,7 +136,8 @@ class Px4PlaneFlight(Px4Flight):
         self._hold(here)
 
     def _hold(self, goal: Place) -> None:
-        self._goal, self._control.climb_m_s = goal, None
+        """At its height."""
+        self._goal, self._control.climb_m_s, self._sink_m_s = goal, None, None
 
     def _land(self, place: Place) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
@@ -166,36 +165,29 @@ class Px4PlaneFlight(Px4Flight):
         least_m_s = p["FW_AIRSPD_MIN"]
         return self._true(bounded(wanted_m_s, least_m_s, max(p["FW_AIRSPD_MAX"], least_m_s)))
 
-    @property
-    def _home(self) -> Place:
-        return self.autopilot.home or self.autopilot.reference
-
     # --- modes --------------------------------------------------------------------------------
 
     def begin(self, before: Mode) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
         autopilot, control, p = self.autopilot, self._control, self.autopilot.parameters
         here = autopilot.estimate.place
-        self._began_s, self._seen, self._before = autopilot.now_s, None, None
+        self._began_s, self._seen = autopilot.now_s, None
         match autopilot.mode.flies:
             case "fly_target":
                 return  # the last commands stay until a setpoint comes
             case "climb":
-                self._ahead(self._takeoff_altitude_m)
+                self._ahead(self.takeoff_altitude_m)
+                self._goal = self._asked_or(autopilot.takeoff, here.at(self.takeoff_altitude_m))
             case "hold":
                 asked = autopilot.asked or (autopilot.takeoff if before.name == "Takeoff" else None)
-                latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
-                centre = here if altitude_m != altitude_m else here.at(altitude_m)
-                if latitude_deg == latitude_deg:
-                    centre = Place(latitude_deg, longitude_deg, centre.altitude_amsl_m)
-                self._circle(centre)
+                self._circle(self._asked_or(asked, here))
             case "fly_back":
-                height_m = self._home.altitude_amsl_m + p["RTL_RETURN_ALT"]
-                self._circle(self._home.at(max(height_m, here.altitude_amsl_m)))
+                height_m = self.home.altitude_amsl_m + p["RTL_RETURN_ALT"]
+                self._circle(self.home.at(max(height_m, here.altitude_amsl_m)))
             case "sink":
                 self._ahead(here.altitude_amsl_m)
             case "descend":
-                self._aim, control.climb_m_s = None, 0.0
+                self._aim, self._sink_m_s, control.climb_m_s = None, None, 0.0
                 control.bank_rad = math.radians(p["NAV_GPSF_R"])
             case _:
                 pass
@@ -205,22 +197,29 @@ class Px4PlaneFlight(Px4Flight):
         elif autopilot.mode.flies == "fly_mission":
             self.begin_leg()
 
+    @staticmethod
+    def _asked_or(asked: Asked | None, here: Place) -> Place:
+        """What of a place was asked for, and here what was not."""
+        latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
+        place = here if altitude_m != altitude_m else here.at(altitude_m)
+        if latitude_deg != latitude_deg:
+            return place
+        return Place(latitude_deg, longitude_deg, place.altitude_amsl_m)
+
     def begin_leg(self) -> None:
-        """Along the line from the last waypoint, or about the leg's place."""
-        leg, control = self.autopilot.route.leg, self._control
-        here, before, self._before = self.autopilot.estimate.place, self._before, None
+        """Straight to the leg's place, or about it."""
+        leg, here = self.autopilot.route.leg, self.autopilot.estimate.place
         if leg is None:
             self._circle(here)
         elif leg.does is Does.CLIMB:
             self._ahead(leg.place.altitude_amsl_m)
-            control.climb_m_s = _CLIMB_OUT_M_S
+            self._control.climb_m_s = _CLIMB_OUT_M_S
         elif leg.does is Does.LAND:
             self._land(leg.place)
-        elif leg.hold_s == 0.0:
-            self._circle(leg.place)
-            self._aim, self._before = Way(before or here, leg.place), leg.place
         else:
             self._circle(leg.place)
+            if leg.hold_s == 0.0:
+                self._aim = Way(here, leg.place)
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
@@ -233,30 +232,6 @@ class Px4PlaneFlight(Px4Flight):
             self._aim = self._aim._replace(radius_m=self._radius_m)
         if self._sink_m_s is None:
             control.airspeed_m_s = self._cruise_m_s
-
-    # --- commands -----------------------------------------------------------------------------
-
-    def take_off(self, command: Command) -> Result:
-        """Along the runway, and on to the place."""
-        return self.autopilot.command_mode("Takeoff", takeoff=self.autopilot.asked_by(command))
-
-    def reposition(self, command: Command) -> Result:
-        """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
-        autopilot, flags = self.autopilot, command.parameters[1]
-        asked = autopilot.asked_by(command)
-        if asked[0] == asked[0] and autopilot.forbidden(Place(asked[0], asked[1], 0.0)):
-            return Result.DENIED
-        switches = math.isfinite(flags) and bool(int(flags) & 1)
-        if not switches and autopilot.mode.name != "Hold":
-            return Result.UNSUPPORTED
-        return autopilot.command_mode("Hold", asked=asked)
-
-    def change_speed(self, command: Command) -> Result:
-        """Accepted always, of effect in AUTO modes only (px4.md 3)."""
-        speed_m_s = command.parameters[1]
-        if math.isfinite(speed_m_s):
-            self.autopilot.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
-        return Result.ACCEPTED
 
     # --- in the air ---------------------------------------------------------------------------
 
@@ -359,25 +334,17 @@ class Px4PlaneFlight(Px4Flight):
 
     def _climb_out(self) -> None:
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
-        autopilot, control, goal_m = self.autopilot, self._control, self._takeoff_altitude_m
+        autopilot, control, goal_m = self.autopilot, self._control, self.takeoff_altitude_m
         control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
         if autopilot.estimate.altitude_amsl_m < goal_m:
             return
-        self._hold(autopilot.estimate.place.at(goal_m + _CLEARED_M))
+        self._hold((self._goal or autopilot.estimate.place).at(goal_m + _CLEARED_M))
         if autopilot.takeoff is not None and autopilot.takeoff[0] == autopilot.takeoff[0]:
             autopilot.intend("Hold")
 
-    @property
-    def _takeoff_altitude_m(self) -> float:
-        """AMSL: NAV_TAKEOFF's, or MIS_TAKEOFF_ALT above home."""
-        takeoff = self.autopilot.takeoff
-        if takeoff is not None and takeoff[2] == takeoff[2]:
-            return takeoff[2]
-        return self._home.altitude_amsl_m + self.autopilot.parameters["MIS_TAKEOFF_ALT"]
-
     def _return(self) -> None:
         """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
-        autopilot, home, p = self.autopilot, self._home, self.autopilot.parameters
+        autopilot, home, p = self.autopilot, self.home, self.autopilot.parameters
         if self._sink_m_s is not None or not self._is_on_circle():
             return
         height_m = home.altitude_amsl_m + p["RTL_DESCEND_ALT"]
@@ -404,9 +371,6 @@ class Px4PlaneFlight(Px4Flight):
     def move(self, dt_s: float) -> None:
         """With what it was steered to."""
         plane, control = self._plane, self._control
-        if plane.broken:
-            plane.fall(dt_s)
-            return
         control.advance(dt_s)
         effort = (plane.airspeed_m_s - plane.limits.airspeed_max_m_s) * _LEVEL_THROTTLE_S_M
         effort += 1.0 + plane.velocity_up_m_s * _CLIMB_THROTTLE_S_M
@@ -460,12 +424,6 @@ class Px4PlaneFlight(Px4Flight):
     def on_disarmed(self) -> None:
         """The motor stands."""
 
-    def disarms_after_s(self) -> float | None:
-        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
-        landed = self.autopilot.landed_s is not None
-        wait_s = self.autopilot.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
-        return wait_s if wait_s > 0.0 else None
-
     # --- to tell ------------------------------------------------------------------------------
 
     def echo(self) -> TargetEcho | None:
@@ -495,23 +453,8 @@ class Px4PlaneFlight(Px4Flight):
 
     def waypoint(self) -> Waypoint | None:
         """The place flown to; the middle of a circle."""
-        goal, takeoff = self._goal, self.autopilot.takeoff
-        if goal is None:
-            return None
-        goal = goal.at(self._told_m(goal))
-        if (
-            self.autopilot.mode.flies == "climb"
-            and takeoff is not None
-            and takeoff[0] == takeoff[0]
-        ):
-            goal = Place(takeoff[0], takeoff[1], goal.altitude_amsl_m)
-        way_m = -self._control.off_m(goal)
-        return Waypoint(
-            place=goal,
-            distance_m=abs(way_m),
-            bearing_rad=cmath.phase(way_m),
-            radius_m=self._radius_m if isinstance(self._aim, Circle) else 0.0,
-        )
+        goal = self._goal
+        return None if goal is None else Waypoint(place=goal.at(self._told_m(goal)))
 
 
 def _bend(target: Target) -> float:
@@ -521,8 +464,9 @@ def _bend(target: Target) -> float:
     """
     v_n, v_e, _ = target.velocity
     a_n, a_e, a_d = target.acceleration
-    speed_m_s = math.hypot(v_n, v_e)
-    return -(v_n * a_e - v_e * a_n) / speed_m_s**3 if a_n + a_e + a_d == a_n + a_e + a_d else 0.0
+    if math.isnan(a_n + a_e + a_d):
+        return 0.0
+    return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3
 
 
 def make(
