@@ -12,6 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
+from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import (
     GPS_GLOBAL_ORIGIN,
     HEARTBEAT,
@@ -27,7 +28,6 @@ from vehicle_sim.autopilot.plane_control import (
     Circle,
     PlaneControl,
     Way,
-    bounded,
     eas_to_tas,
     indicated_airspeed_m_s,
     true_airspeed_m_s,

@@ -16,16 +16,11 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Mode
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does
-from vehicle_sim.autopilot.plane_control import (
-    Circle,
-    PlaneControl,
-    Way,
-    bounded,
-    eas_to_tas,
-)
+from vehicle_sim.autopilot.plane_control import Circle, PlaneControl, Way, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Asked, Px4, Px4Flight, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
