@@ -3,7 +3,7 @@
 A case is named by the section of the document and what it says there.  Nothing of the vehicle is
 looked at but its frames.  Left out is what is stated elsewhere: tracking, stops and jumps
 (test_tracking.py), rates (test_streams.py), who may send (test_routing.py), signing, the exchange
-of plans, the plane (test_arduplane.py), boot and loss of GPS (test_ekf3.py, conformance/).
+of plans, the plane (test_arduplane.py), boot and loss of GPS (test_estimator.py, conformance/).
 """
 
 import functools

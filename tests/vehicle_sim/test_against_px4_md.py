@@ -6,8 +6,8 @@ and the case says so.  Tolerances: what the document gives as a range; otherwise
 0.1 s (0.3 s where it is seen in a message of 5 Hz, 1 s in a heartbeat), 0.7 m (two times the noise
 of the EKF), 10 % of speeds, and as stated.
 
-Left out is what is stated elsewhere: boot and loss of GPS (conformance/, test_ekf2.py), who may
-send and intervals (test_routing.py, test_streams.py), what masks and frames mean
+Left out is what is stated elsewhere: boot and loss of GPS (conformance/, test_estimator.py), who
+may send and intervals (test_routing.py, test_streams.py), what masks and frames mean
 (test_px4_setpoints.py), the aeroplane (test_px4_fixed_wing.py).
 """
 

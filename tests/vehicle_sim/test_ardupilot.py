@@ -4,74 +4,42 @@ import functools
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 from pyproj import Geod
 from rig import Rig
+from tracking_copter import HOME_DEG, Flown
 
-from vehicle_sim.autopilot import arducopter
 from vehicle_sim.autopilot.ardupilot import STREAMABLE
 from vehicle_sim.autopilots import Battery
-from vehicle_sim.dynamics.copter import Copter, Limits
-from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import ARDUCOPTER, Gps
+from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.wire.telemetry import MESSAGES
 
-ORIGIN_DEG = (47.0, 8.0)
 METRES_PER_DEG_NORTH = 111_181.0  # of the meridian near 47 N: the tests stay within 1 km of it
 WGS84 = Geod(ellps="WGS84")
 VELOCITY_ONLY = 0xDC7
 
 
-class Pilot(Rig):
-    """An ArduCopter over level ground at 0 m, told what to do by values."""
+FICTIONAL = Limits(
+    speed_m_s=170.0,
+    acceleration_m_s2=10.0,
+    speed_vertical_m_s=25.0,
+    acceleration_vertical_m_s2=5.0,
+)
 
-    def __init__(
-        self,
-        *,
-        timeout_s: float = 3.0,
-        vertical_m_s: float = 25.0,
-        down_m_s: float | None = None,
-        ground_amsl_m: float = 0.0,
-    ) -> None:
-        self.copter = Copter(
-            latitude_deg=ORIGIN_DEG[0],
-            longitude_deg=ORIGIN_DEG[1],
-            altitude_amsl_m=ground_amsl_m,
-            limits=Limits(
-                speed_m_s=170.0,
-                acceleration_m_s2=10.0,
-                speed_vertical_m_s=vertical_m_s,
-                acceleration_vertical_m_s2=5.0,
-            ),
-        )
-        parameters = {
-            "GUID_TIMEOUT": timeout_s,
-            "WPNAV_SPEED": 1000.0,
-            "WPNAV_ACCEL": 250.0,
-            "WPNAV_SPEED_UP": vertical_m_s * 100.0,
-            "WPNAV_SPEED_DN": (down_m_s or vertical_m_s) * 100.0,
-            "LAND_SPEED": 50.0,
-            "ANGLE_MAX": 8000.0,
-        }
-        rng = np.random.default_rng(1)
-        autopilot = arducopter.make(self.copter, parameters, Plans(), rng=rng)
-        super().__init__(autopilot, ground_amsl_m, Gps(ARDUCOPTER, rng))
 
-    setpoint = functools.partialmethod(Rig.give, mask=2496, frame=5, is_global=True)
+class Pilot(Flown):
+    """An ArduCopter without drag over level ground at 0 m, with the law `ideal`."""
+
+    def __init__(self, up_m_s: float = 25.0, down_m_s: float = 25.0) -> None:
+        given = {"ANGLE_MAX": 8000.0, "WPNAV_SPEED_UP": up_m_s * 100.0}
+        super().__init__(0.0, FICTIONAL, drag=False, WPNAV_SPEED_DN=down_m_s * 100.0, **given)
+
+    stream = functools.partialmethod(Rig.give, mask=2496, frame=5, is_global=True)
     """By default GLOBAL_INT above the sea, position and velocity."""
 
+    @property
     def north_m(self) -> float:
-        return (self.copter.latitude_deg - ORIGIN_DEG[0]) * METRES_PER_DEG_NORTH
-
-    def airborne(self, height_m: float = 1000.0) -> "Pilot":
-        """Take off in GUIDED and hover."""
-        self.run(42.0)
-        assert [self.command(176, 1, 4), self.command(400, 1)] == [0, 0]
-        assert self.command(22, 0, 0, 0, 0, 0, 0, height_m) == 0
-        self.run_until(lambda: self.autopilot.status().landed_state == 2, within_s=2000.0)
-        self.run(5.0)
-        return self
+        return (self.copter.latitude_deg - HOME_DEG[0]) * METRES_PER_DEG_NORTH
 
     def target(self) -> Any:
         return self.autopilot.target_echo()
@@ -139,28 +107,28 @@ def test_motors_that_idle_for_ten_seconds_are_disarmed() -> None:
 
 @pytest.mark.parametrize("mode", [2, 5, 16])  # ALT_HOLD, LOITER, POSHOLD
 def test_without_a_pilot_the_hold_modes_come_down(mode: int) -> None:
-    it = Pilot(vertical_m_s=2.5).airborne(30.0)
+    it = Pilot(2.5, 2.5).airborne(30.0)
     assert it.command(176, 1, mode) == ACCEPTED
     it.run(8.0)
     assert it.copter.velocity_up_m_s == pytest.approx(-2.5, abs=0.05)
 
 
 def test_rtl_climbs_to_15_m_comes_home_waits_and_lands() -> None:
-    it = Pilot(vertical_m_s=2.5, down_m_s=1.5).airborne(5.0)
+    it = Pilot(2.5, 1.5).airborne(5.0)
     for _ in range(200):
-        it.setpoint((47.001, 8.0, 5.0), mask=0xDF8)
+        it.stream((47.001, 8.0, 5.0), mask=0xDF8)
         it.run(0.1)
-    away_m = it.north_m()
+    away_m = it.north_m
     assert away_m > 80.0
     assert it.command(176, 1, RTL) == ACCEPTED
     it.run_until(lambda: it.copter.altitude_amsl_m > 14.0, within_s=20)
-    assert it.north_m() == pytest.approx(away_m, abs=15.0)  # it stops first
+    assert it.north_m == pytest.approx(away_m, abs=15.0)  # it stops first
     assert it.target() is None
     assert it.autopilot.status().waypoint.place.altitude_amsl_m == pytest.approx(15.0, abs=0.1)
     it.run_until(lambda: it.autopilot.status().landed_state == LANDING, within_s=60)
-    assert abs(it.north_m()) < 2.0
+    assert abs(it.north_m) < 2.0
     it.run_until(lambda: not it.autopilot.armed, within_s=60)
-    assert abs(it.north_m()) < 0.5
+    assert abs(it.north_m) < 0.5
 
 
 def test_reposition_is_taken_as_command_int_only() -> None:
@@ -172,7 +140,7 @@ def test_reposition_is_taken_as_command_int_only() -> None:
     assert it.command(192, *there, frame=3) == ACCEPTED
     assert it.autopilot.mode_name == "GUIDED"
     it.run(30.0)
-    assert it.north_m() == pytest.approx(55.6, abs=0.5)
+    assert it.north_m == pytest.approx(55.6, abs=0.5)
     assert it.copter.altitude_amsl_m == pytest.approx(120.0, abs=0.3)
 
 
@@ -192,18 +160,18 @@ def test_brake_stops_and_ignores_setpoints() -> None:
     it = Pilot().airborne(100.0)
     it.copter.velocity_north_m_s = 15.0
     it.command(176, 1, BRAKE)
-    it.setpoint((47.1, 8.0, 500.0), (10.0, 0.0, 0.0))
+    it.stream((47.1, 8.0, 500.0), (10.0, 0.0, 0.0))
     it.run(8.0)
-    assert it.north_m() == pytest.approx(15.0**2 / (2 * 7.5), abs=3.0)
-    at_m = it.north_m()
+    assert it.north_m == pytest.approx(15.0**2 / (2 * 7.5), abs=3.0)
+    at_m = it.north_m
     it.run(5.0)
-    assert it.north_m() == pytest.approx(at_m, abs=0.05)
+    assert it.north_m == pytest.approx(at_m, abs=0.05)
     assert it.target() is None
 
 
 def test_a_crash_on_the_ground_is_said_and_the_end() -> None:
     it = Pilot().airborne(20.0)  # test_contact.py says what is one
-    it.setpoint((47.0, 8.0, -500.0), mask=0xDF8)
+    it.stream((47.0, 8.0, -500.0), mask=0xDF8)
     it.run_until(lambda: it.copter.altitude_amsl_m == 0.0)
     it.take(it.autopilot.crash())
     assert it.autopilot.landed
@@ -238,10 +206,9 @@ def at(north_m: float, east_m: float) -> tuple[float, float, float]:
     return latitude_deg, longitude_deg, 1000.0
 
 
-def local_m(it: Any) -> tuple[float, float]:
-    azimuth_deg, _, distance_m = WGS84.inv(
-        8.0, 47.0, it.copter.longitude_deg, it.copter.latitude_deg
-    )
+def place_m(it: Pilot) -> tuple[float, float]:
+    copter = it.copter
+    azimuth_deg, _, distance_m = WGS84.inv(8.0, 47.0, copter.longitude_deg, copter.latitude_deg)
     azimuth_rad = math.radians(azimuth_deg)
     return distance_m * math.cos(azimuth_rad), distance_m * math.sin(azimuth_rad)
 
@@ -267,7 +234,7 @@ def test_a_turn_of_9_m_s2_at_150_m_s_is_entered_without_overshoot_and_followed(
         north = min(flown_m, straight_m) + radius_m * math.sin(turn_rad)
         east = radius_m * (1 - math.cos(turn_rad))
         if t > ramp_s + 10:
-            is_n, is_e = local_m(it)
+            is_n, is_e = place_m(it)
             worst_m = max(worst_m, math.hypot(is_n - north, is_e - east))
             copter = it.copter
             lateral = (
@@ -276,7 +243,7 @@ def test_a_turn_of_9_m_s2_at_150_m_s_is_entered_without_overshoot_and_followed(
             ) / math.hypot(copter.velocity_north_m_s, copter.velocity_east_m_s)
             most_m_s2 = max(most_m_s2, lateral)
         if k % every_steps == 0:
-            it.setpoint(at(north, east), (v * math.cos(turn_rad), v * math.sin(turn_rad), 0.0))
+            it.stream(at(north, east), (v * math.cos(turn_rad), v * math.sin(turn_rad), 0.0))
         it.step()
     assert most_m_s2 <= 9.0 * 1.05
     assert 5.0 < worst_m <= 15.0
@@ -289,18 +256,18 @@ def test_a_stream_with_climb_is_followed_in_height_too() -> None:
         height = 1000.0 + (t * t / 2 if t < 10 else 50 + 10 * (t - 10))
         if k % 10 == 0:
             latitude_deg, longitude_deg, _ = at(0.0, 0.0)
-            it.setpoint((latitude_deg, longitude_deg, height), (0.0, 0.0, -min(t, 10.0)))
+            it.stream((latitude_deg, longitude_deg, height), (0.0, 0.0, -min(t, 10.0)))
         it.step()
     assert it.copter.altitude_amsl_m == pytest.approx(1250.0, abs=0.3)
 
 
 def test_the_nose_follows_the_commanded_yaw_or_else_the_way() -> None:
     it = Pilot().airborne(1000.0)
-    it.setpoint(at(0.0, 0.0), yaw_rad=-2.0)
+    it.stream(at(0.0, 0.0), yaw_rad=-2.0)
     it.run(6.0)
     assert math.remainder(it.copter.heading_rad + 2.0, math.tau) == pytest.approx(0.0, abs=1e-6)
     for _ in range(100):
-        it.setpoint((0.0, 0.0, 0.0), (0.0, 5.0, 0.0), mask=VELOCITY_ONLY)
+        it.stream((0.0, 0.0, 0.0), (0.0, 5.0, 0.0), mask=VELOCITY_ONLY)
         it.run(0.1)
     assert it.copter.heading_rad == pytest.approx(math.pi / 2, abs=0.01)
 
@@ -311,7 +278,7 @@ def test_the_nose_follows_the_commanded_yaw_or_else_the_way() -> None:
 def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
     it = Pilot().airborne(100.0)
     for _ in range(30):
-        it.setpoint(mask=0xC3F, frame=1, is_global=False, acceleration=(1.0, 0.0, 0.0))
+        it.stream(mask=0xC3F, frame=1, is_global=False, acceleration=(1.0, 0.0, 0.0))
         it.run(0.1)
     assert it.copter.velocity_north_m_s == pytest.approx(2.9, abs=0.4)
     assert it.target().type_mask == 0xC3F
@@ -322,7 +289,7 @@ def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
 def test_the_echo_is_ardupilots_flat_earth_about_the_origin() -> None:
     hovering = Pilot().airborne(100.0)
     latitude_deg, longitude_deg = 47.5, 8.6
-    hovering.setpoint((latitude_deg, longitude_deg, 150.0))
+    hovering.stream((latitude_deg, longitude_deg, 150.0))
     scale = 0.011131884502145034  # metres for each 1e-7 degree, from ArduPilot's Location.cpp
     north = (latitude_deg - 47.0) * 1e7 * scale
     east = (longitude_deg - 8.0) * 1e7 * scale * math.cos(math.radians((latitude_deg + 47.0) / 2))

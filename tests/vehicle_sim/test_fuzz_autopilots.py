@@ -308,7 +308,6 @@ class Fuzz(RuleBasedStateMachine):
             assert is_somewhere(place._replace(altitude_amsl_m=0.0))
             assert math.isfinite(place.altitude_amsl_m)  # it is told as a float
             assert math.isfinite(status.waypoint.distance_m)
-            assert math.isfinite(status.waypoint.radius_m)
         assert all(map(math.isfinite, self.autopilot.local_ned_m() or ()))
         target = self.autopilot.target_echo()
         assert target is None or not any(map(math.isinf, target.position_ned_m or ()))

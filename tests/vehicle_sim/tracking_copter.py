@@ -60,18 +60,25 @@ def fix_of(copter: Copter, now_us: int) -> Fix:
 class Flown(Rig):
     """An ArduCopter over level ground, told what to do by values."""
 
-    def __init__(self, **parameters: float) -> None:
+    def __init__(
+        self,
+        ground_amsl_m: float = GROUND_M,
+        limits: Limits = LIMITS,
+        *,
+        drag: bool = True,
+        **parameters: float,
+    ) -> None:
         self.copter = Copter(
             latitude_deg=HOME_DEG[0],
             longitude_deg=HOME_DEG[1],
-            altitude_amsl_m=GROUND_M,
-            limits=LIMITS,
-            drag_1_s=DRAG_1_S,
-            drag_1_m=DRAG_1_M,
+            altitude_amsl_m=ground_amsl_m,
+            limits=limits,
+            drag_1_s=DRAG_1_S * drag,
+            drag_1_m=DRAG_1_M * drag,
         )
         rng = np.random.default_rng(1)
         autopilot = arducopter.make(self.copter, parameters, Plans(), rng=rng)
-        super().__init__(autopilot, GROUND_M)
+        super().__init__(autopilot, ground_amsl_m)
         self.wind_m_s = (0.0, 0.0)
 
     def receive(self) -> Fix:

@@ -4,11 +4,9 @@ Source: ardupilot.md 2 to 5 and the recorded flights; submodes and their changes
 """
 
 import enum
+import functools
 import math
-from collections.abc import Mapping
-from typing import ClassVar, Final
-
-import numpy as np
+from typing import ClassVar, Final, final
 
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
@@ -33,7 +31,7 @@ from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import around, metres_per_degree
 from vehicle_sim.parameters import table
-from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.plans import PlanKind
 
 _HOLDS: Final = 0x59
 """Custom mode and manual input enabled, stabilised, and "guided" while it holds a position."""
@@ -42,24 +40,21 @@ MODES: Final = (
     Mode("STABILIZE", 0, "fall", needs_position=False, base=_BY_HAND),
     Mode("ACRO", 1, "fall", needs_position=False, base=_BY_HAND),
     Mode("ALT_HOLD", 2, "sink", needs_position=False, base=_BY_HAND),
-    Mode("AUTO", 3, "fly_mission", armable=False, base=_HOLDS),
+    Mode("AUTO", 3, "fly_legs", armable=False, base=_HOLDS),
     Mode("GUIDED", 4, "fly_target", base=_HOLDS),
     Mode("LOITER", 5, "sink", base=_HOLDS),
-    Mode("RTL", 6, "fly_back", armable=False, base=_BY_HAND),
+    Mode("RTL", 6, "fly_legs", armable=False, base=_BY_HAND),
     Mode("CIRCLE", 7, "sink", armable=False, base=_HOLDS),
     Mode("LAND", 9, "land", needs_position=False, armable=False, base=_BY_HAND),
     Mode("POSHOLD", 16, "sink", base=_HOLDS),
     Mode("BRAKE", 17, "brake", armable=False, base=_HOLDS),
-    Mode("SMARTRTL", 21, "fly_back", armable=False, base=_BY_HAND),
 )
-_RETURNS: Final = ("RTL", "SMARTRTL")
 
 FIRMWARE: Final = Firmware(
     profile=profile(vehicle_type=2, capabilities=64495, rates_hz={0: 1.0, 111: 0.1}),
     table=(*table("ardupilot/shared", "ardupilot/copter"), *SIM_PARAMETERS),
     modes=MODES,
     holds="LOITER",
-    lands="LAND",
     returns="RTL",
     pilot="LOITER",
     timing=EKF3,
@@ -128,14 +123,20 @@ Order = Spatial
 """Acceleration of the thrust."""
 
 
+def _degrees(place: Place) -> complex:
+    return complex(place.latitude_deg, place.longitude_deg)
+
+
+@final
 class CopterFlight(ArduFlight):
     """An ArduCopter: its modes, on the position controller."""
 
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
-    def __init__(self, autopilot: ArduPilot, copter: Copter) -> None:
+    def __init__(self, autopilot: ArduPilot) -> None:
         super().__init__(autopilot)
-        self.copter = copter
+        assert isinstance(autopilot.vehicle, Copter)
+        self.copter = copter = autopilot.vehicle
         self._ideal = None if copter.drag_1_s else Ideal(copter.limits)
         """Of one without drag, which no autopilot was tuned for."""
         self._flown_in = {mode.name: getattr(self, mode.flies) for mode in MODES}
@@ -161,7 +162,7 @@ class CopterFlight(ArduFlight):
 
     def read_parameters(self) -> None:
         """They are read live; the speeds of a submode when it begins."""
-        p, limits = self.autopilot.parameters, self.copter.limits
+        p, limits = self.parameters, self.copter.limits
         lean_rad = math.radians(bounded(p["ANGLE_MAX"] / 100.0, 10.0, 85.0))
         most_up, lift = limits.speed_vertical_m_s, limits.acceleration_vertical_m_s2
         self.tuning = Tuning(
@@ -190,28 +191,28 @@ class CopterFlight(ArduFlight):
         autopilot = self.autopilot
         if not autopilot.armed:
             return None
-        if autopilot.modes[name].needs_position and not autopilot.estimator.ok:
+        if autopilot.modes[name].needs_position and not self.estimator.ok:
             return "requires position"
         no_mission = name == "AUTO" and len(autopilot.plans[PlanKind.MISSION]) < 2
-        nowhere = name in _RETURNS and autopilot.home is None
+        nowhere = name == "RTL" and autopilot.home is None
         return "init failed" if no_mission or nowhere else None
 
     def begin(self, before: Mode) -> None:
         """Fly the autopilot's mode from now on."""
         del before
-        autopilot, route, name = self.autopilot, self.autopilot.route, self._mode
+        autopilot, route, name = self.autopilot, self.route, self._mode
         self._abandon_takeoff()
         self._set_looks_ahead()
         self._look_ahead()
         self._stand_still()
         route.stop()
         if name == "LAND":
-            self._lands_with_position = autopilot.estimator.ok
-        elif name in _RETURNS:
-            self._begin_return(climb=name == "RTL")
+            self._lands_with_position = self.estimator.ok
+        elif name == "RTL":
+            self._begin_return()
         elif name == "AUTO":
             count = len(autopilot.plans[PlanKind.MISSION])
-            again = autopilot.parameters["MIS_RESTART"] or not 1 <= route.current < count
+            again = self.parameters["MIS_RESTART"] or not 1 <= route.current < count
             route.forget_jumps()
             autopilot.seek(1 if again else route.current)
 
@@ -232,7 +233,7 @@ class CopterFlight(ArduFlight):
             self._go_on()
 
     def _start_vertical(self) -> None:
-        estimate = self.autopilot.estimate
+        estimate = self.estimate
         self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
 
     def _go_on(self) -> None:
@@ -243,22 +244,22 @@ class CopterFlight(ArduFlight):
 
     @property
     def _here_deg(self) -> complex:
-        estimate = self.autopilot.estimate
+        estimate = self.estimate
         return complex(estimate.latitude_deg, estimate.longitude_deg)
 
     @property
     def _flown(self) -> complex:
         """Velocity over the ground."""
-        estimate = self.autopilot.estimate
+        estimate = self.estimate
         return complex(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
 
     @property
     def lands(self) -> bool:
         """In LAND, at the end of RTL, and where AUTO lands."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         if leg is None or leg.does is not Does.LAND:
             return self._mode == "LAND"
-        return leg.command == RETURN or self.autopilot.route.arrived_s is not None
+        return leg.command == RETURN or self.route.arrived_s is not None
 
     # --- arming -------------------------------------------------------------------------------
 
@@ -267,7 +268,7 @@ class CopterFlight(ArduFlight):
         autopilot = self.autopilot
         if not autopilot.mode.armable:
             return f"{self._mode} mode not armable"
-        if autopilot.mode.needs_position and not autopilot.estimator.ok:
+        if autopilot.mode.needs_position and not self.estimator.ok:
             return "Need Position Estimate"
         if autopilot.now_s < autopilot.firmware.prearm_s:
             return "AHRS: waiting for home"
@@ -281,18 +282,17 @@ class CopterFlight(ArduFlight):
         """Soon after a landing, or after DISARM_DELAY."""
         if self.lands and self.autopilot.landed_s is not None:
             return _DISARMS_S
-        return self.autopilot.parameters["DISARM_DELAY"] or None
+        return self.parameters["DISARM_DELAY"] or None
 
     # --- failsafes ----------------------------------------------------------------------------
 
     def check(self) -> None:
         """Ten times a second: it cannot fly without a position."""
-        autopilot, estimator = self.autopilot, self.autopilot.estimator
+        autopilot, estimator = self.autopilot, self.estimator
         if estimator.glitching is not self._was_glitching:
             self._was_glitching = estimator.glitching
-            autopilot.say(
-                2, "GPS Glitch or Compass error" if estimator.glitching else "Glitch cleared"
-            )
+            glitches = estimator.glitching
+            autopilot.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
         bad = autopilot.armed and estimator.origin is not None and not estimator.ok
         before, self._ekf_failures = self._ekf_failures, self._ekf_failures + (1 if bad else -1)
         self._ekf_failures = min(max(self._ekf_failures, 0), _EKF_CHECKS)
@@ -300,7 +300,7 @@ class CopterFlight(ArduFlight):
             autopilot.say(2, "EKF variance")
             autopilot.failsafe = True
             needy = autopilot.mode.needs_position or self._mode == "LAND"
-            if needy and autopilot.parameters["FS_EKF_ACTION"]:
+            if needy and self.parameters["FS_EKF_ACTION"]:
                 autopilot.set_mode("LAND")
                 self._lands_with_position = False
                 self._pauses_until_s = autopilot.now_s + _FAILSAFE_PAUSE_S
@@ -339,10 +339,10 @@ class CopterFlight(ArduFlight):
         if command.frame not in (None, _TAKE_OFF_FRAME):
             return Result.DENIED
         ready = autopilot.armed and autopilot.landed and self._mode == "GUIDED"
-        if not ready or home is None or self._takeoff_s is not None or not autopilot.estimator.ok:
+        if not ready or home is None or self._takeoff_s is not None or not self.estimator.ok:
             return Result.FAILED
         altitude_m = home.altitude_amsl_m + command.parameters[6]
-        if not autopilot.estimate.altitude_amsl_m < altitude_m < math.inf:
+        if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
             return Result.FAILED
         self._stand_still()
         self.kind = Kind.TAKEOFF
@@ -417,7 +417,7 @@ class CopterFlight(ArduFlight):
                 assert height_m is not None
                 place = Place(x, y, height_m)
             elif target.is_offset:
-                place = FlatEarth(autopilot.estimate.place).place(x, y, z)
+                place = FlatEarth(self.estimate.place).place(x, y, z)
             else:
                 place = autopilot.frame.place(x, y, z)
         if self._take(target, place):
@@ -433,15 +433,11 @@ class CopterFlight(ArduFlight):
             kind = Kind.VELOCITY if moves else Kind.PUSH
         else:
             kind = Kind.PATH if moves else Kind.POSITION
-            self._place_deg = complex(place.latitude_deg, place.longitude_deg)
-            self._altitude_m = place.altitude_amsl_m
+            self._place_deg, self._altitude_m = _degrees(place), place.altitude_amsl_m
         north, east, down = target.velocity if moves else (0.0, 0.0, 0.0)
         a_n, a_e, a_d = target.acceleration if given(target.acceleration) else (0.0, 0.0, 0.0)
-        velocity, feed, now_s = (
-            (complex(north, east), -down),
-            (complex(a_n, a_e), -a_d),
-            self.autopilot.now_s,
-        )
+        velocity, feed = (complex(north, east), -down), (complex(a_n, a_e), -a_d)
+        now_s = self.autopilot.now_s
         if self._ideal is not None:
             streams = kind is self.kind is Kind.PATH and not any(feed)
             before, gap_s = (self._velocity, self._climb_m_s), now_s - self._heard_s
@@ -493,7 +489,7 @@ class CopterFlight(ArduFlight):
     @property
     def _climbs_out(self) -> bool:
         """AUTO's item is a take-off."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         return leg is not None and leg.does is Does.CLIMB
 
     def stand(self, ground_amsl_m: float, dt_s: float) -> None:
@@ -506,7 +502,7 @@ class CopterFlight(ArduFlight):
         self.copter.stand(ground_amsl_m)
         self._abandon_takeoff()
         self.level.rest()
-        self.autopilot.estimator.follow()
+        self.estimator.follow()
         self._stand_still()
 
     # --- flying -------------------------------------------------------------------------------
@@ -527,7 +523,7 @@ class CopterFlight(ArduFlight):
         return self.level.lean(self._here_deg, self._flown, dt_s), self._lift()
 
     def _lift(self) -> float:
-        estimate = self.autopilot.estimate
+        estimate = self.estimate
         return self.up.lift(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
 
     def _move_desired(self, dt_s: float) -> None:
@@ -569,7 +565,7 @@ class CopterFlight(ArduFlight):
         """GUIDED."""
         if self._takeoff_s is not None:
             self._watch_takeoff()
-        if not self.autopilot.estimator.aiding:
+        if not self.estimator.aiding:
             return self._level_out(0.0, dt_s)
         if self._ideal is not None:
             if self.kind is Kind.PATH and self._age_s <= self._timeout_s:
@@ -602,7 +598,7 @@ class CopterFlight(ArduFlight):
 
     def _track(self, ideal: Ideal) -> Order:
         """The law without drag."""
-        estimate, here_deg = self.autopilot.estimate, self._here_deg
+        estimate, here_deg = self.estimate, self._here_deg
         self.level.scale = metres_per_degree(here_deg.real)
         off_m = self.level.metres(here_deg, self._place_deg)
         rise_m = self._altitude_m - estimate.altitude_amsl_m
@@ -614,7 +610,7 @@ class CopterFlight(ArduFlight):
         """The take-off is over some time after the height was nearly reached."""
         autopilot = self.autopilot
         if self._reached_s is None:
-            if autopilot.estimate.altitude_amsl_m > self._altitude_m - _REACHED_M:
+            if self.estimate.altitude_amsl_m > self._altitude_m - _REACHED_M:
                 self._reached_s = autopilot.now_s
         elif autopilot.now_s - self._reached_s >= _REACHED_S:
             self._abandon_takeoff()
@@ -633,7 +629,7 @@ class CopterFlight(ArduFlight):
 
     def sink(self, dt_s: float) -> Order:
         """The modes that a pilot holds it in: the stick is at its lower end."""
-        p = self.autopilot.parameters
+        p = self.parameters
         climb_m_s = -(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0
         holds = self.autopilot.mode.needs_position
         return self._stop(climb_m_s, dt_s) if holds else self._level_out(climb_m_s, dt_s)
@@ -645,7 +641,7 @@ class CopterFlight(ArduFlight):
 
     def land(self, dt_s: float) -> Order:
         """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
-        p, tuning = self.autopilot.parameters, self.tuning
+        p, tuning = self.parameters, self.tuning
         height_m = self.copter.altitude_amsl_m - self.autopilot.ground_m  # by a rangefinder
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
         low_m = max(p["LAND_ALT_LOW"], 100.0) / 100.0
@@ -653,93 +649,69 @@ class CopterFlight(ArduFlight):
         rate = bounded(rate, -max(tuning.speed_down_m_s, slow), -slow)
         if self.autopilot.now_s < self._pauses_until_s:
             rate = 0.0
-        self._lands_with_position &= self.autopilot.estimator.aiding
+        self._lands_with_position &= self.estimator.aiding
         return self._stop(rate, dt_s) if self._lands_with_position else self._level_out(rate, dt_s)
 
     # --- legs ---------------------------------------------------------------------------------
 
-    def _begin_return(self, *, climb: bool) -> None:
+    def _begin_return(self) -> None:
         """Home, first up to RTL_ALT."""
-        autopilot = self.autopilot
-        here, home = autopilot.estimate.place, autopilot.home or autopilot.estimate.place
-        above_m = autopilot.parameters["RTL_ALT"] / 100.0 if climb else -math.inf
-        height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + above_m)
-        wait_s = autopilot.parameters["RTL_LOIT_TIME"] / 1000.0
-        number = autopilot.route.number
-        autopilot.route.fly(back(here, home, height_m, wait_s), autopilot.now_s)
-        autopilot.route.number = number
-        self._lands_with_position = True
+        p, here, route = self.parameters, self.estimate.place, self.route
+        home, number = self.autopilot.home or here, route.number
+        height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + p["RTL_ALT"] / 100.0)
+        route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.autopilot.now_s)
+        route.number, self._lands_with_position = number, True
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another item of the mission, or none any more."""
-        autopilot, route, leg = self.autopilot, self.autopilot.route, self.autopilot.route.leg
-        self.speed_m_s = speed_m_s or self.speed_m_s
+        route, here = self.route, self.estimate.place
+        leg, self.speed_m_s = route.leg, speed_m_s or self.speed_m_s
         self._start_vertical()
+        self._lands_with_position = True
         if leg is None:
             self._stand_still()
-            return
-        here = autopilot.estimate.place
-        if leg.does is Does.RETURN:
-            self._begin_return(climb=True)
+        elif leg.does is Does.RETURN:
+            self._begin_return()
         elif leg.does is Does.LAND:
             route.leg = leg._replace(place=leg.place.at(here.altitude_amsl_m))
         elif leg.does is Does.CLIMB:
             height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
-            route.leg, self._takeoff_s = leg._replace(place=here.at(height_m)), autopilot.now_s
+            route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
+            self._takeoff_s = self.autopilot.now_s
 
-    def fly_mission(self, dt_s: float) -> Order:
-        """AUTO: item by item."""
-        autopilot, route = self.autopilot, self.autopilot.route
-        leg, now_s = route.leg, autopilot.now_s
-        if leg is None or not autopilot.estimator.aiding:
-            return self._stop(0.0, dt_s)
-        if leg.command == RETURN:
-            return self.fly_back(dt_s)
-        if leg.does is Does.LAND and route.arrived_s is not None:
+    def fly_legs(self, dt_s: float) -> Order:
+        """AUTO, RTL: a place after the other."""
+        autopilot, route, leg, now_s = (
+            self.autopilot,
+            self.route,
+            self.route.leg,
+            self.autopilot.now_s,
+        )
+        if leg is None or not self.estimator.aiding:
+            return self._level_out(0.0, dt_s) if leg else self._stop(0.0, dt_s)
+        returns, lands = leg.command == RETURN, leg.does is Does.LAND
+        if lands and (returns or route.arrived_s is not None):
             return self.land(dt_s)
-        order = self._go_to(leg.place, dt_s)
-        here = autopilot.estimate.place
-        rise_m = leg.place.altitude_amsl_m - here.altitude_amsl_m
-        away_m = abs(way_m(here, leg.place))
-        done = False
-        if leg.does is Does.LAND:
-            if away_m < _OVER_LANDING_M:
-                route.arrived_s, self._lands_with_position = now_s, True
-        elif leg.does is Does.CLIMB:
-            done = rise_m < _REACHED_M and route.has_waited(now_s, _REACHED_S)
-            if done:
+        here, place = self.estimate.place, leg.place
+        order = self._go(_degrees(place), place.altitude_amsl_m, dt_s)
+        rise_m, away_m = place.altitude_amsl_m - here.altitude_amsl_m, abs(way_m(here, place))
+        there = math.hypot(away_m, rise_m) < self.parameters["WPNAV_RADIUS"] / 100.0
+        if leg.does is Does.CLIMB:
+            there = abs(rise_m) < _CLIMBED_M if returns else rise_m < _REACHED_M
+        elif lands:
+            there = away_m < _OVER_LANDING_M
+        if returns and not leg.hold_s:
+            there = there and now_s - route.began_s >= _RETURN_STAGE_S
+        if not (there or route.arrived_s is not None) or not route.has_waited(now_s, leg.hold_s):
+            return order
+        if returns:
+            route.go_on(now_s)
+        elif route.number is not None and not lands:
+            autopilot.reached(route.number)
+            if leg.does is Does.CLIMB:
                 self._abandon_takeoff()
                 autopilot.took_off()
-        else:
-            near = math.hypot(away_m, rise_m) < autopilot.parameters["WPNAV_RADIUS"] / 100.0
-            near = near or route.arrived_s is not None
-            done = near and route.has_waited(now_s, leg.hold_s)
-        if done and route.number is not None:
-            autopilot.reached(route.number)
             autopilot.seek(route.number + 1)
-        return order
-
-    def _go_to(self, place: Place, dt_s: float) -> Order:
-        return self._go(
-            complex(place.latitude_deg, place.longitude_deg), place.altitude_amsl_m, dt_s
-        )
-
-    def fly_back(self, dt_s: float) -> Order:
-        """RTL: climb, go, wait above home, land."""
-        autopilot, route = self.autopilot, self.autopilot.route
-        leg, now_s = route.leg, autopilot.now_s
-        if leg is None or not autopilot.estimator.aiding:
-            return self._level_out(0.0, dt_s)
-        if leg.does is Does.LAND:
-            return self.land(dt_s)
-        here, order = autopilot.estimate.place, self._go_to(leg.place, dt_s)
-        if leg.does is Does.CLIMB:
-            there = abs(here.altitude_amsl_m - leg.place.altitude_amsl_m) < _CLIMBED_M
-        else:
-            there = abs(way_m(here, leg.place)) < autopilot.parameters["WPNAV_RADIUS"] / 100.0
-        waits_s = leg.hold_s or _RETURN_STAGE_S
-        if (there or leg.hold_s) and now_s - route.began_s >= waits_s:
-            route.go_on(now_s)
         return order
 
     # --- the nose -----------------------------------------------------------------------------
@@ -750,19 +722,17 @@ class CopterFlight(ArduFlight):
 
     def _set_looks_ahead(self) -> None:
         """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
-        behaviour = int(self.autopilot.parameters["WP_YAW_BEHAVIOR"])
+        behaviour = int(self.parameters["WP_YAW_BEHAVIOR"])
         self._looks_ahead = behaviour != 0 and self._mode in ("GUIDED", "AUTO")
-        if self._mode in _RETURNS:
+        if self._mode == "RTL":
             self._looks_ahead = behaviour in (1, 3)
 
     @property
     def _way_m_s(self) -> complex:
         """The velocity that the nose looks along."""
-        return (
-            self.level.velocity
-            if self._ideal is None
-            else complex(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)
-        )
+        if self._ideal is None:
+            return self.level.velocity
+        return complex(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)
 
     def _heading_rad(self, dt_s: float) -> float:
         """One step on, from 0 to 2 pi."""
@@ -786,7 +756,7 @@ class CopterFlight(ArduFlight):
             holds = True
         elif self._mode == "LAND":
             holds = self._lands_with_position
-        elif self._mode in _RETURNS:
+        elif self._mode == "RTL":
             holds = autopilot.armed
         return autopilot.mode.base | (_HOLDS if holds else 0)
 
@@ -816,7 +786,7 @@ class CopterFlight(ArduFlight):
     def echo(self) -> TargetEcho | None:
         """What GUIDED steers for; in other modes nothing is sent."""
         autopilot = self.autopilot
-        if self._mode != "GUIDED" or autopilot.estimator.origin is None:
+        if self._mode != "GUIDED" or self.estimator.origin is None:
             return None
         position = None
         if self.kind is Kind.TAKEOFF:
@@ -833,14 +803,14 @@ class CopterFlight(ArduFlight):
 
     def waypoint(self) -> Waypoint | None:
         """While it flies to a place that does not move."""
-        leg, place = self.autopilot.route.leg, None
+        leg, place = self.route.leg, None
         if self._mode == "GUIDED" and self.kind is Kind.POSITION:
             place = self._target_place
         elif leg is not None and (leg.does is not Does.LAND or leg.command != RETURN):
             place = leg.place
         if place is None:
             return None
-        here = self.autopilot.estimate.place
+        here = self.estimate.place
         way = way_m(here, place)
         return Waypoint(
             place=place,
@@ -850,10 +820,5 @@ class CopterFlight(ArduFlight):
         )
 
 
-def make(
-    vehicle: Copter, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
-) -> ArduPilot:
-    """An ArduCopter that boots."""
-    return ArduPilot(
-        FIRMWARE, lambda it: CopterFlight(it, vehicle), vehicle, parameters, plans, rng
-    )
+make: Final = functools.partial(ArduPilot, FIRMWARE, CopterFlight)
+"""One that boots, of vehicle, parameters, plans and rng=."""

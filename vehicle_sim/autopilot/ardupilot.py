@@ -178,6 +178,7 @@ class ArduFlight(Flight):
         """In every step, before the checks."""
 
     def __init__(self, autopilot: "ArduPilot") -> None:
+        super().__init__(autopilot)
         self.autopilot = autopilot
 
 

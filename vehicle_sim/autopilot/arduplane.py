@@ -12,6 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
+from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import (
     GPS_GLOBAL_ORIGIN,
     HEARTBEAT,
@@ -22,12 +23,11 @@ from vehicle_sim.autopilot.core import (
 )
 from vehicle_sim.autopilot.earth import FlatEarth, Vector, way_m
 from vehicle_sim.autopilot.estimator import State as Estimates
-from vehicle_sim.autopilot.legs import LOITER_TIME, LOITER_UNLIM, Does, Leg
+from vehicle_sim.autopilot.legs import WAYPOINT, Does, Leg
 from vehicle_sim.autopilot.plane_control import (
     Circle,
     PlaneControl,
     Way,
-    bounded,
     eas_to_tas,
     indicated_airspeed_m_s,
     true_airspeed_m_s,
@@ -75,7 +75,6 @@ FIRMWARE: Final = Firmware(
     table=(*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS),
     modes=_MODES,
     holds="LOITER",
-    lands="RTL",
     returns="RTL",
     pilot="FBWA",
     timing=replace(
@@ -130,8 +129,6 @@ _LANDING_SINK_M_S: Final = 1.5
 _BRAKING_M_S2: Final = -3.0
 _HEADING_GAIN: Final = math.radians(50.0)
 """Bank for each radian of course error: GUIDED_P 5000 hundredths of a degree."""
-_USUAL_RADIUS_M: Final = 60.0
-"""Where WP_LOITER_RAD gives none."""
 _RUNWAY_AHEAD_M: Final = 1000.0
 """A mission's take-off climbs straight on at a point so far ahead."""
 _NO_HEIGHT = "SIM: NaN height in {} stops the real autopilot"
@@ -147,16 +144,16 @@ class ArduPlaneFlight(ArduFlight):
         super().__init__(autopilot)
         self._plane = plane
         plane.turn_efficiency = _TURN_EFFICIENCY
-        self._control = PlaneControl(plane, autopilot.estimate)
+        self._control = PlaneControl(plane, self.estimate)
         self._control.slowing_m_s2 = _SLOWING_M_S2
         self._first_fix_s: float | None = None
         self._origin_due_s = math.inf
-        self._start = self._place = autopilot.estimate.place
+        self._start = self._place = self.estimate.place
         """Where it goes, and where from."""
-        self._next_start: Place | None = None
-        """Where the next leg of a mission begins; None: here."""
         self._straight = False
         """Along the way between the two, and not to circle at once."""
+        self._passed: Place | None = None
+        """The last waypoint of the mission, from which the next leg leads on."""
         self._radius_m, self._left = 0.0, False
         """Asked for, 0: WP_LOITER_RAD; counter-clockwise."""
         self._arrived = False
@@ -186,9 +183,9 @@ class ArduPlaneFlight(ArduFlight):
     def begin(self, before: Mode) -> None:
         """What was told before is forgotten; without anything new it circles here."""
         del before
-        autopilot, here = self.autopilot, self.autopilot.estimate.place
+        autopilot, here = self.autopilot, self.estimate.place
         self._cruise_m_s = self._airspeed_m_s = self._course_rad = None
-        autopilot.route.stop()
+        self.route.stop()
         if self._climbing:
             self._end_climb()
         self._go(here)
@@ -196,41 +193,31 @@ class ArduPlaneFlight(ArduFlight):
         if self._flies == "returns":
             self._return()
         elif self._flies == "flies_mission":
-            autopilot.seek(max(autopilot.route.current, 1))
-        elif self._flies == "takes_off" and not autopilot.standing:
-            home_m = autopilot.home.altitude_amsl_m if autopilot.home else 0.0
-            missing_m = autopilot.parameters["TKOFF_ALT"] - (here.altitude_amsl_m - home_m)
-            if missing_m > 0.0:
-                self._aim_ahead(autopilot.parameters["TKOFF_DIST"], missing_m)
+            autopilot.seek(max(self.route.current, 1))
 
     def _go(
-        self,
-        place: Place,
-        start: Place | None = None,
-        *,
-        straight: bool = False,
-        radius_m: float = 0.0,
-        left: bool = False,
+        self, place: Place, *, straight: bool = False, radius_m: float = 0.0, left: bool = False
     ) -> None:
         """To this point, at its height: along the way if that goes down (or is straight) enough."""
-        self._place, self._start = place, start or self.autopilot.estimate.place
+        self._place, self._start = place, self._passed or self.estimate.place
+        self._passed = None
         self._straight, self._radius_m, self._left, self._arrived = straight, radius_m, left, False
         change_m = place.altitude_amsl_m - self._start.altitude_amsl_m
-        steep = abs(change_m) >= self.autopilot.parameters["GLIDE_SLOPE_MIN"]
+        steep = abs(change_m) >= self.parameters["GLIDE_SLOPE_MIN"]
         self._slope_m = change_m if steep and (straight or change_m < 0.0) else 0.0
 
     def _aim_ahead(self, away_m: float, up_m: float) -> None:
         """To the point so far ahead and so much higher."""
         velocity = self._control.velocity
         way = velocity / abs(velocity) * away_m
-        here = self.autopilot.estimate.place
+        here = self.estimate.place
         self._go(FlatEarth(here).place(way.real, way.imag, -up_m))
 
     def _return(self) -> None:
         """Home, RTL_ALTITUDE above it."""
-        home, above_m = self.autopilot.home, self.autopilot.parameters["RTL_ALTITUDE"]
+        home, above_m = self.autopilot.home, self.parameters["RTL_ALTITUDE"]
         if home is not None:
-            here_m = self.autopilot.estimate.altitude_amsl_m
+            here_m = self.estimate.altitude_amsl_m
             self._go(home.at(here_m if above_m < 0.0 else home.altitude_amsl_m + above_m))
 
     def cannot_fly_in(self, name: str) -> str | None:
@@ -240,49 +227,48 @@ class ArduPlaneFlight(ArduFlight):
     # --- missions -----------------------------------------------------------------------------
 
     def begin_leg(self, speed_m_s: float | None) -> None:
-        """Another item, from the last one's place or from here."""
-        autopilot, leg = self.autopilot, self.autopilot.route.leg
-        here, start = autopilot.estimate.place, self._next_start
-        self._cruise_m_s, self._next_start = speed_m_s or self._cruise_m_s, None
+        """Another item."""
+        leg, here_m = self.route.leg, self.estimate.altitude_amsl_m
+        self._cruise_m_s = speed_m_s or self._cruise_m_s
         if leg is None:
             return
         if leg.does is Does.RETURN:
             self._return()
         elif leg.does is Does.CLIMB:
-            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here.altitude_amsl_m)
+            self._aim_ahead(_RUNWAY_AHEAD_M, leg.place.altitude_amsl_m - here_m)
+        elif leg.does is Does.LAND:
+            self._go(leg.place.at(here_m), straight=True)
         else:
-            lands, place = leg.does is Does.LAND, leg.place
-            straight = leg.command not in (LOITER_UNLIM, LOITER_TIME)
-            place = place.at(here.altitude_amsl_m) if lands else place
-            self._go(place, start, straight=straight)
+            self._go(leg.place, straight=leg.command == WAYPOINT)
 
     def _follow_mission(self) -> None:
         """Ten times a second: on to the next item when this one is done; home after the last."""
-        autopilot, route, leg = self.autopilot, self.autopilot.route, self.autopilot.route.leg
+        autopilot, route = self.autopilot, self.route
+        leg = route.leg
         if leg is not None and self._is_done(leg):
             autopilot.reached(route.current)
-            self._next_start = self._place if leg.does is Does.GO else None
+            self._passed = self._place if leg.does is Does.GO else None
             autopilot.seek(route.current + 1)
         if route.leg is None and not autopilot.standing:
             autopilot.set_mode("RTL")
 
     def _is_done(self, leg: Leg) -> bool:
         if leg.does is Does.CLIMB:
-            return self.autopilot.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+            return self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
         if leg.does is not Does.GO:
             return False
         if not self._straight:
             circles = self._arrived and self._control.l1.circling
-            return circles and self.autopilot.route.has_waited(self.autopilot.now_s, leg.hold_s)
+            return circles and self.route.has_waited(self.autopilot.now_s, leg.hold_s)
         near_m = self._control.l1.length_m(abs(self._control.velocity))
-        near_m = min(self.autopilot.parameters["WP_RADIUS"], near_m)
+        near_m = min(self.parameters["WP_RADIUS"], near_m)
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else near_m
         return abs(self._control.off_m(self._place)) <= near_m or self._along() >= 1.0
 
     @property
     def lands(self) -> bool:
         """Where AUTO does."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         return leg is not None and leg.does is Does.LAND
 
     # --- failsafes ----------------------------------------------------------------------------
@@ -291,7 +277,7 @@ class ArduPlaneFlight(ArduFlight):
         """It returns, but for FS_LONG_ACTN 0 in AUTO, BATT_FS_*_ACT 2 in a landing, and MANUAL."""
         autopilot, returns = self.autopilot, self.autopilot.mode_name != "MANUAL"
         if cause == "GCS":
-            goes_on = autopilot.parameters["FS_LONG_ACTN"] == 0.0
+            goes_on = self.parameters["FS_LONG_ACTN"] == 0.0
             returns = not autopilot.landed and not (goes_on and self._flies == "flies_mission")
         elif cause == "Battery":
             returns = action in (1, 2) and not self.lands
@@ -334,7 +320,7 @@ class ArduPlaneFlight(ArduFlight):
         self._go(place, radius_m=radius_m, left=math.isfinite(p[3]) and p[3] != 0.0)
         self._course_rad = None
         # until navigation has run again the height to be at is the present one
-        self._control.height_amsl_m = autopilot.estimate.altitude_amsl_m
+        self._control.height_amsl_m = self.estimate.altitude_amsl_m
         return Result.ACCEPTED
 
     def _start_mission(self, command: Command) -> Result:
@@ -363,7 +349,7 @@ class ArduPlaneFlight(ArduFlight):
 
     def _may_fly(self, kind: float, speed_m_s: float) -> bool:
         """Whether it is an airspeed, and within the limits."""
-        least_m_s, most_m_s = (self.autopilot.parameters[f"AIRSPEED_{of}"] for of in ("MIN", "MAX"))
+        least_m_s, most_m_s = (self.parameters[f"AIRSPEED_{of}"] for of in ("MIN", "MAX"))
         return kind == 0.0 and least_m_s <= speed_m_s <= most_m_s
 
     def _change_heading(self, command: Command) -> Result:
@@ -401,7 +387,7 @@ class ArduPlaneFlight(ArduFlight):
             return None
         if self._first_fix_s is None:
             return "GPS 1: Bad fix"
-        if not self.autopilot.estimator.ok:
+        if not self.estimator.ok:
             return "AHRS: not using configured AHRS type"
         return self.autopilot.common_refusal()
 
@@ -411,7 +397,7 @@ class ArduPlaneFlight(ArduFlight):
 
     def disarms_after_s(self) -> float | None:
         """After a landing of a mission."""
-        wait_s: float = self.autopilot.parameters["LAND_DISARMDELAY"]
+        wait_s: float = self.parameters["LAND_DISARMDELAY"]
         return wait_s if self.lands and wait_s > 0.0 else None
 
     # --- ten times a second -------------------------------------------------------------------
@@ -442,7 +428,7 @@ class ArduPlaneFlight(ArduFlight):
             self._origin_due_s = math.inf
             autopilot.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
         self._choose_speed()
-        if not autopilot.estimator.ok or self._flies in ("glides", "cruises"):
+        if not self.estimator.ok or self._flies in ("glides", "cruises"):
             control.bank_rad = 0.0
         elif self._flies == "banks":
             control.bank_rad = control.bank_most_rad / 3.0
@@ -451,13 +437,13 @@ class ArduPlaneFlight(ArduFlight):
 
     def _choose_speed(self) -> None:
         """Airspeed, and the climb where that is no matter of height."""
-        parameters, control = self.autopilot.parameters, self._control
+        parameters, control = self.parameters, self._control
         slow = self._flies in ("glides", "cruises")
         wanted_m_s = parameters["AIRSPEED_MIN" if slow else "AIRSPEED_CRUISE"]
         wanted_m_s = self._airspeed_m_s or self._cruise_m_s or wanted_m_s
         least_m_s, most_m_s = parameters["AIRSPEED_MIN"], parameters["AIRSPEED_MAX"]
         self._demand_m_s = bounded(wanted_m_s, least_m_s, most_m_s)
-        altitude_m = self.autopilot.estimate.altitude_amsl_m
+        altitude_m = self.estimate.altitude_amsl_m
         control.airspeed_m_s = true_airspeed_m_s(self._demand_m_s, altitude_m)
         control.climb_m_s = None
         if self._flies == "glides":
@@ -473,8 +459,7 @@ class ArduPlaneFlight(ArduFlight):
         autopilot, control = self.autopilot, self._control
         if self._flies == "takes_off" and autopilot.standing and autopilot.armed:
             if abs(control.velocity) < _AIMED_M_S:
-                parameters = autopilot.parameters
-                self._aim_ahead(parameters["TKOFF_DIST"], parameters["TKOFF_ALT"])
+                self._aim_ahead(self.parameters["TKOFF_DIST"], self.parameters["TKOFF_ALT"])
         elif self._flies == "flies_mission":
             self._follow_mission()
         circle = Circle(self._place, self._circle_m())
@@ -506,22 +491,21 @@ class ArduPlaneFlight(ArduFlight):
 
     def _circle_m(self) -> float:
         """Radius to fly, left negative: wider where the air is thin."""
-        usual_m = self.autopilot.parameters["WP_LOITER_RAD"]
-        asked_m = self._radius_m if self._radius_m > 1.0 else abs(usual_m)
-        thin = eas_to_tas(self.autopilot.estimate.altitude_amsl_m) ** 2
-        radius_m = (asked_m if asked_m > 1.0 else _USUAL_RADIUS_M) * thin
+        usual_m = self.parameters["WP_LOITER_RAD"]
+        asked_m = self._radius_m if self._radius_m > 1.0 else max(abs(usual_m), 1.0)
+        radius_m = asked_m * eas_to_tas(self.estimate.altitude_amsl_m) ** 2
         return -radius_m if self._left or usual_m < 0.0 else radius_m
 
     def _watch_climb(self) -> None:
         """Level near the ground; over at its height, or far enough away."""
         autopilot, control = self.autopilot, self._control
-        parameters, here = autopilot.parameters, autopilot.estimate.place
+        parameters, here = self.parameters, self.estimate.place
         climbed_m = here.altitude_amsl_m - self._start.altitude_amsl_m
         share = bounded((climbed_m - _LEVEL_M) / (_FREE_M - _LEVEL_M), 0.0, 1.0)
         most_rad = _LEVEL_RAD + share * (control.bank_most_rad - _LEVEL_RAD)
         control.bank_rad = bounded(control.bank_rad, -most_rad, most_rad)
         if self._flies == "flies_mission":
-            leg = autopilot.route.leg
+            leg = self.route.leg
             over = leg is None or leg.does is not Does.CLIMB
         else:
             away_m = abs(control.off_m(self._start))
@@ -539,7 +523,7 @@ class ArduPlaneFlight(ArduFlight):
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        parameters, control = self.autopilot.parameters, self._control
+        parameters, control = self.parameters, self._control
         control.l1.period_s = max(parameters["NAVL1_PERIOD"], 1.0)
         control.l1.damping = max(parameters["NAVL1_DAMPING"], 0.1)
         control.heights.climb_most_m_s = max(parameters["TECS_CLMB_MAX"], 0.1)
@@ -570,10 +554,10 @@ class ArduPlaneFlight(ArduFlight):
 
     def stand(self, ground_amsl_m: float, dt_s: float) -> None:
         """On the runway: to a halt, or up to speed."""
-        autopilot, plane, leg = self.autopilot, self._plane, self.autopilot.route.leg
+        autopilot, plane, leg = self.autopilot, self._plane, self.route.leg
         plane.altitude_amsl_m = ground_amsl_m
         takes_off = self._flies == "takes_off" or (leg is not None and leg.does is Does.CLIMB)
-        if not (takes_off and autopilot.armed and autopilot.estimator.ok):
+        if not (takes_off and autopilot.armed and self.estimator.ok):
             self._roll_s = autopilot.now_s
         self._throttle = bounded(autopilot.now_s - self._roll_s - _THROTTLE_S, 0.0, 1.0)
         acceleration = _BRAKING_M_S2
@@ -623,12 +607,12 @@ class ArduPlaneFlight(ArduFlight):
 
     def airspeed_m_s(self) -> float:
         """What the pitot tube measures: less than the true airspeed, as it is calibrated."""
-        altitude_m = self.autopilot.estimate.altitude_amsl_m
+        altitude_m = self.estimate.altitude_amsl_m
         return indicated_airspeed_m_s(self._plane.airspeed_m_s, altitude_m)
 
     def unaided_ned_m(self) -> Vector | None:
         """About home, by another estimator, until this one flies for the first time."""
-        home, estimator = self.autopilot.home, self.autopilot.estimator
+        home, estimator = self.autopilot.home, self.estimator
         if home is None or estimator.state is not Estimates.START:
             return None
         return 0.0, 0.0, home.altitude_amsl_m - estimator.estimate.altitude_amsl_m
@@ -645,9 +629,8 @@ class ArduPlaneFlight(ArduFlight):
             place=self._place,
             distance_m=abs(control.off_m(self._place)),
             bearing_rad=control.l1.bearing_rad,
-            altitude_error_m=control.height_amsl_m - self.autopilot.estimate.altitude_amsl_m,
+            altitude_error_m=control.height_amsl_m - self.estimate.altitude_amsl_m,
             cross_track_m=control.l1.cross_track_m,
-            radius_m=self._circle_m(),
             airspeed_error_m_s=self._demand_m_s - self.airspeed_m_s(),
         )
 

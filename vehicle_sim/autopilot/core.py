@@ -77,10 +77,9 @@ class Firmware:
     modes: tuple[Mode, ...]
     """The first one of them is that which it boots in."""
     holds: str
-    """Mode that LOITER_UNLIM asks for; the next ones: LAND, RETURN_TO_LAUNCH, and the pilot."""
-    lands: str
     returns: str
     pilot: str
+    """Modes that LOITER_UNLIM, RETURN_TO_LAUNCH and the pilot ask for."""
     timing: Timing
     frame: Callable[[Place], Frame]
     ready_s: float
@@ -107,6 +106,10 @@ class Firmware:
 
 class Flight(abc.ABC):
     """How a kind of vehicle is flown.  It steers by the estimate; only the ground is true."""
+
+    def __init__(self, autopilot: "Autopilot") -> None:
+        self.parameters, self.route = autopilot.parameters, autopilot.route
+        self.estimator, self.estimate = autopilot.estimator, autopilot.estimate
 
     @abc.abstractmethod
     def begin(self, before: Mode) -> None:
@@ -253,7 +256,7 @@ class Autopilot(abc.ABC):
             self.flight.read_parameters()
         self.look(fix)
         if now_us >= self._check_us:
-            self._check_us = now_us + _CHECK_US - (now_us - self._check_us) % _CHECK_US
+            self._check_us = now_us + _CHECK_US
             self.check()
         self._fly(dt_s)
         estimator.follow()

@@ -12,6 +12,7 @@ import cmath
 import math
 from typing import Final, NamedTuple, final
 
+from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.earth import way_m
 from vehicle_sim.autopilots import Estimate, Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
@@ -51,11 +52,6 @@ def _interpolated(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> flo
     k = bisect.bisect_right(xs, x)
     share = (x - xs[k - 1]) / (xs[k] - xs[k - 1])
     return ys[k - 1] + share * (ys[k] - ys[k - 1])
-
-
-def bounded(value: float, least: float, most: float) -> float:
-    """The nearest value within these."""
-    return least if value < least else most if value > most else value
 
 
 # --- where to: lateral accelerations --------------------------------------------------------------

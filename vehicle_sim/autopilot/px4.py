@@ -170,7 +170,6 @@ def firmware(
         table=parameter_rows("px4/common", parameters),
         modes=MODES,
         holds="Hold",
-        lands="Land",
         returns="Return",
         pilot=pilot,
         timing=_TIMING,
@@ -195,41 +194,21 @@ def firmware(
 class Action(enum.IntEnum):
     """failsafe_action_t: the worse, the greater."""
 
-    NONE = 0
-    WARN = 1
-    POSITION = 2
-    ALTITUDE = 3
-    STABILIZED = 4
-    HOLD = 5
-    RETURN = 6
-    LAND = 7
-    DESCEND = 8
-    DISARM = 9
-    TERMINATE = 10
+    NONE, WARN, POSITION, ALTITUDE, STABILIZED, HOLD = range(6)
+    RETURN, LAND, DESCEND, DISARM, TERMINATE = range(6, 11)
 
 
 _INSTEAD: Final = {
-    Action.POSITION: "Position",
-    Action.ALTITUDE: "Altitude",
-    Action.STABILIZED: "Stabilized",
-    Action.HOLD: "Hold",
-    Action.RETURN: "Return",
-    Action.LAND: "Land",
-    Action.DESCEND: "Descend",
+    action: action.name.title() for action in Action if Action.WARN < action < Action.DISARM
 }
+"""The mode that is flown then."""
 _CHOICES: Final = {
-    "COM_OBL_RC_ACT": (
-        *(Action.POSITION, Action.ALTITUDE, Action.STABILIZED, Action.RETURN),
-        *(Action.LAND, Action.HOLD, Action.TERMINATE, Action.DISARM),
-    ),
-    "GF_ACTION": (
-        *(Action.NONE, Action.WARN, Action.HOLD, Action.RETURN),
-        *(Action.TERMINATE, Action.LAND),
-    ),
-    "NAV_DLL_ACT": (
-        *(Action.NONE, Action.HOLD, Action.RETURN, Action.LAND),
-        *(Action.NONE, Action.TERMINATE, Action.DISARM),
-    ),
+    name: [Action[action.upper()] for action in actions.split()]
+    for name, actions in {
+        "COM_OBL_RC_ACT": "position altitude stabilized return land hold terminate disarm",
+        "GF_ACTION": "none warn hold return terminate land",
+        "NAV_DLL_ACT": "none hold return land none terminate disarm",
+    }.items()
 }
 """What the values of these parameters ask for; another one asks for the first."""
 _STILL_S: Final = 2.0
@@ -248,6 +227,7 @@ class Px4Flight(Flight):
     """How a PX4 flies.  What was commanded it finds at the autopilot."""
 
     def __init__(self, autopilot: "Px4") -> None:
+        super().__init__(autopilot)
         self.autopilot = autopilot
 
     @abc.abstractmethod
@@ -264,8 +244,8 @@ class Px4Flight(Flight):
         """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
         autopilot = self.autopilot
         if autopilot.takeoff is not None and math.isfinite(autopilot.takeoff[2]):
-            return max(autopilot.takeoff[2], autopilot.estimate.altitude_amsl_m)
-        return self.home.altitude_amsl_m + autopilot.parameters["MIS_TAKEOFF_ALT"]
+            return max(autopilot.takeoff[2], self.estimate.altitude_amsl_m)
+        return self.home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
     def take_off(self, command: Command) -> Result:
         """NAV_TAKEOFF: a mode."""
@@ -292,7 +272,7 @@ class Px4Flight(Flight):
     def disarms_after_s(self) -> float | None:
         """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
         landed = self.autopilot.landed_s is not None
-        wait_s = self.autopilot.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
+        wait_s = self.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
         return wait_s if wait_s > 0.0 else None
 
 
@@ -339,7 +319,7 @@ class Px4(Autopilot):
         again, until another mode is commanded."""
         self._ill: set[str] = set()
         self._after_disarming = self.mode
-        self._flown = self._fused = False
+        self._flown = self._fused = self._select_due = False
         self._disarmed_s = -_STILL_S
         self.flight = flight = make_flight(self)
         self.handlers |= {
@@ -366,6 +346,8 @@ class Px4(Autopilot):
     def look(self, fix: Fix) -> None:
         """In every step, before the checks."""
         del fix
+        if self._select_due:
+            self._select()
         if self.estimator.origin is not None:
             self.local_m = self.frame.ned_m(self.estimate.place)
 
@@ -390,7 +372,7 @@ class Px4(Autopilot):
             self.take_to_the_air()
 
     def check(self) -> None:
-        """Ten times a second: arming checks, incidents, and which mode is flown now."""
+        """Ten times a second: arming checks, incidents; what follows is done in the next step."""
         now_s, parameters = self.now_s, self.parameters
         self._check_estimate()
         if 0.0 < now_s - self._companion_s - parameters["COM_OBC_LOSS_T"] < math.inf:
@@ -404,7 +386,7 @@ class Px4(Autopilot):
             self._check_fence()
             if self._note("battery", self._battery_action()):
                 self.say_event(2, "Critical battery level, land now")
-        self._select()
+        self._select_due = True
 
     def _check_estimate(self) -> None:
         """Flags and accuracies; "fusion started" and "stopped"."""
@@ -500,6 +482,7 @@ class Px4(Autopilot):
 
     def _select(self) -> None:
         """Which mode is flown now."""
+        self._select_due = False
         before, self.action = self.action, self._failsafe() if self.armed else Action.NONE
         if self.action > before and self.action > Action.WARN:
             self.say_event(2, "Failsafe activated")

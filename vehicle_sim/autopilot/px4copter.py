@@ -1,10 +1,8 @@
 """PX4 1.17 flying a multicopter: OFFBOARD without look-ahead, and AUTO modes (px4.md 3 to 8)."""
 
+import functools
 import math
-from collections.abc import Mapping
 from typing import Final, final
-
-import numpy as np
 
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Mode
@@ -14,7 +12,6 @@ from vehicle_sim.autopilot.px4_control import NONE, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.plans import Plans
 
 FIRMWARE: Final = firmware(vehicle_type=2, rates_hz=RATES_HZ, parameters="px4/multicopter")
 
@@ -53,9 +50,10 @@ _IDLE: Final = TargetEcho(
 class Px4CopterFlight(Px4Flight):
     """A quadcopter of PX4's SIH simulator: 1 kg, drag SIH_KDV."""
 
-    def __init__(self, autopilot: Px4, copter: Copter) -> None:
+    def __init__(self, autopilot: Px4) -> None:
         super().__init__(autopilot)
-        self.copter = copter
+        assert isinstance(autopilot.vehicle, Copter)
+        self.copter = copter = autopilot.vehicle
         self._control, self._point = Control(autopilot.parameters), Point()
         self._ways = {mode.name: getattr(self, mode.flies) for mode in MODES}
         self._goal, self._goal_down = NONE, _NAN
@@ -78,7 +76,7 @@ class Px4CopterFlight(Px4Flight):
 
     def read_parameters(self) -> None:
         """They are read live."""
-        p, copter = self.autopilot.parameters, self.copter
+        p, copter = self.parameters, self.copter
         self._control.read(p)
         self._point.limit(p, manual=self.autopilot.mode.name in MANUAL)
         copter.drag_1_m, copter.response_s = 0.0, _RESPONSE_S
@@ -93,7 +91,7 @@ class Px4CopterFlight(Px4Flight):
     @property
     def _flown(self) -> State:
         """Where it believes to be, and what it does."""
-        estimate, copter = self.autopilot.estimate, self.copter
+        estimate, copter = self.estimate, self.copter
         north_m, east_m, down_m = self.autopilot.local_m
         return State(
             complex(north_m, east_m),
@@ -157,7 +155,7 @@ class Px4CopterFlight(Px4Flight):
 
     def _return_height_m(self) -> float:
         """Above home: RTL_RETURN_ALT, less within the cone about it."""
-        p, away_m = self.autopilot.parameters, abs(self._here - self._level(self.home))
+        p, away_m = self.parameters, abs(self._here - self._level(self.home))
         height_m = p["RTL_RETURN_ALT"]
         if away_m < p["RTL_MIN_DIST"]:
             return min(height_m, p["RTL_DESCEND_ALT"])
@@ -168,7 +166,7 @@ class Px4CopterFlight(Px4Flight):
 
     def begin_leg(self) -> None:
         """Another leg of the mission, or none any more."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         self._goal, self._goal_down = NONE, _NAN
         if leg is None:
             return
@@ -204,7 +202,7 @@ class Px4CopterFlight(Px4Flight):
     def _starts(self) -> bool:
         """Whether the take-off ramp begins: motors spun up and a climb demanded."""
         autopilot, wanted = self.autopilot, self._wanted
-        if autopilot.now_s - autopilot.armed_s < autopilot.parameters["COM_SPOOLUP_TIME"]:
+        if autopilot.now_s - autopilot.armed_s < self.parameters["COM_SPOOLUP_TIME"]:
             return False
         climbs = wanted.down < autopilot.local_m[2] - _WANTS_UP or wanted.sink < -_WANTS_UP
         climbs = climbs or wanted.push_down < -_WANTS_UP
@@ -223,7 +221,7 @@ class Px4CopterFlight(Px4Flight):
         since_s = autopilot.now_s - self._ramp_s
         if since_s >= _DETECTED_S:
             autopilot.took_off()
-        ramp_s = max(autopilot.parameters["MPC_TKO_RAMP_T"], 0.1)
+        ramp_s = max(self.parameters["MPC_TKO_RAMP_T"], 0.1)
         if since_s >= ramp_s:
             self._ramp_s = None
             return most
@@ -260,7 +258,7 @@ class Px4CopterFlight(Px4Flight):
     def descend(self, dt_s: float) -> State:
         """Without a position or a pilot: level, and down."""
         del dt_s
-        return State(sink=self.autopilot.parameters["MPC_LAND_SPEED"])
+        return State(sink=self.parameters["MPC_LAND_SPEED"])
 
     def sink(self, dt_s: float) -> State:
         """By hand: a pilot's sticks are centred; without one it comes down."""
@@ -282,7 +280,7 @@ class Px4CopterFlight(Px4Flight):
         """To the goal; without one, brake, and stay where that ends."""
         if self._waits():
             return self._point.at
-        p, point, autopilot = self.autopilot.parameters, self._point, self.autopilot
+        p, point, autopilot = self.parameters, self._point, self.autopilot
         if not given(self._goal) and point.stands and abs(point.at.sink) < _STANDS_M_S:
             self._goal, self._goal_down = self._began, self._began_down
         climbs = p["MPC_TKO_SPEED" if autopilot.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
@@ -297,7 +295,7 @@ class Px4CopterFlight(Px4Flight):
         below_m = autopilot.local_m[2] - self._goal_down
         if (
             autopilot.landed
-            or below_m >= autopilot.parameters["NAV_MC_ALT_RAD"]
+            or below_m >= self.parameters["NAV_MC_ALT_RAD"]
             or abs(at.sink) >= _SLOW_M_S
         ):
             self._up_s = None
@@ -311,7 +309,7 @@ class Px4CopterFlight(Px4Flight):
         """Down to the ground, slower the nearer it is."""
         if self._waits():
             return self._point.at
-        p, point = self.autopilot.parameters, self._point
+        p, point = self.parameters, self._point
         if not given(self._goal) and point.stands:
             self._goal = point.at.place
         height_m, slow = self.autopilot.height_m, p["MPC_LAND_SPEED"]
@@ -335,14 +333,14 @@ class Px4CopterFlight(Px4Flight):
 
     def fly_mission(self, dt_s: float) -> State:
         """Leg by leg."""
-        autopilot, leg = self.autopilot, self.autopilot.route.leg
+        autopilot, leg = self.autopilot, self.route.leg
         if leg is None:
             return self.hold(dt_s)
         away_m = abs(self._goal - self._here)
         if leg.does is Does.LAND:
-            if away_m < _ARRIVED_M and autopilot.route.arrived_s is None:
+            if away_m < _ARRIVED_M and self.route.arrived_s is None:
                 autopilot.arrived(leg)
-            return self.hold(dt_s) if autopilot.route.arrived_s is None else self.land(dt_s)
+            return self.hold(dt_s) if self.route.arrived_s is None else self.land(dt_s)
         at, p = self.hold(dt_s), autopilot.parameters
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
         off_m = abs(self._goal_down - autopilot.local_m[2])
@@ -406,8 +404,5 @@ class Px4CopterFlight(Px4Flight):
         return Waypoint(place=place, distance_m=abs(goal - self._here))
 
 
-def make(
-    vehicle: Copter, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
-) -> Px4:
-    """A PX4 multicopter that boots."""
-    return Px4(FIRMWARE, lambda it: Px4CopterFlight(it, vehicle), vehicle, parameters, plans, rng)
+make: Final = functools.partial(Px4, FIRMWARE, Px4CopterFlight)
+"""One that boots, of vehicle, parameters, plans and rng=."""

@@ -16,17 +16,12 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Mode
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does
-from vehicle_sim.autopilot.plane_control import (
-    Circle,
-    PlaneControl,
-    Way,
-    bounded,
-    eas_to_tas,
-)
-from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, Px4Flight, firmware
+from vehicle_sim.autopilot.plane_control import Circle, PlaneControl, Way, eas_to_tas
+from vehicle_sim.autopilot.px4 import RATES_HZ, Asked, Px4, Px4Flight, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
@@ -104,13 +99,13 @@ class Px4PlaneFlight(Px4Flight):
     def __init__(self, autopilot: Px4, plane: Plane) -> None:
         super().__init__(autopilot)
         self._plane = plane
-        self._control = PlaneControl(plane, autopilot.estimate)
+        self._control = PlaneControl(plane, self.estimate)
         self._control.l1.upright = True
         self._aim: Circle | Way | Line | None = None
         """None: the bank stays."""
         self._goal: Place | None = None
         """The place flown to; the middle of a circle."""
-        self._nearest = autopilot.estimate.place, 0j
+        self._nearest = self.estimate.place, 0j
         """Of the path: a place and how far from it."""
         self._settling = False
         """At its point but not at its height: circles until it is."""
@@ -118,8 +113,6 @@ class Px4PlaneFlight(Px4Flight):
         """It lands: on a slope."""
         self._seen: Target | None = None
         """The setpoint that it flies by; with a velocity it is not echoed."""
-        self._before: Place | None = None
-        """Where the last leg of the mission went, if that was a waypoint."""
         self._began_s = 0.0
         """When the mode did."""
         self._steps = 0
@@ -133,7 +126,7 @@ class Px4PlaneFlight(Px4Flight):
 
     def _ahead(self, altitude_amsl_m: float) -> None:
         """Straight on where the nose points."""
-        here = self.autopilot.estimate.place.at(altitude_amsl_m)
+        here = self.estimate.place.at(altitude_amsl_m)
         self._aim = Line(here, cmath.rect(1.0, self._plane.heading_rad))
         self._hold(here)
 
@@ -143,7 +136,7 @@ class Px4PlaneFlight(Px4Flight):
 
     def _land(self, place: Place) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
-        p = self.autopilot.parameters
+        p = self.parameters
         slow_m_s = p["FW_LND_AIRSPD"] if p["FW_LND_AIRSPD"] > 0.0 else p["FW_AIRSPD_MIN"]
         self._circle(place)
         self._control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
@@ -152,16 +145,16 @@ class Px4PlaneFlight(Px4Flight):
     @property
     def _radius_m(self) -> float:
         """NAV_LOITER_RAD; a negative one turns left."""
-        radius_m = self.autopilot.parameters["NAV_LOITER_RAD"]
+        radius_m = self.parameters["NAV_LOITER_RAD"]
         return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
 
     def _true(self, equivalent_m_s: float) -> float:
-        return equivalent_m_s * eas_to_tas(self.autopilot.estimate.altitude_amsl_m)
+        return equivalent_m_s * eas_to_tas(self.estimate.altitude_amsl_m)
 
     @property
     def _cruise_m_s(self) -> float:
         """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
-        p, wanted_m_s = self.autopilot.parameters, self.autopilot.parameters["FW_AIRSPD_TRIM"]
+        p, wanted_m_s = self.parameters, self.parameters["FW_AIRSPD_TRIM"]
         if self.autopilot.mode.name in ("Hold", "Mission", "Return"):
             wanted_m_s = self.autopilot.speed_m_s or wanted_m_s
         least_m_s = p["FW_AIRSPD_MIN"]
@@ -171,21 +164,18 @@ class Px4PlaneFlight(Px4Flight):
 
     def begin(self, before: Mode) -> None:
         """What the mode makes it fly; in the air, and for a take-off on the ground."""
-        autopilot, control, p = self.autopilot, self._control, self.autopilot.parameters
-        here = autopilot.estimate.place
-        self._began_s, self._seen, self._before = autopilot.now_s, None, None
+        autopilot, control, p = self.autopilot, self._control, self.parameters
+        here = self.estimate.place
+        self._began_s, self._seen = autopilot.now_s, None
         match autopilot.mode.flies:
             case "fly_target":
                 return  # the last commands stay until a setpoint comes
             case "climb":
                 self._ahead(self.takeoff_altitude_m)
+                self._goal = self._asked_or(autopilot.takeoff, here.at(self.takeoff_altitude_m))
             case "hold":
                 asked = autopilot.asked or (autopilot.takeoff if before.name == "Takeoff" else None)
-                latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
-                centre = here if altitude_m != altitude_m else here.at(altitude_m)
-                if latitude_deg == latitude_deg:
-                    centre = Place(latitude_deg, longitude_deg, centre.altitude_amsl_m)
-                self._circle(centre)
+                self._circle(self._asked_or(asked, here))
             case "fly_back":
                 height_m = self.home.altitude_amsl_m + p["RTL_RETURN_ALT"]
                 self._circle(self.home.at(max(height_m, here.altitude_amsl_m)))
@@ -202,26 +192,33 @@ class Px4PlaneFlight(Px4Flight):
         elif autopilot.mode.flies == "fly_mission":
             self.begin_leg()
 
+    @staticmethod
+    def _asked_or(asked: Asked | None, here: Place) -> Place:
+        """What of a place was asked for, and here what was not."""
+        latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
+        place = here if altitude_m != altitude_m else here.at(altitude_m)
+        if latitude_deg != latitude_deg:
+            return place
+        return Place(latitude_deg, longitude_deg, place.altitude_amsl_m)
+
     def begin_leg(self) -> None:
-        """Along the line from the last waypoint, or about the leg's place."""
-        leg, control = self.autopilot.route.leg, self._control
-        here, before, self._before = self.autopilot.estimate.place, self._before, None
+        """Straight to the leg's place, or about it."""
+        leg, here = self.route.leg, self.estimate.place
         if leg is None:
             self._circle(here)
         elif leg.does is Does.CLIMB:
             self._ahead(leg.place.altitude_amsl_m)
-            control.climb_m_s = _CLIMB_OUT_M_S
+            self._control.climb_m_s = _CLIMB_OUT_M_S
         elif leg.does is Does.LAND:
             self._land(leg.place)
-        elif leg.hold_s == 0.0:
-            self._circle(leg.place)
-            self._aim, self._before = Way(before or here, leg.place), leg.place
         else:
             self._circle(leg.place)
+            if leg.hold_s == 0.0:
+                self._aim = Way(here, leg.place)
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        p, control = self.autopilot.parameters, self._control
+        p, control = self.parameters, self._control
         control.l1.period_s, control.l1.damping = p["NPFG_PERIOD"], p["NPFG_DAMPING"]
         control.bank_most_rad = math.radians(p["FW_R_LIM"])
         control.heights.climb_most_m_s = min(p["FW_T_CLMB_R_SP"], p["FW_T_CLMB_MAX"])
@@ -252,7 +249,7 @@ class Px4PlaneFlight(Px4Flight):
             case "fly_back":
                 self._return()
             case "descend":
-                late = autopilot.now_s - self._began_s > autopilot.parameters["NAV_GPSF_LT"]
+                late = autopilot.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
                 control.climb_m_s = -_DESCEND_M_S if late else 0.0
             case _:
                 pass
@@ -270,7 +267,7 @@ class Px4PlaneFlight(Px4Flight):
         control = self._control
         if isinstance(aim, Way):
             if not self._settles(aim.end):
-                here = self.autopilot.estimate.place
+                here = self.estimate.place
                 points = self.autopilot.mode.flies == "fly_target"  # straight there, from anywhere
                 control.steer(aim._replace(start=here) if points else aim)
                 return
@@ -296,8 +293,8 @@ class Px4PlaneFlight(Px4Flight):
         return self._settling
 
     def _is_level(self, altitude_amsl_m: float) -> bool:
-        off_m = abs(self.autopilot.estimate.altitude_amsl_m - altitude_amsl_m)
-        return off_m < self.autopilot.parameters["NAV_FW_ALT_RAD"]
+        off_m = abs(self.estimate.altitude_amsl_m - altitude_amsl_m)
+        return off_m < self.parameters["NAV_FW_ALT_RAD"]
 
     def _is_near(self, place: Place, acceptance_m: float = 0.0) -> bool:
         """Within the distance at which PX4 switches to the next waypoint: 31 m at 13.9 m/s."""
@@ -322,7 +319,7 @@ class Px4PlaneFlight(Px4Flight):
             return
         place = self.autopilot.frame.place(north_m, east_m, down_m if down_m == down_m else 0.0)
         speed_m_s = math.hypot(v_n, v_e)
-        self._aim = Way(self.autopilot.estimate.place, place)
+        self._aim = Way(self.estimate.place, place)
         if speed_m_s > 1e-6:  # not NaN
             self._aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
         self._control.airspeed_m_s = self._cruise_m_s
@@ -334,15 +331,15 @@ class Px4PlaneFlight(Px4Flight):
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
         autopilot, control, goal_m = self.autopilot, self._control, self.takeoff_altitude_m
         control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
-        if autopilot.estimate.altitude_amsl_m < goal_m:
+        if self.estimate.altitude_amsl_m < goal_m:
             return
-        self._hold(autopilot.estimate.place.at(goal_m + _CLEARED_M))
+        self._hold((self._goal or self.estimate.place).at(goal_m + _CLEARED_M))
         if autopilot.takeoff is not None and autopilot.takeoff[0] == autopilot.takeoff[0]:
             autopilot.intend("Hold")
 
     def _return(self) -> None:
         """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
-        autopilot, home, p = self.autopilot, self.home, self.autopilot.parameters
+        autopilot, home, p = self.autopilot, self.home, self.parameters
         if self._sink_m_s is not None or not self._is_on_circle():
             return
         height_m = home.altitude_amsl_m + p["RTL_DESCEND_ALT"]
@@ -353,12 +350,12 @@ class Px4PlaneFlight(Px4Flight):
 
     def _follow_mission(self) -> None:
         """Fly on along the leg; tell the autopilot when it is done."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         if leg is None or leg.does is Does.LAND:
             return
         height_m = leg.place.altitude_amsl_m
         if leg.does is Does.CLIMB:
-            there = self.autopilot.estimate.altitude_amsl_m >= height_m
+            there = self.estimate.altitude_amsl_m >= height_m
         elif isinstance(self._aim, Way):
             there = self._is_level(height_m) and self._is_near(leg.place, leg.acceptance_m)
         else:
@@ -379,13 +376,13 @@ class Px4PlaneFlight(Px4Flight):
     @property
     def _wants_up(self) -> bool:
         """Take-off, by mode or by a mission that begins with one."""
-        leg = self.autopilot.route.leg
+        leg = self.route.leg
         climbs = leg is not None and leg.does is Does.CLIMB
         return self.autopilot.armed and (self.autopilot.mode.flies == "climb" or climbs)
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway."""
-        p = self.autopilot.parameters
+        p = self.parameters
         chosen = p["FW_TKO_AIRSPD"]
         takeoff_m_s = self._true(chosen if chosen > 0.0 else p["FW_AIRSPD_MIN"])
         if not self._wants_up or self._plane.airspeed_m_s < _LIFTS_OFF_AT * takeoff_m_s:
@@ -451,23 +448,8 @@ class Px4PlaneFlight(Px4Flight):
 
     def waypoint(self) -> Waypoint | None:
         """The place flown to; the middle of a circle."""
-        goal, takeoff = self._goal, self.autopilot.takeoff
-        if goal is None:
-            return None
-        goal = goal.at(self._told_m(goal))
-        if (
-            self.autopilot.mode.flies == "climb"
-            and takeoff is not None
-            and takeoff[0] == takeoff[0]
-        ):
-            goal = Place(takeoff[0], takeoff[1], goal.altitude_amsl_m)
-        way_m = -self._control.off_m(goal)
-        return Waypoint(
-            place=goal,
-            distance_m=abs(way_m),
-            bearing_rad=cmath.phase(way_m),
-            radius_m=self._radius_m if isinstance(self._aim, Circle) else 0.0,
-        )
+        goal = self._goal
+        return None if goal is None else Waypoint(place=goal.at(self._told_m(goal)))
 
 
 def _bend(target: Target) -> float:
@@ -477,8 +459,9 @@ def _bend(target: Target) -> float:
     """
     v_n, v_e, _ = target.velocity
     a_n, a_e, a_d = target.acceleration
-    speed_m_s = math.hypot(v_n, v_e)
-    return -(v_n * a_e - v_e * a_n) / speed_m_s**3 if a_n + a_e + a_d == a_n + a_e + a_d else 0.0
+    if math.isnan(a_n + a_e + a_d):
+        return 0.0
+    return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3
 
 
 def make(

@@ -242,8 +242,6 @@ class Waypoint:
     bearing_rad: float = 0.0
     altitude_error_m: float = 0.0
     cross_track_m: float = 0.0
-    radius_m: float = 0.0
-    """Of the circle about it, clockwise positive; 0: none."""
     airspeed_error_m_s: float = 0.0
     """Wanted less measured."""
 
