@@ -77,18 +77,6 @@ def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> Plan
     return replace(outcome, stopped_after=patience.stopped_after)
 
 
-def candidates_nea_m(request: PlanRequest, most: int) -> FloatArray:
-    """Control points of the best candidates of a plan's first search, best first, to look at them.
-
-    -> (M, points, 3); empty where nothing is searched.
-    """
-    outward, verified = request.flown is None, request.task.settings.profile.verified
-    if not (outward and verified) or _impossible(request) or start_violation(request):
-        return np.empty((0, 4, 3))
-    search = _Plan(request, _TimeBudget(lambda: False))
-    return search.ranked_nea_m(most)
-
-
 @final
 class _TimeBudget:
     """Wraps `stop`: counts the calls until it is true, and then stays true."""
@@ -327,11 +315,6 @@ class _Plan:
         if (here := self._surroundings.get(speed_m_s)) is None:
             here = self._surroundings[speed_m_s] = _surroundings(self._request, speed_m_s)
         return certify(subpath, here, from_rest=from_rest)
-
-    def ranked_nea_m(self, most: int) -> FloatArray:
-        """Control points of the best candidates of the first search.  -> (M, points, 3)."""
-        scene = self._at_speed(self._request.task.limits.speed_m_s)
-        return np.array([control_points(x, scene) for x in self._search(scene)[:most]])
 
     def _refused(self, refusal: Refusal, place_ne_m: Place | None = None) -> NotPlanned:
         return NotPlanned(
