@@ -97,7 +97,7 @@ def offset_deg(
 _SIDE = 16
 """Places along each side of a window: between them a side of 1,000 km bulges by less than 1 km."""
 _BEYOND_DEG = 0.1  # more than that bulge, up to the latitude from which a window goes all around
-_POLAR_DEG = 84.0
+_POLAR_DEG = 84.0  # a metre east is ten times as many degrees there as at the equator
 
 
 def parts_within(

@@ -17,9 +17,9 @@ from companion.world.zones import NearCells, polygon_at
 # Where control points may lie, in units of R or, where the end is nearer, of a little more than the
 # way there: as planner-numbers part E measured.
 SPREAD_RAD = math.radians(110.0)  # azimuths of control points, to each side of the tangent
-SHORTEST_R2, LONGEST_R2 = 0.02, 0.3
-SHORTEST_S, LONGEST_S = 0.02, 0.6
-SHORTEST_R, LONGEST_R = 0.15, 1.0
+SHORTEST_R2, LONGEST_R2 = 0.02, 0.3  # from the first control point to the second
+SHORTEST_S, LONGEST_S = 0.02, 0.6  # from there to the third, along the tangent
+SHORTEST_R, LONGEST_R = 0.15, 1.0  # from the first to the others
 SHORTEST_UNIT = 1e-3  # of R
 SHORTEST_END = 0.2  # of the circle's radius
 # What the terms are scaled by, so that each comes to about 100 where it ought not to be.
@@ -39,7 +39,7 @@ END_SHARE = 0.25  # of the curve's parameter, counted from its end, that ought t
 MAX_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
 BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
-_FAR = 1e12
+_FAR = 1e12  # m: no zone is as far
 
 
 LENGTH, HEIGHT, GUIDE, CRASH, RADAR, CONSTRAINTS, TO_GO = range(7)  # places of `TERMS`

@@ -26,7 +26,7 @@ from companion.optimise.loop import first_members
 
 _F, _CR = 0.5, 0.9  # of the classical DE
 _SPREAD = 0.2  # standard deviation of a and Cr (3.2)
-_PHI = 2.05
+_PHI = 2.05  # of each of the two pulls on a particle (Clerc and Kennedy)
 _CHI = 2.0 / (2.0 * _PHI - 2.0 + math.sqrt(4.0 * _PHI**2 - 8.0 * _PHI))  # 0.7298
 _FASTEST = 0.5  # greatest step of a particle in one variable, in the unit cube
 

@@ -22,7 +22,7 @@ from companion.world.zones import ZoneTable, zone_distance
 
 ROUNDING = 1e-9
 """A bound missed by no more than this, relative, is missed by arithmetic and not by the curve."""
-ROUNDING_M = 1e-6
+ROUNDING_M = 1e-6  # likewise, in metres: of coordinates up to 10,000 km
 _PIECES = 24  # that a curve is cut into at first, about
 _BUDGET = 3_000  # pieces for each bound; what is not proven by then is not
 _FINEST = 2.0**-24  # of a span: 1 mm of 20 km, below which halving brings nothing

@@ -16,7 +16,7 @@ from companion.path.limits import Limits
 from companion.path.subpath import Pose
 
 _SHARE = 0.5  # of the acceleration: the path needs the rest
-_SLOWEST_1_S, _FASTEST_1_S = 0.02, 1.0
+_SLOWEST_1_S, _FASTEST_1_S = 0.02, 1.0  # gone within minutes, and as fast as a vehicle follows
 _GONE = 0.05  # m and m/s
 
 

@@ -31,7 +31,7 @@ from companion.world.near_map import NearMap, NearSensor, top_amsl_m
 from companion.world.simulated_scan import simulated_scan
 from companion.world.simulated_sweep import NearScene
 
-_TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 60
+_TIMES_AS_MANY, _MIN_MOST_LEGS = 6, 60  # far beyond any mission that has arrived
 _MAX_ATTEMPTS = 4  # from one place, each with a wider search
 _ROUNDING = 1e-6  # of a sweep
 _LOOKS_FIRST_S = 2.0  # a vehicle that takes off has looked about for longer than that

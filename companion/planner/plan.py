@@ -52,7 +52,7 @@ _OWED, _OWED_NEAR = 1.0, 0.25
 Chosen on 13 worlds of 20261128 (`walls`, `gathered`, `copter`: mean J 56.7, 51.1 and 52.1 with
 0.25, 1 and 2), and on forests (218 and 240 s with 0.25 and 1 for seed 3001)."""
 _FEW = 0.005  # of the cells in sight: when a scan shows no more than that, nothing new was seen
-_AT_TARGET_M = 1e-6
+_AT_TARGET_M = 1e-6  # arithmetic: an end at the target is copied from it
 _ROOM = 0.35  # of the circle's radius: from ends to a target that is not the end
 _STRICTER = 100.0  # times, when nothing was proven
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath

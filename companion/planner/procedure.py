@@ -27,7 +27,7 @@ from companion.planner.settings import Task
 
 _GAINS = 0.6  # of the lag: so far ahead it gains no speed, else the vehicle catches up too fast
 _SLOWEST = 0.25  # of V: what would have to be left more slowly is flown to its end
-_ROUNDING_M = 1e-6
+_ROUNDING_M = 1e-6  # of lengths, as of proofs
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight

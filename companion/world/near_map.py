@@ -46,7 +46,7 @@ FORGOTTEN_AFTER_S = 60.0
 
 Long enough to fly out of a dead end: what is unknown is an open way.
 """
-CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6
+CELLS_PER_RANGE, _MOST_CELLS = 64, 4e6  # see `cell_for_m`; 28 MB, which a plan is sent
 Kind = Literal["obstacle_distance", "distance_sensor"]  # what the messages of a sensor are called
 
 
