@@ -1,6 +1,6 @@
 """Cheapest ways over a grid of costs, repaired where costs have changed.
 
-Plain Python that numba compiles as it is (`kernels`).
+Plain Python that numba compiles as it is (`companion.jit`).
 
 Lattice points are every second sample of the costs, and edges lead from each to 48 others: a way
 is at most 0.75 % too long in any direction, 0.25 % in the mean.  `repair` is LPA* (Koenig,
@@ -513,7 +513,3 @@ def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:
                 if count:
                     beside = total / count if highest - lowest < one_side else highest
                     value[r, c] = min(value[r, c], beside)
-
-
-ENTRIES = (repair, way_from, needed_m, lines_m, straightened, aside_m, discount, smooth_edges)
-"""What is called from elsewhere."""

@@ -25,8 +25,9 @@ from typing import final
 import numpy as np
 import scipy
 
+from companion import jit
 from companion.geodesy import BoolArray, FloatArray
-from companion.planner import kernels
+from companion.planner import cheapest_ways, cost_samples
 from companion.planner.cheapest_ways import Grid, IndexArray
 from companion.planner.cost_samples import BLOCKED, Box, Ground, Scale
 from companion.planner.settings import Task
@@ -103,7 +104,7 @@ class CostGrid:
 
         here_ne_m: what was seen is continued about it where it was not; not without guesses.
         """
-        ground, guidance = self._ground, kernels.compiled().guidance
+        ground = self._ground
         box = self._look_at(known)
         guess_m = self._continued_m(known, here_ne_m) if self.guesses else None
         if guess_m is not None or self._everywhere:
@@ -111,7 +112,7 @@ class CostGrid:
             box = 0, self.shape[0], 0, self.shape[1]
         self._everywhere = guess_m is not None
         touched = np.zeros(self.lattice_shape, dtype=bool)
-        guidance.fill(
+        jit.compiled(cost_samples.fill)(
             self.samples, ground, box, self.corner_ne_m, self._upper_m, self._surveyed,
             self._scale, touched,
         )  # fmt: skip
@@ -119,8 +120,10 @@ class CostGrid:
 
     def _look_at(self, known: KnownMap) -> Box:
         """Take over what is known.  -> the samples that may ask for another altitude."""
-        guidance, scale, size = kernels.compiled().guidance, self._scale, known.shape
-        cells = guidance.changed(self._upper_m, self._surveyed, known.upper_m, known.surveyed)
+        scale, size = self._scale, known.shape
+        cells = jit.compiled(cost_samples.changed)(
+            self._upper_m, self._surveyed, known.upper_m, known.surveyed
+        )
         if known.guess_m is not None and not _same(known.guess_m, self._told_m):
             cells, self._told_m = (0, size[0], 0, size[1]), known.guess_m
             row, column = (
@@ -147,7 +150,7 @@ class CostGrid:
             bound_m = known.upper_m[*about]
             tops_m = np.where(np.isfinite(bound_m), bound_m, tops_m)
         first = about[0].start, about[1].start
-        guidance.raise_to(self._ground.seen_m, tuple(box), tops_m, first, scale)
+        jit.compiled(cost_samples.raise_to)(self._ground.seen_m, tuple(box), tops_m, first, scale)
         return self._gone_on((box[0], box[1], box[2], box[3]))
 
     def _gone_on(self, box: Box) -> Box:
@@ -241,7 +244,7 @@ class CostGrid:
         """Costs of straight lines from a place.  (K, 2) -> (K,)."""
         end = self.sample_of(to_ne_m)
         begin = np.tile(self.sample_of(np.array(place)), (len(end), 1))
-        costs: FloatArray = kernels.compiled().guidance.lines_m(self.samples, begin, end)
+        costs: FloatArray = jit.compiled(cheapest_ways.lines_m)(self.samples, begin, end)
         return costs
 
     def bars(self, route_ne_m: FloatArray) -> bool:

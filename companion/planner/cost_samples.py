@@ -1,4 +1,4 @@
-"""The costs of a grid's samples: plain Python that numba compiles as it is (`kernels`).
+"""The costs of a grid's samples: plain Python that numba compiles as it is (`companion.jit`).
 
 What they are made of, and why, is said in `cost_grid`.
 """
@@ -225,7 +225,3 @@ def _is_steep(grid: Grid, i: int, j: int) -> bool:
 def _rises(grid: Grid, one: int, other: int) -> bool:
     level_m = 0.5 * grid.step_m * (grid.height[one] + grid.height[other])
     return bool(abs(grid.ramp_m[one] - grid.ramp_m[other]) > level_m)
-
-
-ENTRIES = (changed, raise_to, fill)
-"""What is called from elsewhere."""

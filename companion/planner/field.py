@@ -12,8 +12,9 @@ from typing import final
 import numpy as np
 import scipy
 
+from companion import jit
 from companion.geodesy import BoolArray, FloatArray
-from companion.planner import kernels
+from companion.planner import cheapest_ways
 from companion.planner.cheapest_ways import Costs, Grid
 from companion.planner.cost_grid import CostGrid, Place, sampled
 from companion.planner.cost_samples import BLOCKED
@@ -191,7 +192,7 @@ class _Field:
         """Make costs right again; dirty: the points whose edges have changed."""
         here, (rows, columns) = self.grid.around(self.ends_ne_m[0]), self._box()
         window = rows.start, rows.stop, columns.start, columns.stop
-        kernels.compiled().guidance.repair(
+        jit.compiled(cheapest_ways.repair)(
             self.samples, self.costs, dirty, here, _BEYOND_RANGES * self._range_m, window
         )
 
@@ -208,7 +209,7 @@ class _Field:
 
     def discounted(self, route_ne_m: tuple[Place, ...]) -> "_Field":
         """Where the costs of some samples count less: a copy."""
-        grid, samples, guidance = self.grid, self.samples, kernels.compiled().guidance
+        grid, samples = self.grid, self.samples
         cheaper = samples._replace(
             cost=samples.cost.copy(),
             barring=samples.barring.copy(),
@@ -222,7 +223,7 @@ class _Field:
             max(row - reach, 0.0), min(row + reach, float(rows)),
             max(column - reach, 0.0), min(column + reach, float(columns)),
         )  # fmt: skip
-        guidance.discount(
+        jit.compiled(cheapest_ways.discount)(
             samples, cheaper, grid.sample_of(np.array(route_ne_m)),
             _CORRIDOR * self._range_m / grid.step_m, _DISCOUNT, within, touched,
         )  # fmt: skip
@@ -233,15 +234,16 @@ class _Field:
     def route_ne_m(self) -> tuple[Place, ...]:
         """The cheapest way from here to the target, straightened."""
         (here, target), grid, cost = self.ends_ne_m, self.grid, self.costs.cost
-        guidance = kernels.compiled().guidance
         near = grid.around(here)
         near = near[cost[near] <= self.most_m]
         start = near[np.argmin(grid.lines_m(here, grid.points_m(near)) + cost[near])]
-        way = guidance.way_from(self.samples, self.costs, int(start))
+        way = jit.compiled(cheapest_ways.way_from)(self.samples, self.costs, int(start))
         points = np.concatenate([[here], grid.points_m(way), [target]])
         first_m, last_m = grid.lines_m(here, points[1:2]), grid.lines_m(target, points[-2:-1])
         along_m = np.concatenate([[0.0], first_m, -np.diff(cost[way]), last_m]).cumsum()
-        keep = guidance.straightened(self.samples, grid.sample_of(points), along_m)
+        keep = jit.compiled(cheapest_ways.straightened)(
+            self.samples, grid.sample_of(points), along_m
+        )
         return tuple((float(north), float(east)) for north, east in points[keep])
 
     def surfaces(self) -> tuple[Surface, Surface]:
@@ -252,12 +254,12 @@ class _Field:
             slice(2 * rows.start, 2 * rows.stop - 1, 2),
             slice(2 * columns.start, 2 * columns.stop - 1, 2),
         )
-        guidance, most_m = kernels.compiled().guidance, self.most_m
+        most_m = self.most_m
         row, column = grid.sample_of(np.array(target)).tolist()
         asked_m = -np.inf
         if 0.0 <= row <= grid.shape[0] - 1.0 and 0.0 <= column <= grid.shape[1] - 1.0:
             asked_m = float(self.samples.lowest_m.reshape(grid.shape)[round(row), round(column)])
-        needed_m = guidance.needed_m(
+        needed_m = jit.compiled(cheapest_ways.needed_m)(
             self.samples, self.costs, (rows.start, rows.stop, columns.start, columns.stop),
             most_m, math.tan(limits.climb_angle_rad), (row, column, asked_m),
         )  # fmt: skip
@@ -265,7 +267,7 @@ class _Field:
         free_m = np.where(blocked, limits.ceiling_amsl_m, needed_m)
         about_m = scipy.ndimage.minimum_filter(free_m, 3, mode="nearest")
         value = np.minimum(self.costs.cost.reshape(grid.lattice_shape)[box], most_m)
-        guidance.smooth_edges(
+        jit.compiled(cheapest_ways.smooth_edges)(
             value, grid.costly[inside].copy(), _ONE_SIDE_CELLS * 2.0 * grid.step_m
         )
         cell_m = 2.0 * grid.step_m
@@ -284,7 +286,7 @@ def _disputed(route: tuple[Place, ...], previous: tuple[Place, ...], range_m: fl
     if len(previous) < 2 or math.dist(route[-1], previous[-1]) > corridor_m:
         return False
     points = sampled(np.array(route), 0.25 * corridor_m)
-    aside_m: float = kernels.compiled().guidance.aside_m(points, np.array(previous))
+    aside_m: float = jit.compiled(cheapest_ways.aside_m)(points, np.array(previous))
     return aside_m > corridor_m
 
 

@@ -2,20 +2,15 @@
 
 import hashlib
 import math
-from collections.abc import Callable
 from functools import cache
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
-from companion import jit
 from companion.geodesy import FloatArray, LocalFrame
 from companion.objective import kernel as objective
 from companion.objective.scene import Scene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
-from companion.planner import cheapest_ways, cost_samples
 
 
 @cache
@@ -35,19 +30,6 @@ def signature() -> str:
     ]
     told = b"".join(np.asarray(each, dtype=np.float64).tobytes() for each in found)
     return f"numba {hashlib.sha256(told).hexdigest()[:8]}"
-
-
-def compiled() -> SimpleNamespace:
-    """What guidance calls."""
-    return kernel_by(jit.compiled)
-
-
-def kernel_by(by: Callable[[Callable[..., Any]], Callable[..., Any]]) -> SimpleNamespace:
-    """What guidance calls of `cheapest_ways` and `cost_samples`, by name, compiled by this."""
-    entries = cheapest_ways.ENTRIES + cost_samples.ENTRIES
-    return SimpleNamespace(
-        guidance=SimpleNamespace(**{each.__name__: by(each) for each in entries})
-    )
 
 
 def search(state: State, scene: Scene, until: int) -> None:

@@ -10,15 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.planner import kernels
+from companion.jit import compiled
+from companion.planner import cheapest_ways
 from companion.planner.cheapest_ways import DIRECTIONS, Costs, Grid
 
 FloatArray = NDArray[np.float64]
 Window = tuple[int, int, int, int]
 HERE = np.array([0])
 STEP_M = 10.0
-
-found = kernels.compiled().guidance
 
 
 def a_grid(rng: np.random.Generator, rows: int, columns: int) -> Grid:
@@ -96,7 +95,9 @@ def repair(
     """All costs, or those in a window up to so much above that of HERE.  How often it looked."""
     shape = grid.rows, grid.columns
     window = window or (0, shape[0], 0, shape[1])
-    looked: int = found.repair(grid, costs, dirty.reshape(shape), HERE, beyond_m, window)
+    looked: int = compiled(cheapest_ways.repair)(
+        grid, costs, dirty.reshape(shape), HERE, beyond_m, window
+    )
     return looked
 
 
@@ -121,7 +122,7 @@ def test_costs_are_those_of_another_dijkstra_over_the_same_edges(seed: int) -> N
     costs = solved(grid, seeds)
     np.testing.assert_allclose(costs.cost, dijkstra(grid, seeds), rtol=1e-12)
     for start in range(0, 9 * 13, 5):
-        way = found.way_from(grid, costs, start).tolist()
+        way = compiled(cheapest_ways.way_from)(grid, costs, start).tolist()
         total = costs.seed[way[-1]]
         for u, v in itertools.pairwise(way):
             total += edge_m(grid, divmod(u, 13), divmod(v, 13))
@@ -155,7 +156,7 @@ def test_what_is_repaired_is_what_is_found_anew_to_the_last_digit(
             inside[: window[1], : window[3]] = True
             right = inside.ravel() & (anew.cost <= anew.cost[HERE].min() + beyond_m)
             for u in np.flatnonzero(right).tolist():  # and so are the ways on, wherever they lead
-                right[found.way_from(grid, anew, u)] = True
+                right[compiled(cheapest_ways.way_from)(grid, anew, u)] = True
             assert costs.cost[right].tobytes() == anew.cost[right].tobytes()
             assert costs.via[right].tobytes() == anew.via[right].tobytes()
             dearer = costs.cost[inside.ravel() & ~right]
@@ -183,7 +184,7 @@ def test_the_corridor_of_a_line_is_cheaper_and_nothing_else(seed: int) -> None:
     cheaper = grid._replace(cost=grid.cost.copy(), barring=grid.barring.copy())
     line, width = rng.uniform(-5.0, 50.0, (int(rng.integers(2, 5)), 2)), float(rng.uniform(0, 6))
     within, touched = (0.0, 39.0, 4.0, 30.0), np.zeros((20, 25), dtype=bool)
-    found.discount(grid, cheaper, line, width, 0.03, within, touched)
+    compiled(cheapest_ways.discount)(grid, cheaper, line, width, 0.03, within, touched)
     i, j = np.indices((39, 49))
     away = np.full((39, 49), np.inf)
     for a, b in itertools.pairwise(line):
@@ -213,11 +214,11 @@ def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climb
     target = 7.0, 11.0, 180.0
     window = 2, 11, 0, 9
     most_m = float(np.quantile(costs.cost, 0.8))
-    needed_m = found.needed_m(grid, costs, window, most_m, steepness, target)
+    needed_m = compiled(cheapest_ways.needed_m)(grid, costs, window, most_m, steepness, target)
     lowest_m = grid.lowest_m.reshape(23, 19)
     for row in range(window[0], window[1]):
         for column in range(window[2], window[3]):
-            way = found.way_from(grid, costs, row * 10 + column).tolist()
+            way = compiled(cheapest_ways.way_from)(grid, costs, row * 10 + column).tolist()
             places = [(2 * (u // 10), 2 * (u % 10)) for u in way]
             most, flown_m = float(lowest_m[places[0]]), 0.0
             if costs.cost[row * 10 + column] > most_m:
@@ -237,14 +238,15 @@ def test_what_is_needed_is_the_most_that_the_way_asks_for_less_what_can_be_climb
 
 
 def test_compiled_and_as_plain_python_it_is_the_same() -> None:
-    plain = kernels.kernel_by(lambda function: function).guidance
     rng = np.random.default_rng(5)
     grid = a_grid(rng, 12, 15)
     fast = solved(grid, {17: 3.0})
     slow = Costs.unknown(fast.seed.copy())
     seeds = np.isfinite(fast.seed).reshape(12, 15)
-    plain.repair(grid, slow, seeds, HERE, math.inf, (0, 12, 0, 15))
+    cheapest_ways.repair(grid, slow, seeds, HERE, math.inf, (0, 12, 0, 15))
     for mine, other in zip(fast[:4], slow[:4], strict=True):
         assert mine.tobytes() == other.tobytes()
     ends = rng.uniform(-5.0, 40.0, (2, 20, 2))
-    np.testing.assert_allclose(found.lines_m(grid, *ends), plain.lines_m(grid, *ends), rtol=1e-12)
+    np.testing.assert_allclose(
+        compiled(cheapest_ways.lines_m)(grid, *ends), cheapest_ways.lines_m(grid, *ends), rtol=1e-12
+    )

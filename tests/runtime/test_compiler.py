@@ -50,8 +50,13 @@ def test_what_is_loaded_is_all_that_a_plan_calls(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(jit, "compiled", noted)
     compiler.load_kernel()
-    parts = kernels.search, kernels.costs, prove, dilated_m, near_on_lattice
-    assert called == {*parts, *cheapest_ways.ENTRIES, *cost_samples.ENTRIES}
+    ways, samples = cheapest_ways, cost_samples
+    assert called == {
+        *(kernels.search, kernels.costs, prove, dilated_m, near_on_lattice),
+        *(ways.repair, ways.way_from, ways.needed_m, ways.lines_m, ways.straightened),
+        *(ways.aside_m, ways.discount, ways.smooth_edges),
+        *(samples.changed, samples.raise_to, samples.fill),
+    }
 
 
 def test_a_cache_that_cannot_be_read_is_thrown_away_and_made_anew(
