@@ -101,7 +101,7 @@ def told_again(vehicle: Simulation, ticks: list[Tick]) -> float:
 
 
 def understood(ticks: Sequence[Tick]) -> tuple[list[list[Any]], list[list[Any]]]:
-    """The messages of each tick: the vehicle's, as it has them before they go out, and the companion's."""
+    """The messages of each tick: the vehicle's, ready to go out, and the companion's."""
     again, parser = Receiver(), StreamParser(datagrams=True)
     vehicles = [[prepared(m) for _, m in parser.feed(b"".join(said))] for _, _, said in ticks]
     return vehicles, [again.feed(b"".join(told)) for _, told, _ in ticks]
