@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilots import Sender
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.geodesy import around, metres_per_degree
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.plans import PlanItem
 
 STATION: Final = Sender(system=255, component=190)
@@ -51,7 +51,6 @@ def new_fence(vehicle: Copter | Plane, radius_m: float, ahead_m: float) -> PlanI
 
 def _beside(vehicle: Copter | Plane, north_m: float, east_m: float) -> tuple[int, int]:
     """Latitude and longitude, 1e-7 degrees."""
-    north, east = metres_per_degree(vehicle.latitude_deg)
-    latitude_deg = vehicle.latitude_deg + north_m / north
-    longitude_deg = around(vehicle.longitude_deg + east_m / east)
+    here = LocalFrame(latitude_deg=vehicle.latitude_deg, longitude_deg=vehicle.longitude_deg)
+    latitude_deg, longitude_deg = here.to_geographic(north_m, east_m)
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7)

@@ -26,7 +26,7 @@ from companion.runtime.in_process import fly_in_process
 from companion.session import Session
 from companion.telemetry.run_folder import RunFolder
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.wire.frames import Packer, StreamParser, prepared
 from vehicle_sim.world import read_world
 
 Tick = tuple[int, list[bytes], list[bytes]]
@@ -101,9 +101,9 @@ def told_again(vehicle: Simulation, ticks: list[Tick]) -> float:
 
 
 def understood(ticks: Sequence[Tick]) -> tuple[list[list[Any]], list[list[Any]]]:
-    """The messages of each tick: the vehicle's, and the companion's."""
+    """The messages of each tick: the vehicle's, ready to go out, and the companion's."""
     again, parser = Receiver(), StreamParser(datagrams=True)
-    vehicles = [[message for _, message in parser.feed(b"".join(said))] for _, _, said in ticks]
+    vehicles = [[prepared(m) for _, m in parser.feed(b"".join(said))] for _, _, said in ticks]
     return vehicles, [again.feed(b"".join(told)) for _, told, _ in ticks]
 
 

@@ -21,8 +21,8 @@ _MARKER_1, _MARKER_2 = 0xFE, 0xFD
 _HEADER_1, _HEADER_2 = 6, 10
 _CHECKSUM_BYTES, _SIGNATURE_BYTES = 2, 13
 _SIGNED = 0x01
-_HEAD = struct.Struct("<BBBBBBBHB")
-"""Marker, length, two flag bytes, sequence, system, component, message number in 24 bits."""
+_HEAD = struct.Struct("<BBBxBBB")
+"""Marker, length, flags, sequence, system, component; then comes the message number in 24 bits."""
 _INT32_MAX = 2**31 - 1
 _LARGEST_FLOAT = 3.4028234663852886e38
 _find_marker = re.compile(rb"[\xfd\xfe]").search
@@ -115,27 +115,21 @@ class Layout(NamedTuple):
     """How the messages of one name are packed."""
 
     number: int
+    number_bytes: bytes
     crc_extra: bytes
     places: dict[str, int]
     """Of each field among all, in the order in which MAVLink defines them."""
     zeros: list[Any]
     """What a field is that is not given, in that order."""
-    on_the_wire: Callable[[list[Any]], Sequence[Any]]
+    on_the_wire: Callable[[Sequence[Any]], Sequence[Any]]
     """The same values in the order of the payload."""
     struct: struct.Struct
     is_plain: bool
     """No field has several values."""
 
 
-@final
-class Prepared(NamedTuple):
-    """A message that is only to be sent: of these no object needs to be made."""
-
-    layout: Layout
-    payload: bytes
-    """All of it."""
-
-
+Prepared = tuple[Layout, bytes]
+"""A message that is only to be sent, and all of its payload: no object needs to be made."""
 _LATER: Final = {
     "MISSION_COUNT": {"opaque_id": "I"},
     "MISSION_ACK": {"opaque_id": "I"},
@@ -155,6 +149,7 @@ def _layout(
     places = {name: place for place, name in enumerate(names)}
     return Layout(
         number,
+        number.to_bytes(3, "little"),
         bytes([extra]),
         places,
         [zeros[name] for name in names],
@@ -194,9 +189,9 @@ def make(name: str, *first: Any, **rest: Any) -> Prepared:
     if not layout.is_plain:
         values = [one for v in values for one in (v if isinstance(v, list) else (v,))]
     try:
-        return Prepared(layout, layout.struct.pack(*values))
+        return layout, layout.struct.pack(*values)
     except (struct.error, OverflowError):
-        return Prepared(layout, layout.struct.pack(*_fitted(values, layout.struct.format)))
+        return layout, layout.struct.pack(*_fitted(values, layout.struct.format))
 
 
 def prepared(message: Any) -> Prepared:
@@ -242,18 +237,13 @@ class Packer:
 
     def frame(self, message: Any) -> bytes:
         """The message, prepared or pymavlink's, as a frame with the next sequence number."""
-        sequence = self._sequence
+        sequence, signer = self._sequence, self._signer
         self._sequence = (sequence + 1) & 255
-        layout, payload = message if type(message) is Prepared else prepared(message)
+        layout, payload = message if type(message) is tuple else prepared(message)
         payload = payload.rstrip(b"\0") or b"\0"
-        number, signer = layout.number, self._signer
         signed = signer is not None and signer.secret != b""
-        body = (
-            _HEAD.pack(
-                *(_MARKER_2, len(payload), _SIGNED if signed else 0, 0, sequence),
-                *(self._system, self._component, number & 0xFFFF, number >> 16),
-            )
-            + payload
-        )
+        flags = _SIGNED if signed else 0
+        head = _HEAD.pack(_MARKER_2, len(payload), flags, sequence, self._system, self._component)
+        body = head + layout.number_bytes + payload
         frame = body + mcrf4xx(body[1:] + layout.crc_extra).to_bytes(2, "little")
         return frame + signer.signature(frame) if signer is not None and signed else frame

@@ -34,8 +34,9 @@ class LidarDriver:
         self._lidar, self._settings, self._rng, self._radio = lidar, settings, rng, radio
         offset_deg, width_deg = settings.angle_offset_deg, settings.increment_deg
         if offset_deg is None:
-            edge_deg = settings.yaw_deg - 0.5 * settings.width_deg
-            offset_deg = 0.0 if settings.width_deg == 360.0 else edge_deg + 0.5 * width_deg
+            is_round = settings.width_deg == 360.0
+            offset_deg = settings.yaw_deg + 0.5 * (width_deg - settings.width_deg)
+            offset_deg = 0.0 if is_round else offset_deg
         self._offset_deg = offset_deg
         self._count = min(round(settings.width_deg / width_deg), _ELEMENTS)
         off_edge_deg = np.degrees(lidar.angles_rad) - offset_deg + 0.5 * width_deg
@@ -69,35 +70,24 @@ class LidarDriver:
                 heard.append(message)
         return heard
 
-    def _stamp_us(self, measured_us: int, conditions: LidarConditions) -> int:
-        stamp_us = measured_us + conditions.clock_us
-        if conditions.clock_jump_us:
-            most_us = conditions.clock_jump_us
-            stamp_us += int(self._rng.integers(-most_us, most_us + 1))
-        return max(stamp_us, 0)
-
-    def _message(self, measured_us: int, conditions: LidarConditions) -> Any:
+    def _message(self, measured_us: int, wrong: LidarConditions) -> Any:
         settings, rng = self._settings, self._rng
         least_cm, most_cm = round(settings.min_m * 100.0), round(settings.range_m * 100.0)
         told_cm = self._told_cm(most_cm)
-        increment, offset_deg = settings.increment_deg, self._offset_deg
-        if conditions.junk:
-            wrong = rng.random(len(told_cm)) < conditions.junk
+        increment_deg, offset_deg = settings.increment_deg, self._offset_deg
+        if wrong.junk:
+            spoilt = rng.random(len(told_cm)) < wrong.junk
             values = np.array([0, 1, most_cm + 2, _UNKNOWN - 1, _UNKNOWN])
-            told_cm[wrong] = values[rng.integers(len(values), size=int(wrong.sum()))]
-            if rng.random() < conditions.junk:
-                nan = math.nan
-                increment, offset_deg = ((nan, offset_deg), (increment, nan))[rng.integers(2)]
+            told_cm[spoilt] = values[rng.integers(len(values), size=int(spoilt.sum()))]
+            if rng.random() < wrong.junk:
+                pairs = ((math.nan, offset_deg), (increment_deg, math.nan))
+                increment_deg, offset_deg = pairs[rng.integers(2)]
+        stamp_us, most_us = measured_us + wrong.clock_us, wrong.clock_jump_us
+        stamp_us += int(rng.integers(-most_us, most_us + 1)) if most_us else 0
         return mavlink.MAVLink_obstacle_distance_message(
-            time_usec=self._stamp_us(measured_us, conditions),
-            sensor_type=mavlink.MAV_DISTANCE_SENSOR_LASER,
-            distances=told_cm.tolist(),
-            increment=int(settings.increment_deg),
-            min_distance=least_cm,
-            max_distance=most_cm,
-            increment_f=increment,
-            angle_offset=offset_deg,
-            frame=conditions.frame,
+            *(max(stamp_us, 0), mavlink.MAV_DISTANCE_SENSOR_LASER, told_cm.tolist()),
+            *(int(settings.increment_deg), least_cm, most_cm),
+            *(increment_deg, offset_deg, wrong.frame),
         )
 
     def _told_cm(self, most_cm: int) -> NDArray[np.int64]:

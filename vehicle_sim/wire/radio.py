@@ -80,11 +80,12 @@ class Radio:
 
     def _packer(self, link: int, system: int, component: int) -> Packer:
         key = (link, system, component)
-        if key not in self._packers:
+        packer = self._packers.get(key)
+        if packer is None:
             signing = self.signing if system == self._system else None
             signer = None if signing is None else signing.signer(link)
-            self._packers[key] = Packer(system, component, signer)
-        return self._packers[key]
+            packer = self._packers[key] = Packer(system, component, signer)
+        return packer
 
     def restart(self) -> None:
         """The autopilot boots: routes are forgotten; the signing key is not."""

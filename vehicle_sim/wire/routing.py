@@ -96,15 +96,7 @@ class Router:
             self._routes.add((*source, link))
         system, component = targets(message)
         ours = not system or system == self._system
-        links: set[int] = set()
-        if name == "HEARTBEAT":
-            links = self._links - {at for *who, at in self._routes if tuple(who) == source}
-        elif name not in _NEVER_FORWARDED and (system, component) != (
-            self._system,
-            self._component,
-        ):
-            links = self._links_to(system, component)
-        links.discard(link)
+        links = self._onwards(name, source, system, component) - {link}
         to_radar = self._radar is not None and ours and component in (None, 0, self._radar)
         if self._is_px4:
             to_autopilot = self._px4_takes(message, name, system, component)
@@ -116,8 +108,18 @@ class Router:
             to_autopilot = to_autopilot and (may_command or not self.enforce)
         return Route(tuple(sorted(links)), to_autopilot, to_radar)
 
-    def _links_to(self, system: int | None, component: int | None) -> set[int]:
+    def _onwards(
+        self, name: str, source: tuple[int, int], system: int | None, component: int | None
+    ) -> set[int]:
         """The links with a target of a message; of another system any component will do."""
+        if (
+            len(self._links) == 1
+            or name in _NEVER_FORWARDED
+            or (system, component) == (self._system, self._component)
+        ):
+            return set()
+        if name == "HEARTBEAT":
+            return self._links - {at for *who, at in self._routes if tuple(who) == source}
         anybody = not component or system != self._system
         return {
             at

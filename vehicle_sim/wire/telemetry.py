@@ -225,11 +225,18 @@ def _global_position_int(now: Report) -> Prepared | None:
     if _is_px4(now) and now.status.origin is None:
         return None
     above_home_m = 0.0 if home is None else amsl_m - home.altitude_amsl_m
+    latitude, longitude = _e7(now.estimate)
+    north, east, down = _velocity_ned_m_s(now)
     return make(
         "GLOBAL_POSITION_INT",
-        *(_boot_ms(now), *_e7(now.estimate), bounded(_altitude_amsl_m(now) * 1e3, _INT32)),
+        _boot_ms(now),
+        latitude,
+        longitude,
+        bounded(_altitude_amsl_m(now) * 1e3, _INT32),
         bounded(above_home_m * 1e3, _INT32),
-        *(bounded(speed_m_s * 100.0, _INT16) for speed_m_s in _velocity_ned_m_s(now)),
+        bounded(north * 100.0, _INT16),
+        bounded(east * 100.0, _INT16),
+        bounded(down * 100.0, _INT16),
         _heading_cdeg(now),
     )
 
