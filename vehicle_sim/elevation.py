@@ -63,25 +63,26 @@ def _refusal(path: Path, rule: str, remedy: str) -> InputError:
 
 def _check(dataset: Any, path: Path) -> None:
     """Latitude and longitude, north up, metres, one band."""
-    to_degrees = "Warp it to EPSG:4326"
-    crs = dataset.crs
+    crs, to_degrees = dataset.crs, "Warp it to EPSG:4326"
     if crs is None or not crs.is_geographic:
         kind = "no coordinate system" if crs is None else "projected coordinates"
         raise _refusal(path, f"has {kind}, not latitude and longitude", to_degrees)
     ellipsoid = _ELLIPSOID.search(crs.to_wkt())
-    if not ellipsoid or not _FLATTENINGS[0] < float(ellipsoid[1]) < _FLATTENINGS[1]:
-        raise _refusal(path, "is not on the ellipsoid of WGS84", to_degrees)
     a, b, _, d, e = dataset.transform[:5]
-    if b != 0.0 or d != 0.0 or not (a > 0.0 > e):
-        raise _refusal(path, "is turned: north must be up", to_degrees)
-    if max(a, -e) > _COARSEST_DEG:
-        raise _refusal(path, "has cells of more than 15 arc seconds", "Name a finer file")
-    if dataset.count != 1 or dataset.dtypes[0][0] not in "iuf":
-        raise _refusal(path, "is not one band of heights", "Name a file of elevations")
-    if dataset.scales != (1.0,) or dataset.offsets != (0.0,):
-        raise _refusal(path, "has scaled heights", "Unscale it")
-    if dataset.units[0] and not dataset.units[0].lower().startswith("m"):
-        raise _refusal(path, f"has heights in {dataset.units[0]}", "Convert them to metres")
+    is_like_wgs84 = ellipsoid and _FLATTENINGS[0] < float(ellipsoid[1]) < _FLATTENINGS[1]
+    is_elevation = dataset.count == 1 and dataset.dtypes[0][0] in "iuf"
+    is_plain = dataset.scales == (1.0,) and dataset.offsets == (0.0,)
+    unit = dataset.units[0] or "m"
+    for is_well, rule, remedy in (
+        (is_like_wgs84, "is not on the ellipsoid of WGS84", to_degrees),
+        (b == d == 0.0 and a > 0.0 > e, "is turned: north must be up", to_degrees),
+        (max(a, -e) <= _COARSEST_DEG, "has cells of more than 15 arc seconds", "Name a finer file"),
+        (is_elevation, "is not one band of heights", "Name a file of elevations"),
+        (is_plain, "has scaled heights", "Unscale it"),
+        (unit.lower().startswith("m"), f"has heights in {unit}", "Convert them to metres"),
+    ):
+        if not is_well:
+            raise _refusal(path, rule, remedy)
 
 
 def _needed(dataset: Any, frame: LocalFrame, area_m: Area, path: Path) -> tuple[int, int, int, int]:

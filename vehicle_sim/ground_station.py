@@ -21,24 +21,24 @@ _GLOBAL_INT = 5
 _AUTOPILOT = 1
 
 
-def command(system: int, companion: int, values: Sequence[float]) -> tuple[bool, Any]:
-    """Whether it is for the autopilot, and COMMAND_LONG: its number and first three parameters."""
-    number, first, second, third, to_autopilot = values
-    component = _AUTOPILOT if to_autopilot else companion
-    parameters = (first, second, third, 0.0, 0.0, 0.0, 0.0)
-    message = mavlink.MAVLink_command_long_message(system, component, round(number), 0, *parameters)
+def said(
+    name: str, values: Sequence[float], system: int, companion: int, vehicle: Copter | Plane
+) -> tuple[bool, Any]:
+    """Whether it is for the autopilot, and what a `ground_command` or `ground_target` says.
+
+    Values: MAV_CMD, its first three parameters, and whether it is for the autopilot: COMMAND_LONG.
+    Or how far north and east of where the vehicle is: DO_REPOSITION.
+    """
+    if name == "ground_target":
+        latitude, longitude = _beside(vehicle, *values)
+        return False, mavlink.MAVLink_command_int_message(
+            system, companion, _GLOBAL_INT, _REPOSITION, 0, 0, -1.0, 0.0, 0.0, math.nan,
+            latitude, longitude, vehicle.altitude_amsl_m,
+        )  # fmt: skip
+    number, *parameters, to_autopilot = values
+    to = (system, _AUTOPILOT if to_autopilot else companion)
+    message = mavlink.MAVLink_command_long_message(*to, round(number), 0, *parameters, *[0.0] * 4)
     return bool(to_autopilot), message
-
-
-def new_target(
-    system: int, companion: int, vehicle: Copter | Plane, offset_m: Sequence[float]
-) -> Any:
-    """COMMAND_INT DO_REPOSITION to so far north and east of where the vehicle is."""
-    latitude, longitude = _beside(vehicle, offset_m[0], offset_m[1])
-    return mavlink.MAVLink_command_int_message(
-        system, companion, _GLOBAL_INT, _REPOSITION, 0, 0, -1.0, 0.0, 0.0, math.nan,
-        latitude, longitude, vehicle.altitude_amsl_m,
-    )  # fmt: skip
 
 
 def new_fence(vehicle: Copter | Plane, radius_m: float, ahead_m: float) -> PlanItem:

@@ -379,14 +379,10 @@ class Simulation:
                     self._ground_station_says(name, values)
 
     def _ground_station_says(self, name: str, values: tuple[float, ...]) -> None:
-        station, component = ground_station.STATION, 0
-        if self.companion is not None:
-            component = self.companion.component
-        if name == "ground_target":
-            to = (self.system_id, component, self.vehicle)
-            to_autopilot, message = False, ground_station.new_target(*to, values)
-        else:
-            to_autopilot, message = ground_station.command(self.system_id, component, values)
+        station = ground_station.STATION
+        companion = self.companion.component if self.companion else 0
+        to = (self.system_id, companion, self.vehicle)
+        to_autopilot, message = ground_station.said(name, values, *to)
         if to_autopilot:
             self._controller.receive(message, station, self.now_us)
         else:
