@@ -113,23 +113,17 @@ def refuse_older(run_dir: Path) -> None:
         raise InputError("RUN_DIR", str(run_dir), rule, remedy)
 
 
-def _is_plan(name_or_path: str) -> bool:
-    """Whether it is a plan or a list by itself: a mission that says nothing else."""
-    path = Path(name_or_path)
-    if name_or_path in bundled() or not answer(path.is_file):
-        return False
-    return path.suffix.lower() == ".plan" or kind_of(path) in (PLAN, WAYPOINTS)
-
-
 def _whole(name_or_path: str) -> MissionFile:
-    if _is_plan(name_or_path):
-        table: RawTable = {"plan": Path(name_or_path).name}
+    """A mission with what the files that it names hold; a plan by itself names no other."""
+    path, is_bundled = Path(name_or_path), name_or_path in bundled()
+    is_plan = path.suffix.lower() == ".plan" and answer(path.is_file)
+    if not is_bundled and (is_plan or kind_of(path) in (PLAN, WAYPOINTS)):
+        table: RawTable = {"plan": path.name}
     else:
         table = toml_table(_read(name_or_path, "mission"), name_or_path)
     if "terrain" in table and not _OF_MISSIONS & table.keys():
-        raise InputError(
-            "MISSION", name_or_path, "this is a world, not a mission", "Give its mission.toml."
-        )
+        rule = "this is a world, not a mission"
+        raise InputError("MISSION", name_or_path, rule, "Give its mission.toml.")
     return complete(table, folder_of(name_or_path), name_or_path)
 
 
@@ -142,9 +136,8 @@ def load_world(name_or_path: str) -> World:
     """A bundled world or a file."""
     table = world_table(name_or_path)
     if _OF_MISSIONS & table.keys():
-        raise InputError(
-            "WORLD", name_or_path, "this is a mission, not a world", "Give its world.toml."
-        )
+        rule = "this is a mission, not a world"
+        raise InputError("WORLD", name_or_path, rule, "Give its world.toml.")
     of_file = isinstance(table.get("terrain"), dict) and "file" in table["terrain"]
     model = validated(FileWorldTable if of_file else WorldTable, table, name_or_path)
     return World(
@@ -164,12 +157,9 @@ def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
         )
     origin, area = model.origin, model.area
     rules.refuse(rules.of_area(*area.sides_m), f"{name_or_path}: ")
-    file = ElevationFile(
-        path=folder_of(name_or_path) / model.terrain.file,
-        vertical_datum=model.terrain.vertical_datum,
-        nodata=model.terrain.nodata,
-        field=f"{name_or_path}: terrain.file",
-    )
+    told = {key: value for key, value in model.terrain if key != "file"}
+    path, field = folder_of(name_or_path) / model.terrain.file, f"{name_or_path}: terrain.file"
+    file = ElevationFile(path=path, field=field, **told)
     return file.terrain(LocalFrame(**dict(origin)), area.sides_m)
 
 

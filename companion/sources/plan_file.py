@@ -264,7 +264,8 @@ class _Items:
             for number, inner in enumerate(item.survey.items):
                 self.take(inner, f"{where}.TransectStyleComplexItem.Items[{number}]")
         else:
-            rule, remedy = "it holds no waypoints", "Replace it by waypoints."
+            rule = "it holds no waypoints"
+            remedy = "Save the plan again with QGroundControl, or replace it by waypoints."
             raise InputError(f"{where}.complexItemType", item.complex_type, rule, remedy)
 
     def _take_simple(self, item: Item, where: str) -> None:

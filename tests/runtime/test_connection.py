@@ -43,20 +43,6 @@ def test_a_baud_rate_comes_after_a_comma(text: str) -> None:
     assert isinstance(parsed(here), Device)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("ttyUSB0,57600", "serial:///dev/ttyACM0?baud=57600", "serial-hwfc:/dev/ttyACM0:921600"),
-        *("udpin://:14540", "udpin:14540", ":14540", "udp://0.0.0.0:14540", "127.0.0.1:14540"),
-        *("udp://:14540@127.0.0.1:14557", "udps:0.0.0.0:14550", "tcpout://127.0.0.1:5760"),
-    ],
-)
-def test_what_others_write_is_not_guessed_at(text: str) -> None:
-    """MAVSDK, MAVROS, mavp2p, MAVProxy, DroneKit: some of them listen where others call."""
-    with pytest.raises(InputError, match=r"Write udpin:127\.0\.0\.1:14540 \("):
-        parsed(text)
-
-
 BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
 
 
