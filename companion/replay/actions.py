@@ -18,7 +18,7 @@ from companion.errors import FlightFailed, InputError
 from companion.mission.mission import Mission
 from companion.mission.start import Start, terrain_of
 from companion.replay.feed import DamagedInputError, MissionOf, start_of
-from companion.replay.report import Replayed, replay_json, replay_text
+from companion.replay.report import replay_json, replay_text
 from companion.replay.reproduce import LogReplay, Replay
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import renderables
@@ -35,12 +35,7 @@ _SHOWN_EVERY_S = 0.1
 _TABLE_COLUMNS = 130  # into a file
 
 
-def same_run(
-    folder: Path,
-    json_file: Path | None,
-    *,
-    plans: bool,
-) -> None:
+def same_run(folder: Path, json_file: Path | None, *, plans: bool) -> None:
     """Replay a run folder and compare.  FlightFailed if any decision differs.
 
     plans: compute each again.
@@ -75,9 +70,6 @@ def same_log(
     _compare(replay, log, json_file)
 
 
-# --- the same flight
-
-
 def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -> None:
     console, found = plain_console(soft_wrap=True, highlight=False), replay.found
     with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
@@ -85,39 +77,26 @@ def _compare(replay: Replay | LogReplay, flight: Path, json_file: Path | None) -
             show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
     for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
         console.print(f"note: {finding}")
-    _refuse_if_nothing_was_compared(found, flight)
-    console.print("\n".join(replay_text(found)))
-    _write(replay_json(found), json_file)
-    if found.damaged and found.difference is None:
-        raise _damaged(found, flight)
+    differs = found.difference is not None
+    if found.compared or differs:
+        console.print("\n".join(replay_text(found)))
+        _write(replay_json(found), json_file)
+    elif not found.damaged:  # nothing is not the same as something
+        rule = "it holds nothing to compare a replay with"
+        remedy = "Give the recording of a flight, whole."
+        raise InputError("RUN_DIR|LOG", str(flight), rule, remedy)
+    if found.damaged and not differs:
+        rule = f"what was recorded is damaged ({found.damaged})"
+        raise InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
     if not found.is_identical:
         raise FlightFailed("the replay did not decide as the flight did", "")
-
-
-def _refuse_if_nothing_was_compared(found: Replayed, flight: Path) -> None:
-    """Nothing is not the same as something."""
-    if found.compared or found.difference is not None:
-        return
-    if found.damaged:
-        raise _damaged(found, flight)
-    rule = "it holds nothing to compare a replay with"
-    raise InputError("RUN_DIR|LOG", str(flight), rule, "Give the recording of a flight, whole.")
-
-
-def _damaged(found: Replayed, flight: Path) -> InputError:
-    rule = f"what was recorded is damaged ({found.damaged})"
-    return InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
 
 
 # --- other questions
 
 
 def changed(
-    folder: Path,
-    settings: list[str],
-    seed: int | None,
-    profile: str | None,
-    json_file: Path | None,
+    folder: Path, settings: list[str], seed: int | None, profile: str | None, json_file: Path | None
 ) -> None:
     """What if: each subpath under other settings."""
     console = plain_console(width=None if sys.stdout.isatty() else _TABLE_COLUMNS)
@@ -135,14 +114,11 @@ def changed(
     _write(found, json_file)
 
 
-def shadow(
-    flight: Path,
-    mission: str | None,
-    system: int | None,
-    json_file: Path | None,
-) -> None:
+def shadow(flight: Path, mission: str | None, system: int | None, json_file: Path | None) -> None:
     """Run in shadow mode on a log, or on that of a run folder."""
-    console, flight = plain_console(soft_wrap=True), _log(flight)
+    console = plain_console(soft_wrap=True)
+    if flight.is_dir():
+        flight = file_of_run(flight, "flight.tlog", "RUN_DIR|LOG")
     chosen = None if mission is None else load_mission(mission)
     if chosen is not None:
         load_planner()
@@ -159,13 +135,6 @@ def shadow(
 
 
 # --- files, the planner, bars
-
-
-def _log(flight: Path) -> Path:
-    """The telemetry log of a run folder, or the log that was given."""
-    if not flight.is_dir():
-        return flight
-    return file_of_run(flight, "flight.tlog", "RUN_DIR|LOG")
 
 
 def flown_mission(folder: Path) -> MissionOf:

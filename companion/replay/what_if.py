@@ -3,11 +3,10 @@
 Nothing is flown: each plan starts where the recorded one started, with the same known map.
 """
 
-import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TypeVar, final
+from typing import final
 
 from msgspec import Struct
 from rich.console import Group, RenderableType
@@ -20,8 +19,6 @@ from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.planning import plan
 from companion.replay.feed import MissionOf, answer_of, outputs
-
-_Part = TypeVar("_Part")
 
 
 @final
@@ -110,28 +107,21 @@ def what_if(
 def with_changes(task: Task, before: Task, after: Task) -> Task:
     """A task of a flight with what has changed between two tasks of its mission.
 
-    The rest is as it was at that moment: a fence of the vehicle, settings of a ground station.
+    The rest is as it was at that moment: what a fence of the vehicle says of zones and limits.
     """
-    zones = task.zones
+    zones, limits = task.zones, asdict(after.limits)
     if before.zones != after.zones:
         zones = (*after.zones, *(zone for zone in task.zones if zone not in before.zones))
+    changed = {
+        name: limits[name] for name, was in asdict(before.limits).items() if was != limits[name]
+    }
     return replace(
         task,
-        limits=_with_changes(task.limits, before.limits, after.limits),
-        settings=_with_changes(task.settings, before.settings, after.settings),
+        limits=replace(task.limits, **changed),
+        settings=after.settings,
         radars=task.radars if before.radars == after.radars else after.radars,
         zones=zones,
     )
-
-
-def _with_changes(value: _Part, before: _Part, after: _Part) -> _Part:
-    fields = [each.name for each in dataclasses.fields(value) if each.init]  # type: ignore[arg-type]
-    changes = {
-        name: getattr(after, name)
-        for name in fields
-        if getattr(before, name) != getattr(after, name)
-    }
-    return dataclasses.replace(value, **changes)  # type: ignore[type-var]
 
 
 # --- for people
