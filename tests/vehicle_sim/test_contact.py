@@ -5,8 +5,12 @@ import math
 import pytest
 from flown import ALL, GROUND_M, Flown
 
-from vehicle_sim.dynamics.contact import is_crash
+from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.scene import Scene
+from vehicle_sim.terrain import PeakTerrain
 
 HILL_NORTH_M, HILL_M, SPREAD_M = 900.0, 700.0, 150.0
 """Above the plain as a wall of 45 degrees and more from 749 m to the north on."""
@@ -57,6 +61,32 @@ def test_a_contact_is_judged_by_the_speed_in_all_axes(
     crashes: bool,
 ) -> None:
     assert is_crash(velocity, slope, rolls=rolls, lands=lands) is crashes
+
+
+class Step(PeakTerrain):  # type: ignore[misc]
+    """Level ground with a step up of 5 m at 10 m north."""
+
+    def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
+        return 5.0 if north_m > 10.0 else 0.0 * east_m
+
+
+@pytest.mark.parametrize(("from_m", "crashes"), [(9.0, True), (12.0, False)])
+def test_a_step_up_is_hit_though_it_is_level_before_and_behind_it(
+    from_m: float, crashes: bool
+) -> None:
+    frame, hits = LocalFrame(latitude_deg=47.0, longitude_deg=8.0), list[Crash]()
+    terrain = Step([], combine="maximum", ground_amsl_m=0.0)
+    latitude_deg, longitude_deg = frame.to_geographic(from_m, 0.0)
+    plane = Plane(latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=0.0)
+    plane.altitude_amsl_m = terrain.height_at_amsl_m(from_m, 0.0)
+    scene = Scene(terrain, ())
+    contact = Contact(plane, terrain, scene, frame, rolls=True, on_crash=hits.append)
+    plane.velocity_north_m_s = 9.0
+    plane.latitude_deg, _ = frame.to_geographic(from_m + 2.0, 0.0)
+    contact.prepare(200_000)
+    contact.look(200_000)
+    contact.settle(200_000, 0.2)
+    assert [hit.into for hit in hits] == ["the ground"] * crashes
 
 
 @pytest.mark.parametrize(("kind", "autopilot"), ALL)

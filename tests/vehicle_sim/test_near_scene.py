@@ -163,7 +163,7 @@ def test_a_beam_meets_level_ground_and_roofs_where_the_earth_has_sunk_to() -> No
     for things, level_m in (({}, 0.0), ({"buildings": [roof]}, 5.0)):
         made = world(**things).scene()
         for slope in (-0.02, -0.0031, -0.00305):
-            way = np.array([[1.0, 0.0, slope]]) / math.hypot(1.0, slope)
+            way = np.array([[0.6, 0.8, slope]]) / math.hypot(1.0, slope)
             eye = np.array([0.0, 0.0, GROUND_M + level_m + 1.8])
             away = np.linspace(0.0, 700.0, 700_001)
             radius = np.hypot(away, 6_371_009.0 + 1.8 + slope * away)  # from the earth's middle

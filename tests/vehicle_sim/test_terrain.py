@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vehicle_sim.terrain import Combine, PeakTerrain
+from vehicle_sim.terrain import Combine, PeakRow, PeakTerrain
 
 
-def random_terrain(rng: np.random.Generator, combine: Combine) -> PeakTerrain:
-    rows = [
+def random_peaks(rng: np.random.Generator) -> list[PeakRow]:
+    return [
         (
             float(rng.uniform(-5e3, 5e3)),
             float(rng.uniform(-5e3, 5e3)),
@@ -17,7 +17,6 @@ def random_terrain(rng: np.random.Generator, combine: Combine) -> PeakTerrain:
         )
         for _ in range(int(rng.integers(0, 8)))
     ]
-    return PeakTerrain(rows, combine=combine, ground_amsl_m=50.0)
 
 
 def test_a_single_peak_is_equation_1_over_the_ground() -> None:
@@ -37,8 +36,11 @@ def test_two_peaks_at_one_place_count_once_or_twice(combine: Combine) -> None:
     assert terrain.height_at_amsl_m(0.0, 0.0) == (400.0 if combine == "maximum" else 800.0)
 
 
-def turned_quad(rng: np.random.Generator, size_m: float) -> np.ndarray:
+def turned_quad(rng: np.random.Generator, size_m: float, near: PeakRow | None = None) -> np.ndarray:
+    """Anywhere, or with the top of a peak in it or just outside."""
     centre, angle = rng.uniform(-5e3, 5e3, 2), rng.uniform(-0.3, 0.3)
+    if near is not None:
+        centre = np.array(near[:2]) + rng.uniform(-0.6, 0.6, 2) * size_m
     square = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) * size_m / 2
     turn = np.array([(np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))])
     return centre + square @ turn.T
@@ -50,8 +52,10 @@ def test_the_highest_point_of_a_quadrilateral_bounds_samples_and_is_attained(
     seed: int, combine: Combine
 ) -> None:
     rng = np.random.default_rng(seed)
-    terrain = random_terrain(rng, combine)
-    quads = np.stack([turned_quad(rng, 400.0) for _ in range(20)])
+    peaks = random_peaks(rng)
+    terrain = PeakTerrain(peaks, combine=combine, ground_amsl_m=50.0)
+    places = [*[None] * 10, *peaks]
+    quads = np.stack([turned_quad(rng, 400.0, near) for near in places])
     highest, place = terrain.highest_in_quads_amsl_m(quads)
     u, v = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
     a, b, c, d = (quads[:, k, None, None] for k in range(4))
@@ -73,7 +77,7 @@ def test_the_highest_point_of_a_quadrilateral_bounds_samples_and_is_attained(
 @given(seed=st.integers(0, 10**6), combine=st.sampled_from(["maximum", "sum"]))
 def test_the_grid_bounds_the_terrain_from_below(seed: int, combine: Combine) -> None:
     rng = np.random.default_rng(seed)
-    terrain = random_terrain(rng, combine)
+    terrain = PeakTerrain(random_peaks(rng), combine=combine, ground_amsl_m=50.0)
     north, east = np.arange(-5e3, 5e3 + 1, 500.0), np.arange(-5e3, 5e3 + 1, 500.0)
     lowest = terrain.lowest_in_grid_amsl_m(north, east)
     low_n, low_e = (axis.ravel() for axis in np.meshgrid(north[:-1], east[:-1], indexing="ij"))

@@ -144,15 +144,18 @@ def test_below_sixty_metres_it_falls_with_the_root_of_the_height(
 
 def test_a_change_sets_in_slowly_and_goes_again_without_a_trace() -> None:
     wind, copter = Wind(np.random.default_rng(1)), copter_at(100.0)
-    calm, windy = WindConditions(), WindConditions(speed_m_s=10.0, from_rad=math.pi)
+    rising = math.asin(0.6)
+    calm, windy = WindConditions(), WindConditions(speed_m_s=10.0, rising_rad=rising)
     wind.step(0.01, copter, calm, 0.0)
     assert wind_of(copter) == (0.0, 0.0, 0.0)
     for _ in range(500):
         wind.step(0.01, copter, windy, 0.0)
-    assert copter.wind_north_m_s == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), abs=0.02)
+    set_in = 1.0 - math.exp(-1.0)
+    assert copter.wind_north_m_s == pytest.approx(8.0 * set_in, abs=0.02)
+    assert copter.wind_up_m_s == pytest.approx(6.0 * set_in, abs=0.02)
     for _ in range(10_000):
         wind.step(0.01, copter, windy, 0.0)
-    assert copter.wind_north_m_s == pytest.approx(10.0, abs=1e-9)
+    assert wind_of(copter) == pytest.approx((8.0, 0.0, 6.0), abs=1e-9)
     for _ in range(10_000):
         wind.step(0.01, copter, calm, 0.0)
     assert wind_of(copter) == (0.0, 0.0, 0.0)
