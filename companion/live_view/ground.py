@@ -22,7 +22,6 @@ from companion.errors import InputError
 from companion.geodesy import BoolArray
 from companion.mission.events import Vector
 from companion.mission.mission import Mission
-from companion.planner.request import PlanRequest
 from companion.replay.actions import flown_mission
 from companion.replay.feed import RUNTIME_RECORDS, DamagedInputError, Feeder
 from companion.sources.files import answer
@@ -138,8 +137,6 @@ class Replica:
         self.samples: list[tuple[int, float, float, float]] = []
         """Boot, vehicle time, clearance to what was known of the terrain then, and its altitude
         under the vehicle; NaN: not known, or farther than it is looked for."""
-        self.request: PlanRequest | None = None
-        """What the planner was asked last."""
         self.planning_s: dict[int, float] = {}
         """How long it took to answer, as far as the times at which messages came tell."""
         self._at_s: float | None = None
@@ -189,7 +186,6 @@ class Replica:
             self._boot, self._sampled_s = self._boot + 1, -math.inf
         self.now = self._boot, session.now_s
         if output is not None and output.plan is not None:
-            self.request = output.plan
             self._asked_at_s = None if self._at_s is None else (output.plan.plan_id, self._at_s)
         known, here = session.state.flight.known, session.state.vehicle.position_nea_m
         if known is not self._known:

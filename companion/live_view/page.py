@@ -20,7 +20,7 @@ from viser import uplot
 from companion.geodesy import FloatArray
 from companion.live_view import panel
 from companion.live_view.ground import Ground, Replica, last_ground
-from companion.live_view.panel import CHARTS, Moment, charts_of, near_ground, planning_of
+from companion.live_view.panel import CHARTS, charts_of
 from companion.live_view.recording import Recording
 from companion.live_view.scene import Scene
 from companion.views.words import clock_text
@@ -73,23 +73,6 @@ class Shown:
         if at != self._ground[0]:
             self._ground = at, None if at < 0 else replica.ground(at)
         return self._ground[1], behind if replica.ended is None else f"ground: {replica.ended}"
-
-    def moment(self, time_s: float) -> Moment:
-        """What the panel shows."""
-        decided = self.recording.flight.decided_at(time_s)
-        clearance_m, under_m = near_ground(self.recording, self.replica, np.array([time_s]))
-        planning_s = None
-        if decided.ready is not None:
-            planning_s = planning_of(self.recording, self.replica).get(decided.ready.plan_id)
-        return Moment(
-            recording=self.recording,
-            time_s=time_s,
-            decided=decided,
-            clearance_m=float(clearance_m[0]),
-            under_m=float(under_m[0]),
-            planning_s=planning_s,
-            behind=self.ground_at(time_s)[1],
-        )
 
 
 @final
@@ -290,10 +273,10 @@ class Page:
             if ground is not None and (not of_ground[0] or of_ground != self._shown_ground):
                 scene.show_ground(ground)
             self._shown_s, self._shown_ground = self._time_s, of_ground
-            moment = shown.moment(self._time_s)
-            here = scene.show(self._time_s, moment.decided, self._heading_rad())
-            self._follow(here)
-            self._set(self._status, panel.status_html(moment, scene.scale.stretch))
+            self._follow(scene.show(self._time_s, self._heading_rad()))
+            stretch = scene.scale.stretch
+            status = panel.status_html(recording, replica, self._time_s, behind, stretch)
+            self._set(self._status, status)
             self._events.options, style = panel.event_list(recording.events, self._time_s)
             self._set(self._events_style, style)
             ends_s = round(recording.ends_s + 0.05, 1)

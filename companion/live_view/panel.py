@@ -4,8 +4,7 @@ import html
 import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -40,33 +39,24 @@ _LIST_STYLE: Final = (
 )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
-    """A flight at a time, as the panel shows it."""
+def status_html(
+    recording: Recording, replica: Replica | None, time_s: float, behind: str, stretch: float
+) -> str:
+    """Phase and reason, target, speed, altitude, clearance, the last plan and the link at a time.
 
-    recording: Recording
-    time_s: float
-    decided: Decided
-    clearance_m: float
-    under_m: float
-    planning_s: float | None
-    behind: str = ""
-    """What of it is not up to date."""
-
-
-def status_html(moment: Moment, stretch: float) -> str:
-    """Phase and reason, target, speed, altitude, clearance, the last plan and the link."""
-    recording, decided = moment.recording, moment.decided
+    behind: what of it is not up to date; stretch: how much higher heights are drawn.
+    """
     flight, track = recording.flight, recording.flight.track
-    row = flight.row_at(moment.time_s)
+    decided = flight.decided_at(time_s)
+    [clearance_m], [under_m] = near_ground(recording, replica, np.array([time_s]))
+    row = flight.row_at(time_s)
     north_m, east_m, altitude_m = flight.places_nea_m[row].tolist()
     speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
     rows = {
-        "time": clock_text(moment.time_s),
+        "time": clock_text(time_s),
         "altitude": f"{altitude_m:,.0f} m AMSL",
-        "over known ground": metres_at_least(altitude_m - moment.under_m),
-        "clearance": metres_at_least(moment.clearance_m),
+        "over known ground": metres_at_least(altitude_m - float(under_m)),
+        "clearance": metres_at_least(float(clearance_m)),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }
     if decided.targets_ne_m and flight.has_mission:
@@ -74,21 +64,22 @@ def status_html(moment: Moment, stretch: float) -> str:
         to_go_m = math.hypot(target[0] - north_m, target[1] - east_m)
         rows["target"] = f"{metres(target[0])} N, {metres(target[1])} E"
         rows["to go"] = f"{metres(to_go_m)}, {_to_go_time(to_go_m, speed_m_s)}"
-    link = f"{recording.rate_hz(moment.time_s):.0f} positions/s"
+    link = f"{recording.rate_hz(time_s):.0f} positions/s"
     if decided.round_trip_s is not None:
         link += f", {decided.round_trip_s * 1e3:.0f} ms round trip"
     rows["link"] = link
-    battery = flight.newest(BATTERY, moment.time_s)
+    battery = flight.newest(BATTERY, time_s)
     if battery is not None and battery[1].battery_remaining >= 0:
         rows["battery"] = f"{battery[1].battery_remaining} %"
     reason = f"<div class=r>{html.escape(decided.reason)}</div>" if decided.reason else ""
     warned = f"<div class=n>{html.escape(decided.warning)}</div>" if decided.warning else ""
-    behind = f"<div class=n>{html.escape(moment.behind)}</div>" if moment.behind else ""
+    late = f"<div class=n>{html.escape(behind)}</div>" if behind else ""
     drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
     head = f"<div class=n>{html.escape(recording.name)}{drawn}</div>"
     phase = "" if not flight.has_mission else f"<div class=p>{html.escape(decided.phase)}</div>"
-    plan = _plan_html(decided, moment.planning_s)
-    return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{behind}</div>"
+    took_s = planning_of(recording, replica)
+    plan = _plan_html(decided, took_s.get(decided.ready.plan_id) if decided.ready else None)
+    return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{late}</div>"
 
 
 def waiting_html(recording: Recording) -> str:

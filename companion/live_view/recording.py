@@ -129,10 +129,12 @@ class Recording:
 
     def planning_s(self) -> dict[int, float]:
         """How long each answer took, by the plan's number, if the flight has noted it."""
+        if not self._noted_s:
+            return {}
         entries = (entry for _, _, entry in self.flight.entries)
         asked = [entry.plan_id for entry in entries if isinstance(entry, noted.PlanAsked)]
-        is_noted = len(asked) == len(self._noted_s)
-        return dict(zip(asked, self._noted_s, strict=True)) if is_noted else {}
+        is_of_all = len(asked) == len(self._noted_s)
+        return dict(zip(asked, self._noted_s, strict=True)) if is_of_all else {}
 
     @cached_property
     def _noted_s(self) -> list[float]:

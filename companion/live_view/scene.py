@@ -73,10 +73,10 @@ class Scene:
 
     # --- the moment
 
-    def show(self, time_s: float, decided: Decided, heading_rad: float) -> FloatArray:
+    def show(self, time_s: float, heading_rad: float) -> FloatArray:
         """Draw the flight as it was; where the vehicle is in the scene.  -> (3,)."""
         flight = self._flight
-        row = flight.row_at(time_s)
+        row, decided = flight.row_at(time_s), flight.decided_at(time_s)
         here = self.scale.scene(flight.places_nea_m[row])
         with self._server.atomic():
             self._show_vehicle(here, heading_rad)
