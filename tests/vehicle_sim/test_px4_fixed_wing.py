@@ -247,6 +247,23 @@ def test_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
     assert rig.px4.mode_name == "Offboard"  # the one last commanded for flight
 
 
+@pytest.mark.parametrize("goes_on", [(4, 3), (6, 0)], ids=["Hold", "Offboard"])
+def test_a_landing_that_is_broken_off_ends(goes_on: tuple[int, int]) -> None:
+    rig = Rig()
+    rig.put(0.0, 0.0, 68.0, 0.0)
+    assert rig.command(21) == 0
+    rig.run(20.0)
+    assert rig.height_m < 60.0
+    streaming(rig, 300.0, 0.0)
+    assert rig.mode(*goes_on) == 0
+    rig.run(1.0)
+    height_m = rig.height_m if goes_on == (4, 3) else 70.0
+    for _ in range(200):
+        rig.send(POSITION_ONLY, (300.0, 0.0, -70.0))
+        rig.run(0.1)
+    assert rig.height_m == pytest.approx(height_m, abs=4.0)
+
+
 def test_return_circles_over_home_at_its_height() -> None:
     rig = Rig(RTL_RETURN_ALT=90.0, RTL_DESCEND_ALT=60.0)
     rig.put(600.0, -200.0, 68.0, 0.0)
