@@ -203,7 +203,7 @@ class CopterFlight(ArduFlight):
         autopilot, route, name = self.autopilot, self.route, self._mode
         self._abandon_takeoff()
         self._set_looks_ahead()
-        self._look_ahead()
+        self._yaw_rad = self._yaw_rate_rad_s = None
         self._stand_still()
         route.stop()
         if name == "LAND":
@@ -404,7 +404,7 @@ class CopterFlight(ArduFlight):
         if isinstance(target, Stop):
             self._abandon_takeoff()
             self._stand_still()
-            self._look_ahead()
+            self._yaw_rad = self._yaw_rate_rad_s = None
             told, self._refused_text = self._refused_text, target.text
             if target.text and target.text != told:
                 autopilot.say(2, target.text)
@@ -715,10 +715,6 @@ class CopterFlight(ArduFlight):
         return order
 
     # --- the nose -----------------------------------------------------------------------------
-
-    def _look_ahead(self) -> None:
-        """Forget what was commanded."""
-        self._yaw_rad = self._yaw_rate_rad_s = None
 
     def _set_looks_ahead(self) -> None:
         """WP_YAW_BEHAVIOR 2: ahead except in RTL."""

@@ -405,10 +405,12 @@ class ArduPlaneFlight(ArduFlight):
     def look(self, fix: Fix) -> None:
         """Home is where the first fix was, a moment later: plane does not wait for the EKF."""
         autopilot = self.autopilot
+        if autopilot.home is not None:
+            return
         if autopilot.mode_name == "INITIALISING" and autopilot.now_s >= FIRMWARE.ready_s:
             autopilot.mode = autopilot.modes["MANUAL"]
             autopilot.send(HEARTBEAT)
-        if autopilot.home is not None or not fix.usable:
+        if not fix.usable:
             return
         if self._first_fix_s is None:
             self._first_fix_s = autopilot.now_s

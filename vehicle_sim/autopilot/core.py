@@ -404,7 +404,7 @@ class Autopilot(abc.ABC):
     # --- missions -----------------------------------------------------------------------------
 
     def seek(self, number: int) -> None:
-        """Fly the mission from this item on."""
+        """Fly the mission from this item on; what is above terrain is above the ground below."""
         items, here = self.plans[PlanKind.MISSION], self.estimate.place
         home, ground_m = self.home or here, self.ground_m
         speed_m_s = self.route.seek(

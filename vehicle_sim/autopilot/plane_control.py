@@ -238,8 +238,7 @@ class PlaneControl:
             climb = self.heights.climb_m_s(self.height_amsl_m, height_m, dt_s)
         else:
             self.heights.begin(height_m)
-        slower_m_s = self._speed_m_s - self.slowing_m_s2 * dt_s
-        self._speed_m_s = max(self.airspeed_m_s, slower_m_s)
+        self._speed_m_s = max(self.airspeed_m_s, self._speed_m_s - self.slowing_m_s2 * dt_s)
         bank_rad = bounded(self.bank_rad, -self.bank_most_rad, self.bank_most_rad)
         plane.advance(bank_rad, max(climb, at_least_m_s), self._speed_m_s, dt_s)
         if self.climb_m_s is not None:
