@@ -240,7 +240,7 @@ def test_every_file_of_the_programs_is_in_one_row_of_the_budget() -> None:
         "companion/planner/plan.py": "planning core",
         "companion/session.py": "flying half",
         "companion/views/report.html.j2": "tools half",
-        "vehicle_sim/autopilots/px4/common.parm": "simulator",
+        "vehicle_sim/autopilot/px4.parm": "simulator",
         "tests/conftest.py": "tests",
         "scripts/check": "scripts",
         "docs/view.md": "pages for users",

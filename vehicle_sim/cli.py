@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from vehicle_sim.autopilots.factory import personality_of, with_own_ids
+from vehicle_sim.autopilot.factory import personality_of, with_own_ids
 from vehicle_sim.errors import InputError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Link, open_link, parse_endpoint

@@ -8,9 +8,9 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, final
 
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.values import (
     Ack,
-    Autopilot,
     Reboot,
     Reply,
     Report,

@@ -174,7 +174,7 @@ def table(*names: str) -> tuple[Parameter, ...]:
     """The rows of these files; a later one replaces an earlier one of its name in its place."""
     rows = dict[str, Parameter]()
     for name in names:
-        text = resources.files("vehicle_sim.autopilots").joinpath(f"{name}.parm").read_text("utf-8")
+        text = resources.files("vehicle_sim.autopilot").joinpath(f"{name}.parm").read_text("utf-8")
         lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
         rows |= {words[0]: _row_of(*words) for words in lines}
     return tuple(rows.values())

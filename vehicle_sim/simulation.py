@@ -9,14 +9,15 @@ from dataclasses import replace
 from typing import Final, final
 
 from vehicle_sim import ground_station, truth
-from vehicle_sim.autopilots import Autopilot, Sender, Text
-from vehicle_sim.autopilots.factory import (
+from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.factory import (
     ids_of,
     make_vehicle,
     overrides_of,
     personality_of,
     with_own_ids,
 )
+from vehicle_sim.autopilot.values import Sender, Text
 from vehicle_sim.conditions import conditions_of, take_one_shots
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.contact import LOOK_US, Contact, Crash

@@ -139,7 +139,7 @@ class Vehicle:
     """What flies, and where it stands at the start: on the terrain.
 
     What a file leaves out of a copter's limits is what the real autopilots' simulated quadcopters
-    can do (autopilots/factory.py), and of a plane's likewise.
+    can do (autopilot/factory.py), and of a plane's likewise.
     """
 
     kind: VehicleKind

@@ -29,7 +29,7 @@ from companion.world.zones import CircleZone, PolygonZone
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
 from vehicle_sim.autopilot.guards import Fence as ArduPilotFence
 from vehicle_sim.autopilot.guards import Zones
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.plans import PlanItem as Stored
 from vehicle_sim.plans import PlanKind, Plans
 

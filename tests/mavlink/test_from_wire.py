@@ -42,7 +42,7 @@ from companion.mission.events import (
     VehicleStatus,
 )
 from vehicle_sim.autopilot.earth import FlatEarth, Projection
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 
 each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 

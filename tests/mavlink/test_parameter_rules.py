@@ -356,7 +356,7 @@ def test_newer_names_have_other_units_and_mean_the_same() -> None:
 
 
 def test_older_planes_have_centidegrees_and_centimetres() -> None:
-    older = {row.name: row.default for row in table("ardupilot/shared", "ardupilot/plane")}
+    older = {row.name: row.default for row in table("ardupilot", "arduplane")}
     older["LIM_ROLL_CD"] = older.pop("ROLL_LIMIT_DEG") * 100.0
     flown = mission("plane", speed_m_s=22.0, turn_radius_m=200.0, climb_angle_rad=0.1)
     assert findings_of(ARDUPLANE_RULES, older, flown) == findings_of(

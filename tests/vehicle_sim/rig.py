@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint, Text
+from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, Setpoint, Text
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.sensors.gps import Fix, Gps

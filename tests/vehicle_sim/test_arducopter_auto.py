@@ -6,7 +6,7 @@ import pytest
 from tracking_copter import GROUND_M, Flown
 
 from vehicle_sim.autopilot.earth import FlatEarth
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=GROUND_M)

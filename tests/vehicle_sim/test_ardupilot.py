@@ -10,7 +10,7 @@ from rig import Rig
 from tracking_copter import HOME_DEG, Flown
 
 from vehicle_sim.autopilot.ardupilot import STREAMABLE
-from vehicle_sim.autopilots import Battery
+from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.wire.telemetry import MESSAGES
 

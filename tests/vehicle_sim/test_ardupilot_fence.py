@@ -9,7 +9,7 @@ from tracking_copter import Flown
 
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.guards import Fence
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.plans import PlanItem, PlanKind, Zone
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=500.0)

@@ -12,7 +12,7 @@ from tracking_plane import (
     off_path_m,
 )
 
-from vehicle_sim.autopilots import Result, Sender, Setpoint
+from vehicle_sim.autopilot.values import Result, Sender, Setpoint
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
 

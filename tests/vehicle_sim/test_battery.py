@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig import GENTLE
 
-from vehicle_sim.autopilots import Battery
+from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.conditions import BatteryConditions
 from vehicle_sim.dynamics.battery import Model, PowerModule
 from vehicle_sim.dynamics.copter import HOVER_THROTTLE, Copter

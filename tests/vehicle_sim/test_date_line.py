@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot import px4copter
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.estimator import Estimator
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import Fix

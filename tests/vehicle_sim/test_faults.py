@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rig import GENTLE
 
-from vehicle_sim.autopilots import Battery
+from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.conditions import (
     SIM_PARAMETERS,
     SIM_PARAMETERS_PX4,

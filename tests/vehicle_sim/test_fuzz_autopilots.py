@@ -22,17 +22,17 @@ from hypothesis.stateful import (
 )
 from rig import STRONG
 
+from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     Ack,
-    Autopilot,
     Command,
     Place,
     Sender,
     Setpoint,
     Text,
 )
-from vehicle_sim.autopilots.factory import PERSONALITIES
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits

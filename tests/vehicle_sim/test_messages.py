@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pymavlink import mavftp_op
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
+from vehicle_sim.autopilot.values import Ack, Command, Sender, Setpoint, Text
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.frames import Packer, StreamParser
 

@@ -6,7 +6,7 @@ import pytest
 from tracking_px4 import Rig
 
 from vehicle_sim.autopilot.px4 import MODES, RATES_HZ, parameter_rows, profile
-from vehicle_sim.autopilots import Ack, Reboot, Result, Sender
+from vehicle_sim.autopilot.values import Ack, Reboot, Result, Sender
 from vehicle_sim.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
 
@@ -28,7 +28,7 @@ def test_base_modes_are_the_recorded_ones() -> None:
 
 
 def test_parameters_have_legal_names_and_are_in_order() -> None:
-    rows = parameter_rows("px4/common", "px4/multicopter")[: -len(SIM_PARAMETERS_PX4)]
+    rows = parameter_rows("px4", "px4copter")[: -len(SIM_PARAMETERS_PX4)]
     names = [row.name for row in rows]
     assert names == sorted(set(names))
     assert all(len(name) <= 16 for name in names)

@@ -19,7 +19,7 @@ from tracking_px4_fixed_wing import (
     fly,
 )
 
-from vehicle_sim.autopilots import Landed
+from vehicle_sim.autopilot.values import Landed
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
 

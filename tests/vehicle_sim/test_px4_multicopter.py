@@ -6,7 +6,7 @@ import math
 import pytest
 from tracking_px4 import TABLE, Rig, Row
 
-from vehicle_sim.autopilots import Landed, Result
+from vehicle_sim.autopilot.values import Landed, Result
 from vehicle_sim.plans import PlanItem, PlanKind
 
 # --- px4.md 5: tracking a curve -------------------------------------------------------------------

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from vehicle_sim.autopilot.earth import Projection
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 
 
 @given(

@@ -6,7 +6,7 @@ import pytest
 from tracking_px4 import Rig, Vector
 
 from vehicle_sim.autopilot.setpoints import Target, is_flyable, read_by_px4
-from vehicle_sim.autopilots import Setpoint
+from vehicle_sim.autopilot.values import Setpoint
 
 _EAST_RAD = math.pi / 2.0
 _P, _V, _A = (10.0, 20.0, -30.0), (1.0, 2.0, -0.5), (0.1, 0.2, -0.3)

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 from rig import GENTLE
 
-from vehicle_sim.autopilots import Sender
+from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.conditions import RadarConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import LocalFrame

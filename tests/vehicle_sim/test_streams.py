@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     Ack,
     Command,
     FirmwareProfile,

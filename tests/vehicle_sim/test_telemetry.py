@@ -9,7 +9,7 @@ from tracking_copter import Flown
 from tracking_px4 import Rig
 
 from vehicle_sim.autopilot import px4plane
-from vehicle_sim.autopilots import Battery, Report
+from vehicle_sim.autopilot.values import Battery, Report
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire.frames import Packer, number_of
 from vehicle_sim.wire.telemetry import MESSAGES

@@ -10,7 +10,7 @@ import rig
 from rig import STEP_S
 
 from vehicle_sim.autopilot import arduplane
-from vehicle_sim.autopilots import Result, SendMessage
+from vehicle_sim.autopilot.values import Result, SendMessage
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.plans import Plans

@@ -15,7 +15,7 @@ import rig
 
 from vehicle_sim.autopilot import px4plane
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
-from vehicle_sim.autopilots import Sender
+from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.plans import Plans

@@ -15,7 +15,7 @@ from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.ideal import Ideal, Spatial
 from vehicle_sim.autopilot.legs import RETURN, Does, back
 from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     Command,
     Landed,
     Place,
@@ -52,7 +52,7 @@ MODES: Final = (
 
 FIRMWARE: Final = Firmware(
     profile=profile(vehicle_type=2, capabilities=64495, rates_hz={0: 1.0, 111: 0.1}),
-    table=(*table("ardupilot/shared", "ardupilot/copter"), *SIM_PARAMETERS),
+    table=(*table("ardupilot", "arducopter"), *SIM_PARAMETERS),
     modes=MODES,
     holds="LOITER",
     returns="RTL",

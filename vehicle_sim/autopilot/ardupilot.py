@@ -24,7 +24,7 @@ from vehicle_sim.autopilot.earth import Vector
 from vehicle_sim.autopilot.estimator import State as Estimates
 from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Fence, named
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     Command,
     FirmwareProfile,
     Landed,

@@ -32,7 +32,7 @@ from vehicle_sim.autopilot.plane_control import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     Command,
     Landed,
     Place,
@@ -72,7 +72,7 @@ _RATES_HZ: Final = dict.fromkeys((0, 1, 2, 24, 30, 32, 33, 42, 62, 74, 87, 147, 
 """What a fresh link gets unasked."""
 FIRMWARE: Final = Firmware(
     profile=profile(vehicle_type=1, capabilities=62319, rates_hz=_RATES_HZ),
-    table=(*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS),
+    table=(*table("ardupilot", "arduplane"), *SIM_PARAMETERS),
     modes=_MODES,
     holds="LOITER",
     returns="RTL",

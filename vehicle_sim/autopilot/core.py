@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot.earth import Frame, Vector
 from vehicle_sim.autopilot.estimator import Estimator, Timing
 from vehicle_sim.autopilot.legs import Route, leg_of
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     HIGHEST_HOME_M,
     Ack,
     Command,
@@ -173,7 +173,10 @@ class Flight(abc.ABC):
 
 
 class Autopilot(abc.ABC):
-    """One vehicle's autopilot (vehicle_sim.autopilots.Autopilot)."""
+    """One vehicle's autopilot.
+
+    It steers the vehicle by its estimate, and reads the true position only through the GPS fix.
+    """
 
     flight: Flight
     """Of the subclass, which makes it last."""

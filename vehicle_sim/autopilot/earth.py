@@ -3,7 +3,7 @@
 import math
 from typing import Final, Protocol, final
 
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, around, degrees_east
 
 Vector = tuple[float, float, float]

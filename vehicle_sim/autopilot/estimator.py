@@ -15,7 +15,7 @@ from typing import Final, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Estimate, Place
+from vehicle_sim.autopilot.values import Estimate, Place
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.geodesy import around, degrees_east, metres_per_degree
 from vehicle_sim.sensors.gps import Fix

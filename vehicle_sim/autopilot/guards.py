@@ -4,7 +4,7 @@ import math
 from typing import Final, final
 
 from vehicle_sim.autopilot.earth import Frame, way_m
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilot.values import Place
 from vehicle_sim.parameters import Readable
 from vehicle_sim.plans import PlanKind, Plans, Zone, forbidden, zones_of
 

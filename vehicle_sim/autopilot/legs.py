@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilots import Place, height_amsl_m
+from vehicle_sim.autopilot.values import Place, height_amsl_m
 from vehicle_sim.plans import Jumps, PlanItem
 
 WAYPOINT, LOITER_UNLIM, _, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.earth import way_m
-from vehicle_sim.autopilots import Estimate, Place
+from vehicle_sim.autopilot.values import Estimate, Place
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 

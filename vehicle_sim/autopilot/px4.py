@@ -27,7 +27,7 @@ from vehicle_sim.autopilot.estimator import Timing
 from vehicle_sim.autopilot.guards import Zones
 from vehicle_sim.autopilot.legs import Does, Leg
 from vehicle_sim.autopilot.setpoints import Target, given, read_by_px4
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     Command,
     FirmwareProfile,
     Landed,
@@ -167,7 +167,7 @@ def firmware(
     """PX4 for one kind of vehicle, with these parameters besides the common ones."""
     return Firmware(
         profile=profile(vehicle_type=vehicle_type, rates_hz=rates_hz),
-        table=parameter_rows("px4/common", parameters),
+        table=parameter_rows("px4", parameters),
         modes=MODES,
         holds="Hold",
         returns="Return",

@@ -10,10 +10,10 @@ from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.px4 import MANUAL, MODES, NAVIGATED, RATES_HZ, Px4, Px4Flight, firmware
 from vehicle_sim.autopilot.px4_control import NONE, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
-from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics.copter import Copter
 
-FIRMWARE: Final = firmware(vehicle_type=2, rates_hz=RATES_HZ, parameters="px4/multicopter")
+FIRMWARE: Final = firmware(vehicle_type=2, rates_hz=RATES_HZ, parameters="px4copter")
 
 _NAN: Final = math.nan
 _STOPS: Final = State(velocity=0j, sink=0.0)

@@ -23,14 +23,12 @@ from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.plane_control import Circle, PlaneControl, Way, eas_to_tas
 from vehicle_sim.autopilot.px4 import RATES_HZ, Asked, Px4, Px4Flight, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target
-from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.plans import Plans
 
-FIRMWARE: Final = firmware(
-    vehicle_type=1, rates_hz=RATES_HZ | {231: 10.0}, parameters="px4/fixed_wing"
-)
+FIRMWARE: Final = firmware(vehicle_type=1, rates_hz=RATES_HZ | {231: 10.0}, parameters="px4plane")
 """WIND_COV as well."""
 SIH_AIRPLANE: Final = PlaneLimits(
     airspeed_min_m_s=5.0,

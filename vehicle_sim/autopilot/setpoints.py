@@ -9,7 +9,7 @@ import math
 from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.earth import Vector
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     FRAMES_ABOVE_HOME,
     FRAMES_ABOVE_TERRAIN,
     FRAMES_AMSL,

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
+from vehicle_sim.autopilot.values import Ack, Command, Sender, Setpoint, Text
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import Prepared, make
 

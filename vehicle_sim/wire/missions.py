@@ -14,9 +14,9 @@ from typing import Any, Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.values import (
     Ack,
-    Autopilot,
     Command,
     Reply,
     Sender,

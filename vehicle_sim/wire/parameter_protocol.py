@@ -8,7 +8,8 @@ import struct
 from dataclasses import dataclass
 from typing import Any, final
 
-from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
+from vehicle_sim.autopilot.core import Autopilot
+from vehicle_sim.autopilot.values import Reply, Sender, SendMessage
 from vehicle_sim.parameters import Kind
 from vehicle_sim.wire.frames import Prepared, make
 

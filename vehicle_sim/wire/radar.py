@@ -11,7 +11,7 @@ from typing import Any, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Ack, Result, Sender
+from vehicle_sim.autopilot.values import Ack, Result, Sender
 from vehicle_sim.conditions import RadarConditions
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.sensors.terrain_radar import (

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import FirmwareProfile
+from vehicle_sim.autopilot.values import FirmwareProfile
 from vehicle_sim.conditions import LinkConditions
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.impairments import Impairments

@@ -8,7 +8,7 @@ import hashlib
 import hmac
 from typing import Any, Final, final
 
-from vehicle_sim.autopilots import Text
+from vehicle_sim.autopilot.values import Text
 
 AHEAD: Final = 60 * 100_000
 """The vehicle starts a minute after the time stamp of its key, and takes a new stream that is at

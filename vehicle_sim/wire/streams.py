@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, final
 
-from vehicle_sim.autopilots import (
+from vehicle_sim.autopilot.values import (
     Ack,
     Command,
     FirmwareProfile,

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Landed, Report
+from vehicle_sim.autopilot.values import Landed, Report
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import Prepared, layout_of, make

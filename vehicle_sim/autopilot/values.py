@@ -1,19 +1,20 @@
 """Inputs and outputs of the simulated autopilots: values in SI units, no bytes, no clock.
 
-wire/ converts frames to these and back; the autopilots are in vehicle_sim/autopilot.
+wire/ converts frames to these and back.
 Parameters are data: *.parm.
 """
 
 import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol, final
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.parameters import Parameters
-from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
+
+if TYPE_CHECKING:
+    from vehicle_sim.autopilot.core import Autopilot
 
 HIGHEST_HOME_M = 1e5
 """Limit of home's altitude, up and down: HOME_POSITION could not encode more."""
@@ -350,75 +351,3 @@ class FirmwareProfile:
     """What REQUEST_MESSAGE accepts."""
     data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
     """REQUEST_DATA_STREAM: group -> message numbers."""
-
-
-class Autopilot(Protocol):
-    """One personality.
-
-    Controls the given vehicle by its estimate; it reads the true position only through the GPS fix.
-    """
-
-    profile: FirmwareProfile
-    parameters: Parameters
-    plans: Plans
-    estimate: Estimate
-    home: Place | None
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The controlled vehicle."""
-
-    @property
-    def mode_name(self) -> str:
-        """Name of the flight mode."""
-
-    @property
-    def armed(self) -> bool:
-        """Whether the motors may turn."""
-
-    @property
-    def landed(self) -> bool:
-        """Whether it stands on the ground."""
-
-    @property
-    def rates_rad_s(self) -> tuple[float, float, float]:
-        """Of roll, pitch and heading, as the attitude messages say them."""
-
-    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
-        """Fly on to now_us (since boot), over ground of this height, with the newest GPS fix."""
-
-    def on_command(self, command: Command) -> Sequence[Reply]:
-        """Handle a command; returns the replies."""
-
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
-        """Take a setpoint."""
-
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """A heartbeat of another component, with its MAV_TYPE (6 is a ground station)."""
-
-    def on_parameter(self, name: str) -> Sequence[Reply]:
-        """A parameter was set by a client."""
-
-    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list was replaced by a client."""
-
-    def crash(self) -> Sequence[Reply]:
-        """The simulation has judged a contact a crash: the motors stop, wherever it is."""
-
-    def pilot_takes(self) -> Sequence[Reply]:
-        """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""
-
-    def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
-        """Fault: the estimator resets and its position jumps by this much."""
-
-    def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
-        """Fault: the estimator's origin moves by this much."""
-
-    def local_ned_m(self) -> tuple[float, float, float] | None:
-        """Position in the estimator's frame; None while LOCAL_POSITION_NED is not sent."""
-
-    def target_echo(self) -> TargetEcho | None:
-        """Its target, if that is told."""
-
-    def status(self) -> Status:
-        """What else there is to tell."""
