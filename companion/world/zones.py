@@ -38,11 +38,16 @@ Box = tuple[Any, Any, Any, Any]  # edges to the south, north, west and east
 class CircleZone:
     """A circle that the vehicle must stay out of, or inside of."""
 
-    name: str  # for people
-    north_m: float  # of its centre
-    east_m: float  # of its centre
-    radius_m: float  # of the circle
-    keep_in: bool = False  # whether to stay inside, instead of outside
+    name: str
+    """For people."""
+    north_m: float
+    """Of its centre."""
+    east_m: float
+    """Of its centre."""
+    radius_m: float
+    """Of the circle."""
+    keep_in: bool = False
+    """Whether to stay inside, instead of outside."""
 
     def distance_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """`gaps_m` from this zone alone."""
@@ -54,9 +59,12 @@ class CircleZone:
 class PolygonZone:
     """A polygon that the vehicle must stay out of, or inside of; inside is by the even-odd rule."""
 
-    name: str  # for people
-    vertices_ne_m: tuple[tuple[float, float], ...]  # its corners
-    keep_in: bool = False  # whether to stay inside, instead of outside
+    name: str
+    """For people."""
+    vertices_ne_m: tuple[tuple[float, float], ...]
+    """Its corners."""
+    keep_in: bool = False
+    """Whether to stay inside, instead of outside."""
 
     def distance_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """`gaps_m` from this zone alone."""
