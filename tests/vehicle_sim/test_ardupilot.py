@@ -294,3 +294,9 @@ def test_the_echo_is_ardupilots_flat_earth_about_the_origin() -> None:
     north = (latitude_deg - 47.0) * 1e7 * scale
     east = (longitude_deg - 8.0) * 1e7 * scale * math.cos(math.radians((latitude_deg + 47.0) / 2))
     assert hovering.target().position_ned_m == pytest.approx((north, east, -150.0), abs=1e-3)
+
+
+def test_a_gust_that_presses_it_down_ends_no_take_off() -> None:
+    it = Flown()
+    it.copter.wind_up_m_s = -1.0
+    assert it.airborne(10.0).local_m()[2] == pytest.approx(10.0, abs=1.0)

@@ -492,6 +492,10 @@ class CopterFlight(ArduFlight):
         leg = self.route.leg
         return leg is not None and leg.does is Does.CLIMB
 
+    def takes_off(self) -> bool:
+        """Until it has come to the height that it was told."""
+        return self._takeoff_s is not None and self._reached_s is None
+
     def stand(self, ground_amsl_m: float, dt_s: float) -> None:
         """It stands."""
         del dt_s

@@ -151,6 +151,10 @@ class Flight(abc.ABC):
         """It comes to the ground with this step."""
         self.stand(ground_amsl_m, 0.0)
 
+    def takes_off(self) -> bool:
+        """Whether it wants up from the ground: a gust that presses it down ends no take-off."""
+        return False
+
     def lies(self) -> bool:
         """Whether what touches the ground may be taken to have landed."""
         return True
@@ -300,6 +304,10 @@ class Autopilot(abc.ABC):
         else:
             vehicle.fall(dt_s)
         if vehicle.altitude_amsl_m <= self.ground_m:
+            if self.armed and flight.takes_off():  # the ground carries it until it rises
+                vehicle.altitude_amsl_m = self.ground_m
+                vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
+                return
             self.standing, self.touched_s = True, self.now_s
             flight.touch_down(self.ground_m)
 
