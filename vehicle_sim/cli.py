@@ -143,6 +143,7 @@ def fly(
         )
         for k, each in enumerate(worlds)
     ]
+    simulations[0].warm_up()  # who is silent for seconds, because it compiles, is taken to be lost
     names = ["truth.jsonl" if k == 0 else f"truth-{k + 1}.jsonl" for k in range(count)]
     with ExitStack() as stack:
         stop = stack.enter_context(stopping_on_signals())

@@ -32,7 +32,7 @@ from vehicle_sim.plans import Plans
 from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.lidar import Lidar, body_axes_neu
-from vehicle_sim.sensors.terrain_radar import TerrainRadar
+from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.lidar import LidarDriver
@@ -123,11 +123,11 @@ class Simulation:
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
         self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot, links, byte_streams, forwards_all)
-        self._scanner = None
+        self._radar = self._scanner = None
         if scanner := world.scanner:
-            radar = TerrainRadar(terrain, frame, range_m=scanner.range_m)
+            self._radar = TerrainRadar(terrain, frame, range_m=scanner.range_m)
             rng = generator(seed, "radar")
-            self._scanner = RadarComponent(radar, rng, self._radio, scanner.component_id)
+            self._scanner = RadarComponent(self._radar, rng, self._radio, scanner.component_id)
         self._lidars = list[tuple[Lidar, LidarDriver | None]]()
         for table, name in zip(world.lidars, ("lidar", "second lidar"), strict=False):
             lidar, driver = Lidar(self._contact.scene, table, generator(seed, name)), None
@@ -196,6 +196,14 @@ class Simulation:
         self.parameters: Parameters = parameters
         """The autopilot's; a reboot makes new ones."""
         self._refresh()
+
+    def warm_up(self) -> None:
+        """Look once with every sensor, so that nobody waits for a compiler in flight."""
+        self._range_down_m()
+        if self._radar is not None:
+            place = self.vehicle.latitude_deg, self.vehicle.longitude_deg
+            asked = ScanRequest(latitude_deg=place[0], longitude_deg=place[1], spacing_m=1, mask=1)
+            self._radar.answer(asked, Viewpoint(*place, self.vehicle.altitude_amsl_m))
 
     # --- to look at ---------------------------------------------------------------------------
 

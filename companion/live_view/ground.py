@@ -154,8 +154,8 @@ class Replica:
         """A few inputs; whether there were any."""
         try:
             if self._inputs is None:
-                if not answer((self._folder / FILE).is_file):
-                    return False
+                if not answer(lambda: (self._folder / FILE).stat().st_size > 0):
+                    return False  # not begun yet
                 self._feeder = Feeder(flown_mission(self._folder))
                 self._inputs = InputsFile(self._folder / FILE)
             told = list(islice(self._inputs, _STEPS))

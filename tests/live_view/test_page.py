@@ -33,9 +33,31 @@ expect.set_options(timeout=_PATIENCE_MS)
 
 
 @pytest.fixture(scope="module")
-def flight(chromium: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
+def errors() -> list[str]:
+    """What the browser's console says of errors."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def blank(chromium: Path, errors: list[str]) -> Iterator[Page]:
+    """The browser, before anything is flown: a busy machine may take a minute to start it.
+
+    All tests look at one page: without a graphics processor it draws one, never another.
+    """
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=list(_OPTIONS))
+        page = browser.new_page(viewport={"width": 1000, "height": 640})
+        page.set_default_timeout(_PATIENCE_MS)
+        page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        yield page
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def flight(blank: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
     """In real time, four times: a vehicle that waits is somewhere else after a look at it."""
-    del chromium  # without a browser nobody looks at it
+    del blank  # without a browser nobody looks at it
     folder = tmp_path_factory.mktemp("viewed") / "run"
     view = ("--view", "--view-port", "0")
     clock = ("--speedup", "4", *_ENDURING)
@@ -51,27 +73,12 @@ def address(flight: Flight) -> str:
 
 
 @pytest.fixture(scope="module")
-def errors() -> list[str]:
-    """What the browser's console says of errors."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def page(chromium: Path, address: str, errors: list[str]) -> Iterator[Page]:
-    """The page of the flight.
-
-    All tests look at one: without a graphics processor a browser draws one page, never another.
-    """
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=list(_OPTIONS))
-        page = browser.new_page(viewport={"width": 1000, "height": 640})
-        page.set_default_timeout(_PATIENCE_MS)
-        page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(f"{address}?{_COARSE}")
-        expect(page.get_by_text("flying", exact=True)).to_be_visible()
-        yield page
-        browser.close()
+def page(blank: Page, flight: Flight, address: str) -> Page:
+    """The page of the flight, which flies."""
+    flight.companion.expect("taking off")
+    blank.goto(f"{address}?{_COARSE}")
+    expect(blank.get_by_text("flying", exact=True)).to_be_visible()
+    return blank
 
 
 def row(page: Page, name: str) -> str:

@@ -52,7 +52,7 @@ def test_a_flight_that_grows_is_read_like_one_that_is_over(
         (tmp_path / name).touch()
     replica = Replica(tmp_path)
     with Recording(tmp_path) as growing:
-        for piece in range(1, _PIECES + 1):
+        for piece in range(_PIECES + 1):
             for name in names:
                 (tmp_path / name).write_bytes(data[name][: len(data[name]) * piece // _PIECES])
             growing.read()
