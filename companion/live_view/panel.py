@@ -12,7 +12,7 @@ from companion.geodesy import FloatArray
 from companion.live_view.ground import Replica
 from companion.live_view.recording import BATTERY, Event, Recording
 from companion.mission.state import Phase
-from companion.objective.scene import TERMS
+from companion.objective import TERMS
 from companion.telemetry.export.shapes import Chords
 from companion.telemetry.flight import Decided, Flight
 from companion.views.words import clock_text, metres, metres_at_least

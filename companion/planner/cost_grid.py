@@ -1,6 +1,6 @@
 """What flying costs, sampled over a grid of the map, for the field (`field`).
 
-Costs are those of the objective (`companion.objective.kernel`) in metres of level flight at the
+Costs are those of the objective (`companion.objective`) in metres of level flight at the
 floor of the band, so that they add to the cost of a subpath.  Per metre of way:
 
 - 1 for the length (f1: a_1 100 / 2.4 R);
@@ -50,7 +50,9 @@ the way is believed to lead round the end of what was seen of a wall, wherever t
 there (decision 0021)."""
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _TERMS = 2.4  # f1 is 100 for a way of 2.4 R, f2 for one of R at the ceiling (eq. 6, 7)
-_RADAR = 3.0  # f5 is 300 for a way of R at a radar (`scene.RADAR_SCALE` for each of ten samples)
+_RADAR = (
+    3.0  # f5 is 300 for a way of R at a radar (`objective.RADAR_SCALE` for each of ten samples)
+)
 
 
 @final

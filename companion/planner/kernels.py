@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
+from companion import objective
 from companion.geodesy import FloatArray, LocalFrame
-from companion.objective import kernel as objective
-from companion.objective.scene import Scene
+from companion.objective import Scene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 

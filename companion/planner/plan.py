@@ -13,8 +13,7 @@ import numpy as np
 
 from companion import jit
 from companion.geodesy import FloatArray
-from companion.objective.kernel import control_points
-from companion.objective.scene import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
+from companion.objective import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
@@ -396,7 +395,7 @@ class _Plan:
         """One search, and the best of its candidates that has a certificate."""
         request, weights = self._request, self._scene.weights
         for rank, x in enumerate(self._search(scene)[:_CERTIFIED]):
-            subpath = Subpath(control_nea_m=control_points(x, scene))
+            subpath = Subpath(control_nea_m=scene.control_points(x))
             if not subpath.is_longer_than(scene.shortest_m):
                 continue  # the certificate is about a vehicle that can stop (or hold) at the end
             speed_m_s = scene.motion.speed_m_s

@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from companion.objective.kernel import PER_LENGTH, PER_SAMPLE, RADAR_SCALE
+from companion.objective import PER_LENGTH, PER_SAMPLE, RADAR_SCALE
 from companion.planner.cost_grid import descent_m
 from companion.planner.field import CostToGo
 from companion.planner.procedure import Leg

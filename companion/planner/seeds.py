@@ -1,12 +1,12 @@
-"""What a search begins with: plausible subpaths as decision vectors of `objective.kernel`."""
+"""What a search begins with: plausible subpaths as decision vectors of `objective`."""
 
 import math
 
 import numpy as np
 
+from companion import objective
 from companion.geodesy import FloatArray, wrap_rad
-from companion.objective import kernel
-from companion.objective.scene import Scene
+from companion.objective import Scene
 from companion.planner.cost_grid import Place, sampled
 
 _BENDS_RAD = (0.0, 0.3, -0.3)  # of arcs to the guide
@@ -30,7 +30,7 @@ def ways_of(
     points = sampled(np.array(route_ne_m), cell_m, 2.0 * scene.end_radius_m)
     away = np.hypot(*(points - scene.scan_ne_m).T)
     out = int(np.argmax(np.append(away, math.inf) > scene.end_radius_m))
-    lowest = [kernel.lattice_m(scene.surface, north, east) for north, east in points.tolist()]
+    lowest = [objective.lattice_m(scene.surface, north, east) for north, east in points.tolist()]
     barred = int(np.argmax(np.append(lowest, math.inf) > scene.band_amsl_m[1]))
     ways = [points[:out], points[: min(out, barred)]]
     if tail_nea_m is not None:
@@ -83,27 +83,27 @@ def _along(scene: Scene, ahead_rad: float, way_ne_m: FloatArray, altitude: float
         ahead_rad = math.atan2(places[0, 1] - start[1], places[0, 0] - start[0])
     north, east = (places[-1] - scene.scan_ne_m).tolist()
     rho = math.hypot(north, east) / scene.end_radius_m
-    unit = min(1.1 * max(rho * scene.end_radius_m, kernel.SHORTEST_UNIT), scene.scan_range_m)
+    unit = min(1.1 * max(rho * scene.end_radius_m, objective.SHORTEST_UNIT), scene.scan_range_m)
     row = [_FIRST, _FIRST]
     for n, e in (places[:-1] - start).tolist():
-        r = (math.hypot(n, e) / unit - kernel.SHORTEST_R) / (1.0 - kernel.SHORTEST_R)
+        r = (math.hypot(n, e) / unit - objective.SHORTEST_R) / (1.0 - objective.SHORTEST_R)
         row += [r, _azimuth(ahead_rad, math.atan2(e, n)), altitude]
     row.append(altitude)
     if scene.from_rest:
         row.append(0.5 + 0.5 * wrap_rad(ahead_rad - scene.guide_rad) / math.pi)
     if not scene.is_final:
         row.append(_azimuth(ahead_rad, math.atan2(east, north)))
-        row.append((rho - kernel.SHORTEST_END) / (1.0 - kernel.SHORTEST_END))
+        row.append((rho - objective.SHORTEST_END) / (1.0 - objective.SHORTEST_END))
     return row
 
 
 def _safe(scene: Scene, way_ne_m: FloatArray) -> float:
     """The share of the band at which all of a way is clear of terrain."""
     low, high = scene.band_amsl_m
-    most = max(kernel.lattice_m(scene.surface, n, e) for n, e in way_ne_m.tolist())
+    most = max(objective.lattice_m(scene.surface, n, e) for n, e in way_ne_m.tolist())
     return (most - low) / (high - low)
 
 
 def _azimuth(ahead_rad: float, bearing_rad: float) -> float:
     """The search variable of a bearing."""
-    return 0.5 + 0.5 * wrap_rad(bearing_rad - ahead_rad) / kernel.SPREAD_RAD
+    return 0.5 + 0.5 * wrap_rad(bearing_rad - ahead_rad) / objective.SPREAD_RAD

@@ -28,7 +28,7 @@ from subpaths import Problem
 
 from companion.geodesy import FloatArray
 from companion.jit import compiled
-from companion.objective.scene import Scene
+from companion.objective import Scene
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS

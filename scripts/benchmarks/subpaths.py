@@ -20,7 +20,7 @@ from companion.campaign import drawn_world, families
 from companion.campaign.drawn_world import DrawnWorld
 from companion.geodesy import FloatArray, wrap_rad
 from companion.jit import compiled
-from companion.objective.scene import Scene
+from companion.objective import Scene
 from companion.paper import terms
 from companion.paper.plan import scene_of
 from companion.path.subpath import Pose

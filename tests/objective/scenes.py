@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from planning import ARDUCOPTER, limits
 
-from companion.objective.scene import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
+from companion.objective import TERMS, Scene, Workspace, radar_table, rows_of, weights_of
 from companion.path.envelope import envelope_of
 from companion.path.subpath import Pose, Subpath
 from companion.profiles import Weights

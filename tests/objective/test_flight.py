@@ -13,9 +13,18 @@ from planning import parameter_of, spline
 from scenes import LIMITS, R_M, RADAR_MARGIN_M, cube, random_scene
 from scipy.interpolate import RegularGridInterpolator
 
-from companion.objective import kernel
-from companion.objective.kernel import LONGEST_R2, SHORTEST_END, SHORTEST_R, SPREAD_RAD
-from companion.objective.scene import TERMS, Scene, radar_table, rows_of, weights_of
+from companion import objective
+from companion.objective import (
+    LONGEST_R2,
+    SHORTEST_END,
+    SHORTEST_R,
+    SPREAD_RAD,
+    TERMS,
+    Scene,
+    radar_table,
+    rows_of,
+    weights_of,
+)
 from companion.path.subpath import Subpath
 from companion.profiles import Weights
 from companion.world.clearance import Surface
@@ -29,7 +38,7 @@ seeds = st.integers(0, 10**6)
 
 def control_points(x: FloatArray, scene: Scene) -> FloatArray:
     """(P, D) -> (P, points, 3)."""
-    return np.array([kernel.control_points(each, scene) for each in x])
+    return np.array([scene.control_points(each) for each in x])
 
 
 def curvature_1_m(curve: Any, u: float) -> FloatArray:
@@ -149,7 +158,7 @@ def test_variables_at_their_middles_lead_straight_on() -> None:
 
 def terms(x: FloatArray, scene: Scene) -> dict[str, float]:
     """Those of one candidate, (D,), by the source of what is compiled."""
-    kernel.cost(x, math.inf, scene)
+    objective.cost(x, math.inf, scene)
     return dict(zip(TERMS, scene.at.terms.tolist(), strict=True))
 
 
@@ -189,7 +198,7 @@ def gaps_m(zones: ZoneTable, north: float, east: float) -> list[float]:
 
 def expected(control: FloatArray, scene: Scene) -> dict[str, float]:
     """The terms of one candidate, of those that are told twice."""
-    curve, count = spline(control), len(scene.at.points) - 1
+    curve, count = spline(control), len(scene.at.flown_m) - 1
     u = [j / count for j in range(count + 1)]
     points = [curve(at) for at in u]
     each = 10.0 / count
@@ -313,7 +322,7 @@ def test_each_term_is_what_a_scalar_implementation_makes_of_the_curve(seed: int)
             assert table[name] == pytest.approx(value, rel=1e-6, abs=1e-5), name
         both = table | slowly
         by_hand = sum(a * both[name] for name, a in zip(TERMS, scene.weights, strict=True))
-        cost = kernel.cost(each, math.inf, scene)
+        cost = objective.cost(each, math.inf, scene)
         assert cost == pytest.approx(by_hand, rel=1e-6)
 
 
@@ -341,12 +350,12 @@ def test_a_radar_ends_at_its_range_and_margin(seed: int, margins: float) -> None
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, samples=12)
     x = cube(rng, scene, 1)
-    kernel.cost(x[0], math.inf, scene)
+    objective.cost(x[0], math.inf, scene)
     centre, margin_m = (2_000.0, 2_000.0, 0.0), 2.5
-    nearest_m = float(np.linalg.norm(scene.at.points[1:, :3] - centre, axis=-1).min())
+    nearest_m = float(np.linalg.norm(scene.at.curve[0, 1:] - centre, axis=-1).min())
     radar = Radar(name="r", centre_nea_m=centre, range_m=nearest_m - margins * margin_m)
     expected = 1.0 / (1.0 + (nearest_m / radar.range_m) ** 4) if margins < 1.0 else 0.0
-    found = kernel.detection(scene.at.points, radar_table((radar,), margin_m))
+    found = objective.detection(scene._replace(radars=radar_table((radar,), margin_m)))
     assert found >= expected * (1.0 - 1e-12)
     assert (found > 0.0) == (margins < 1.0)
 
@@ -357,9 +366,9 @@ def test_beyond_a_bound_the_cost_is_infinite_and_below_it_the_cost(seed: int, sh
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, samples=12)
     x = cube(rng, scene, 1)[0]
-    cost = kernel.cost(x, math.inf, scene)
-    assert kernel.cost(x, share * cost, scene) == (math.inf if share < 1.0 else cost)
-    assert kernel.cost(x, cost, scene) == cost
+    cost = objective.cost(x, math.inf, scene)
+    assert objective.cost(x, share * cost, scene) == (math.inf if share < 1.0 else cost)
+    assert objective.cost(x, cost, scene) == cost
 
 
 @settings(max_examples=15)
@@ -368,7 +377,7 @@ def test_a_workspace_is_good_for_many_candidates_in_any_order(seed: int) -> None
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, samples=12)
     x = cube(rng, scene, 4)
-    there = [kernel.cost(each, math.inf, scene) for each in x]
-    back = [kernel.cost(each, math.inf, scene) for each in x[::-1]]
+    there = [objective.cost(each, math.inf, scene) for each in x]
+    back = [objective.cost(each, math.inf, scene) for each in x[::-1]]
     assert there == back[::-1]
-    assert there == [kernel.cost(each, math.inf, scene.with_points(scene.points)) for each in x]
+    assert there == [objective.cost(each, math.inf, scene.with_points(scene.points)) for each in x]

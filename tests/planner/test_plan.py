@@ -11,7 +11,7 @@ from planning import ask as asked
 from planning import column_distance_m, hills
 
 from companion import jit
-from companion.objective.scene import Scene
+from companion.objective import Scene
 from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.optimise.registry import OPTIMISERS

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import zone_distance_m
 
-from companion.objective.kernel import may_be_near
+from companion.objective import may_be_near
 from companion.world import zones as module
 from companion.world.zones import (
     CircleZone,
