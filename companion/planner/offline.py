@@ -85,18 +85,14 @@ def fly_offline(
 
         Else it has stopped, at the end or for what it saw.  goes_on: the next leg begins there.
         """
-        leg, from_m, length_m = (
-            flight.legs[-1],
-            flight.flown_m[-1],
-            flight.legs[-1].subpath.length_m,
-        )
-        end_m = until_m = min(until_m, length_m)
+        leg, from_m = flight.legs[-1], flight.flown_m[-1]
+        end_m = until_m = min(until_m, leg.subpath.length_m)
         took_s = (end_m - from_m) * procedure.paced_s_m(leg.subpath, leg.motion(task))
         if on_board is not None:
             end_m, took_s = on_board.flies(leg, from_m, until_m, goes_on=goes_on)
         flight.seconds += took_s
         flight.flown_m[-1] = end_m
-        return end_m == until_m and (goes_on or until_m < length_m)
+        return end_m == until_m and (goes_on or until_m < leg.subpath.length_m)
 
     ask = PlanRequest(
         plan_id=0, seed=seed, task=task, known=blank, scan_nea_m=start_nea_m,
@@ -118,7 +114,7 @@ def fly_offline(
             too_many = NotPlanned(plan_id=ask.plan_id, refusal=Refusal.TOO_MANY_LEGS)
             outcome = flight.failure or too_many
         flight.failure = None
-        if isinstance(outcome, Planned):
+        if isinstance(outcome, Planned):  # to p_prog of the leg under way, then to the next p_scan
             ask = replace(ask, attempt=0, route_ne_m=outcome.route_ne_m, progress=outcome.progress)
             if ask.from_rest or flies(flight.legs[-1].successor_at_m(task), goes_on=True):
                 leg = Leg.of(outcome, len(flight.legs) + 1)
@@ -140,6 +136,7 @@ def fly_offline(
                 ask = replace(ask, attempt=ask.attempt + 1)
                 continue
             flies(math.inf)
+        # it has stopped: at a target, at the end of a leg, or for what it saw
         leg, end_m = flight.legs[-1], flight.flown_m[-1]
         here = leg.subpath.pose(end_m).point_nea_m
         ask = replace(ask, scan_nea_m=here, start=hover_pose(here), from_rest=True, rest=None)

@@ -181,10 +181,9 @@ def first_crossing(corners_ne_m: FloatArray) -> tuple[int, int] | None:
 
     (corners, 2) -> the corners that they begin at, or None.  Edges that only touch do not cross.
     """
-    begins, ends = corners_ne_m, np.roll(corners_ne_m, -1, axis=0)
-    for k in range(len(begins) - 2):
-        others = slice(k + 2, len(begins) - (k == 0))
-        a, b, c, d = begins[k], ends[k], begins[others], ends[others]
+    ends = np.roll(corners_ne_m, -1, axis=0)
+    for k, (a, b) in enumerate(zip(corners_ne_m, ends, strict=True)):
+        c, d = corners_ne_m[k + 2 :], ends[k + 2 :]
         crosses = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
         if crosses.any():
             return k, k + 2 + int(crosses.argmax())

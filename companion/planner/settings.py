@@ -8,17 +8,9 @@ from typing import Annotated, Any, final
 
 from annotated_types import Ge, Le
 
+from companion.path import envelope as moves
 from companion.path.certificate import pack_surroundings
-from companion.path.envelope import (
-    COPTER,
-    PLANE,
-    Envelope,
-    Handling,
-    beyond_m,
-    envelope_of,
-    flown_on_m,
-    stopping_m,
-)
+from companion.path.envelope import COPTER, PLANE, Envelope, Handling
 from companion.path.limits import Limits
 from companion.path.proof import Surroundings
 from companion.profiles import FLIGHT, Profile, Weights
@@ -91,7 +83,7 @@ class Task:
     def envelope(self) -> Envelope:
         """How the vehicle moves on legs that are planned by this task."""
         handling = self.handling or (COPTER if self.limits.hovers else PLANE)
-        return envelope_of(self.limits, handling, self.convergence_rad)
+        return moves.envelope_of(self.limits, handling, self.convergence_rad)
 
     @property
     def cell_m(self) -> float:
@@ -175,8 +167,8 @@ class Task:
         settings, motion, speed = self.settings, self.envelope, self.limits.speed_m_s
         if not settings.profile.verified:
             return settings.safety_distance_m
-        stop_m = stopping_m(motion, speed) + motion.lead_m + settings.safety_distance_m
-        return max(0.15 * settings.scan_range_m, stop_m, flown_on_m(motion, speed))
+        stop_m = moves.stopping_m(motion, speed) + motion.lead_m + settings.safety_distance_m
+        return max(0.15 * settings.scan_range_m, stop_m, moves.flown_on_m(motion, speed))
 
     @property
     def stop_m(self) -> float:
@@ -212,7 +204,7 @@ class Task:
         settings, motion = self.settings, self.envelope
         if not settings.profile.verified:
             return settings.scan_range_m
-        beyond = beyond_m(motion) if self.limits.hovers else 0.0
+        beyond = moves.beyond_m(motion) if self.limits.hovers else 0.0
         reserve = max(self.zone_search_clearance_m, beyond + motion.contact_m)
         return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)
 

@@ -93,6 +93,10 @@ def test_a_target_must_lie_on_the_map_outside_keep_outs_and_inside_keep_ins() ->
         with pytest.raises(InputError, match=words):
             rules.refuse(rules.of_target(task, place, "target"))
         assert rules.target_refusal(task, place).startswith("the target: it lies ")
+    plane = Task(limits=PLANE, settings=SETTINGS, zones=zones[1:])
+    edge_m = 3000.0 - plane.required_clearance_m - 80.0  # its circle stays within
+    assert rules.target_refusal(plane, (0.0, edge_m - 2.5)) == ""
+    assert "the circle that a plane holds on" in rules.target_refusal(plane, (0.0, edge_m + 1.0))
 
 
 # --- polygons
