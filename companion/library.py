@@ -127,34 +127,20 @@ def fly(
         if optimiser is not None:
             task = replace(task, settings=replace(task.settings, optimiser=optimiser))
         flight = fly_offline(
-            task,
-            blank=blank,
-            truth=truth,
-            start_nea_m=(north_m, east_m, altitude_m),
-            targets_ne_m=targets,
-            seed=seed,
-            planner=planner,
-            scanner=scanner,
-            on_board=on_board,
+            task, blank=blank, truth=truth, start_nea_m=(north_m, east_m, altitude_m),
+            targets_ne_m=targets, seed=seed, planner=planner, scanner=scanner, on_board=on_board,
             most_legs=most_legs,
-        )
+        )  # fmt: skip
     points, why = flight.route_nea_m(task.settings.scan_range_m / _SPACING), ""
     if (failure := flight.failure) is not None:
         broken = f" ({bounds_text(failure.broken)})" if failure.broken else ""
         why = f"{failure.refusal.name}: {failure.refusal.value}{broken}"
-    terms = route_terms(points, task)
     return Flown(
-        arrived=failure is None,
-        why=why,
-        points_nea_m=points,
-        length_m=sum(flight.flown_m),
-        terms=terms,
-        cost=sum(terms.values()),
-        seconds=flight.seconds,
-        certificates=tuple(planned.certificate for planned in flight.plans),
-        task=task,
-        details=flight,
-    )
+        arrived=failure is None, why=why, points_nea_m=points, length_m=sum(flight.flown_m),
+        terms=(terms := route_terms(points, task)), cost=sum(terms.values()),
+        seconds=flight.seconds, certificates=tuple(each.certificate for each in flight.plans),
+        task=task, details=flight,
+    )  # fmt: skip
 
 
 def _numbers(place: Sequence[float], count: int, field: str) -> tuple[float, ...]:
@@ -172,14 +158,14 @@ def _checked(task: Task, *, is_near: bool) -> Task:
     limits, settings = task.limits, task.settings
     if is_near:
         cell_m = settings.cell_m or cell_for_m(settings.scan_range_m, limits.north_m, limits.east_m)
-        overrun_m = min(limits.overrun_m, settings.safety_distance_m)
-        limits, settings = replace(limits, overrun_m=overrun_m), replace(settings, cell_m=cell_m)
+        limits = replace(limits, overrun_m=min(limits.overrun_m, settings.safety_distance_m))
+        settings = replace(settings, cell_m=cell_m)
         task = replace(task, limits=limits, settings=settings)
     for where, held in (("limits", limits), ("settings", settings)):
-        names = [each.name for each in fields(held) if each.name not in _NO_NUMBERS]
-        values = {name: getattr(held, name) for name in names}
-        plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
-        validated(keys_of(type(held), *names), plain, where)
+        told = {each.name: getattr(held, each.name) for each in fields(held)}
+        told = {key: value for key, value in told.items() if key not in _NO_NUMBERS}
+        plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in told.items()}
+        validated(keys_of(type(held), *told), plain, where)
     rules.refuse(rules.of_task(task))
     if settings.optimiser is not None:
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")

@@ -43,9 +43,10 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
     """A point to loiter at: its circle is clear of terrain and zones.
 
     The preferred point if the way there is clear, else the point at the vehicle's height with the
-    shortest way, where parts too near to zones count twice; with the required clearance about the
-    circle, or if there is none with the vehicle's errors.  Of the way there, which begins with a
-    turn:
+    shortest way; what of it is too near to zones counts again, by the share of the required
+    clearance that is missing there (or up to 20 times: among 300 drawn fences it led out of them
+    equally soon).  A circle keeps the required clearance, or, if none does, the vehicle's errors.
+    Of the way there, which begins with a turn:
 
     - it clears terrain by the errors, or comes no nearer than the vehicle is; all of it counts as
       flown at the lower of its ends, as a climb takes longer than the way;
@@ -55,66 +56,49 @@ def loiter_point(known: KnownMap, task: Task, motion: Motion, preferred: Vector)
     """
     here, zones = np.array(motion.here_nea_m), packed(task.zones)
     error_m, required_m = task.error_m, task.required_clearance_m
-    if not sees_anything(known, motion.here_nea_m[:2], _FARTHEST * task.settings.scan_range_m):
+    farthest_m, circle_m = _FARTHEST * task.settings.scan_range_m, task.limits.loiter_radius_m
+    if not sees_anything(known, motion.here_nea_m[:2], farthest_m):
         return None
-    points = _points_nea_m(task, here, preferred)
-    circle_m = gaps_m(zones, points[:, 0], points[:, 1], task.zone_clearance_m)
-    circle_m -= task.limits.loiter_radius_m
-    points, circle_m = points[circle_m >= error_m], circle_m[circle_m >= error_m]
-    bad_m, gap_m = _judged(task, motion, points[:, :2])
-    bad_m[(points == preferred).all(axis=1) & (gap_m >= required_m)] = -1.0
+    turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
+    radii = np.linspace(0.0, farthest_m, _LENGTHS + 1)[1:, None, None]
+    rings = here[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    places = np.concatenate([[preferred[:2], here[:2]], rings.reshape(-1, 2)])
+    low_m, high_m = task.band_amsl_m
+    points = np.insert(places, 2, min(max(float(here[2]), low_m), high_m), axis=1)
+    points[0] = preferred
+    clear_m = gaps_m(zones, points[:, 0], points[:, 1], task.zone_clearance_m) - circle_m
+    points, clear_m = points[clear_m >= error_m], clear_m[clear_m >= error_m]
+    low = np.column_stack([points[:, :2], np.minimum(points[:, 2], here[2])])
+    clear_m = np.minimum(clear_m, distances_to_terrain_m(known.grown(circle_m), low, required_m))
+
+    ways, lengths_m, which = _ways_ne_m(task, motion, low[:, :2], _ROUGHLY)
+    off_m = gaps_m(zones, ways[..., 0], ways[..., 1], required_m)
+    nearest_m, bad_m = np.full(len(points), np.inf), np.zeros(len(points))
+    np.minimum.at(nearest_m, which, off_m.min(axis=-1))
+    into_m = np.maximum(1.0 - off_m / required_m, 0.0).mean(axis=-1) * lengths_m
+    np.maximum.at(bad_m, which, lengths_m + into_m)  # the worst of what it may fly counts
+    bad_m[(points == preferred).all(axis=1) & (nearest_m >= required_m)] = -1.0
     off_zones_m = min(error_m, float(gaps_m(zones, here[0], here[1])) - _SLACK_M)
     off_terrain_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
-    low = np.column_stack([points[:, :2], np.minimum(points[:, 2], here[2])])
-    grown = known.grown(task.limits.loiter_radius_m)
-    circle_m = np.minimum(circle_m, distances_to_terrain_m(grown, low, required_m))
-    order = np.lexsort([np.round(bad_m, 3), circle_m < required_m])
-    for k in order[(gap_m >= off_zones_m)[order] & (circle_m >= error_m)[order]][:_LOOKED_AT]:
+    order = np.lexsort([np.round(bad_m, 3), clear_m < required_m])
+    for k in order[((nearest_m >= off_zones_m) & (clear_m >= error_m))[order]][:_LOOKED_AT]:
         ways, _, _ = _ways_ne_m(task, motion, low[k : k + 1, :2], _SAMPLES)
-        north, east = ways.reshape(-1, 2).T
-        flown = np.column_stack([north, east, np.full(len(north), low[k, 2])])
-        if (gaps_m(zones, north, east, required_m) >= off_zones_m).all() and (
-            distances_to_terrain_m(known, flown, error_m) >= off_terrain_m
-        ).all():
-            return (float(points[k, 0]), float(points[k, 1]), float(points[k, 2]))
+        flown = np.insert(ways.reshape(-1, 2), 2, low[k, 2], axis=1)
+        clears_zones = gaps_m(zones, flown[:, 0], flown[:, 1], required_m) >= off_zones_m
+        clears_terrain = distances_to_terrain_m(known, flown, error_m) >= off_terrain_m
+        if (clears_zones & clears_terrain).all():
+            north, east, altitude = points[k].tolist()
+            return north, east, altitude
     return None
-
-
-def _points_nea_m(task: Task, here: FloatArray, preferred: Vector) -> FloatArray:
-    """The preferred one; here, and on rings about here.  -> (N, 3)."""
-    low, high = task.band_amsl_m
-    turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
-    radii = np.linspace(0.0, _FARTHEST * task.settings.scan_range_m, _LENGTHS + 1)[1:, None, None]
-    rings = here[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    places = np.concatenate([here[None, :2], rings.reshape(-1, 2)])
-    level = np.full(len(places), min(max(float(here[2]), low), high))
-    return np.concatenate([[preferred], np.column_stack([places, level])])
-
-
-def _judged(task: Task, motion: Motion, places_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Of the ways to each place: how bad they are, and their least distance to zones, metres.
-
-    Bad is the length, and again what of it is too near to zones: metres, each by the share of the
-    required clearance that is missing there (counted once, or up to 20 times: among 300 drawn
-    fences it led out of them equally soon).  The worst of what the vehicle may fly counts:
-    wide or tight turns, and to places behind it turns to either side.  -> (N,) x 2
-    """
-    required_m, count = task.required_clearance_m, len(places_ne_m)
-    ways, lengths_m, which = _ways_ne_m(task, motion, places_ne_m, _ROUGHLY)
-    off_m = gaps_m(packed(task.zones), ways[..., 0], ways[..., 1], required_m)
-    into_m = np.maximum(1.0 - off_m / required_m, 0.0).mean(axis=-1) * lengths_m
-    bad_m, nearest_m = np.zeros(count), np.full(count, np.inf)
-    np.maximum.at(bad_m, which, lengths_m + into_m)
-    np.minimum.at(nearest_m, which, off_m.min(axis=-1))
-    return bad_m, nearest_m
 
 
 def _ways_ne_m(
     task: Task, motion: Motion, places_ne_m: FloatArray, samples: int
 ) -> tuple[FloatArray, FloatArray, IndexArray]:
-    """Ways to N places: a turn until the nose points there, then straight.
+    """Ways to N places: a turn, wide or tight, until the nose points there, then straight.
 
-    A place within the turn is never pointed at: the whole turn.  Where it is, it turns either way.
+    To a place behind it turns either way.  A place within the turn, or where it is, is never
+    pointed at: the whole turn.
     -> (M, S, 2), lengths (M,), and to which of the places (M,).
     """
     here, (north, east, _) = np.array(motion.here_nea_m[:2]), motion.velocity_nea_m_s

@@ -13,19 +13,12 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.envelope import stopping_m
-from companion.planner.procedure import (
-    Leg,
-    Reference,
-    Vector,
-    advance,
-    hover_pose,
-    is_at_end,
-    paced_s_m,
-)
+from companion.planner import procedure
+from companion.planner.procedure import Leg, Reference, Vector, hover_pose
 from companion.planner.progress import NO_PROGRESS
 from companion.planner.recheck import meets_near_things
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
-from companion.planner.settings import Task
+from companion.planner.settings import Place, Task
 from companion.world.known_map import KnownMap, Scan
 from companion.world.near_map import NearMap, NearSensor, top_amsl_m
 from companion.world.simulated_scan import simulated_scan
@@ -45,10 +38,8 @@ Scanner = Callable[[KnownMap, Vector, float], Scan]
 class OfflineFlight:
     """A flight, or as much of it as was flown."""
 
-    next: PlanRequest
-    """The next request: where the vehicle is, what it knows by now, what it heads for."""
-    left_ne_m: list[tuple[float, float]]  # targets that it has not reached
-    on_board: "OnBoard | None" = None
+    known: KnownMap
+    """What its scans have shown."""
     legs: list[Leg] = field(default_factory=list)
     flown_m: list[float] = field(default_factory=list)  # how far each leg was flown
     plans: list[Planned] = field(default_factory=list)
@@ -58,11 +49,6 @@ class OfflineFlight:
     holds: int = 0  # how often it had to stop, for want of a successor or for what it saw
     seconds: float = 0.0  # an estimate of how long it took, from the first leg on, with its stops
 
-    @property
-    def known(self) -> KnownMap:
-        """What its scans have shown."""
-        return self.next.known
-
     def route_nea_m(self, spacing_m: float) -> FloatArray:
         """What was flown, points so far apart or less.  -> (S, 3)."""
         pieces = [np.array([self.scans_nea_m[0]])]
@@ -71,78 +57,6 @@ class OfflineFlight:
             pieces.append(leg.subpath.points_nea_m(np.linspace(0.0, flown_m, count + 1)[1:]))
         return np.concatenate(pieces)
 
-    def scan(self, truth: KnownMap, scanner: Scanner) -> None:
-        """Scan from where the next request says."""
-        ask, task, settings = self.next, self.next.task, self.next.task.settings
-        if self.on_board is None:
-            scan = scanner(truth, ask.scan_nea_m, settings.scan_range_m)
-            self.seconds += task.stop_m / task.limits.speed_m_s if ask.from_rest else 0.0
-        else:
-            rests_s = settings.scan_time_s + settings.planning_time_s if ask.from_rest else 0.0
-            looks_s = rests_s if self.scans_nea_m else max(rests_s, _LOOKS_FIRST_S)
-            scan = self.on_board.scan(ask.scan_nea_m, looks_s)
-            self.seconds += rests_s if self.scans_nea_m else 0.0
-        self.scans_nea_m.append(ask.scan_nea_m)
-        self.next = replace(ask, plan_id=ask.plan_id + 1, known=ask.known.with_scan(scan))
-
-    def take(self, outcome: PlanOutcome) -> None:
-        """Fly on with an answer, to where the next scan is made."""
-        ask, task, self.failure = self.next, self.next.task, None
-        if not isinstance(outcome, Planned):
-            assert isinstance(outcome, NotPlanned)  # the way back is never asked for
-            self.failure = outcome
-            if ask.from_rest:
-                self.next = replace(ask, attempt=ask.attempt + 1)
-            else:
-                self.fly(math.inf)
-            return
-        route, progress = outcome.route_ne_m, outcome.progress
-        self.next = replace(ask, attempt=0, route_ne_m=route, progress=progress)
-        if not (ask.from_rest or self.fly(self.legs[-1].successor_at_m(task), goes_on=True)):
-            return
-        leg = Leg.of(outcome, len(self.legs) + 1)
-        self.plans.append(outcome)
-        self.legs.append(leg)
-        self.flown_m.append(0.0)
-        scan_at_m = leg.scan_at_m(task) if leg.wants_successor(math.inf, task) else math.inf
-        if self.fly(scan_at_m):
-            self.next = replace(
-                self.next,
-                scan_nea_m=leg.subpath.pose(scan_at_m).point_nea_m,
-                start=leg.subpath.pose(leg.successor_at_m(task)),
-                from_rest=False,
-                rest=leg.rest(task),
-            )
-
-    def fly(self, until_m: float, *, goes_on: bool = False) -> bool:
-        """Fly on along the leg to a length, or to its end.  -> whether it is under way there.
-
-        Else it has stopped, at the end or for what it saw.  goes_on: the next leg begins there.
-        """
-        leg, from_m, length_m = self.legs[-1], self.flown_m[-1], self.legs[-1].subpath.length_m
-        end_m = until_m = min(until_m, length_m)
-        if self.on_board is None:
-            took_s = (end_m - from_m) * paced_s_m(leg.subpath, leg.motion(self.next.task))
-        else:
-            end_m, took_s = self.on_board.flies(leg, from_m, until_m, goes_on=goes_on)
-        self.seconds += took_s
-        self.flown_m[-1] = end_m
-        is_under_way = end_m == until_m and (goes_on or until_m < length_m)
-        if not is_under_way:
-            self._stop(leg.subpath.pose(end_m).point_nea_m, at_end=end_m == length_m)
-        return is_under_way
-
-    def _stop(self, here_nea_m: Vector, *, at_end: bool) -> None:
-        """It stands; at a target it turns to the next one."""
-        ask = replace(self.next, scan_nea_m=here_nea_m, start=hover_pose(here_nea_m))
-        if at_end and self.legs[-1].reaches_target:
-            target_ne_m = (self.left_ne_m[1:] or self.left_ne_m)[0]
-            ask = replace(ask, target_ne_m=target_ne_m, route_ne_m=(), progress=NO_PROGRESS)
-            self.left_ne_m.pop(0)
-        else:
-            self.holds += 1
-        self.next = replace(ask, from_rest=True, rest=None)
-
 
 def fly_offline(
     task: Task,
@@ -150,7 +64,7 @@ def fly_offline(
     blank: KnownMap,
     truth: KnownMap,
     start_nea_m: Vector,
-    targets_ne_m: tuple[tuple[float, float], ...],
+    targets_ne_m: tuple[Place, ...],
     seed: int,
     planner: Callable[[PlanRequest], PlanOutcome],
     scanner: Scanner = simulated_scan,
@@ -163,34 +77,79 @@ def fly_offline(
     end, where the vehicle stops, scans and plans again.  It gives up after four plans in one place,
     each with a wider search, or after most_legs (None: `usual_most_legs`), with `TOO_MANY_LEGS`.
     """
-    ask = PlanRequest(
-        plan_id=0,
-        seed=seed,
-        task=task,
-        known=blank,
-        scan_nea_m=start_nea_m,
-        start=hover_pose(start_nea_m),
-        from_rest=True,
-        target_ne_m=targets_ne_m[0],
-    )
-    flight = OfflineFlight(next=ask, left_ne_m=list(targets_ne_m), on_board=on_board)
+    flight, left_ne_m, settings = OfflineFlight(known=blank), [*targets_ne_m], task.settings
     most_legs = most_legs or usual_most_legs(task, start_nea_m, targets_ne_m)
-    while flight.left_ne_m and flight.next.attempt < _MAX_ATTEMPTS:
-        if len(flight.legs) >= most_legs:
-            if not flight.next.from_rest:
-                flight.fly(math.inf)
-            flight.failure = flight.failure or NotPlanned(
-                plan_id=flight.next.plan_id, refusal=Refusal.TOO_MANY_LEGS
-            )
-            break
-        flight.scan(truth, scanner)
-        flight.take(planner(flight.next))
+
+    def flies(until_m: float, *, goes_on: bool = False) -> bool:
+        """Fly on along the leg to a length, or to its end.  -> whether it is under way there.
+
+        Else it has stopped, at the end or for what it saw.  goes_on: the next leg begins there.
+        """
+        leg, from_m = flight.legs[-1], flight.flown_m[-1]
+        end_m = until_m = min(until_m, leg.subpath.length_m)
+        took_s = (end_m - from_m) * procedure.paced_s_m(leg.subpath, leg.motion(task))
+        if on_board is not None:
+            end_m, took_s = on_board.flies(leg, from_m, until_m, goes_on=goes_on)
+        flight.seconds += took_s
+        flight.flown_m[-1] = end_m
+        return end_m == until_m and (goes_on or until_m < leg.subpath.length_m)
+
+    ask = PlanRequest(
+        plan_id=0, seed=seed, task=task, known=blank, scan_nea_m=start_nea_m,
+        start=hover_pose(start_nea_m), from_rest=True, target_ne_m=left_ne_m[0],
+    )  # fmt: skip
+    while left_ne_m and ask.attempt < _MAX_ATTEMPTS:
+        if len(flight.legs) < most_legs:
+            if on_board is None:
+                scan = scanner(truth, ask.scan_nea_m, settings.scan_range_m)
+                rests_s = task.stop_m / task.limits.speed_m_s
+            else:
+                scan, rests_s = on_board.scan(ask.scan_nea_m, at_rest=ask.from_rest)
+            flight.seconds += rests_s if ask.from_rest else 0.0
+            flight.scans_nea_m.append(ask.scan_nea_m)
+            flight.known = ask.known.with_scan(scan)
+            ask = replace(ask, plan_id=ask.plan_id + 1, known=flight.known)
+            outcome = planner(ask)
+        else:
+            too_many = NotPlanned(plan_id=ask.plan_id, refusal=Refusal.TOO_MANY_LEGS)
+            outcome = flight.failure or too_many
+        flight.failure = None
+        if isinstance(outcome, Planned):  # to p_prog of the leg under way, then to the next p_scan
+            ask = replace(ask, attempt=0, route_ne_m=outcome.route_ne_m, progress=outcome.progress)
+            if ask.from_rest or flies(flight.legs[-1].successor_at_m(task), goes_on=True):
+                leg = Leg.of(outcome, len(flight.legs) + 1)
+                flight.plans.append(outcome)
+                flight.legs.append(leg)
+                flight.flown_m.append(0.0)
+                scan_at_m = leg.scan_at_m(task) if leg.wants_successor(math.inf, task) else math.inf
+                if flies(scan_at_m):
+                    scan_nea_m = leg.subpath.pose(scan_at_m).point_nea_m
+                    prog = leg.subpath.pose(leg.successor_at_m(task))
+                    ask = replace(
+                        ask, scan_nea_m=scan_nea_m, start=prog, from_rest=False, rest=leg.rest(task)
+                    )
+                    continue
+        else:
+            assert isinstance(outcome, NotPlanned)  # the way back is never asked for
+            flight.failure = outcome
+            if ask.from_rest:
+                ask = replace(ask, attempt=ask.attempt + 1)
+                continue
+            flies(math.inf)
+        # it has stopped: at a target, at the end of a leg, or for what it saw
+        leg, end_m = flight.legs[-1], flight.flown_m[-1]
+        here = leg.subpath.pose(end_m).point_nea_m
+        ask = replace(ask, scan_nea_m=here, start=hover_pose(here), from_rest=True, rest=None)
+        if leg.reaches_target and end_m == leg.subpath.length_m:
+            left_ne_m.pop(0)
+            if left_ne_m:
+                ask = replace(ask, target_ne_m=left_ne_m[0], route_ne_m=(), progress=NO_PROGRESS)
+        else:
+            flight.holds += 1
     return flight
 
 
-def usual_most_legs(
-    task: Task, start_nea_m: Vector, targets_ne_m: tuple[tuple[float, float], ...]
-) -> int:
+def usual_most_legs(task: Task, start_nea_m: Vector, targets_ne_m: tuple[Place, ...]) -> int:
     """Six times as many as a straight way has, or 60 if that is more."""
     places = [start_nea_m[:2], *targets_ne_m]
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
@@ -211,10 +170,16 @@ class OnBoard:
         self._now_s = self._heading_rad = 0.0
         self._reference = Reference()
 
-    def scan(self, at_nea_m: Vector, looks_s: float) -> Scan:
-        """What it has come to know since the last time; at rest it looks about first, so long."""
-        self.look((at_nea_m[0], at_nea_m[1]), self._heading_rad, 0.0, seconds=looks_s)
-        return self.near.scan(self._ground_m, self._top_m)
+    def scan(self, at_nea_m: Vector, *, at_rest: bool) -> tuple[Scan, float]:
+        """What it has come to know since the last time, and the seconds of a rest that it took.
+
+        At rest it looks about first: as long as a scan and a plan take, longer before it sets out.
+        """
+        settings, sets_out = self._task.settings, self._now_s == 0.0
+        rests_s = settings.scan_time_s + settings.planning_time_s if at_rest else 0.0
+        looks_s = max(rests_s, _LOOKS_FIRST_S) if sets_out else rests_s
+        self.look(at_nea_m[:2], self._heading_rad, 0.0, seconds=looks_s)
+        return self.near.scan(self._ground_m, self._top_m), 0.0 if sets_out else rests_s
 
     def flies(
         self, leg: Leg, from_m: float, until_m: float, *, goes_on: bool
@@ -228,9 +193,9 @@ class OnBoard:
         task, step_s, began_s = self._task, 1.0 / self._scene.rate_hz, self._now_s
         kept_m = task.settings.safety_distance_m + task.limits.tracking_error_m
         motion, slow = leg.motion(task), leg.slows_to_m_s(task)
-        while self._reference.length_m < until_m and not is_at_end(self._reference, leg):
+        while self._reference.length_m < until_m and not procedure.is_at_end(self._reference, leg):
             here = leg.subpath.pose(self._reference.length_m).position_nea_m
-            self._reference = advance(
+            self._reference = procedure.advance(
                 self._reference, leg, step_s, here, motion, goes_on=goes_on, slows_to_m_s=slow
             )
             at_m, speed_m_s = self._reference.length_m, self._reference.speed_m_s
@@ -247,12 +212,7 @@ class OnBoard:
         return until_m, self._now_s - began_s
 
     def look(
-        self,
-        place_ne_m: tuple[float, float],
-        heading_rad: float,
-        speed_m_s: float,
-        *,
-        seconds: float,
+        self, place_ne_m: Place, heading_rad: float, speed_m_s: float, *, seconds: float
     ) -> None:
         """Look about at a place for a while."""
         period_s = 1.0 / self._scene.rate_hz

@@ -57,13 +57,9 @@ class Leg:
     def of(planned: Planned, number: int, rules: Task | None = None) -> "Leg":
         """The leg that a plan becomes."""
         return Leg(
-            number=number,
-            plan_id=planned.plan_id,
-            subpath=planned.subpath,
-            reaches_target=planned.reaches_target,
-            rules=rules,
-            speed_m_s=planned.speed_m_s,
-        )
+            number=number, rules=rules, plan_id=planned.plan_id, subpath=planned.subpath,
+            reaches_target=planned.reaches_target, speed_m_s=planned.speed_m_s,
+        )  # fmt: skip
 
     def motion(self, task: Task) -> Envelope:
         """How the vehicle moves on it: it may have been proven for a lower speed than V."""
@@ -120,9 +116,8 @@ class Leg:
 
     def slows_to_m_s(self, task: Task) -> float:
         """The speed that it is flown at from its start on; infinite: as fast as it may."""
-        if self.reaches_target or not self.can_be_left(task):
-            return math.inf
-        return self.leaving(task)[1]
+        goes_on = not self.reaches_target and self.can_be_left(task)
+        return self.leaving(task)[1] if goes_on else math.inf
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog."""

@@ -1,4 +1,4 @@
-"""Rechecks the rest of a leg against rules that have changed in flight.
+"""Rechecks the rest of a leg against rules that have changed in flight: zones, floor and ceiling.
 
 What was proven stays proven: a leg is checked only against rules that are new or stricter.
 """
@@ -25,13 +25,10 @@ def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
     task: the rules now.
     """
     before, zones = leg.rules, task.zones
-    if before == task:
-        return False
     was_low_m, was_high_m = -math.inf, math.inf
     if before is not None:
         was_low_m, was_high_m = before.limits.inner_band_amsl_m(before.error_m)
-        if task.zone_clearance_m <= before.zone_clearance_m:
-            zones = tuple(zone for zone in zones if zone not in before.zones)
+        zones = tuple(zone for zone in zones if zone not in before.zones)
     low_m, high_m = task.limits.inner_band_amsl_m(task.error_m)
     lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
     heights = leg.subpath.points_nea_m(lengths)[:, 2]

@@ -114,75 +114,48 @@ class Planned:
         return not self.terms
 
 
+def _said(text: str) -> str:
+    """A text of several lines in one."""
+    return " ".join(text.split())
+
+
 class Refusal(enum.Enum):
     """Why there is no subpath, and the remedy."""
 
-    NOTHING_SAFE = (
-        "no candidate subpath could be proven safe; "
-        "relax what it broke, lower planner.safety_distance_m or raise planner.evaluations"
-    )
-    OUT_OF_TIME = (
-        "time was up before all searches for it were done; "
-        "raise planner.planning_time_s, or use a faster computer"
-    )
-    BETTER_TO_STOP = (
-        "every subpath that goes on from here costs more than to stop at the end of this one, "
-        "look again, and leave in any direction; nothing needs to be done"
-    )
-    START_IN_KEEP_OUT = (
-        "the vehicle is where a zone forbids to be, or too near to it, and no way out could be "
-        "proven; fly it out by hand, or remove the zone"
-    )
-    START_NEAR_TERRAIN = (
-        "the vehicle is too near to the terrain, and no way out could be proven; "
-        "climb by hand, or lower planner.safety_distance_m"
-    )
-    START_NEAR_THINGS = (
-        "what the sensor has not shown to be free comes too near to the vehicle (something stands "
-        "there, or it does not see all round), and no way out could be proven; "
-        "fly it by hand to an open place, check what preflight says of the sensor, or lower "
-        "planner.safety_distance_m"
-    )
-    START_OUTSIDE = (
-        "the vehicle is outside the map or the altitude band; fly it back by hand, or widen [area] "
-        "or [altitude]"
-    )
-    TARGET_IN_TERRAIN = (
-        "the terrain at the target leaves no room below the ceiling; "
-        "move the target, or raise altitude.ceiling_amsl_m"
-    )
-    TARGET_IN_KEEP_OUT = (
-        "the target is where a zone forbids to be (inside a keep-out, outside a keep-in), or too "
-        "near to it; move the target, or remove the zone"
-    )
-    NO_WAY = (
-        "what is known of terrain and zones leaves no way to the target; "
-        "move the target, raise altitude.ceiling_amsl_m, or lower planner.safety_distance_m"
-    )
-    START_NEAR_UNKNOWN = (
-        "the ground near the vehicle is unknown, or the map ends there; "
-        "fly it to where its radar sees, or widen [area]"
-    )
-    TARGET_AT_EDGE = (
-        "the target is off the map, or nearer to its edge than the required clearance; "
-        "move the target, or widen [area]"
-    )
-    NO_QUESTION = (
-        "the request holds a number that is not finite, or a limit that leaves nothing to plan; "
-        "check the mission's limits and the vehicle's position"
-    )
-    NOTHING_SEEN = (
-        "nothing around the vehicle has been seen; check that the radar answers, "
-        "or climb to where it sees"
-    )
-    NO_ROOM_TO_TURN = (
-        "a turn of vehicle.turn_radius_m does not fit into planner.scan_range_m; "
-        "lower the one or raise the other"
-    )
-    TOO_MANY_LEGS = (
-        "the target was not reached with as many legs as are allowed without a vehicle; "
-        "look at its path for a trap, or allow more (most_legs)"
-    )
+    NOTHING_SAFE = _said("""no candidate subpath could be proven safe; relax what it broke, lower
+        planner.safety_distance_m or raise planner.evaluations""")
+    OUT_OF_TIME = _said("""time was up before all searches for it were done; raise
+        planner.planning_time_s, or use a faster computer""")
+    BETTER_TO_STOP = _said("""every subpath that goes on from here costs more than to stop at the
+        end of this one, look again, and leave in any direction; nothing needs to be done""")
+    START_IN_KEEP_OUT = _said("""the vehicle is where a zone forbids to be, or too near to it, and
+        no way out could be proven; fly it out by hand, or remove the zone""")
+    START_NEAR_TERRAIN = _said("""the vehicle is too near to the terrain, and no way out could be
+        proven; climb by hand, or lower planner.safety_distance_m""")
+    START_NEAR_THINGS = _said("""what the sensor has not shown to be free comes too near to the
+        vehicle (something stands there, or it does not see all round), and no way out could be
+        proven; fly it by hand to an open place, check what preflight says of the sensor, or lower
+        planner.safety_distance_m""")
+    START_OUTSIDE = _said("""the vehicle is outside the map or the altitude band; fly it back by
+        hand, or widen [area] or [altitude]""")
+    TARGET_IN_TERRAIN = _said("""the terrain at the target leaves no room below the ceiling; move
+        the target, or raise altitude.ceiling_amsl_m""")
+    TARGET_IN_KEEP_OUT = _said("""the target is where a zone forbids to be (inside a keep-out,
+        outside a keep-in), or too near to it; move the target, or remove the zone""")
+    NO_WAY = _said("""what is known of terrain and zones leaves no way to the target; move the
+        target, raise altitude.ceiling_amsl_m, or lower planner.safety_distance_m""")
+    START_NEAR_UNKNOWN = _said("""the ground near the vehicle is unknown, or the map ends there; fly
+        it to where its radar sees, or widen [area]""")
+    TARGET_AT_EDGE = _said("""the target is off the map, or nearer to its edge than the required
+        clearance; move the target, or widen [area]""")
+    NO_QUESTION = _said("""the request holds a number that is not finite, or a limit that leaves
+        nothing to plan; check the mission's limits and the vehicle's position""")
+    NOTHING_SEEN = _said("""nothing around the vehicle has been seen; check that the radar answers,
+        or climb to where it sees""")
+    NO_ROOM_TO_TURN = _said("""a turn of vehicle.turn_radius_m does not fit into
+        planner.scan_range_m; lower the one or raise the other""")
+    TOO_MANY_LEGS = _said("""the target was not reached with as many legs as are allowed without a
+        vehicle; look at its path for a trap, or allow more (most_legs)""")
 
 
 @final

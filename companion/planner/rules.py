@@ -11,9 +11,9 @@ import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.planner.settings import Task
+from companion.path.limits import Limits
+from companion.planner.settings import Place, Task
 
-Place = tuple[float, float]
 Broken = tuple[str, object, str, str]
 """A rule that is broken: the field, its value, the rule, and the remedy."""
 
@@ -71,82 +71,66 @@ def of_area(north_m: tuple[float, float], east_m: tuple[float, float]) -> Iterat
 
 
 def of_task(task: Task) -> Iterator[Broken]:
-    """All rules of a task, in the order in which they are told."""
-    limits, settings = task.limits, task.settings
+    """All rules of a task that are broken, in the order in which they are told."""
+    limits, settings, end_m = task.limits, task.settings, task.end_radius_m
     range_m, speed, d_s = settings.scan_range_m, limits.speed_m_s, settings.safety_distance_m
-    floor, ceiling, end_m = limits.floor_amsl_m, limits.ceiling_amsl_m, task.end_radius_m
+    (south, north), (west, east) = limits.north_m, limits.east_m
+    floor, ceiling, turn_m = limits.floor_amsl_m, limits.ceiling_amsl_m, limits.turn_radius_m
+    asked_m, least_m = settings.scan_distance_m, task.shortest_scan_distance_m
+    sight_m, period_s = _MOST_OF_SIGHT * end_m, settings.position_period_s
+    scan_s = 0.0 if settings.is_near else _SCAN_REQUESTS * period_s  # there is no TERRAIN_REQUEST
+    room_m = task.zone_search_clearance_m + task.envelope.lead_m + 2.0 * turn_m
+    ground_m = -math.inf if task.stated_ground_amsl_m is None else task.stated_ground_amsl_m
+    over_m = ground_m + task.search_clearance_m - (task.band_amsl_m[0] - floor)
 
     yield from of_area(limits.north_m, limits.east_m)
-    if ceiling - floor <= _MIN_BAND_ERRORS * task.error_m:
-        rule = (
-            f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
-            "vehicle.tracking_error_m + navigation_error_m"
-        )
-        yield "altitude.ceiling_amsl_m", ceiling, rule, "Widen the band."
-    sides_m = (high - low for low, high in (limits.north_m, limits.east_m))
-    if math.prod(sides_m) / task.cell_m**2 > MAX_CELLS:
-        rule = f"the map has more than {MAX_CELLS:.0e} cells of R / 80"
-        yield "planner.scan_range_m", range_m, rule, "Raise it, or make [area] smaller."
-
-    given_m, least_m = settings.scan_distance_m, task.shortest_scan_distance_m
-    if given_m is not None and given_m < least_m:
-        rule = f"eq. 4: L must be at least V (T + scan time) + tail = {least_m:g} m"
-        remedy = "Leave scan_distance_m out, or lower planning_time_s or speed_m_s."
-        yield "planner.scan_distance_m", given_m, rule, remedy
-    if task.scan_distance_m > _MOST_OF_SIGHT * end_m:
-        rule = (
-            f"eq. 4: with V = {speed:g} m/s and d_s = {d_s:g} m it needs L = "
-            f"{task.scan_distance_m:g} m, too much for R = {range_m:g} m "
-            f"(at most {_MOST_OF_SIGHT * end_m:g} m)"
-        )
-        remedy = "Lower planning_time_s, speed_m_s or safety_distance_m, or raise scan_range_m."
-        yield "planner.planning_time_s", settings.planning_time_s, rule, remedy
-    period_s = settings.position_period_s
-    least_s = 0.0 if settings.is_near else _SCAN_REQUESTS * period_s  # there is no TERRAIN_REQUEST
-    if settings.scan_time_s < least_s:
-        rule = f"a scan takes {_SCAN_REQUESTS} requests, one a position ({period_s:g} s)"
-        remedy = f"Raise it to {least_s:g}, or raise vehicle.position_rate_hz."
-        yield "planner.scan_time_s", settings.scan_time_s, rule, remedy
-
-    turns = {"turn_radius_m": limits.turn_radius_m}
-    if not limits.hovers:
-        turns["loiter_radius_m"] = limits.loiter_radius_m
-    for key, radius_m in turns.items():
-        if too_tight := _too_tight(speed**2 / radius_m, hovers=limits.hovers):
-            rule = f"at V = {speed:g} m/s it asks for {too_tight}"
-            yield f"vehicle.{key}", radius_m, rule, "Raise it, or lower vehicle.speed_m_s."
-    if limits.turn_radius_m > 0.5 * range_m:
-        rule = f"a turn must fit into the scan range R = {range_m:g} m twice"
-        remedy = "Lower it, or raise planner.scan_range_m."
-        yield "vehicle.turn_radius_m", limits.turn_radius_m, rule, remedy
-    room_m = task.zone_search_clearance_m + task.envelope.lead_m + 2.0 * limits.turn_radius_m
-    if not limits.hovers and room_m > end_m:
-        rule = (
-            f"a plane holds on circles: with what it flies until then, a turn and {_least(task)} "
-            f"it needs {room_m:.0f} m, and the scan range R = {range_m:g} m leaves {end_m:.0f} m"
-        )
-        remedy = "Lower it, vehicle.turn_radius_m or safety_distance_m, or raise scan_range_m."
-        yield "vehicle.loiter_radius_m", limits.loiter_radius_m, rule, remedy
-
-    if (ground_m := task.stated_ground_amsl_m) is not None:
-        least_m = ground_m + task.search_clearance_m - (task.band_amsl_m[0] - floor)
-        if floor < least_m:
-            rule = (
-                f"the ground reaches terrain.highest_amsl_m = {ground_m:g}, and no path lies "
-                "nearer to it than d_s and the vehicle's errors"
-            )
-            remedy = f"Raise it to {math.ceil(least_m)}, or lower planner.safety_distance_m."
-            yield "altitude.floor_amsl_m", floor, rule, remedy
+    table = (
+        (ceiling - floor <= _MIN_BAND_ERRORS * task.error_m, "altitude.ceiling_amsl_m", ceiling,
+         f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
+         "vehicle.tracking_error_m + navigation_error_m", "Widen the band."),
+        ((north - south) * (east - west) / task.cell_m**2 > MAX_CELLS, "planner.scan_range_m",
+         range_m, f"the map has more than {MAX_CELLS:.0e} cells of R / 80",
+         "Raise it, or make [area] smaller."),
+        (asked_m is not None and asked_m < least_m, "planner.scan_distance_m", asked_m,
+         f"eq. 4: L must be at least V (T + scan time) + tail = {least_m:g} m",
+         "Leave scan_distance_m out, or lower planning_time_s or speed_m_s."),
+        (task.scan_distance_m > sight_m, "planner.planning_time_s", settings.planning_time_s,
+         f"eq. 4: with V = {speed:g} m/s and d_s = {d_s:g} m it needs L = "
+         f"{task.scan_distance_m:g} m, too much for R = {range_m:g} m (at most {sight_m:g} m)",
+         "Lower planning_time_s, speed_m_s or safety_distance_m, or raise scan_range_m."),
+        (settings.scan_time_s < scan_s, "planner.scan_time_s", settings.scan_time_s,
+         f"a scan takes {_SCAN_REQUESTS} requests, one a position ({period_s:g} s)",
+         f"Raise it to {scan_s:g}, or raise vehicle.position_rate_hz."),
+        *(_of_turn(limits, key) for key in ("turn_radius_m", "loiter_radius_m")),
+        (turn_m > 0.5 * range_m, "vehicle.turn_radius_m", turn_m,
+         f"a turn must fit into the scan range R = {range_m:g} m twice",
+         "Lower it, or raise planner.scan_range_m."),
+        (not limits.hovers and room_m > end_m, "vehicle.loiter_radius_m", limits.loiter_radius_m,
+         f"a plane holds on circles: with what it flies until then, a turn and {_least(task)} "
+         f"it needs {room_m:.0f} m, and the scan range R = {range_m:g} m leaves {end_m:.0f} m",
+         "Lower it, vehicle.turn_radius_m or safety_distance_m, or raise scan_range_m."),
+        (floor < over_m, "altitude.floor_amsl_m", floor,
+         f"the ground reaches terrain.highest_amsl_m = {ground_m:g}, and no path lies nearer to "
+         "it than d_s and the vehicle's errors",
+         f"Raise it to {math.ceil(max(over_m, floor))}, or lower planner.safety_distance_m."),
+    )  # fmt: skip
+    for is_broken, field, value, rule, remedy in table:
+        if is_broken:
+            yield field, value, rule, remedy
 
 
-def _too_tight(lateral_m_s2: float, *, hovers: bool) -> str:
-    """What a turn asks for that is too much for the vehicle; empty if nothing is."""
-    if hovers:
-        too_much = lateral_m_s2 > _MAX_LATERAL_M_S2
-        return f"{lateral_m_s2:.3g} m/s2 sideways, over 2 g" if too_much else ""
-    bank = math.degrees(math.atan(lateral_m_s2 / _GRAVITY_M_S2))
-    too_much = bank > _MAX_BANK_DEG
-    return f"{bank:.0f} degrees of bank, over {_MAX_BANK_DEG:g}" if too_much else ""
+def _of_turn(limits: Limits, key: str) -> tuple[bool, str, object, str, str]:
+    """A turn asks for no more than the vehicle can.  A copter's loiter radius is 0: no turn."""
+    speed, radius_m = limits.speed_m_s, getattr(limits, key)
+    sideways_m_s2 = speed**2 / radius_m if radius_m else 0.0
+    bank_deg = math.degrees(math.atan(sideways_m_s2 / _GRAVITY_M_S2))
+    too_much = f"{bank_deg:.0f} degrees of bank, over {_MAX_BANK_DEG:g}"
+    is_broken = bank_deg > _MAX_BANK_DEG
+    if limits.hovers:
+        too_much = f"{sideways_m_s2:.3g} m/s2 sideways, over 2 g"
+        is_broken = sideways_m_s2 > _MAX_LATERAL_M_S2
+    rule = f"at V = {speed:g} m/s it asks for {too_much}"
+    return is_broken, f"vehicle.{key}", radius_m, rule, "Raise it, or lower vehicle.speed_m_s."
 
 
 def of_target(task: Task, target_ne_m: Place, field: str) -> Iterator[Broken]:
@@ -178,6 +162,7 @@ def _least(task: Task) -> str:
 def of_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> Iterator[Broken]:
     """A polygon has a clear inside."""
     corners = np.array(vertices_ne_m, dtype=np.float64).reshape(-1, 2)
+    north, east = (corners - corners[:1]).T
     if len(set(vertices_ne_m)) < 3:
         remedy = "Give three or more different corners."
         yield field, name, "a polygon has three or more corners", remedy
@@ -187,14 +172,8 @@ def of_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> Itera
         edges = f"the edges from its corners {crossing[0]} and {crossing[1]} (from 0) cross"
         remedy = "Draw it so that it does not cross itself."
         yield field, name, f"{edges}, so it has no clear inside", remedy
-    elif abs(_area_m2(corners - corners[0])) < _MIN_AREA_M2:
+    elif abs(north[:-1] @ east[1:] - east[:-1] @ north[1:]) < 2.0 * _MIN_AREA_M2:
         yield field, name, "it has no area", "Give corners that do not lie on one line."
-
-
-def _area_m2(corners: FloatArray) -> float:
-    """Of a polygon whose first corner is the origin; signed.  (corners, 2)."""
-    north, east = corners.T
-    return 0.5 * float(north[:-1] @ east[1:] - east[:-1] @ north[1:])
 
 
 def first_crossing(corners_ne_m: FloatArray) -> tuple[int, int] | None:
@@ -202,10 +181,9 @@ def first_crossing(corners_ne_m: FloatArray) -> tuple[int, int] | None:
 
     (corners, 2) -> the corners that they begin at, or None.  Edges that only touch do not cross.
     """
-    begins, ends = corners_ne_m, np.roll(corners_ne_m, -1, axis=0)
-    for k in range(len(begins) - 2):
-        others = slice(k + 2, len(begins) - (k == 0))
-        a, b, c, d = begins[k], ends[k], begins[others], ends[others]
+    ends = np.roll(corners_ne_m, -1, axis=0)
+    for k, (a, b) in enumerate(zip(corners_ne_m, ends, strict=True)):
+        c, d = corners_ne_m[k + 2 :], ends[k + 2 :]
         crosses = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
         if crosses.any():
             return k, k + 2 + int(crosses.argmax())

@@ -4,21 +4,13 @@ import hashlib
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, TypedDict, Unpack, final
+from typing import Annotated, Any, final
 
 from annotated_types import Ge, Le
 
+from companion.path import envelope as moves
 from companion.path.certificate import pack_surroundings
-from companion.path.envelope import (
-    COPTER,
-    PLANE,
-    Envelope,
-    Handling,
-    beyond_m,
-    envelope_of,
-    flown_on_m,
-    stopping_m,
-)
+from companion.path.envelope import COPTER, PLANE, Envelope, Handling
 from companion.path.limits import Limits
 from companion.path.proof import Surroundings
 from companion.profiles import FLIGHT, Profile, Weights
@@ -66,17 +58,6 @@ class PlannerSettings:
         return self.cell_m is not None
 
 
-class Kept(TypedDict, total=False):
-    """What certificates are about, where it is not what a task says: as of `pack_surroundings`."""
-
-    motion: Envelope
-    clearance_m: float
-    contact_m: float
-    zones: tuple[Zone, ...]
-    radars: tuple[Radar, ...]
-    stops: bool
-
-
 @final
 @dataclass(frozen=True, kw_only=True)  # no slots: what is asked for with every position is kept
 class Task:
@@ -102,7 +83,7 @@ class Task:
     def envelope(self) -> Envelope:
         """How the vehicle moves on legs that are planned by this task."""
         handling = self.handling or (COPTER if self.limits.hovers else PLANE)
-        return envelope_of(self.limits, handling, self.convergence_rad)
+        return moves.envelope_of(self.limits, handling, self.convergence_rad)
 
     @property
     def cell_m(self) -> float:
@@ -112,17 +93,17 @@ class Task:
 
     def radars_near(self, place_ne_m: Place, reach_m: float) -> tuple[Radar, ...]:
         """The radars whose range comes within reach of a place."""
-        away_m = (math.dist(radar.centre_nea_m[:2], place_ne_m) for radar in self.radars)
+        away_m = [math.dist(radar.centre_nea_m[:2], place_ne_m) for radar in self.radars]
         near = zip(self.radars, away_m, strict=True)
         return tuple(radar for radar, away in near if away <= radar.range_m + reach_m)
 
-    # --- what is kept
+    # --- what is kept: what certificates ask for, and what the search aims at, a little more
     #
-    #              proven                  aimed at by the search (in `paper`, d_s itself)
+    #              proven                  aimed at (in `paper`, d_s itself)
     #   terrain    required_clearance_m    search_clearance_m
     #   zones      zone_clearance_m        zone_search_clearance_m
     #
-    # The terrain is grown by the circle that a plane holds on, the zones are not.
+    # A plane's circle keeps these distances, too: the terrain is grown by it, the zones are not.
 
     @property
     def error_m(self) -> float:
@@ -142,35 +123,37 @@ class Task:
 
     @property
     def zone_clearance_m(self) -> float:
-        """Of a plane, so that its circle keeps the required clearance."""
+        """`required_clearance_m`, and the circle of a plane."""
         return self.required_clearance_m + self.envelope.loiter_m
 
     @property
     def zone_search_clearance_m(self) -> float:
-        """Likewise."""
+        """`search_clearance_m`, and the circle of a plane."""
         return self.search_clearance_m + self.envelope.loiter_m
 
     @property
     def band_amsl_m(self) -> tuple[float, float]:
         """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
-        return self.limits.inner_band_amsl_m(
-            _AIMS * self.error_m if self.settings.profile.verified else 0.0
-        )
-
-    def surroundings(
-        self, known: KnownMap, centre_ne_m: Place, reach_m: float, **otherwise: Unpack[Kept]
-    ) -> Surroundings:
-        """What certificates of its paths are about, within reach of a place."""
-        kept: Kept = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
-        kept |= {"zones": self.zones, "radars": self.radars}
-        return pack_surroundings(
-            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **(kept | otherwise)
-        )
+        aims_m = _AIMS * self.error_m if self.settings.profile.verified else 0.0
+        return self.limits.inner_band_amsl_m(aims_m)
 
     @cached_property
     def take_off_amsl_m(self) -> float:
         """Where the climb-out ends and the first path begins: no lower than paths are planned."""
         return max(self.limits.floor_amsl_m + 2.0 * self.envelope.tube_m, self.band_amsl_m[0])
+
+    def surroundings(
+        self, known: KnownMap, centre_ne_m: Place, reach_m: float, **otherwise: Any
+    ) -> Surroundings:
+        """What certificates of its paths are about, within reach of a place.
+
+        otherwise: what is not as the task says, by the parameters of `pack_surroundings`.
+        """
+        kept: dict[str, Any] = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
+        kept |= {"zones": self.zones, "radars": self.radars, **otherwise}
+        return pack_surroundings(
+            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **kept
+        )
 
     # --- what is flown meanwhile
 
@@ -181,12 +164,11 @@ class Task:
         The paper's d_s; in `flight` the dead-man reach, enough to stop in (for a plane: the lead
         and d_s), and 0.15 R (design 6: most of what goes wrong at the end of sight does not then).
         """
-        settings, motion = self.settings, self.envelope
+        settings, motion, speed = self.settings, self.envelope, self.limits.speed_m_s
         if not settings.profile.verified:
             return settings.safety_distance_m
-        speed = self.limits.speed_m_s
-        stop_m = stopping_m(motion, speed) + motion.lead_m + settings.safety_distance_m
-        return max(0.15 * settings.scan_range_m, stop_m, flown_on_m(motion, speed))
+        stop_m = moves.stopping_m(motion, speed) + motion.lead_m + settings.safety_distance_m
+        return max(0.15 * settings.scan_range_m, stop_m, moves.flown_on_m(motion, speed))
 
     @property
     def stop_m(self) -> float:
@@ -219,11 +201,11 @@ class Task:
         The paper's R; in `flight` less, so that the ground is scanned within the required clearance
         of the end and of the dead-man reach from there.
         """
-        settings = self.settings
+        settings, motion = self.settings, self.envelope
         if not settings.profile.verified:
             return settings.scan_range_m
-        beyond = beyond_m(self.envelope) if self.limits.hovers else 0.0
-        reserve = max(self.zone_search_clearance_m, beyond + self.envelope.contact_m)
+        beyond = moves.beyond_m(motion) if self.limits.hovers else 0.0
+        reserve = max(self.zone_search_clearance_m, beyond + motion.contact_m)
         return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)
 
     # --- the same task, a little otherwise
@@ -239,14 +221,14 @@ class Task:
         A copter turns with the lateral acceleration V^2 / turn_radius_m, so its turns are the
         tighter the slower it is, and so are its tail, L and dead-man reach the shorter.
         """
-        limits = self.limits
+        limits, known = self.limits, self._at_speeds
         if speed_m_s is None or speed_m_s >= limits.speed_m_s or not limits.hovers:
             return self
-        if (slower := self._at_speeds.get(speed_m_s)) is None:
+        if speed_m_s not in known:
             radius_m = limits.turn_radius_m * (speed_m_s / limits.speed_m_s) ** 2
             slow = replace(limits, speed_m_s=speed_m_s, turn_radius_m=radius_m)
-            slower = self._at_speeds[speed_m_s] = replace(self, limits=slow)
-        return slower
+            known[speed_m_s] = replace(self, limits=slow)
+        return known[speed_m_s]
 
     def no_lower_than(self, amsl_m: float) -> "Task":
         """The task with this, if it is higher, as the lowest altitude to plan for."""

@@ -6,7 +6,6 @@ import pytest
 from brute_force import violations
 from planning import ask, fly, spline
 
-from companion.path.subpath import Subpath
 from companion.planner.backtrack import backtrack
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
@@ -33,47 +32,42 @@ def flown(flight: OfflineFlight) -> tuple[FlownSegment, ...]:
     )
 
 
-def test_it_leads_back_to_the_start_along_the_same_curve(flight: OfflineFlight, task: Task) -> None:
-    back = backtrack(flown(flight), task, flight.known, plan_id=9)
-    assert back.reaches_start
-    assert back.plan_id == 9
-    ends = [subpath.control_nea_m[[0, -1]] for subpath in back.subpaths]
-    assert ends[0][0] == pytest.approx(flight.legs[-1].subpath.control_nea_m[-1])
-    assert ends[-1][1] == pytest.approx(np.array(START))
-    for before, after in pairwise(ends):
-        assert before[1] == pytest.approx(after[0], abs=1e-9)
+@pytest.fixture(scope="module")
+def back(flight: OfflineFlight, task: Task) -> Backtrack:
+    """As the planner answers it."""
+    end = flight.legs[-1].subpath.pose(1e9).point_nea_m
+    outcome = plan(ask(task, flight.known, end, plan_id=77, flown=flown(flight)))
+    assert isinstance(outcome, Backtrack)
+    return outcome
+
+
+def test_it_leads_back_to_the_start_along_the_same_curve(
+    back: Backtrack, flight: OfflineFlight
+) -> None:
+    assert (back.reaches_start, back.plan_id) == (True, 77)
+    assert back.through == (True,) * (len(back.subpaths) - 1) + (False,)
+    control = [subpath.control_nea_m for subpath in back.subpaths]
+    assert control[0][0] == pytest.approx(flight.legs[-1].subpath.control_nea_m[-1])
+    assert control[-1][-1] == pytest.approx(np.array(START))
     length_m = sum(subpath.length_m for subpath in back.subpaths)
     assert length_m == pytest.approx(sum(flight.flown_m), rel=1e-5)
-    there = np.concatenate(
-        [
-            leg.subpath.points_nea_m(np.arange(0.0, until_m, 2.0))
-            for leg, until_m in zip(flight.legs, flight.flown_m, strict=True)
-        ]
-    )
-    for subpath in back.subpaths:
-        for point in spline(subpath.control_nea_m)(np.linspace(0.0, 1.0, 20)):
-            assert np.linalg.norm(there - point, axis=-1).min() < 2.0
+    there = flight.route_nea_m(2.0)
+    for point in np.concatenate([spline(each)(np.linspace(0.0, 1.0, 20)) for each in control]):
+        assert np.linalg.norm(there - point, axis=-1).min() < 2.0
+    for before, after in pairwise(back.subpaths):
+        end, start = before.pose(before.length_m), after.pose(0.0)
+        assert end.position_nea_m == pytest.approx(start.position_nea_m, abs=1e-9)
+        assert end.tangent_nea == pytest.approx(start.tangent_nea, abs=1e-5)
+        assert end.curvature_nea_1_m == pytest.approx(start.curvature_nea_1_m, abs=1e-6)
 
 
 def test_every_part_of_it_is_safe_also_for_a_vehicle_that_dies_at_full_speed(
-    flight: OfflineFlight, task: Task
+    back: Backtrack, flight: OfflineFlight, task: Task
 ) -> None:
-    back = backtrack(flown(flight), task, flight.known)
-    assert back.through == (True,) * (len(back.subpaths) - 1) + (False,)
     steep = max(task.limits.climb_angle_rad, task.limits.dive_angle_rad)
     both = replace(task, limits=replace(task.limits, climb_angle_rad=steep, dive_angle_rad=steep))
     for subpath in back.subpaths:
         assert violations(subpath.control_nea_m, both, flight.known, from_rest=False) == []
-
-
-def test_the_curves_meet_in_the_same_direction_where_the_vehicle_does_not_stop(
-    flight: OfflineFlight, task: Task
-) -> None:
-    back = backtrack(flown(flight), task, flight.known)
-    for before, after in pairwise(back.subpaths):
-        end, start = before.pose(before.length_m), after.pose(0.0)
-        assert end.tangent_nea == pytest.approx(start.tangent_nea, abs=1e-5)
-        assert end.curvature_nea_1_m == pytest.approx(start.curvature_nea_1_m, abs=1e-6)
 
 
 def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight, task: Task) -> None:
@@ -120,18 +114,6 @@ def test_nothing_flown_is_no_way_and_at_home(task: Task, truth: KnownMap) -> Non
     back = backtrack((), task, truth)
     assert back.subpaths == ()
     assert back.reaches_start
-
-
-def test_the_planner_answers_with_the_way_back_if_that_is_asked(
-    flight: OfflineFlight, task: Task
-) -> None:
-    end = flight.legs[-1].subpath.pose(1e9).point_nea_m
-    request = ask(task, flight.known, end, plan_id=77, flown=flown(flight))
-    outcome = plan(request)
-    assert isinstance(outcome, Backtrack)
-    assert outcome.plan_id == 77
-    assert outcome.reaches_start
-    assert isinstance(outcome.subpaths[0], Subpath)
 
 
 @pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])

@@ -64,10 +64,8 @@ def test_a_leg_meets_what_stands_nearer_to_its_rest_than_required(
 
 
 def test_what_is_behind_or_was_wiped_out_is_not_met() -> None:
-    leg = straight_on(16.0)
-    near = near_map([(20, 40)])  # at the leg's begin
-    assert meets_near_things(leg, 0.0, near, 0.5)
-    assert not meets_near_things(leg, 2.0, near, 0.5)
+    leg, near = straight_on(16.0), near_map([(20, 40)])  # at the leg's begin
+    assert [meets_near_things(leg, from_m, near, 0.5) for from_m in (0.0, 2.0)] == [True, False]
     near.met_since_s[20, 40] = math.inf
     assert not meets_near_things(leg, 0.0, near, 0.5)
     assert meets_near_things(leg, leg.subpath.length_m, near_map([(84, 40)]), 0.5)  # at its end

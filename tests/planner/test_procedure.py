@@ -67,6 +67,8 @@ def test_a_level_leg_is_flown_in_the_time_of_a_trapezium_and_stops_just_at_its_e
     settles_s = MOTION.settling_s * math.log(100.0)
     assert trapezium_s <= len(references) * tick_s <= trapezium_s + settles_s + 1.5 + 4 * tick_s
     assert is_at_end(references[-1], leg)
+    end = flown(leg, tick_s, goes_on=True)[-1]  # with a successor it does not stop
+    assert (end.length_m, end.speed_m_s) == (pytest.approx(1_500.0, abs=0.05), V)
 
 
 @given(tick_s=ticks, goes_on=st.booleans())
@@ -81,12 +83,6 @@ def test_the_reference_point_is_never_faster_than_v_nor_than_its_acceleration_al
     assert moved.min() >= 0.0
     assert np.diff(speeds).max() <= MOTION.gaining_m_s2 * tick_s + 1e-9
     assert np.diff(speeds).min() >= -2.0 * A * tick_s - 1e-9
-
-
-def test_a_leg_with_a_successor_is_flown_to_its_end_at_full_speed() -> None:
-    references = flown(leg_to(1_000.0, 0.0, 0.0), 0.1, goes_on=True)
-    assert references[-1].speed_m_s == V
-    assert references[-1].length_m == pytest.approx(1_000.0, abs=0.05)
 
 
 @settings(max_examples=25)
@@ -153,12 +149,8 @@ def test_it_waits_for_a_vehicle_that_gains_speed_so_that_it_overshoots_less(
 
 
 def test_a_vehicle_that_is_ahead_does_not_pull_the_reference_point_along() -> None:
-    leg, before, here = (
-        leg_to(2_000.0, 0.0, 0.0),
-        Reference(length_m=100.0, speed_m_s=V),
-        [900.0, 0, 0],
-    )
-    ahead = advance(before, leg, 0.1, np.array(here), MOTION, goes_on=False)
+    leg, before, here = leg_to(2_000.0, 0.0, 0.0), Reference(length_m=100.0, speed_m_s=V), 900.0
+    ahead = advance(before, leg, 0.1, np.array([here, 0.0, 0.0]), MOTION, goes_on=False)
     assert ahead == Reference(length_m=pytest.approx(100.0 + V * 0.1), speed_m_s=V)
 
 

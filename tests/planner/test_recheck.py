@@ -32,13 +32,11 @@ def zones_along(rng: np.random.Generator, leg: Leg) -> tuple[Zone, ...]:
     for _ in range(rng.integers(1, 5)):
         at_m = rng.uniform(0.0, leg.subpath.length_m)
         n, e = leg.subpath.pose(at_m).position_nea_m[:2] + rng.normal(0.0, 900.0, 2)
-        if rng.random() < 0.5:
-            radius_m = rng.uniform(50.0, 800.0)
-            zones.append(CircleZone(name="c", north_m=n, east_m=e, radius_m=radius_m))
-        else:
-            corners = np.array([n, e]) + rng.normal(0.0, 500.0, (5, 2))
-            vertices = tuple((a, b) for a, b in corners.tolist())
-            zones.append(PolygonZone(name="p", vertices_ne_m=vertices))
+        corners = np.array([n, e]) + rng.normal(0.0, 500.0, (5, 2))
+        zones += [
+            CircleZone(name="c", north_m=n, east_m=e, radius_m=rng.uniform(50.0, 800.0)),
+            PolygonZone(name="p", vertices_ne_m=tuple((a, b) for a, b in corners.tolist())),
+        ][rng.integers(2) :][:1]
     if rng.random() < 0.3:
         zones.append(CircleZone(name="k", north_m=0.0, east_m=0.0, radius_m=15_000.0, keep_in=True))
     return tuple(zones)
@@ -66,14 +64,10 @@ def test_a_leg_beside_a_fence_at_just_the_required_distance_is_none(off: float) 
     assert comes_too_near(straight_leg(), 100.0, fence, 515.0) == (off < -1.04)
 
 
-def test_what_is_behind_does_not_matter_and_what_is_around_matters_at_once() -> None:
-    leg = straight_leg()
+def test_what_is_behind_does_not_matter() -> None:
     zone = (CircleZone(name="c", north_m=5_000.0, east_m=0.0, radius_m=500.0),)
-    assert comes_too_near(leg, 0.0, zone, 100.0)
-    assert comes_too_near(leg, 5_000.0, zone, 100.0)
-    assert comes_too_near(leg, 5_599.0, zone, 100.0)
-    assert not comes_too_near(leg, 5_600.5, zone, 100.0)
-    assert not comes_too_near(leg, 0.0, (), 100.0)
+    assert comes_too_near(straight_leg(), 5_599.0, zone, 100.0)
+    assert not comes_too_near(straight_leg(), 5_600.5, zone, 100.0)
 
 
 @pytest.mark.parametrize("deep_m", [0.0, 3.0])
@@ -126,17 +120,6 @@ def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg(task: Task) ->
     assert is_touched(leg, 0.0, with_limits(task, floor_amsl_m=301.0))
     assert not is_touched(leg, 1_000.0, with_limits(task, floor_amsl_m=301.0))
     assert is_touched(leg, 0.0, with_limits(task, ceiling_amsl_m=LOW_M + 90.0))
-    assert is_touched(leg, 0.0, with_limits(task, tracking_error_m=8.0))
-
-
-def test_a_zone_that_was_far_enough_away_is_new_where_more_distance_is_asked_for(
-    task: Task,
-) -> None:
-    beside = replace(ACROSS, east_m=500.0 + 100.0 + 75.0)
-    before = with_zones(task, beside)
-    settings = replace(task.settings, safety_distance_m=80.0)
-    assert not is_touched(low_leg(before), 0.0, before)
-    assert is_touched(low_leg(before), 0.0, replace(before, settings=settings))
 
 
 def test_of_a_leg_whose_rules_nobody_knows_all_rules_count(task: Task) -> None:
