@@ -44,9 +44,6 @@ class Surroundings(NamedTuple):
     motion: Envelope
     stops: bool
     """Whether the vehicle stops at the end of the curve; if not, it may be at full speed there."""
-    curvature_1_m: float
-    climb: float  # tangent of the largest climb angle; `dive` likewise
-    dive: float
     lowest_nea_m: tuple[float, float, float]
     """The south-western corner of the map, and the floor; `highest_nea_m` likewise."""
     highest_nea_m: tuple[float, float, float]
@@ -73,16 +70,16 @@ class Piece(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What a whole curve keeps and comes to, as `certificate.Certificate` tells it."""
+    """What a whole curve keeps and comes to: `certificate.Certificate` says what each is."""
 
     clearance_m: float
     keep_out_m: float
     dead_man_m: float
-    curvature_1_m: float
-    climb: float  # as a tangent; `dive` likewise
-    dive: float
-    lowest_m: float
-    highest_m: float
+    turn_radius_m: float
+    climb_angle_rad: float
+    dive_angle_rad: float
+    lowest_amsl_m: float
+    highest_amsl_m: float
     off_map_m: float
     radar_m: float
     detection: float
@@ -319,8 +316,14 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
         elif what != _ZONES or around.zones.circles.size + around.zones.polygons.size > 0:
             far[what], more = least_distance(asked, what, cap)
             pieces += more
+    it = around.motion
+    limits = (
+        (1.0 / it.turn_radius_m) ** 2,
+        math.tan(it.climb_angle_rad),
+        math.tan(it.dive_angle_rad),
+    )
     for what in range(3):  # squared curvature, climb, dive
-        limit = (around.curvature_1_m**2, around.climb, around.dive)[what] * (1.0 + ROUNDING)
+        limit = limits[what] * (1.0 + ROUNDING)
         steep[what], more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
         pieces += more
     lowest, highest = extremes(cubics, 2)
@@ -329,7 +332,9 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
         low, high = extremes(cubics, axis)
         off = max(off, max(around.lowest_nea_m[axis] - low, high - around.highest_nea_m[axis]))
     radar, detection, more = exposure(cubics, around, rows)
+    tightest_m = 1.0 / math.sqrt(steep[0]) if steep[0] > 0.0 else math.inf
     return Bounds(
-        *(far[_TERRAIN], far[_ZONES], far[_DEAD_MAN], math.sqrt(steep[0]), steep[1], steep[2]),
+        *(far[_TERRAIN], far[_ZONES], far[_DEAD_MAN]),
+        *(tightest_m, math.atan(steep[1]), math.atan(steep[2])),
         *(lowest, highest, off, radar, detection, pieces + more),
     )
