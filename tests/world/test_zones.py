@@ -95,8 +95,8 @@ def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
         assert zone.distance_m(north, east) == pytest.approx(expected, abs=1e-6)
         if isinstance(zone, PolygonZone):
             for enough, most in ((1e9, 1e9), (80.0, 5.0)):
-                at = [polygon_at(packed((zone,)), 0, n, e, enough, most) for n, e in points[-10:]]
-                assert at == pytest.approx(np.clip(expected[-10:], -most, enough), abs=1e-6)
+                at = [polygon_at(packed((zone,)), 0, n, e, enough, most) for n, e in points[::5]]
+                assert at == pytest.approx(np.clip(expected[::5], -most, enough), abs=1e-6)
     for k in range(5):
         zone, gap_m = nearest(zones, *points[k].tolist())
         assert (zone is None) == (not zones)
