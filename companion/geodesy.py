@@ -113,10 +113,8 @@ def parts_within(
     Sutherland and Hodgman, side by side, at the latitudes and longitudes about the rectangle: what
     only hangs together outside of these is joined along their rim.
     """
-    north, east = (np.linspace(*span, _SIDE + 1) for span in (north_m, east_m))
-    sides = [(north, east[[k]]) for k in (0, -1)] + [(north[[k]], east) for k in (0, -1)]
-    rim = [np.broadcast_arrays(*side) for side in sides]
-    latitude, longitude = frame.to_geodetic_deg(*map(np.concatenate, zip(*rim, strict=True)))
+    lattice_m = np.meshgrid(*(np.linspace(*span, _SIDE + 1) for span in (north_m, east_m)))
+    latitude, longitude = frame.to_geodetic_deg(*lattice_m)
     south_deg, north_deg = latitude.min() - _BEYOND_DEG, latitude.max() + _BEYOND_DEG
     off = wrap_deg(longitude - frame.longitude_deg)
     half_deg = float(np.abs(off).max()) + _BEYOND_DEG / math.cos(math.radians(_POLAR_DEG))

@@ -29,13 +29,7 @@ def test_local_to_geodetic_and_back_is_where_it_began(
     assert back == pytest.approx((north_m, east_m), abs=1e-4)
 
 
-@given(frame=frames)
-def test_the_origin_is_zero(frame: LocalFrame) -> None:
-    local = frame.to_local_m(frame.latitude_deg, frame.longitude_deg)
-    assert local == pytest.approx((0.0, 0.0), abs=1e-6)
-
-
-@given(frame=frames, azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(1.0, 150_000.0))
+@given(frame=frames, azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(0.0, 150_000.0))
 def test_distance_and_direction_from_the_origin_are_those_of_the_geodesic(
     frame: LocalFrame, azimuth_deg: float, distance_m: float
 ) -> None:
@@ -63,18 +57,6 @@ def test_a_step_to_true_north_leans_from_the_frames_north_by_the_convergence(
     assert angle_between(-true_north_in_frame, frame.grid_north_rad(north_m, east_m)) < 3e-4
 
 
-@given(azimuth_rad=st.floats(-3.0, 3.0), distance_m=st.floats(1_000.0, 150_000.0))
-def test_a_local_azimuth_and_the_convergence_make_the_true_azimuth_of_the_ray_from_the_origin(
-    azimuth_rad: float, distance_m: float
-) -> None:
-    north_m, east_m = distance_m * math.cos(azimuth_rad), distance_m * math.sin(azimuth_rad)
-    latitude, longitude = HERE.to_geodetic_deg(north_m, east_m)
-    _, back_deg, _ = GEOD.inv(HERE.longitude_deg, HERE.latitude_deg, longitude, latitude)
-    true_rad = math.radians(back_deg + 180.0)
-    local_plus_convergence = azimuth_rad + HERE.grid_north_rad(north_m, east_m)
-    assert angle_between(local_plus_convergence, true_rad) < 3e-4
-
-
 @given(
     frame=st.builds(LocalFrame, latitude_deg=st.floats(-70.0, 70.0), longitude_deg=longitudes),
     share=st.tuples(*[st.floats(0.0, 1.0)] * 4),
@@ -97,19 +79,12 @@ def test_no_frame_of_a_map_has_its_north_farther_from_the_true_one_than_the_conv
     assert away_rad <= frame.convergence_rad(north_m, east_m) * 1.02 + 3e-4
 
 
-def test_grid_north_is_one_degree_clockwise_of_true_north_100_km_east_at_47_north() -> None:
-    convergence_deg = math.degrees(HERE.grid_north_rad(0.0, 100_000.0))
-    across_deg = 100_000.0 / (6_378_137.0 * math.cos(math.radians(47.0))) * 180.0 / math.pi
-    assert convergence_deg == pytest.approx(across_deg * math.sin(math.radians(47.0)), abs=0.01)
-    assert convergence_deg == pytest.approx(1.0, abs=0.05)
-    sideways_m_s = 150.0 * math.sin(math.radians(convergence_deg))
-    assert sideways_m_s == pytest.approx(2.6, abs=0.15)
-
-
-@given(frame=frames)
-def test_grid_north_is_true_north_at_the_origin_and_due_north_of_it(frame: LocalFrame) -> None:
-    assert frame.grid_north_rad(0.0, 0.0) == pytest.approx(0.0, abs=1e-6)
-    assert frame.grid_north_rad(50_000.0, 0.0) == pytest.approx(0.0, abs=1e-6)
+def test_meridians_converge_by_the_sine_of_the_latitude_and_not_due_north_of_the_origin() -> None:
+    across_rad = 100_000.0 / (6_378_137.0 * math.cos(math.radians(47.0)))
+    told = HERE.grid_north_rad(0.0, 100_000.0)
+    assert told == pytest.approx(across_rad * math.sin(math.radians(47.0)), abs=2e-4)
+    for north_m in (0.0, 50_000.0):
+        assert HERE.grid_north_rad(north_m, 0.0) == pytest.approx(0.0, abs=1e-6)
 
 
 @given(latitude=latitudes, longitude=longitudes, north_m=metres, east_m=metres)
@@ -129,14 +104,10 @@ def test_turning_a_vector_clockwise_is_multiplying_by_a_unit_complex_number(
     assert rotate(north, east, angle) == pytest.approx((turned.real, turned.imag), abs=1e-9)
 
 
-@given(st.integers(-1_800_000_000, 1_800_000_000))
-def test_the_wire_integer_survives_the_way_through_degrees(degrees_e7: int) -> None:
+@given(st.integers(-1_800_000_000, 1_800_000_000), st.floats(-0.5, 0.5))
+def test_degrees_become_the_nearest_integer_of_the_wire(degrees_e7: int, off: float) -> None:
     assert deg_e7(deg(degrees_e7)) == degrees_e7
-
-
-@given(longitudes)
-def test_degrees_lose_at_most_half_a_unit_on_the_wire(degrees: float) -> None:
-    assert abs(deg_e7(degrees) * 1e-7 - degrees) <= 0.5000001e-7
+    assert abs(deg_e7((degrees_e7 + off) * 1e-7) - degrees_e7 - off) <= 0.500001
 
 
 @given(st.floats(-1_000.0, 1_000.0))
@@ -144,8 +115,3 @@ def test_a_wrapped_angle_is_the_same_direction_within_half_a_turn(angle: float) 
     wrapped = wrap_rad(angle)
     assert -math.pi <= wrapped <= math.pi
     assert abs(cmath.rect(1.0, wrapped) - cmath.rect(1.0, angle)) < 1e-9
-
-
-def test_frames_about_the_same_origin_are_equal() -> None:
-    assert LocalFrame(latitude_deg=47.0, longitude_deg=8.0) == HERE
-    assert LocalFrame(latitude_deg=47.0, longitude_deg=8.1) != HERE

@@ -23,7 +23,7 @@ from companion.world.radars import Radar
 from companion.world.zones import Zone, packed
 
 _SANE_M = 1e8  # no control point is farther out than this: the arithmetic of the proof stays finite
-_SETTINGS = {
+_SET_BY = {
     "terrain clearance": "planner.safety_distance_m",
     "keep-out zone": "planner.safety_distance_m",
     "dead-man reach": "vehicle.speed_m_s",
@@ -34,14 +34,12 @@ _SETTINGS = {
     "ceiling of the band": "altitude.ceiling_amsl_m",
     "edge of the map": "[area]",
 }
-"""What a mission sets of each bound."""
+"""The bounds, and what a mission sets of each."""
 
 
 def bounds_text(broken: tuple[str, ...]) -> str:
     """Bounds, each with what a mission sets of it."""
-    return ", ".join(
-        f"{name} ({_SETTINGS[name]})" if name in _SETTINGS else name for name in broken
-    )
+    return ", ".join(f"{name} ({_SET_BY[name]})" if name in _SET_BY else name for name in broken)
 
 
 @final
@@ -104,39 +102,27 @@ def certify(subpath: Subpath, around: Surroundings, *, from_rest: bool) -> Certi
     from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
     finite is never proven, and no error.
     """
-    control, told = subpath.control_nea_m, Bounds._make([math.nan] * 11 + [0.0])
+    control, told = subpath.control_nea_m, Bounds._make([math.nan] * 11 + [0])
     if np.all(np.abs(control) < _SANE_M):
-        found = jit.compiled(prove)(cubics_of(control), around, from_rest)
-        told = Bounds._make(map(float, found))
-    steeper = 1.0 + 2.0 * ROUNDING
-    kept = {
-        "terrain clearance": told.clearance_m >= around.clearance_m - ROUNDING_M,
-        "keep-out zone": told.keep_out_m >= around.clearance_m - ROUNDING_M,
-        "dead-man reach": told.dead_man_m >= around.contact_m - ROUNDING_M,
-        "turn radius": told.curvature_1_m <= around.curvature_1_m * steeper,
-        "climb angle": told.climb <= around.climb * steeper,
-        "dive angle": told.dive <= around.dive * steeper,
-        "floor of the band": told.lowest_m >= around.lowest_nea_m[2] - ROUNDING_M,
-        "ceiling of the band": told.highest_m <= around.highest_nea_m[2] + ROUNDING_M,
-        "edge of the map": told.off_map_m <= ROUNDING_M,
-    }
+        told = jit.compiled(prove)(cubics_of(control), around, from_rest)
+    motion, steeper = around.motion, 1.0 + 2.0 * ROUNDING
+    kept = (
+        told.clearance_m >= around.clearance_m - ROUNDING_M,
+        told.keep_out_m >= around.clearance_m - ROUNDING_M,
+        told.dead_man_m >= around.contact_m - ROUNDING_M,
+        told.turn_radius_m * steeper >= motion.turn_radius_m,
+        math.tan(told.climb_angle_rad) <= math.tan(motion.climb_angle_rad) * steeper,
+        math.tan(told.dive_angle_rad) <= math.tan(motion.dive_angle_rad) * steeper,
+        told.lowest_amsl_m >= around.lowest_nea_m[2] - ROUNDING_M,
+        told.highest_amsl_m <= around.highest_nea_m[2] + ROUNDING_M,
+        told.off_map_m <= ROUNDING_M,
+    )
     return Certificate(
-        clearance_m=told.clearance_m,
-        keep_out_m=told.keep_out_m,
-        dead_man_m=told.dead_man_m,
+        **told._asdict(),
         required_clearance_m=around.clearance_m,
         required_contact_m=around.contact_m,
-        speed_m_s=around.motion.speed_m_s,
-        turn_radius_m=1.0 / told.curvature_1_m if told.curvature_1_m != 0.0 else math.inf,
-        climb_angle_rad=math.atan(told.climb),
-        dive_angle_rad=math.atan(told.dive),
-        lowest_amsl_m=told.lowest_m,
-        highest_amsl_m=told.highest_m,
-        off_map_m=told.off_map_m,
-        radar_m=told.radar_m,
-        detection=told.detection,
-        pieces=int(told.pieces),
-        broken=tuple(name for name, is_kept in kept.items() if not is_kept),
+        speed_m_s=motion.speed_m_s,
+        broken=tuple(name for name, is_kept in zip(_SET_BY, kept, strict=True) if not is_kept),
     )
 
 
@@ -180,9 +166,6 @@ def pack_surroundings(
         contact_m=float(motion.contact_m if contact_m is None else contact_m),
         motion=motion,
         stops=stops,
-        curvature_1_m=1.0 / motion.turn_radius_m,
-        climb=math.tan(motion.climb_angle_rad),
-        dive=math.tan(motion.dive_angle_rad),
         lowest_nea_m=(float(south_m), float(west_m), float(low_m)),
         highest_nea_m=(float(north_m), float(east_m), float(high_m)),
     )

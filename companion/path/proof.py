@@ -24,6 +24,7 @@ ROUNDING = 1e-9
 """A bound missed by no more than this, relative, is missed by arithmetic and not by the curve."""
 ROUNDING_M = 1e-6  # likewise, in metres: of coordinates up to 10,000 km
 _PIECES = 24  # that a curve is cut into at first, about
+_PARTS = 50  # of each, near radars: a thousandth of the curve tells how much of it is within range
 _BUDGET = 3_000  # pieces for each bound; what is not proven by then is not
 _FINEST = 2.0**-24  # of a span: 1 mm of 20 km, below which halving brings nothing
 _STACK = 64  # halves that wait, one for each halving: 24 at most
@@ -44,9 +45,6 @@ class Surroundings(NamedTuple):
     motion: Envelope
     stops: bool
     """Whether the vehicle stops at the end of the curve; if not, it may be at full speed there."""
-    curvature_1_m: float
-    climb: float  # tangent of the largest climb angle; `dive` likewise
-    dive: float
     lowest_nea_m: tuple[float, float, float]
     """The south-western corner of the map, and the floor; `highest_nea_m` likewise."""
     highest_nea_m: tuple[float, float, float]
@@ -73,16 +71,16 @@ class Piece(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What a whole curve keeps and comes to, as `certificate.Certificate` tells it."""
+    """What a whole curve keeps and comes to: `certificate.Certificate` says what each is."""
 
     clearance_m: float
     keep_out_m: float
     dead_man_m: float
-    curvature_1_m: float
-    climb: float  # as a tangent; `dive` likewise
-    dive: float
-    lowest_m: float
-    highest_m: float
+    turn_radius_m: float
+    climb_angle_rad: float
+    dive_angle_rad: float
+    lowest_amsl_m: float
+    highest_amsl_m: float
     off_map_m: float
     radar_m: float
     detection: float
@@ -254,11 +252,10 @@ def least_distance(asked: Question, what: int, cap: float) -> tuple[float, int]:
     return result, count
 
 
-def under_radars(radars: FloatArray, piece: Piece) -> tuple[bool, bool, float]:
-    """Whether a piece is inside a radar's range for certain, perhaps; detection (eq. 3) at most."""
+def detection_at_most(radars: FloatArray, piece: Piece) -> float:
+    """Detection (eq. 3) where a piece is nearest to a radar, at most; 0: out of all ranges."""
     (x, y, z, dx, dy, dz), sag, _, _ = piece
-    inside, perhaps, detection = False, False, 0.0
-    squared = dx * dx + dy * dy + dz * dz
+    squared, most = dx * dx + dy * dy + dz * dz, 0.0
     for k in range(radars.shape[0]):
         px, py, pz, span = radars[k, 0] - x, radars[k, 1] - y, radars[k, 2] - z, radars[k, 3]
         at = 0.0
@@ -266,38 +263,24 @@ def under_radars(radars: FloatArray, piece: Piece) -> tuple[bool, bool, float]:
             at = min(max((px * dx + py * dy + pz * dz) / squared, 0.0), 1.0)
         nearest = max(distance(px - at * dx, py - at * dy, pz - at * dz) - sag, 0.0)
         if nearest <= span:
-            detection = max(detection, 1.0 / (1.0 + (nearest / span) ** 4))
-            ends = max(distance(px, py, pz), distance(px - dx, py - dy, pz - dz))
-            inside, perhaps = inside or ends + sag <= span, perhaps or ends + sag > span
-    return inside, perhaps, detection
+            most = max(most, 1.0 / (1.0 + (nearest / span) ** 4))
+    return most
 
 
-def exposure(
-    cubics: FloatArray, around: Surroundings, rows: FloatArray
-) -> tuple[float, float, int]:
-    """Length within radar ranges at most (a stretch in two counts once); detection; pieces."""
-    if around.radars.shape[0] == 0:
-        return 0.0, 0.0, 0
-    short = 1e-3 * (rows[-1, 3] + 1e-9)
-    within, detection, count = 0.0, 0.0, 0
-    stack = np.empty((_STACK, 2))
+def exposure(cubics: FloatArray, radars: FloatArray, rows: FloatArray) -> tuple[float, float]:
+    """Length within radar ranges (a stretch in two counts once) and detection, both at most."""
+    within, detection = 0.0, 0.0
     for k in range(len(rows)):
-        span = int(rows[k, 0])
-        stack[0, 0], stack[0, 1], depth = rows[k, 1], rows[k, 2], 1
-        while depth > 0:
-            depth -= 1
-            start, end = float(stack[depth, 0]), float(stack[depth, 1])
-            piece = piece_of(cubics, span, start, end)
-            inside, perhaps, most = under_radars(around.radars, piece)
-            count += 1
-            if perhaps and piece.length > short and count < _BUDGET:
-                middle = 0.5 * (start + end)
-                stack[depth, 0], stack[depth, 1] = middle, end
-                stack[depth + 1, 0], stack[depth + 1, 1] = start, middle
-                depth += 2
-            elif inside or perhaps:
+        span, start, end = int(rows[k, 0]), float(rows[k, 1]), float(rows[k, 2])
+        if detection_at_most(radars, piece_of(cubics, span, start, end)) == 0.0:
+            continue
+        step = (end - start) / _PARTS
+        for j in range(_PARTS):
+            piece = piece_of(cubics, span, start + j * step, start + (j + 1) * step)
+            most = detection_at_most(radars, piece)
+            if most > 0.0:
                 within, detection = within + piece.length, max(detection, most)
-    return within, detection, count
+    return within, detection
 
 
 def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
@@ -319,8 +302,14 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
         elif what != _ZONES or around.zones.circles.size + around.zones.polygons.size > 0:
             far[what], more = least_distance(asked, what, cap)
             pieces += more
+    it = around.motion
+    limits = (
+        (1.0 / it.turn_radius_m) ** 2,
+        math.tan(it.climb_angle_rad),
+        math.tan(it.dive_angle_rad),
+    )
     for what in range(3):  # squared curvature, climb, dive
-        limit = (around.curvature_1_m**2, around.climb, around.dive)[what] * (1.0 + ROUNDING)
+        limit = limits[what] * (1.0 + ROUNDING)
         steep[what], more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
         pieces += more
     lowest, highest = extremes(cubics, 2)
@@ -328,8 +317,10 @@ def prove(cubics: FloatArray, around: Surroundings, from_rest: bool) -> Bounds:
     for axis in range(2):
         low, high = extremes(cubics, axis)
         off = max(off, max(around.lowest_nea_m[axis] - low, high - around.highest_nea_m[axis]))
-    radar, detection, more = exposure(cubics, around, rows)
+    radar, detection = exposure(cubics, around.radars, rows)
+    tightest_m = 1.0 / math.sqrt(steep[0]) if steep[0] > 0.0 else math.inf
     return Bounds(
-        *(far[_TERRAIN], far[_ZONES], far[_DEAD_MAN], math.sqrt(steep[0]), steep[1], steep[2]),
-        *(lowest, highest, off, radar, detection, pieces + more),
+        *(far[_TERRAIN], far[_ZONES], far[_DEAD_MAN]),
+        *(tightest_m, math.atan(steep[1]), math.atan(steep[2])),
+        *(lowest, highest, off, radar, detection, pieces),
     )

@@ -2,7 +2,7 @@
 
 With all numerators and denominators as Bernstein coefficients of one degree, a quotient lies
 between the least and the largest quotient of coefficients (mediants), and meets them at the ends.
-Plain scalar code that numba can compile as it is (see `path.proof`).
+Plain code that numba compiles as it is (see `path.proof`).
 """
 
 import math
@@ -31,34 +31,26 @@ def product(one: FloatArray, other: FloatArray) -> FloatArray:
     return result
 
 
-def hodograph(
-    cubics: FloatArray, span: int, axis: int, start: float, end: float
-) -> tuple[float, float, float]:
-    """Scaled Bernstein coefficients of a coordinate's derivative over start <= t <= end."""
+def hodograph(cubics: FloatArray, span: int, axis: int, start: float, end: float) -> FloatArray:
+    """Scaled Bernstein coefficients of a coordinate's derivative over start <= t <= end; (3,)."""
     c1, c2 = float(cubics[span, 1, axis]), 2.0 * float(cubics[span, 2, axis])
     c3 = 3.0 * float(cubics[span, 3, axis])
     first = c1 + (c2 + c3 * start) * start
     middle = c1 + 0.5 * c2 * (start + end) + c3 * start * end
     last = c1 + (c2 + c3 * end) * end
     nothing = _NOTHING * (abs(c1) + abs(c2) + abs(c3))
-    return (
+    return np.array((
         first if abs(first) > nothing else 0.0,
         2.0 * middle if abs(middle) > nothing else 0.0,
         last if abs(last) > nothing else 0.0,
-    )
+    ))  # fmt: skip
 
 
 def speed_squared(cubics: FloatArray, span: int, start: float, end: float) -> FloatArray:
     """Scaled Bernstein coefficients of x'^2 + y'^2 over a piece; (5,)."""
-    x0, x1, x2 = hodograph(cubics, span, 0, start, end)
-    y0, y1, y2 = hodograph(cubics, span, 1, start, end)
-    result = np.empty(5)
-    result[0] = x0 * x0 + y0 * y0
-    result[1] = 2.0 * (x0 * x1 + y0 * y1)
-    result[2] = 2.0 * (x0 * x2 + y0 * y2) + x1 * x1 + y1 * y1
-    result[3] = 2.0 * (x1 * x2 + y1 * y2)
-    result[4] = x2 * x2 + y2 * y2
-    return result
+    x = hodograph(cubics, span, 0, start, end)
+    y = hodograph(cubics, span, 1, start, end)
+    return product(x, x) + product(y, y)
 
 
 def quotient(above: FloatArray, below: FloatArray) -> tuple[float, float]:
@@ -81,9 +73,8 @@ def quotient(above: FloatArray, below: FloatArray) -> tuple[float, float]:
 def size_of(cubics: FloatArray, span: int) -> float:
     """Upper bound of the derivative's coordinates over a span."""
     size = 0.0
-    for axis in range(3):
-        size += abs(float(cubics[span, 1, axis])) + 2.0 * abs(float(cubics[span, 2, axis]))
-        size += 3.0 * abs(float(cubics[span, 3, axis]))
+    for k in range(1, 4):
+        size += k * np.abs(cubics[span, k]).sum()
     return size
 
 
@@ -103,10 +94,8 @@ def curvature_squared(
     if max(abs(k0), max(abs(k1), abs(k2))) <= _STRAIGHT * size_of(cubics, span) ** 2:
         may_stop = speed.min() <= 0.0  # and turn back
         return (math.inf if may_stop and not forward else 0.0), 0.0
-    cross = np.empty(3)
-    cross[0] = k0 + (k1 + k2 * start) * start
-    cross[1] = 2.0 * k0 + k1 * (start + end) + 2.0 * k2 * start * end
-    cross[2] = k0 + (k1 + k2 * end) * end
+    middle = 2.0 * k0 + k1 * (start + end) + 2.0 * k2 * start * end
+    cross = np.array((k0 + (k1 + k2 * start) * start, middle, k0 + (k1 + k2 * end) * end))
     above = product(product(cross, cross), _CHOOSE_8)
     below = product(product(speed, speed), speed)
     value = 0.0
@@ -123,19 +112,17 @@ def climb_tangent(
 
     From z'^2 over x'^2 + y'^2, both of degree 4.
     """
-    z0, z1, z2 = hodograph(cubics, span, 2, start, end)
-    z0, z1, z2 = sign * z0, sign * z1, sign * z2
+    rise = sign * hodograph(cubics, span, 2, start, end)
     speed = speed_squared(cubics, span, start, end)
-    squared = np.array((z0 * z0, 2.0 * z0 * z1, 2.0 * z0 * z2 + z1 * z1, 2.0 * z1 * z2, z2 * z2))
-    least, most = quotient(squared, speed)
+    least, most = quotient(product(rise, rise), speed)
     bound = math.sqrt(most)
-    if max(z0, max(z1, z2)) <= 0.0:
+    if rise.max() <= 0.0:
         bound = -math.sqrt(least) if least < math.inf else 0.0
     value = -math.inf
     if speed[0] > 0.0:
-        value = z0 / math.sqrt(speed[0])
+        value = rise[0] / math.sqrt(speed[0])
     if speed[4] > 0.0:
-        value = max(value, z2 / math.sqrt(speed[4]))
+        value = max(value, rise[2] / math.sqrt(speed[4]))
     return bound, value
 
 

@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from companion import jit
 from companion.geodesy import FloatArray
@@ -82,13 +83,12 @@ def safe_surface(
     rises_m = np.sqrt(np.maximum(clearance_m**2 - np.maximum(away_m, 0.0) ** 2, 0.0))
     rises_m[away_m >= clearance_m] = -np.inf
     wide = jit.compiled(dilated_m)(upper_m, rises_m, refine, floor_m - clearance_m)
-    padded = np.pad(wide, 1, mode="edge")
-    by_rows = np.maximum(padded[1:, :], padded[:-1, :])
+    vertices_m = scipy.ndimage.maximum_filter(np.pad(wide, 1, mode="edge"), size=2)[1:, 1:]
     return Surface(
         north_min_m=south,
         east_min_m=west,
         cell_m=float(known.cell_m / refine),
-        vertex_m=np.maximum(by_rows[:, 1:], by_rows[:, :-1]),  # bilinear, it is below no square
+        vertex_m=np.ascontiguousarray(vertices_m),  # bilinear, it is below no square
     )
 
 

@@ -30,7 +30,7 @@ from companion.ranges import NotNegative, Positive
 from companion.world.known_map import NO_ANSWER, Scan
 from companion.world.lattice import IntArray, Lattice, Window
 
-_NO_GAP_RAD = 1e-6  # what is left of a turn that sectors go all round
+_NO_GAP = 1e-6  # sectors that are left of a turn that they go all round
 _MOST = 255  # counts of sweeps go no farther: they are bytes
 _NO_DRIFT_S = 1.0  # from one second to the next `position_error_m` says how wrong the position is
 SIGHTINGS = 3  # a cell is free that so many sweeps in a row have passed
@@ -93,23 +93,22 @@ class Sweep:
 
         (...) x2 -> (...), metres; 0 where there is no sector.
         """
-        left_rad = math.tau - len(self.clear_m) * self.width_rad
-        ring = self.clear_m if left_rad < _NO_GAP_RAD else np.append(self.clear_m, 0.0)
-        ends = []
-        for turns in (bearing_rad - aside_rad, bearing_rad + aside_rad):
-            turns -= self.first_rad
-            turns *= 1.0 / math.tau
-            turns -= np.floor(turns)
-            turns *= math.tau / self.width_rad
-            ends.append(np.minimum(turns.astype(np.intp), len(ring) - 1))
-        low, high = ends
-        span = high - low
-        span += 1 + len(ring) * (span < 0)
+        ring, turn = (
+            self.clear_m,
+            math.tau / self.width_rad,
+        )  # sectors that a full turn has room for
+        if turn - len(ring) > _NO_GAP:
+            ring = np.append(ring, 0.0)
+        low, high = (
+            np.minimum(np.mod((bearing - self.first_rad) / self.width_rad, turn), len(ring) - 1)
+            for bearing in (bearing_rad - aside_rad, bearing_rad + aside_rad)
+        )
+        low, high = low.astype(np.intp), high.astype(np.intp)
+        more = (high - low) % len(ring)  # sectors beside the first one
         all_round = (low == high) & (2.0 * aside_rad > self.width_rad)
-        span[all_round | (aside_rad >= math.pi)] = len(ring)
-        turned = np.add.outer(np.arange(len(ring)), np.arange(len(ring))) % len(ring)
-        least_m = np.minimum.accumulate(ring[turned], axis=1)  # by first sector, and how many more
-        return least_m[low, span - 1]
+        more[all_round | (aside_rad >= math.pi)] = len(ring) - 1
+        following = np.add.outer(np.arange(len(ring)), np.arange(len(ring))) % len(ring)
+        return np.minimum.accumulate(ring[following], axis=1)[low, more]
 
 
 @final
@@ -257,37 +256,36 @@ class NearMap:
     def add(self, sweep: Sweep) -> None:
         """One more sweep.
 
-        What it says of a cell        what becomes of the cell
-        passed over                   a pass more; after SIGHTINGS of them in a row it is free
-        met (passed over or not)      occupied, and no pass is left
-        neither                       its passes are forgotten, unless it is free: it stays so
-        And then, what is occupied:
-        passed for _WIPED_AFTER_S     free
-        not met for FORGOTTEN_AFTER_S, and never for _STANDING_AFTER_S together: unknown
+        A cell    that was passed over          that was met       of which it says nothing
+        unknown   free after SIGHTINGS          occupied           begins to count passes anew
+        free      free                          occupied           free (`expire`)
+        occupied  free after SIGHTINGS, over    occupied           unknown after FORGOTTEN_AFTER_S,
+                  _WIPED_AFTER_S or longer                         unless it stands there
         """
-        now_s = sweep.time_s
+        now_s, place = sweep.time_s, np.array([sweep.sensor_ne_m])
         self.expire(now_s)
-        place = np.array([sweep.sensor_ne_m])
         window = self.lattice.about(place, sweep.range_m + sweep.error_m)
         self._swept.append((now_s, window))
         self.tell_again(window)
         (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
+        occupied, free = self.occupied(window), self.free(window)
         looks, passes = self.looks[window], self.passes[window]  # views, as all of these
         passed_since_s, passed_s = self.passed_since_s[window], self.passed_s[window]
         met_since_s, met_s = self.met_since_s[window], self.met_s[window]
 
         looks += looked & (looks < _MOST)
+        passed &= ~met
         passed_since_s[passed & (passes == 0)] = now_s
         passed_s[passed] = now_s
         passes += passed & (passes < _MOST)
-        passes[met | ~(passed | self.free(window))] = 0
-        met_since_s[met & (met_since_s > now_s)] = now_s
+        met_since_s[met] = np.minimum(met_since_s[met], now_s)
         met_s[met] = now_s
+        passes[met | ~(passed | free)] = 0
 
-        wiped = (passes >= SIGHTINGS) & (now_s - passed_since_s >= _WIPED_AFTER_S)
-        moved = met_s - met_since_s < _STANDING_AFTER_S
-        gone = moved & (now_s - met_s >= FORGOTTEN_AFTER_S)
-        passes[gone & ~wiped & self.occupied(window)] = 0
+        wiped = occupied & (passes >= SIGHTINGS) & (now_s - passed_since_s >= _WIPED_AFTER_S)
+        gone = occupied & ~wiped & (now_s - met_s >= FORGOTTEN_AFTER_S)
+        gone &= ~(met_s - met_since_s >= _STANDING_AFTER_S)
+        passes[gone] = 0
         met_since_s[wiped | gone] = np.inf
         self.sharp[window] = (self.sharp[window] | sharp) & ~(wiped | gone)
 

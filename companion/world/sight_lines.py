@@ -153,34 +153,30 @@ def _slope_over_near_cells(
     may hold the radar, and then nothing is bounded behind it.  A line to anywhere in a point's
     cell goes over all cells whose circle is in the direction of that cell's.  (K, 2) -> (K,).
     """
-    cell = lattice.cell_m
+    cell, radar_ne_m = lattice.cell_m, np.array(radar_nea_m[:2])
     reach_m = slack_m + cell  # the march takes no cell beyond for nearer than half a cell
     error_m = max(slack_m - SLACK_CELLS * cell, 0.0)
-    around = math.ceil((reach_m + error_m) / cell) + 1
-    row, column = lattice.cell_of(*radar_nea_m[:2])
-    rows, columns = (np.arange(at - around, at + around + 1) for at in (row, column))
-    limits = lattice.shape
-    tops = top_m[np.ix_(np.clip(rows, 0, limits[0] - 1), np.clip(columns, 0, limits[1] - 1))]
-    north = lattice.north_min_m + (rows + 0.5) * cell - radar_nea_m[0]
-    east = lattice.east_min_m + (columns + 0.5) * cell - radar_nea_m[1]
-    off = np.abs(north)[:, None], np.abs(east)[None, :]
-    nearest = np.maximum(np.hypot(*(np.maximum(x - 0.5 * cell, 0.0) for x in off)) - error_m, 0.0)
-    farthest = np.hypot(*(x + 0.5 * cell for x in off)) + error_m
-    rise = tops - radar_nea_m[2]
+    rows, columns = lattice.about(radar_ne_m[None], reach_m + error_m)
+    rise = top_m[rows, columns] - radar_nea_m[2]
+    middles = np.broadcast_arrays(*lattice.middles_m(rows.start, columns.start, rise.shape))
+    to_cells = np.stack(middles, axis=-1) - radar_ne_m
+    gaps = np.maximum(np.abs(to_cells) - 0.5 * cell, 0.0)
+    nearest = np.maximum(np.hypot(gaps[..., 0], gaps[..., 1]) - error_m, 0.0)
+    is_near = (nearest <= reach_m) & (rise > -np.inf)
+    rise, nearest, to_cells = rise[is_near], nearest[is_near], to_cells[is_near]
+    corners = np.abs(to_cells) + 0.5 * cell
+    farthest = np.hypot(corners[:, 0], corners[:, 1]) + error_m
     with np.errstate(divide="ignore"):
-        slope = np.where(rise > 0.0, rise / np.where(rise > 0.0, nearest, 1.0), rise / farthest)
-    near = np.nonzero((nearest <= reach_m) & (rise > -np.inf))
-    to_cells = np.stack([north[near[0]], east[near[1]]], axis=-1)
-    to_points = points_ne_m - np.asarray(radar_nea_m[:2])
-    (azimuth, half, _), (towards, wide, far) = (
-        _circles_seen(away, math.sqrt(0.5) * cell + error_m) for away in (to_cells, to_points)
+        slopes = rise / np.where(rise > 0.0, nearest, farthest)
+    (azimuths, halves, _), (towards, wide, far) = (
+        _circles_seen(away, math.sqrt(0.5) * cell + error_m)
+        for away in (to_cells, points_ne_m - radar_ne_m)
     )
     result = np.full(len(points_ne_m), -np.inf)
-    for each in range(len(azimuth)):
-        turned = np.abs(np.remainder(towards - azimuth[each] + math.pi, math.tau) - math.pi)
-        at = near[0][each], near[1][each]
-        over = (turned <= half[each] + wide) & (nearest[at] <= far)
-        np.maximum(result, slope[at], out=result, where=over)
+    for slope, near, azimuth, half in zip(slopes, nearest, azimuths, halves, strict=True):
+        turned = np.abs(np.remainder(towards - azimuth + math.pi, math.tau) - math.pi)
+        over = (turned <= half + wide) & (near <= far)
+        np.maximum(result, slope, out=result, where=over)
     return result
 
 

@@ -212,14 +212,14 @@ def _bilinear_m(heights_m: npt.NDArray[Any], row: FloatArray, column: FloatArray
     """Height at fractional nodes.  (rows, columns), (...) x2 -> (...)."""
     rows, columns = heights_m.shape
     row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
-    i = np.minimum(row.astype(np.intp), max(rows - 2, 0))
-    j = np.minimum(column.astype(np.intp), max(columns - 2, 0))
+    i, j = row.astype(np.intp), column.astype(np.intp)
     u, v = row - i, column - j
     i_next, j_next = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
-    sw, se = heights_m[i, j].astype(float), heights_m[i, j_next].astype(float)
-    nw, ne = heights_m[i_next, j], heights_m[i_next, j_next]
-    south = sw + v * (se - sw)
-    north = nw * (1.0 - v) + v * ne
+    sw, se, nw, ne = (
+        heights_m[each].astype(float)
+        for each in ((i, j), (i, j_next), (i_next, j), (i_next, j_next))
+    )
+    south, north = sw + v * (se - sw), nw + v * (ne - nw)  # of flat ground exactly its height
     return np.asarray(south + u * (north - south))
 
 

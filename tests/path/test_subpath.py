@@ -89,15 +89,10 @@ def test_samples_are_evenly_spaced_and_have_both_ends(seed: int, spacing_m: floa
     assert points[-1] == pytest.approx(subpath.control_nea_m[-1])
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     assert gaps.max() <= spacing_m * 1.01 or len(points) == 3
-    step = subpath.length_m / (len(points) - 1)
-    assert gaps.max() <= step * 1.01
+    assert gaps.max() <= subpath.length_m / (len(points) - 1) * 1.01
     assert len(points) - 1 < subpath.length_m / spacing_m + 2
-    for at, point, first in zip(
-        np.linspace(0.0, subpath.length_m, len(points))[::9],
-        points[::9],
-        samples.first[::9],
-        strict=True,
-    ):
-        pose = subpath.pose(float(at))
-        assert pose.position_nea_m == pytest.approx(point)
+    lengths_m = np.linspace(0.0, subpath.length_m, len(points))
+    for k in range(0, len(points), 9):
+        pose, first = subpath.pose(float(lengths_m[k])), samples.first[k]
+        assert pose.position_nea_m == pytest.approx(points[k])
         assert pose.tangent_nea == pytest.approx(first / np.linalg.norm(first))

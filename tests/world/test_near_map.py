@@ -133,12 +133,16 @@ def flown(seed: int) -> tuple[NearMap, FloatArray]:
 @pytest.mark.parametrize(
     "part", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 500))]
 )
-def test_what_is_free_holds_no_point_of_any_thing(part: int) -> None:
+def test_what_is_free_holds_no_point_of_any_thing_and_is_not_closed(part: int) -> None:
     free = 0
     for seed in range(20 * part, 20 * part + 20):
         near, points = flown(seed)
         assert wrongly_free(near, points) == 0, seed
         free += int(near.free().sum())
+        closed, window = near.closed(), (slice(20, 90), slice(50, 130))
+        assert not (closed & near.free()).any()
+        assert not (near.occupied() & near.sharp & ~closed).any()
+        np.testing.assert_array_equal(near.closed(window), closed[window])
     assert free > 20_000  # it says something
 
 
@@ -232,7 +236,9 @@ def test_an_echo_that_stays_in_free_cells_counts_there_whatever_lies_behind_it()
     assert wrongly_free(near, nearest) == 0
 
 
-def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
+def test_all_that_beams_have_passed_is_free_a_wall_is_occupied_and_behind_it_nothing_is_known() -> (
+    None
+):
     near = NearMap(LATTICE)
     looked(near, NOTHING, SIGHTINGS)
     north, east = np.meshgrid(*(np.arange(200) * 0.25 - 25.0 + 0.125,) * 2, indexing="ij")
@@ -240,16 +246,12 @@ def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
     assert near.free()[away < REACH_M - 0.3].all()
     assert not near.free()[away > REACH_M].any()
     assert not near.occupied().any()
-
-
-def test_behind_a_wall_nothing_is_known_and_the_wall_is_occupied() -> None:
-    near = NearMap(LATTICE)
+    near, columns = NearMap(LATTICE), slice(90, 110)
     looked(near, wall((5.0, -30.0), (5.0, 30.0)), SIGHTINGS)
-    rows, columns = LATTICE.cell_of(4.5, 0.0)[0], slice(90, 110)
-    assert near.free()[100:rows, columns].all()
-    assert near.occupied()[LATTICE.cell_of(5.0, 0.0)[0], columns].all()
-    behind = near.free()[LATTICE.cell_of(5.5, 0.0)[0] :, columns]
-    assert not behind.any()
+    row = LATTICE.cell_of(5.0, 0.0)[0]
+    assert near.free()[100 : row - 2, columns].all()
+    assert near.occupied()[row, columns].all()
+    assert not near.free()[row + 2 :, columns].any()
 
 
 def test_what_has_gone_leaves_free_cells_after_more_empty_sweeps_than_sensors_send_wrongly() -> (
@@ -316,13 +318,3 @@ def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> N
     assert not closed[LATTICE.cell_of(12.0, 0.0)]  # behind: unknown, and far
     assert not (closed & near.free()).any()
     assert (closed | ~near.occupied()).all()
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_closed_and_free_never_meet_and_a_window_says_the_same(seed: int) -> None:
-    near, _ = flown(seed)
-    closed = near.closed()
-    assert not (closed & near.free()).any()
-    assert not (near.occupied() & near.sharp & ~closed).any()
-    window = slice(20, 90), slice(50, 130)
-    np.testing.assert_array_equal(near.closed(window), closed[window])

@@ -9,18 +9,13 @@ from companion.world.radars import Radar, detection_probability
 
 
 @given(range_m=st.floats(1.0, 1e5), fraction=st.floats(0.0, 1.0))
-def test_detection_within_the_range_is_equation_3(range_m: float, fraction: float) -> None:
-    d = fraction * range_m
-    expected = range_m**4 / (range_m**4 + d**4)
-    assert detection_probability(np.array(d), range_m) == pytest.approx(expected)
-
-
-@given(range_m=st.floats(1.0, 1e5))
-def test_detection_falls_from_a_half_to_nothing_at_the_range(range_m: float) -> None:
-    d = np.array([range_m, np.nextafter(range_m, np.inf)])
-    inside, outside = detection_probability(d, range_m)
-    assert inside == 0.5
-    assert outside == 0.0
+def test_detection_is_equation_3_within_the_range_and_nothing_beyond(
+    range_m: float, fraction: float
+) -> None:
+    d = np.array([fraction * range_m, range_m, np.nextafter(range_m, np.inf)])
+    told = detection_probability(d, range_m)
+    assert told[0] == pytest.approx(range_m**4 / (range_m**4 + d[0] ** 4))
+    assert told[1:].tolist() == [0.5, 0.0]
 
 
 def test_distance_from_a_radar_is_euclidean_for_any_shape_of_points() -> None:
