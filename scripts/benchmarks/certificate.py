@@ -1,6 +1,6 @@
 """The certificate against brute force: never optimistic, and how tight; what it costs.
 
-python scripts/benchmarks/certificate.py [--cases 10000] [--seed 1] [--json FILE]
+scripts/bench certificate [--cases 10000] [--seed 1] [--json FILE]
 """
 
 import math
@@ -9,10 +9,9 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import running
+from running import Found, main, most
 from speed import request, timed
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
@@ -165,42 +164,33 @@ def gentle(rng: np.random.Generator, start_nea_m: tuple[float, float, float]) ->
     return np.array(control)
 
 
-def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
-    """The record."""
-    result: dict[str, Any] = {
+def certificate(cases: int = 10_000, seed: int = 1) -> Found:
+    """So many random cases, and what a proof takes."""
+    tally = Tally()
+    for k in range(cases):
+        measure(random_case(np.random.default_rng([seed, k])), tally)
+    rejected = 100.0 * len(tally.safe_rejected) / max(tally.safe, 1)
+    at_all = 100.0 * tally.safe_at_all_rejected / max(tally.safe_at_all, 1)
+    pieces = np.percentile(tally.pieces, (50, 95)).tolist()
+    for what, value in {
         "cases": tally.cases,
         "proven": tally.proven,
         "optimistic": len(tally.optimistic),
         "safe by more than the allowance": tally.safe,
-        "of these rejected, %": 100.0 * len(tally.safe_rejected) / max(tally.safe, 1),
-        "rejected for": Counter(tally.safe_rejected),
+        "of these rejected, %": rejected,
         "safe at all (columns)": tally.safe_at_all,
-        "of those rejected, %": 100.0 * tally.safe_at_all_rejected / max(tally.safe_at_all, 1),
-        "pieces, median": float(np.median(tally.pieces)),
-        "pieces, 95 %": float(np.percentile(tally.pieces, 95)),
-    }
-    for name, taken in times.items():
-        result[f"{name}, ms, median"] = float(np.median(taken))
-        result[f"{name}, ms, 95 %"] = float(np.percentile(taken, 95))
-    return result
-
-
-def main() -> int:
-    asked, console = running.begin(__doc__, cases=10_000, seed=1)
-    tally = Tally()
-    for k in range(asked.cases):
-        measure(random_case(np.random.default_rng([asked.seed, k])), tally)
-    times = {"plain": ms_each(prove, 1), "compiled": ms_each(jit.compiled(prove), 20)}
-    table = rows(tally, times)
-    for name, value in table.items():
-        print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
-    rejected = 100.0 * len(tally.safe_rejected) / max(tally.safe, 1)
-    bars = (
-        running.most("optimistic certificates", len(tally.optimistic), 0),
-        running.most("safe curves that are rejected, %", rejected, 2.0),
-    )
-    return running.ended(console, asked.json, table, bars)
+        "of those rejected, %": at_all,
+        "pieces, median": pieces[0],
+        "pieces, 95 %": pieces[1],
+    }.items():
+        yield {"certificates": what, "|.6g": value}
+    yield f"rejected for {dict(Counter(tally.safe_rejected))}"
+    for name, prover, rounds in (("plain", prove, 1), ("compiled", jit.compiled(prove), 20)):
+        median, slow = np.percentile(ms_each(prover, rounds), (50, 95))
+        yield {"a proof": name, "ms, median|.3f": median, "95 %|.3f": slow}
+    yield most("optimistic certificates", len(tally.optimistic), 0)
+    yield most("safe curves that are rejected, %", rejected, 2.0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(certificate)

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, Final, cast, final
 
 import numpy as np
-import running
 from numpy.typing import NDArray
+from running import Found, OneOf, main, most
 from stepped import Flight
 
 from companion.campaign import drawn_files, families
@@ -250,30 +250,30 @@ def sample(
     return list(itertools.islice(itertools.chain.from_iterable(flights), count))
 
 
-def main() -> int:
-    """Kill, print the table; 1 if one has flown outside of what was proven."""
-    options, console = running.begin(
-        __doc__, kills=500, first=1, scale=["all", *_WIND], autopilot=["all", *AUTOPILOTS]
-    )
-    scales = (*COPTERS, *PLANES) if options.scale == "all" else (options.scale,)
-    autopilots = AUTOPILOTS if options.autopilot == "all" else (options.autopilot,)
-    headings = "kills", "outside", "margin left: least, m", "1 %, m"
-    table, found = running.figures("Killed at every second", "", *headings), list[dict[str, Any]]()
-    for scale, autopilot in itertools.product(scales, autopilots):
-        mine = sample(scale, autopilot, options.first, options.kills)
+def killed(
+    kills: int = 500,
+    first: int = 1,
+    scale: str = OneOf("all", *_WIND),
+    autopilot: str = OneOf("all", *AUTOPILOTS),
+) -> Found:
+    """So many kills at each scale with each autopilot, of flights with seeds from the first on."""
+    scales = (*COPTERS, *PLANES) if scale == "all" else (scale,)
+    autopilots = AUTOPILOTS if autopilot == "all" else (autopilot,)
+    found = list[dict[str, Any]]()
+    for settings in itertools.product(scales, autopilots):
+        mine = sample(*settings, first, kills)
         outside = np.array([kill["outside_m"] for kill in mine])
-        table.add_row(
-            f"{scale}, {autopilot}",
-            f"{len(mine)}",
-            f"{(outside > 0.0).sum()}",
-            f"{-outside.max():.2f}",
-            f"{-np.percentile(outside, 99.0):.2f}",
-        )
+        yield {
+            "killed at every second": ", ".join(settings),
+            "kills": len(mine),
+            "outside": int((outside > 0.0).sum()),
+            "margin left: least, m|.2f": -outside.max(),
+            "1 %, m|.2f": -np.percentile(outside, 99.0),
+        }
         found += mine
-    console.print(table)
-    bar = running.most("killed and outside", sum(kill["outside_m"] > 0.0 for kill in found), 0)
-    return running.ended(console, options.json, found, [bar])
+    yield found
+    yield most("killed and outside", sum(kill["outside_m"] > 0.0 for kill in found), 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(killed)

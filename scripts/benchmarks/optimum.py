@@ -25,7 +25,7 @@ import hashlib
 import json
 import math
 import os
-import sys
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -34,10 +34,10 @@ from typing import Any, final
 import descent
 import lattice
 import numpy as np
-import running
 from descent import Margins, Problem, Smooth
 from lattice import GRID_M, SURFACE_M, Lattice
 from platformdirs import user_cache_dir
+from running import Bar, Found, in_processes, main, most
 
 from companion.campaign import drawn_world, route_cost, truth
 from companion.campaign.drawn_world import DrawnWorld
@@ -359,6 +359,7 @@ def _store() -> Path:
 # --- beside a campaign
 
 BARS = {"scans": (1.03, 1.06, 1.12), "elevation": (1.015, 1.03, 1.06)}
+_HEADINGS = ("J / J*: median|.4f", "mean|.4f", "90 %|.4f", "worst|.4f")
 _FIGURES = np.median, np.mean, lambda found: np.quantile(found, 0.9), np.max
 
 
@@ -381,36 +382,31 @@ def ratios(rows: Sequence[Row], known: dict[Place, Optimum | None]) -> FloatArra
     return np.array([cost / best.cost for cost, best in found if cost and best])
 
 
-def main() -> int:
-    """Find the optima of a campaign's worlds, and print J against them."""
-    options, console = running.begin(__doc__, campaign={"type": Path, "required": True}, jobs=2)
-    rows = [row for row in read_campaign(options.campaign).rows if row.over == "planner"]
+def beside(campaign: Path, jobs: int = 2) -> Found:
+    """Find the optima of a campaign's worlds: J against them, by family and planner."""
+    rows = [row for row in read_campaign(campaign).rows if row.over == "planner"]
     places = list(dict.fromkeys(map(place_of, rows)))
-    todo = [(place,) for place in places]
-    asked = running.in_processes(best_of_place, todo, options.jobs, "optima", console)
-    known = {place: future.result() for (place,), future in asked}
-    figures = ("runs", "arrived", "without J*", "J / J*: median", "mean", "90 %", "worst")
-    table = running.figures("J against the full-knowledge optimum", "", *figures)
-    bars = []
-    groups: dict[tuple[str, str, str, str], list[Row]] = {}
+    optima = in_processes(best_of_place, [(place,) for place in places], jobs)
+    known = dict(zip(places, optima, strict=True))
+    bars, numbers = list[Bar](), list[tuple[str, list[float]]]()
+    groups: dict[tuple[str, str, str, str], list[Row]] = defaultdict(list)
     for row in rows:
-        key = row.family or row.world, row.planner, row.knowledge, row.optimiser
-        groups.setdefault(key, []).append(row)
+        groups[row.family or row.world, row.planner, row.knowledge, row.optimiser].append(row)
     for key, mine in groups.items():
         found = ratios(mine, known)
         spread = [float(f(found)) for f in _FIGURES] if len(found) else []
         if key[1] == "ours" and key[2] in BARS:
-            what = f"J / J*, {key[0]}, {key[2]}"
-            bars.append(running.most(what, spread[:3], BARS[key[2]]))
-        table.add_row(
-            ", ".join(key), str(len(mine)), str(sum(row.arrived for row in mine)),
-            str(sum(known[place_of(row)] is None for row in mine)),
-            *(f"{value:.4f}" for value in spread),
-        )  # fmt: skip
-    console.print(table)
-    numbers = {"/".join(k): ratios(v, known).tolist() for k, v in groups.items()}
-    return running.ended(console, options.json, numbers, bars)
+            bars.append(most(f"J / J*, {key[0]}, {key[2]}", spread[:3], BARS[key[2]]))
+        yield {
+            "J against the full-knowledge optimum": ", ".join(key),
+            "runs": len(mine),
+            "arrived": sum(row.arrived for row in mine),
+            "without J*": sum(known[place_of(row)] is None for row in mine),
+        } | dict(zip(_HEADINGS, spread or [None] * 4, strict=True))
+        numbers.append((", ".join(key), found.tolist()))
+    yield numbers
+    yield from bars
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(beside)
