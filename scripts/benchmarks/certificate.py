@@ -1,29 +1,25 @@
-"""The certificate against brute force: never optimistic, and how tight; what it costs.
+"""The certificate against brute force: never optimistic, and how tight.
 
 scripts/bench certificate [--cases 10000] [--seed 1] [--json FILE]
+
+What a proof takes: `scripts/bench speed`.
 """
 
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from running import Found, main, most
-from speed import request, timed
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 import brute_force as brute
 from brute_force import Case, FloatArray, Truth, broken_by, random_case, truth
 
-from companion import jit
-from companion.path.bspline import cubics_of
 from companion.path.certificate import Certificate
-from companion.path.proof import Bounds, prove
-from companion.planner import plan as planning
 
 
 @dataclass
@@ -142,30 +138,8 @@ def measure(case: Case, tally: Tally) -> None:
             tally.safe_rejected.append(", ".join(told.broken))
 
 
-def ms_each(prover: Callable[..., Bounds], rounds: int) -> list[float]:
-    """Time of proofs of subpaths of 20 km amid the 20 obstacles of `speed`."""
-    rng, asked = np.random.default_rng(5), request(0)
-    here, taken = planning._surroundings(asked, asked.task.limits.speed_m_s), []
-    for _ in range(50):
-        cubics = cubics_of(gentle(rng, asked.scan_nea_m))
-        times, _ = timed(lambda c=cubics: prover(c, here, False), rounds)
-        taken.append(min(times)[0])
-    return taken
-
-
-def gentle(rng: np.random.Generator, start_nea_m: tuple[float, float, float]) -> FloatArray:
-    """Five control points of a gently turning subpath of about 20 km."""
-    heading = rng.uniform(-0.5, 0.5)
-    control = [np.array(start_nea_m)]
-    for _ in range(4):
-        step = np.array([np.sin(heading), np.cos(heading), rng.uniform(-0.06, 0.06)])
-        control.append(control[-1] + 5_000.0 * step)
-        heading += rng.uniform(-0.5, 0.5)
-    return np.array(control)
-
-
 def certificate(cases: int = 10_000, seed: int = 1) -> Found:
-    """So many random cases, and what a proof takes."""
+    """So many random cases."""
     tally = Tally()
     for k in range(cases):
         measure(random_case(np.random.default_rng([seed, k])), tally)
@@ -185,9 +159,6 @@ def certificate(cases: int = 10_000, seed: int = 1) -> Found:
     }.items():
         yield {"certificates": what, "|.6g": value}
     yield f"rejected for {dict(Counter(tally.safe_rejected))}"
-    for name, prover, rounds in (("plain", prove, 1), ("compiled", jit.compiled(prove), 20)):
-        median, slow = np.percentile(ms_each(prover, rounds), (50, 95))
-        yield {"a proof": name, "ms, median|.3f": median, "95 %|.3f": slow}
     yield most("optimistic certificates", len(tally.optimistic), 0)
     yield most("safe curves that are rejected, %", rejected, 2.0)
 

@@ -33,14 +33,12 @@ class Lattice:
         self.need_m = surface[::every, ::every][: self.fine_shape[0], : self.fine_shape[1]]
         self._fine_ne = (north[: self.fine_shape[0], None], east[None, : self.fine_shape[1]])
 
-    def rate(self, *, over: bool, radar_free: bool, height: bool = True) -> FloatArray:
+    def rate(self, *, over: bool, radar_free: bool) -> FloatArray:
         """Cost per metre at the points of a lattice twice as fine; infinite: closed."""
         world, rates = self.world, Rates.of(self.world)
         band = world.ceiling_amsl_m - world.floor_amsl_m
         altitude = np.clip(self.need_m, world.floor_amsl_m, world.ceiling_amsl_m)
-        result = np.ones(self.fine_shape)
-        if height:
-            result += rates.height * (altitude - world.floor_amsl_m) / band
+        result = 1.0 + rates.height * (altitude - world.floor_amsl_m) / band
         top = world.ceiling_amsl_m if over else world.floor_amsl_m + 15.0
         result[self.need_m > top] = np.inf
         north, east = self._fine_ne

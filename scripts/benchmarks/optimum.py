@@ -14,8 +14,7 @@ world.  How it is found:
    keep-outs. The best are refined with more control points.
 3. What comes out is checked densely with `truth`; where it breaks a bound by a little, the bound is
    drawn in by as much and step 2 goes on. Only a feasible route counts, so the cost found is an
-   upper bound of the optimum's. How close: the grid's cost, which leaves turn radius and climb
-   limit out.
+   upper bound of the optimum's.
 
 `best_of` looks for it where it was found before.  1 if a bar of design 10 is missed.
 """
@@ -27,9 +26,9 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import descent
 import lattice
@@ -62,18 +61,10 @@ OPTIMA = Path(__file__).with_name("optima.json")
 class Optimum:
     """The best feasible route that was found."""
 
-    fingerprint: str
     cost: float
     """J."""
-    length_m: float
-    shortest_m: float
-    """Length of the shortest radar-free way over the grid at the floor of the band."""
-    grid_cost: float
-    """J of the best way over the grid, without turn radius and climb limit."""
-    radar_m: float
-    starts: int
-    """Curves that were tried."""
-    control_nea_m: tuple[tuple[float, float, float], ...]
+    control_nea_m: FloatArray
+    """(K, 3): of a clamped cubic B-spline."""
 
 
 # --- from a way over the grid to a feasible curve
@@ -249,28 +240,9 @@ def optimum(world: DrawnWorld) -> Optimum:
             cost, mended = solver.mended(finer, soft)
             if cost < best:
                 best, best_control = cost, mended
-    return _described(solver, best, best_control)
-
-
-def _described(solver: Solver, cost: float, control: FloatArray) -> Optimum:
-    world, lattice = solver.world, solver.lattice
-    if not math.isfinite(cost):
+    if not math.isfinite(best):
         raise ValueError(f"{world.name}: no feasible route was found")
-    shortest = lattice.ways(
-        lattice.rate(over=False, radar_free=True, height=False), 1, solver.ends_ne_m
-    )
-    cheapest = lattice.ways(lattice.rate(over=True, radar_free=False), 1, solver.ends_ne_m)
-    measures = solver.measured(truth.sampled(control, 1.0))
-    return Optimum(
-        fingerprint=world.fingerprint,
-        cost=cost,
-        length_m=measures.length_m,
-        shortest_m=shortest[0][0] if shortest else math.inf,
-        grid_cost=cheapest[0][0] * Rates.of(world).unit,
-        radar_m=measures.radar_m,
-        starts=solver.tried,
-        control_nea_m=tuple(tuple(round(v, 6) for v in row) for row in control.tolist()),
-    )
+    return Optimum(cost=best, control_nea_m=best_control.round(6))
 
 
 def _evenly(route: FloatArray, count: int) -> FloatArray:
@@ -289,23 +261,16 @@ def _apart_m(a: FloatArray, b: FloatArray) -> float:
     return float(max(between.min(axis=0).max(), between.min(axis=1).max()))
 
 
-# --- the file of optima
-
-
-def load() -> dict[str, Optimum]:
-    """What has been computed before, by fingerprint of the world."""
-    if not OPTIMA.is_file():
-        return {}
-    rows = json.loads(OPTIMA.read_text(encoding="utf-8"))
-    return {row["fingerprint"]: of_row(row) for row in rows.values()}
-
-
-def of_row(row: dict[str, Any]) -> Optimum:
-    """As JSON has it."""
-    return Optimum(**row | {"control_nea_m": tuple(map(tuple, row["control_nea_m"]))})
-
-
 # --- of any world, found once
+
+
+def load(path: Path = OPTIMA) -> dict[str, Optimum]:
+    """What has been computed before, by fingerprint of the world."""
+    rows = json.loads(path.read_text(encoding="utf-8"))
+    return {
+        key: Optimum(cost=row["cost"], control_nea_m=np.array(row["control_nea_m"]))
+        for key, row in rows.items()
+    }
 
 
 def best(drawn: DrawnWorld) -> Optimum:
@@ -319,14 +284,7 @@ def best(drawn: DrawnWorld) -> Optimum:
     if abs(scale - 1.0) < 1e-9:
         return optimum(drawn)
     found = optimum(drawn_world.scaled(drawn, scale))
-    return replace(
-        found,
-        fingerprint=drawn.fingerprint,
-        length_m=found.length_m / scale,
-        shortest_m=found.shortest_m / scale,
-        radar_m=found.radar_m / scale,
-        control_nea_m=tuple((n / scale, e / scale, a / scale) for n, e, a in found.control_nea_m),
-    )
+    return replace(found, control_nea_m=found.control_nea_m / scale)
 
 
 def best_of(world: DrawnWorld) -> Optimum | None:
@@ -336,14 +294,15 @@ def best_of(world: DrawnWorld) -> Optimum | None:
         return known
     stored = _store() / f"{world.fingerprint}.json"
     if stored.is_file():
-        return of_row(json.loads(stored.read_text(encoding="utf-8")))
+        return load(stored)[world.fingerprint]
     try:
         found = best(world)
     except ValueError:
         return None
     stored.parent.mkdir(parents=True, exist_ok=True)
     part = stored.with_suffix(f".{os.getpid()}")
-    part.write_text(json.dumps(asdict(found)), encoding="utf-8")
+    row = {"cost": found.cost, "control_nea_m": found.control_nea_m.tolist()}
+    part.write_text(json.dumps({world.fingerprint: row}), encoding="utf-8")
     part.replace(stored)
     return found
 
