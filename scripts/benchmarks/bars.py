@@ -4,6 +4,7 @@ scripts/bench bars [--seed 1] [--worlds 10] [--seeds 3] [--only speed quality ..
 """
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -72,29 +73,26 @@ def growth() -> Found:
         yield most(what, max(times[since:]) / min(times[since:]), 1.0 + _FLAT)
 
 
-_ALL = ("speed", "lockstep", "one_process", "latency", "growth", "routes", "quality")
-
-
 def bars(
-    seed: int = 1, worlds: int = 10, seeds: int = 3, only: tuple[str, ...] = Some(_ALL)
+    seed: int = 1,
+    worlds: int = 10,
+    seeds: int = 3,
+    only: tuple[str, ...] = Some(
+        ("speed", "lockstep", "one_process", "latency", "growth", "routes", "quality")
+    ),
 ) -> Found:
     """seed: of the worlds, so many of each family; seeds: of each search."""
+    parts = {
+        "speed": speed.speed,
+        "lockstep": lockstep.lockstep,
+        "one_process": one_process.one_process,
+        "latency": partial(latency.latency, rates=(20.0,)),
+        "growth": growth,
+        "routes": partial(routes, seed, worlds),
+        "quality": partial(searches, seeds),
+    }
     for name in only:
-        match name:
-            case "speed":
-                yield from speed.speed()
-            case "lockstep":
-                yield from lockstep.lockstep()
-            case "one_process":
-                yield from one_process.one_process()
-            case "latency":
-                yield from latency.latency(rates=(20.0,))
-            case "growth":
-                yield from growth()
-            case "routes":
-                yield from routes(seed, worlds)
-            case "quality":
-                yield from searches(seeds)
+        yield from parts[name]()
 
 
 if __name__ == "__main__":

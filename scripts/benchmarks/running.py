@@ -19,6 +19,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.progress import track
@@ -26,7 +27,8 @@ from rich.table import Table
 
 Found = Iterator[Any]
 """What a benchmark yields."""
-CONSOLE = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 150)
+_WIDTH = None if sys.stdout.isatty() else 150
+CONSOLE = Console(highlight=False, markup=False, emoji=False, width=_WIDTH)
 
 
 class OneOf(str):
@@ -87,8 +89,13 @@ def main(measure: Callable[..., Found]) -> None:
     if bars:
         _print([bar._asdict() | {"kept": "met" if bar.kept else "missed"} for bar in bars])
     if path is not None:
-        path.write_text(json.dumps(found, indent=1, default=str) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(found, indent=1, default=_plain) + "\n", encoding="utf-8")
     sys.exit(not all(bar.kept for bar in bars))
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has in place of a number of numpy, or of anything else."""
+    return value.item() if isinstance(value, np.generic) else str(value)
 
 
 def _declared(parameter: inspect.Parameter) -> dict[str, Any]:
@@ -99,7 +106,7 @@ def _declared(parameter: inspect.Parameter) -> dict[str, Any]:
     if isinstance(default, bool):
         return {"action": "store_true"}
     if isinstance(default, OneOf):
-        return {"choices": default.among, "default": default}
+        return {"choices": default.among, "default": str(default)}
     if isinstance(default, tuple):
         among = default if isinstance(default, Some) else None
         return {"type": type(default[0]), "nargs": "+", "choices": among, "default": default}
