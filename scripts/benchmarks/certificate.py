@@ -8,8 +8,9 @@ What a proof takes: `scripts/bench speed`.
 import math
 import sys
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from running import Found, main, most
@@ -20,19 +21,6 @@ import brute_force as brute
 from brute_force import Case, FloatArray, Truth, broken_by, random_case, truth
 
 from companion.path.certificate import Certificate
-
-
-@dataclass
-class Tally:
-    cases: int = 0
-    proven: int = 0
-    optimistic: list[str] = field(default_factory=list)
-    safe: int = 0
-    safe_rejected: list[str] = field(default_factory=list)
-    safe_at_all: int = 0
-    """By the same truth that the proof is about (columns), without any allowance."""
-    safe_at_all_rejected: int = 0
-    pieces: list[int] = field(default_factory=list)
 
 
 def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
@@ -121,46 +109,43 @@ def _zones_m(case: Case) -> float:
     return min((float(zone.distance_m(n, e).min()) for zone in case.task.zones), default=np.inf)
 
 
-def measure(case: Case, tally: Tally) -> None:
-    """One more case."""
-    told = case.certificate()
-    real = truth(case, samples=120)
-    tally.cases += 1
-    tally.proven += told.proven
-    tally.pieces.append(told.pieces)
-    tally.optimistic += optimistic(case, told, real)
-    if keeps(case, real, 0.0, 0.0, 0.0):
-        tally.safe_at_all += 1
-        tally.safe_at_all_rejected += not told.proven
-    if safe_by_far(case, told, real):
-        tally.safe += 1
-        if not told.proven:
-            tally.safe_rejected.append(", ".join(told.broken))
+def judged(case: Case) -> dict[str, Any]:
+    """What is told of a case, and what is so."""
+    told, real = case.certificate(), truth(case, samples=120)
+    return {
+        "proven": told.proven,
+        "broken": ", ".join(told.broken),
+        "pieces": told.pieces,
+        "optimistic": optimistic(case, told, real),
+        "is safe": keeps(case, real, 0.0, 0.0, 0.0),  # by the columns, without any allowance
+        "is safe by far": safe_by_far(case, told, real),
+    }
 
 
 def certificate(cases: int = 10_000, seed: int = 1) -> Found:
     """So many random cases."""
-    tally = Tally()
-    for k in range(cases):
-        measure(random_case(np.random.default_rng([seed, k])), tally)
-    rejected = 100.0 * len(tally.safe_rejected) / max(tally.safe, 1)
-    at_all = 100.0 * tally.safe_at_all_rejected / max(tally.safe_at_all, 1)
-    pieces = np.percentile(tally.pieces, (50, 95)).tolist()
+    found = [judged(random_case(np.random.default_rng([seed, k]))) for k in range(cases)]
+    wrong = sum(len(each["optimistic"]) for each in found)
+    by_far = [each for each in found if each["is safe by far"]]
+    rejected = [each["broken"] for each in by_far if not each["proven"]]
+    at_all = [not each["proven"] for each in found if each["is safe"]]
+    share = 100.0 * len(rejected) / max(len(by_far), 1)
+    pieces = np.percentile([each["pieces"] for each in found], (50, 95)).tolist()
     for what, value in {
-        "cases": tally.cases,
-        "proven": tally.proven,
-        "optimistic": len(tally.optimistic),
-        "safe by more than the allowance": tally.safe,
-        "of these rejected, %": rejected,
-        "safe at all (columns)": tally.safe_at_all,
-        "of those rejected, %": at_all,
+        "cases": cases,
+        "proven": sum(each["proven"] for each in found),
+        "optimistic": wrong,
+        "safe by more than the allowance": len(by_far),
+        "of these rejected, %": share,
+        "safe at all (columns)": len(at_all),
+        "of those rejected, %": 100.0 * sum(at_all) / max(len(at_all), 1),
         "pieces, median": pieces[0],
         "pieces, 95 %": pieces[1],
     }.items():
         yield {"certificates": what, "|.6g": value}
-    yield f"rejected for {dict(Counter(tally.safe_rejected))}"
-    yield most("optimistic certificates", len(tally.optimistic), 0)
-    yield most("safe curves that are rejected, %", rejected, 2.0)
+    yield f"rejected for {dict(Counter(rejected))}"
+    yield most("optimistic certificates", wrong, 0)
+    yield most("safe curves that are rejected, %", share, 2.0)
 
 
 if __name__ == "__main__":
