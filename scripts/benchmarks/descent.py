@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import spline_filter
 from scipy.optimize import minimize
 
 from companion.campaign import truth
@@ -24,12 +24,36 @@ from companion.world.zones import CircleZone
 _SAMPLES_PER_POINT = 10
 
 
-class Smooth(RectBivariateSpline):
-    """A cubic spline through heights on a lattice, twice differentiable.  (N,), (E,), (N, E)."""
+@final
+class Smooth:
+    """A cubic spline through heights on a square lattice: twice differentiable, and quick."""
+
+    def __init__(self, north_m: FloatArray, east_m: FloatArray, height_m: FloatArray) -> None:
+        self.corner_m = np.array([north_m[0], east_m[0]])
+        self.cell_m = float(north_m[1] - north_m[0])
+        self.coefficients = np.pad(spline_filter(height_m, order=3, mode="nearest"), 2, "edge")
 
     def at(self, ne_m: FloatArray) -> FloatArray:
         """Height and its derivatives to the north and east.  (S, 2) -> (3, S)."""
-        return np.stack([self.ev(*ne_m.T, *order) for order in ((0, 0), (1, 0), (0, 1))])
+        shape = np.asarray(self.coefficients.shape)
+        where = np.clip((ne_m - self.corner_m) / self.cell_m, 0.0, shape - 5.0 - 1e-9)
+        index = where.astype(np.intp)
+        t = where - index
+        value = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4,
+                          -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6.0  # fmt: skip
+        slope = np.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2])
+        slope *= 0.5 / self.cell_m
+        span = np.arange(1, 5)
+        here = self.coefficients[
+            (index[:, 0, None] + span)[:, :, None], (index[:, 1, None] + span)[:, None, :]
+        ]
+        by_east = np.einsum("sij,jks->kis", here, np.stack([value[..., 1], slope[..., 1]], 1))
+        plain, along_e = by_east
+        return np.stack([
+            np.einsum("is,is->s", plain, value[..., 0]),
+            np.einsum("is,is->s", plain, slope[..., 0]),
+            np.einsum("is,is->s", along_e, value[..., 0]),
+        ])  # fmt: skip
 
 
 @final
