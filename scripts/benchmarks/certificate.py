@@ -1,43 +1,26 @@
-"""The certificate against brute force: never optimistic, and how tight; what it costs.
+"""The certificate against brute force: never optimistic, and how tight.
 
-python scripts/benchmarks/certificate.py [--cases 10000] [--seed 1] [--json FILE]
+scripts/bench certificate [--cases 10000] [--seed 1] [--json FILE]
+
+What a proof takes: `scripts/bench speed`.
 """
 
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import running
-from speed import request, timed
+from running import Found, main, most
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 import brute_force as brute
 from brute_force import Case, FloatArray, Truth, broken_by, random_case, truth
 
-from companion import jit
-from companion.path.bspline import cubics_of
 from companion.path.certificate import Certificate
-from companion.path.proof import Bounds, prove
-from companion.planner import plan as planning
-
-
-@dataclass
-class Tally:
-    cases: int = 0
-    proven: int = 0
-    optimistic: list[str] = field(default_factory=list)
-    safe: int = 0
-    safe_rejected: list[str] = field(default_factory=list)
-    safe_at_all: int = 0
-    """By the same truth that the proof is about (columns), without any allowance."""
-    safe_at_all_rejected: int = 0
-    pieces: list[int] = field(default_factory=list)
 
 
 def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
@@ -126,81 +109,44 @@ def _zones_m(case: Case) -> float:
     return min((float(zone.distance_m(n, e).min()) for zone in case.task.zones), default=np.inf)
 
 
-def measure(case: Case, tally: Tally) -> None:
-    """One more case."""
-    told = case.certificate()
-    real = truth(case, samples=120)
-    tally.cases += 1
-    tally.proven += told.proven
-    tally.pieces.append(told.pieces)
-    tally.optimistic += optimistic(case, told, real)
-    if keeps(case, real, 0.0, 0.0, 0.0):
-        tally.safe_at_all += 1
-        tally.safe_at_all_rejected += not told.proven
-    if safe_by_far(case, told, real):
-        tally.safe += 1
-        if not told.proven:
-            tally.safe_rejected.append(", ".join(told.broken))
-
-
-def ms_each(prover: Callable[..., Bounds], rounds: int) -> list[float]:
-    """Time of proofs of subpaths of 20 km amid the 20 obstacles of `speed`."""
-    rng, asked = np.random.default_rng(5), request(0)
-    here, taken = planning._surroundings(asked, asked.task.limits.speed_m_s), []
-    for _ in range(50):
-        cubics = cubics_of(gentle(rng, asked.scan_nea_m))
-        times, _ = timed(lambda c=cubics: prover(c, here, False), rounds)
-        taken.append(min(times)[0])
-    return taken
-
-
-def gentle(rng: np.random.Generator, start_nea_m: tuple[float, float, float]) -> FloatArray:
-    """Five control points of a gently turning subpath of about 20 km."""
-    heading = rng.uniform(-0.5, 0.5)
-    control = [np.array(start_nea_m)]
-    for _ in range(4):
-        step = np.array([np.sin(heading), np.cos(heading), rng.uniform(-0.06, 0.06)])
-        control.append(control[-1] + 5_000.0 * step)
-        heading += rng.uniform(-0.5, 0.5)
-    return np.array(control)
-
-
-def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
-    """The record."""
-    result: dict[str, Any] = {
-        "cases": tally.cases,
-        "proven": tally.proven,
-        "optimistic": len(tally.optimistic),
-        "safe by more than the allowance": tally.safe,
-        "of these rejected, %": 100.0 * len(tally.safe_rejected) / max(tally.safe, 1),
-        "rejected for": Counter(tally.safe_rejected),
-        "safe at all (columns)": tally.safe_at_all,
-        "of those rejected, %": 100.0 * tally.safe_at_all_rejected / max(tally.safe_at_all, 1),
-        "pieces, median": float(np.median(tally.pieces)),
-        "pieces, 95 %": float(np.percentile(tally.pieces, 95)),
+def judged(case: Case) -> dict[str, Any]:
+    """What is told of a case, and what is so."""
+    told, real = case.certificate(), truth(case, samples=120)
+    return {
+        "proven": told.proven,
+        "broken": ", ".join(told.broken),
+        "pieces": told.pieces,
+        "optimistic": optimistic(case, told, real),
+        "is safe": keeps(case, real, 0.0, 0.0, 0.0),  # by the columns, without any allowance
+        "is safe by far": safe_by_far(case, told, real),
     }
-    for name, taken in times.items():
-        result[f"{name}, ms, median"] = float(np.median(taken))
-        result[f"{name}, ms, 95 %"] = float(np.percentile(taken, 95))
-    return result
 
 
-def main() -> int:
-    asked, console = running.begin(__doc__, cases=10_000, seed=1)
-    tally = Tally()
-    for k in range(asked.cases):
-        measure(random_case(np.random.default_rng([asked.seed, k])), tally)
-    times = {"plain": ms_each(prove, 1), "compiled": ms_each(jit.compiled(prove), 20)}
-    table = rows(tally, times)
-    for name, value in table.items():
-        print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
-    rejected = 100.0 * len(tally.safe_rejected) / max(tally.safe, 1)
-    bars = (
-        running.most("optimistic certificates", len(tally.optimistic), 0),
-        running.most("safe curves that are rejected, %", rejected, 2.0),
-    )
-    return running.ended(console, asked.json, table, bars)
+def certificate(cases: int = 10_000, seed: int = 1) -> Found:
+    """So many random cases."""
+    found = [judged(random_case(np.random.default_rng([seed, k]))) for k in range(cases)]
+    wrong = sum(len(each["optimistic"]) for each in found)
+    by_far = [each for each in found if each["is safe by far"]]
+    rejected = [each["broken"] for each in by_far if not each["proven"]]
+    at_all = [not each["proven"] for each in found if each["is safe"]]
+    share = 100.0 * len(rejected) / max(len(by_far), 1)
+    pieces = np.percentile([each["pieces"] for each in found], (50, 95)).tolist()
+    for what, value in {
+        "cases": cases,
+        "proven": sum(each["proven"] for each in found),
+        "optimistic": wrong,
+        "safe by more than the allowance": len(by_far),
+        "of these rejected, %": share,
+        "safe at all (columns)": len(at_all),
+        "of those rejected, %": 100.0 * sum(at_all) / max(len(at_all), 1),
+        "pieces, median": pieces[0],
+        "pieces, 95 %": pieces[1],
+    }.items():
+        yield {"certificates": what, "|.6g": value}
+    yield f"rejected for {dict(Counter(rejected))}"
+    yield most("optimistic certificates", wrong, 0)
+    yield most("safe curves that are rejected, %", share, 2.0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(certificate)

@@ -12,7 +12,6 @@ its bar, or a turn, which handles all events that came in at once, than its own.
 """
 
 import math
-import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -24,9 +23,8 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import running
 from pymavlink.dialects.v20 import all as wire
-from rich.table import Table
+from running import Bar, Found, Some, main, most
 
 from companion.campaign import drawn_files, families
 from companion.campaign.drawn_world import DrawnWorld
@@ -157,39 +155,30 @@ def fly(
         return times, flying.flight(), first
 
 
-def table_of(vehicle: str, times: dict[str, list[float]]) -> Table:
-    """Milliseconds, the longest first."""
-    title = f"{vehicle}: processor time, ms"
-    table = running.figures(title, "event", "count", "median", "p99", "most")
-    for name, taken in sorted(times.items(), key=lambda item: -max(item[1])):
-        values = 1e3 * np.array(taken)
-        row = (np.median(values), np.quantile(values, 0.99), values.max())
-        table.add_row(name, str(len(values)), *(f"{value:.2f}" for value in row))
-    return table
-
-
-def main() -> int:
-    """Fly with each vehicle."""
-    each = {"nargs": "+", "choices": VEHICLES, "default": VEHICLES}
-    options, console = running.begin(__doc__, zones=50, corners=100, vehicle=each)
-    every: dict[str, dict[str, list[float]]] = {}
-    bars = []
-    for vehicle in options.vehicle:
-        (once, flight, _), (again, _, _) = (
-            fly(vehicle, options.zones, options.corners) for _ in "12"
-        )
-        pairs = {name: zip(taken, again[name], strict=True) for name, taken in once.items()}
-        times = every[vehicle] = {name: [min(two) for two in pairs[name]] for name in pairs}
-        console.print(table_of(vehicle, times))
+def events(zones: int = 50, corners: int = 100, vehicle: tuple[str, ...] = Some(VEHICLES)) -> Found:
+    """Fly with each vehicle, twice: of each event the lesser time counts."""
+    bars = list[Bar]()
+    for each in vehicle:
+        (once, flight, _), (again, _, _) = (fly(each, zones, corners) for _ in "12")
+        times_ms = {
+            name: 1e3 * np.minimum(taken, again[name], dtype=float) for name, taken in once.items()
+        }
+        for name, taken in sorted(times_ms.items(), key=lambda item: -item[1].max()):
+            yield {
+                f"{each}: processor time, ms": name,
+                "count": len(taken),
+                "median|.2f": np.median(taken),
+                "p99|.2f": np.quantile(taken, 0.99),
+                "most|.2f": taken.max(),
+            }
         told = [len(e["zones"]) for e in flight.journal if e["kind"] == "fence"]
         ended = [e["outcome"] for e in flight.journal if e["kind"] == "end"]
-        console.print(f"fences told: {told} zones; ended: {ended}\n", markup=False)
-        longest_ms = 1e3 * max(max(taken) for name, taken in times.items() if name != _TURN)
-        bars.append(running.most(f"{vehicle}: longest event, ms", longest_ms, _BAR_MS))
-        turn_ms = 1e3 * max(times[_TURN])
-        bars.append(running.most(f"{vehicle}: longest turn, ms", turn_ms, _TURN_BAR_MS))
-    return running.ended(console, options.json, every, bars)
+        yield f"fences told: {told} zones; ended: {ended}\n"
+        longest_ms = max(taken.max() for name, taken in times_ms.items() if name != _TURN)
+        bars.append(most(f"{each}: longest event, ms", longest_ms, _BAR_MS))
+        bars.append(most(f"{each}: longest turn, ms", times_ms[_TURN].max(), _TURN_BAR_MS))
+    yield from bars
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(events)

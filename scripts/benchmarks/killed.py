@@ -10,26 +10,23 @@ vehicle.  The bar: it arrives; no setpoint, the first of a life or any other, ju
 or 1 m/s.
 """
 
-import dataclasses
 import math
-import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
-import running
 import tapped
 from pymavlink.dialects.v20 import all as wire
-from rich.console import Console
+from running import Found, OneOf, main, most
 from tapped import TO_COMPANION, Tapped, messages
 
 from companion.campaign import families
 from companion.campaign.drawn_files import FRAME
 from companion.campaign.drawn_world import DrawnWorld
+from companion.geodesy import FloatArray
 from companion.mission.mission import AutopilotName
 from vehicle_sim.geodesy import metres_per_degree
 
@@ -47,9 +44,7 @@ _FLIES_ON_S = {"ardupilot": 3.0, "px4": 0.0}
 _NORTH_M, _EAST_M = metres_per_degree(FRAME.latitude_deg)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Jump:
+class Jump(NamedTuple):
     """How far a setpoint is from where the autopilot's target was."""
 
     at_s: float
@@ -64,83 +59,69 @@ class Jump:
 @final
 @dataclass(slots=True)
 class Watcher:
-    """Compares each setpoint with the one before and with the vehicle."""
+    """Compares each setpoint with the one before and with the vehicle.
+
+    A state is north, east, down in metres, and the velocity there.  (6,).
+    """
 
     flies_on_s: float
     life: int = 0
     jumps: list[Jump] = field(default_factory=list)
-    _last: tuple[float, tuple[float, ...]] | None = None
+    _last: tuple[float, FloatArray] | None = None
     _last_life: int = -1
-    _vehicle: tuple[float, ...] | None = None
-    _origin: tuple[float, float, float] | None = None
-    _target: tuple[float, tuple[float, ...]] | None = None
+    _vehicle: FloatArray | None = None
+    _origin: FloatArray | None = None
+    _target: tuple[float, FloatArray] | None = None
 
     def seen(self, way: int, at_s: float, datagram: bytes) -> None:
         for it in messages(datagram, *(_HEARD if way == TO_COMPANION else _SAID)):
             match it.get_type():
                 case "GLOBAL_POSITION_INT":
-                    velocity = (1e-2 * each for each in (it.vx, it.vy, it.vz))
-                    self._vehicle = (1e-7 * it.lat, 1e-7 * it.lon, 1e-3 * it.alt, *velocity)
+                    velocity = 1e-2 * it.vx, 1e-2 * it.vy, 1e-2 * it.vz
+                    self._vehicle = _state(it.lat, it.lon, 1e-3 * it.alt, *velocity)
                 case "GPS_GLOBAL_ORIGIN":
-                    self._origin = (1e-7 * it.latitude, 1e-7 * it.longitude, 1e-3 * it.altitude)
+                    self._origin = _state(it.latitude, it.longitude, 1e-3 * it.altitude)
                 case "POSITION_TARGET_LOCAL_NED" if self._origin is not None:
-                    there = _moved((*self._origin, it.x, it.y, it.z), 1.0)[:3]  # 1 s at m/s
-                    self._target = at_s, (*there, it.vx, it.vy, it.vz)
+                    there = np.array([it.x, it.y, it.z, it.vx, it.vy, it.vz])
+                    self._target = at_s, self._origin + there
                 case "SET_POSITION_TARGET_GLOBAL_INT":
-                    place = (1e-7 * it.lat_int, 1e-7 * it.lon_int, it.alt)
-                    self._on_setpoint(at_s, (*place, it.vx, it.vy, it.vz))
+                    told = _state(it.lat_int, it.lon_int, it.alt, it.vx, it.vy, it.vz)
+                    self._on_setpoint(at_s, told)
 
-    def _on_setpoint(self, at_s: float, now: tuple[float, ...]) -> None:
-        near: list[tuple[float, float, float]] = []
-        gap_s = 0.0
+    def _on_setpoint(self, at_s: float, now: FloatArray) -> None:
+        near, gap_s = list[FloatArray](), 0.0
         if self._last is not None:
             gap_s = at_s - self._last[0]
-            before = self._last[1]
-            moved = _moved(before, min(gap_s, self.flies_on_s))
-            near.append((_apart_m(now, moved), _apart_m_s(now, before), gap_s))
+            near.append(_moved(self._last[1], min(gap_s, self.flies_on_s)))
         if self._target is not None and gap_s > self.flies_on_s > 0.0:
-            moved = _moved(self._target[1], at_s - self._target[0])
-            near.append((_apart_m(now, moved), _apart_m_s(now, moved), gap_s))
+            near.append(_moved(self._target[1], at_s - self._target[0]))
         if self._vehicle is not None:
-            near.append((_apart_m(now, self._vehicle), _apart_m_s(now, self._vehicle), gap_s))
+            near.append(self._vehicle)
         if near:
-            metres, speed, _ = min(near, key=lambda each: each[0] + each[1])
-            self.jumps.append(
-                Jump(
-                    at_s=at_s,
-                    life=self.life,
-                    first=self.life != self._last_life,
-                    metres=metres,
-                    speed_m_s=speed,
-                    gap_s=gap_s,
-                )
-            )
+            apart = np.linalg.norm((np.array(near) - now).reshape(-1, 2, 3), axis=-1)
+            metres, speed = apart[apart.sum(axis=1).argmin()].tolist()
+            is_first = self.life != self._last_life
+            self.jumps.append(Jump(at_s, self.life, is_first, metres, speed, gap_s))
         self._last, self._last_life = (at_s, now), self.life
 
 
-def _moved(setpoint: tuple[float, ...], seconds: float) -> tuple[float, ...]:
-    lat, lon, altitude, north, east, down = setpoint
-    place = (lat + north * seconds / _NORTH_M, lon + east * seconds / _EAST_M)
-    return (*place, altitude - down * seconds, north, east, down)
+def _state(lat_e7: int, lon_e7: int, up_m: float, *velocity: float) -> FloatArray:
+    place = 1e-7 * lat_e7 * _NORTH_M, 1e-7 * lon_e7 * _EAST_M, -up_m
+    return np.array([*place, *(velocity or (0.0, 0.0, 0.0))])
 
 
-def _apart_m(one: Sequence[float], other: Sequence[float]) -> float:
-    north, east = (one[0] - other[0]) * _NORTH_M, (one[1] - other[1]) * _EAST_M
-    return math.hypot(north, east, one[2] - other[2])
-
-
-def _apart_m_s(one: Sequence[float], other: Sequence[float]) -> float:
-    return math.dist(one[3:6], other[3:6])
+def _moved(state: FloatArray, seconds: float) -> FloatArray:
+    return state + np.append(seconds * state[3:], np.zeros(3))
 
 
 def drawn_for(kills: int) -> DrawnWorld:
     """There and back, as often as so many kills take."""
     drawn = families.world("short-copter", 1, 4)
     legs = (drawn.targets_ne_m[-1], drawn.start_nea_m[:2])
-    return dataclasses.replace(drawn, targets_ne_m=legs * math.ceil(kills / _KILLS_A_LAP))
+    return replace(drawn, targets_ne_m=legs * math.ceil(kills / _KILLS_A_LAP))
 
 
-def fly(autopilot: AutopilotName, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
+def fly(autopilot: AutopilotName, kills: int, seed: int, folder: Path) -> tuple[Watcher, str]:
     """One mission with so many kills; SystemExit if it does not arrive."""
     rng = np.random.default_rng(seed)
     watcher = Watcher(flies_on_s=_FLIES_ON_S[autopilot])
@@ -156,26 +137,23 @@ def fly(autopilot: AutopilotName, kills: int, seed: int, folder: Path, console: 
                 lives += 1
                 dies_s = time.monotonic() + rng.uniform(*_LIFE_S)
         flies_s, code = time.monotonic() - began_s, pair.companion.poll()
-        console.print(f"{lives - 1} kills in {flies_s:.0f} s; the last life ended with {code}")
+        said = f"{lives - 1} kills in {flies_s:.0f} s; the last life ended with {code}"
         if code != 0 or lives <= kills:
-            raise SystemExit(pair.said())
-    return watcher
+            raise SystemExit(f"{said}\n{pair.said()}")
+    return watcher, said
 
 
-def main() -> int:
-    """Fly it; 1 if a setpoint jumps."""
-    autopilots = ["ardupilot", "px4"]
-    options, console = running.begin(__doc__, kills=50, autopilot=autopilots, seed=1)
+def killed(kills: int = 50, autopilot: str = OneOf("ardupilot", "px4"), seed: int = 1) -> Found:
+    """Fly it, and hold the jumps of its setpoints."""
     with tempfile.TemporaryDirectory() as folder:
-        watcher = fly(options.autopilot, options.kills, options.seed, Path(folder), console)
-    bars = []
+        watcher, said = fly(autopilot, kills, seed, Path(folder))
+    yield said
+    yield [each._asdict() for each in watcher.jumps]
     for name, is_first in (("first setpoints of a life", True), ("other setpoints", False)):
         jumps = [(j.metres, j.speed_m_s) for j in watcher.jumps if j.first == is_first]
-        most = [max(each) for each in zip(*jumps, strict=True)] or [0.0, 0.0]
-        bars.append(running.most(f"jumps of {len(jumps)} {name}, m and m/s", most, (1.0, 1.0)))
-    found = [dataclasses.asdict(jump) for jump in watcher.jumps]
-    return running.ended(console, options.json, found, bars)
+        largest = [max(each) for each in zip(*jumps, strict=True)] or [0.0, 0.0]
+        yield most(f"jumps of {len(jumps)} {name}, m and m/s", largest, (1.0, 1.0))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(killed)

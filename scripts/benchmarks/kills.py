@@ -14,13 +14,13 @@ import pickle
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, cast, final
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
-import running
 from numpy.typing import NDArray
+from running import Found, OneOf, main, most
 from stepped import Flight
 
 from companion.campaign import drawn_files, families
@@ -28,7 +28,7 @@ from companion.config import folder_of, load_mission
 from companion.mavlink.autopilots import named
 from companion.mission.mission import AutopilotName, Mission
 from companion.mission.state import OVER, Phase
-from companion.path.envelope import ending_m_s, flown_on_m, rising_m_s
+from companion.path.envelope import Envelope, ending_m_s, flown_on_m, rising_m_s
 from companion.planner.procedure import Leg
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.settings import Task
@@ -46,16 +46,17 @@ _PX4_ERROR_M: Final = 1.0
 """How wrong the position of the simulated PX4 may be: it tells of no less than 0.4 m."""
 _PX4_SLACK_S: Final = 0.51
 """Of COM_OF_LOSS_T, until it brakes with all that it has (`mavlink.autopilots.px4_multicopter`)."""
-_WIND: Final = {
-    "forest": "at 1 s: wind 2 m/s from 250 deg turbulence 0.5",
-    "posts": "at 1 s: wind 2 m/s from 250 deg turbulence 0.5",
-    "street": "at 1 s: wind 3 m/s from 250 deg turbulence 0.5",
-    "valley": "at 1 s: wind 4 m/s from 250 deg turbulence 1",
-    "environment-1": "at 1 s: wind 8 m/s from 250 deg turbulence 2",
-    "environment-2": "at 1 s: wind 8 m/s from 250 deg turbulence 2",
-    "plane": "at 1 s: wind 5 m/s from 250 deg turbulence 1",
-    "short-plane": "at 1 s: wind 3 m/s from 250 deg turbulence 1",
+_WINDS: Final = {
+    "forest": (2, 0.5),
+    "posts": (2, 0.5),
+    "street": (3, 0.5),
+    "valley": (4, 1),
+    "environment-1": (8, 2),
+    "environment-2": (8, 2),
+    "plane": (5, 1),
+    "short-plane": (3, 1),
 }
+"""Wind and turbulence, m/s."""
 _EVERY_S = 1.03  # so that it is not always at the same time since a position
 _ROUND_S, _ROUND_RAD = 70.0, 10.0  # a plane: into its circle and round it
 _STANDS_M_S, _STANDS_FOR_S = 0.25, 1.5
@@ -63,29 +64,23 @@ _SAMPLES = 400  # of a leg
 _LIMIT_S = 1_500.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Proven:
+class Proven(NamedTuple):
     """What the certificates of a leg speak of, sampled."""
 
     points_nea_m: FloatArray
     """(N, 3): along the curve."""
     reaches_nea_m: FloatArray
     """(N, 3): from each to the end of the stretch that begins there."""
-    circle_m: float
-    """Of a plane: radius of the circle about each point."""
-    error_m: float
-    """Tracking and navigation error."""
-    aside_m: float
-    """How much farther than that it may be from a stretch."""
+    motion: Envelope
+    """How far it may be off: of a plane with the circle about each point."""
 
     def outside_m(self, track_nea_m: FloatArray) -> FloatArray:
         """How far each place is outside.  (M, 3) -> (M,); negative: inside."""
-        if self.circle_m > 0.0:
+        if self.motion.loiter_m > 0.0:
             off = track_nea_m[:, None] - self.points_nea_m
             flat = np.hypot(off[..., 0], off[..., 1])
-            gaps = np.hypot(np.maximum(flat - self.circle_m, 0.0), off[..., 2])
-            return np.asarray(gaps.min(axis=1) - self.error_m)
+            gaps = np.hypot(np.maximum(flat - self.motion.loiter_m, 0.0), off[..., 2])
+            return np.asarray(gaps.min(axis=1) - self.motion.error_m)
         starts = np.concatenate([self.points_nea_m[:-1], self.points_nea_m])
         steps = np.concatenate([np.diff(self.points_nea_m, axis=0), self.reaches_nea_m])
         off = track_nea_m[:, None] - starts
@@ -93,8 +88,8 @@ class Proven:
         share = np.clip(np.einsum("mkd,kd->mk", off, steps) / squared, 0.0, 1.0)
         off -= share[..., None] * steps
         gaps = np.sqrt(np.einsum("mkd,mkd->mk", off, off))
-        gaps[:, len(self.points_nea_m) - 1 :] -= self.aside_m
-        return np.asarray(gaps.min(axis=1) - self.error_m)
+        gaps[:, len(self.points_nea_m) - 1 :] -= self.motion.aside_m
+        return np.asarray(gaps.min(axis=1) - self.motion.error_m)
 
 
 def proven(leg: Leg, task: Task, *, from_rest: bool, near_m: float = 0.0) -> Proven:
@@ -111,13 +106,7 @@ def proven(leg: Leg, task: Task, *, from_rest: bool, near_m: float = 0.0) -> Pro
             if from_rest:
                 speed = min(speed, rising_m_s(motion, here_m))
             reaches[k] = flown_on_m(motion, speed) * leg.subpath.pose(float(here_m)).tangent_nea
-    return Proven(
-        points_nea_m=points,
-        reaches_nea_m=reaches,
-        circle_m=motion.loiter_m,
-        error_m=motion.error_m,
-        aside_m=motion.aside_m,
-    )
+    return Proven(points, reaches, motion)
 
 
 class KilledFlight(Flight):
@@ -231,7 +220,8 @@ def _on_px4(mission: Mission, world: World) -> tuple[Mission, World]:
 
 def kills(scale: str, autopilot: str, seed: int, every_s: float) -> Iterator[dict[str, Any]]:
     """The kills of one flight, one after the other."""
-    flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, _WIND[scale]), -1.0
+    wind = "at 1 s: wind {} m/s from 250 deg turbulence {}".format(*_WINDS[scale])
+    flight, due_s = KilledFlight(*setting(scale, autopilot, seed), seed, wind), -1.0
     while not flight.is_over:
         flight.step()
         flies_leg = flight.phase is Phase.FLYING and flight.session.state.flight.leg is not None
@@ -250,30 +240,30 @@ def sample(
     return list(itertools.islice(itertools.chain.from_iterable(flights), count))
 
 
-def main() -> int:
-    """Kill, print the table; 1 if one has flown outside of what was proven."""
-    options, console = running.begin(
-        __doc__, kills=500, first=1, scale=["all", *_WIND], autopilot=["all", *AUTOPILOTS]
-    )
-    scales = (*COPTERS, *PLANES) if options.scale == "all" else (options.scale,)
-    autopilots = AUTOPILOTS if options.autopilot == "all" else (options.autopilot,)
-    headings = "kills", "outside", "margin left: least, m", "1 %, m"
-    table, found = running.figures("Killed at every second", "", *headings), list[dict[str, Any]]()
-    for scale, autopilot in itertools.product(scales, autopilots):
-        mine = sample(scale, autopilot, options.first, options.kills)
+def killed(
+    kills: int = 500,
+    first: int = 1,
+    scale: str = OneOf("all", *_WINDS),
+    autopilot: str = OneOf("all", *AUTOPILOTS),
+) -> Found:
+    """So many kills at each scale with each autopilot, of flights with seeds from the first on."""
+    scales = (*COPTERS, *PLANES) if scale == "all" else (scale,)
+    autopilots = AUTOPILOTS if autopilot == "all" else (autopilot,)
+    found = list[dict[str, Any]]()
+    for settings in itertools.product(scales, autopilots):
+        mine = sample(*settings, first, kills)
         outside = np.array([kill["outside_m"] for kill in mine])
-        table.add_row(
-            f"{scale}, {autopilot}",
-            f"{len(mine)}",
-            f"{(outside > 0.0).sum()}",
-            f"{-outside.max():.2f}",
-            f"{-np.percentile(outside, 99.0):.2f}",
-        )
+        yield {
+            "killed at every second": ", ".join(settings),
+            "kills": len(mine),
+            "outside": int((outside > 0.0).sum()),
+            "margin left: least, m|.2f": -outside.max(),
+            "1 %, m|.2f": -np.percentile(outside, 99.0),
+        }
         found += mine
-    console.print(table)
-    bar = running.most("killed and outside", sum(kill["outside_m"] > 0.0 for kill in found), 0)
-    return running.ended(console, options.json, found, [bar])
+    yield found
+    yield most("killed and outside", sum(kill["outside_m"] > 0.0 for kill in found), 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(killed)

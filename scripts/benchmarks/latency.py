@@ -13,7 +13,6 @@ departure, stands in its run.json.
 import multiprocessing
 import select
 import socket
-import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -21,10 +20,9 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-import running
 import tapped
 from pymavlink.dialects.v20 import all as wire
-from rich.table import Table
+from running import Bar, Found, OneOf, main, most
 from tapped import TO_COMPANION, Tapped, messages
 
 from companion.campaign import families
@@ -33,7 +31,7 @@ from companion.mission.mission import AutopilotName
 _POSITION = wire.MAVLink_global_position_int_message
 _SETPOINT = wire.MAVLink_set_position_target_global_int_message
 _PATIENCE_S = 400.0
-_BARS_HZ, _BARS = 20.0, (("waits_s", 0.99), ("gaps_s", 0.999))
+_BARS_HZ = 20.0
 
 
 @final
@@ -125,47 +123,44 @@ def measure(
     }
 
 
-def _ms(values: list[float], share: float) -> str:
-    return f"{1e3 * float(np.quantile(values, share)):.2f}" if values else ""
+def _ms(values: list[float], share: float) -> float | None:
+    return 1e3 * float(np.quantile(values, share)) if values else None
 
 
-def table_of(rows: list[dict[str, Any]]) -> Table:
-    """Milliseconds."""
-    table = running.figures(
-        "Position in to setpoint out, ms", "Hz", "setpoints", "p50", "p99", "p99.9", "most",
-        "echo p50", "echo p99", "echo p99.9", "gap p50", "gap p99.9", "most",
-    )  # fmt: skip
-    for row in rows:
-        waits, gaps, echoes = row["waits_s"], row["gaps_s"], row["echo_s"]
-        table.add_row(
-            f"{row['rate_hz']:g}", str(len(waits)),
-            *(_ms(waits, share) for share in (0.5, 0.99, 0.999, 1.0)),
-            *(_ms(echoes, share) for share in (0.5, 0.99, 0.999)),
-            *(_ms(gaps, share) for share in (0.5, 0.999, 1.0)),
-        )  # fmt: skip
-    return table
-
-
-def main() -> int:
-    """Fly one mission for each rate."""
-    options, console = running.begin(
-        __doc__,
-        autopilot=["ardupilot", "px4"],
-        rates={"type": float, "nargs": "+", "default": [20.0, 200.0]},
-        idle=(False, "leave the other core alone"),
-    )
-    rows = []
-    for rate_hz in options.rates:
+def latency(
+    autopilot: str = OneOf("ardupilot", "px4"),
+    rates: tuple[float, ...] = (20.0, 200.0),
+    idle: bool = False,
+) -> Found:
+    """One mission for each rate of positions; idle: the other core is left alone."""
+    bars, found = list[Bar](), list[dict[str, Any]]()
+    yield "Position in to setpoint out, a bare echo, gaps of the stream: ms"
+    for rate_hz in rates:
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(measure(options.autopilot, rate_hz, Path(folder), loaded=not options.idle))
-    console.print(table_of(rows))
-    bars = []
-    for row in (row for row in rows if row["rate_hz"] == _BARS_HZ):
-        wait_ms, gap_ms = (1e3 * np.quantile(row[key], share) for key, share in _BARS)
-        bars.append(running.most("gaps of the stream, 99.9 %, ms", gap_ms, 100.0))
-        bars.append(running.most("position to setpoint, 99 %, ms", wait_ms, 5.0))
-    return running.ended(console, options.json, rows, bars)
+            it = measure(autopilot, rate_hz, Path(folder), loaded=not idle)
+        waits, gaps, echoes = it["waits_s"], it["gaps_s"], it["echo_s"]
+        yield {
+            "Hz|g": rate_hz,
+            "setpoints": len(waits),
+            "p50|.2f": _ms(waits, 0.5),
+            "p99|.2f": _ms(waits, 0.99),
+            "p99.9|.2f": _ms(waits, 0.999),
+            "most|.2f": _ms(waits, 1.0),
+            "echo p50|.2f": _ms(echoes, 0.5),
+            "echo p99|.2f": _ms(echoes, 0.99),
+            "echo p99.9|.2f": _ms(echoes, 0.999),
+            "gap p50|.2f": _ms(gaps, 0.5),
+            "gap p99.9|.2f": _ms(gaps, 0.999),
+            "gap, most|.2f": _ms(gaps, 1.0),
+        }
+        if rate_hz == _BARS_HZ:
+            gap_ms, wait_ms = 1e3 * np.quantile(gaps, 0.999), 1e3 * np.quantile(waits, 0.99)
+            bars.append(most("gaps of the stream, 99.9 %, ms", gap_ms, 100.0))
+            bars.append(most("position to setpoint, 99 %, ms", wait_ms, 5.0))
+        found.append(it)
+    yield found
+    yield from bars
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(latency)

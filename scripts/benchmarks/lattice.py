@@ -33,14 +33,12 @@ class Lattice:
         self.need_m = surface[::every, ::every][: self.fine_shape[0], : self.fine_shape[1]]
         self._fine_ne = (north[: self.fine_shape[0], None], east[None, : self.fine_shape[1]])
 
-    def rate(self, *, over: bool, radar_free: bool, height: bool = True) -> FloatArray:
+    def rate(self, *, over: bool, radar_free: bool) -> FloatArray:
         """Cost per metre at the points of a lattice twice as fine; infinite: closed."""
         world, rates = self.world, Rates.of(self.world)
         band = world.ceiling_amsl_m - world.floor_amsl_m
         altitude = np.clip(self.need_m, world.floor_amsl_m, world.ceiling_amsl_m)
-        result = np.ones(self.fine_shape)
-        if height:
-            result += rates.height * (altitude - world.floor_amsl_m) / band
+        result = 1.0 + rates.height * (altitude - world.floor_amsl_m) / band
         top = world.ceiling_amsl_m if over else world.floor_amsl_m + 15.0
         result[self.need_m > top] = np.inf
         north, east = self._fine_ne
@@ -59,25 +57,24 @@ class Lattice:
     ) -> list[tuple[float, FloatArray]]:
         """The cheapest way and others that differ: cost in metres, (N, 2) points."""
         found: list[tuple[float, FloatArray]] = []
-        dearer = rate
-        for _ in range(count):
-            way = self._cheapest(dearer, ends_ne_m)
+        dearer, graph = rate, self._graph(rate)
+        for turn in range(count):
+            way = self._cheapest(self._graph(dearer) if turn else graph, ends_ne_m)
             if way is None:
                 break
-            cost = self._along(rate, way)
-            route = np.stack([self.north_m[way[:, 0]], self.east_m[way[:, 1]]], axis=-1)
+            places = np.stack(np.divmod(way, len(self.east_m)), axis=-1)
+            route = np.stack([self.north_m[places[:, 0]], self.east_m[places[:, 1]]], axis=-1)
             route[0], route[-1] = ends_ne_m
-            found.append((cost, route))
-            dearer = dearer * self._near(way, ends_ne_m)
+            found.append((float(graph[way[:-1], way[1:]].sum()), route))
+            dearer = dearer * self._near(places, ends_ne_m)
         return found
 
     def _cheapest(
-        self, rate: FloatArray, ends_ne_m: tuple[tuple[float, float], ...]
+        self, graph: csr_array, ends_ne_m: tuple[tuple[float, float], ...]
     ) -> NDArray[np.intp] | None:
-        graph = self._graph(rate)
-        columns = len(self.east_m)
+        """The cells that are passed, by their numbers."""
         begin, end = (
-            round((n - self.north_m[0]) / self.cell_m) * columns
+            round((n - self.north_m[0]) / self.cell_m) * len(self.east_m)
             + round((e - self.east_m[0]) / self.cell_m)
             for n, e in ends_ne_m
         )
@@ -87,8 +84,7 @@ class Lattice:
         way = [end]
         while way[-1] != begin:
             way.append(int(before[way[-1]]))
-        cells = np.array(way[::-1])
-        return np.stack([cells // columns, cells % columns], axis=-1)
+        return np.array(way[::-1])
 
     def _graph(self, rate: FloatArray) -> csr_array:
         """Edges to all coprime offsets, each with its mean rate at quarters of the edge."""
@@ -107,17 +103,6 @@ class Lattice:
         costs, starts, ends = (np.concatenate(p) for p in zip(*parts, strict=True))
         size = rows * columns
         return csr_array((costs, (starts, ends)), shape=(size, size))
-
-    def _along(self, rate: FloatArray, way: NDArray[np.intp]) -> float:
-        total = 0.0
-        for (r, c), (s, d) in zip(way[:-1].tolist(), way[1:].tolist(), strict=True):
-            i, j = s - r, d - c
-            quarters = [
-                rate[2 * r + round(2 * i * k / 4), 2 * c + round(2 * j * k / 4)] for k in range(5)
-            ]
-            mean = 0.25 * (0.5 * quarters[0] + sum(quarters[1:4]) + 0.5 * quarters[4])
-            total += float(mean) * self.cell_m * math.hypot(i, j)
-        return total
 
     def _near(
         self, way: NDArray[np.intp], ends_ne_m: tuple[tuple[float, float], ...]

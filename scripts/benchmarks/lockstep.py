@@ -10,15 +10,14 @@ processes that pack, send, receive and decode the same, tick by tick, and decide
 import multiprocessing
 import re
 import socket
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import running
 from one_process import Overheard, Tick, flown, understood
 from replay import replayed
+from running import Found, least, main
 from tapped import end, free_port, start_companion, start_vehicle, udp_socket
 
 from companion.config import folder_of
@@ -89,35 +88,31 @@ def _answer(link: socket.socket, ours: Sequence[Sequence[object]]) -> None:
         link.sendto(b"".join(message.pack(own) for message in messages), sender)
 
 
-def main() -> int:
-    options, console = running.begin(__doc__, repeats=(3, "the fastest counts"))
-    found: dict[str, dict[str, float]] = {"flight": {}, "replay": {}}
+def lockstep(repeats: int = 3) -> Found:
+    """Flights and their replays by both autopilots, and the bare frames; the fastest counts."""
+    flights, replays = dict[str, float](), dict[str, float]()
     with TemporaryDirectory() as scratch:
         for name in MISSIONS:
-            folders = [Path(scratch) / f"{name}-{k}" for k in range(options.repeats)]
+            folders = [Path(scratch) / f"{name}-{k}" for k in range(repeats)]
             for folder in folders:
                 folder.mkdir()
-            found["flight"][name] = max(flight(name, folder) for folder in folders)
-            found["replay"][name] = max(again(folder) for folder in folders)
+            flights[name] = max(flight(name, folder) for folder in folders)
+            replays[name] = max(again(folder) for folder in folders)
     overheard = Overheard(Simulation(read_world(folder_of(MISSIONS[0]) / "world.toml")))
     load_kernel()
     flown(MISSIONS[0], overheard)
-    took_s = min(bare(overheard.ticks) for _ in range(options.repeats))
+    took_s = min(bare(overheard.ticks) for _ in range(repeats))
     times = overheard.now_us * 1e-6 / took_s
-    table = running.figures("times real time", "", *MISSIONS)
-    for what, rates in found.items():
-        table.add_row(what, *(f"{rates[name]:.0f}" for name in MISSIONS))
-    table.add_row("the bare frames", f"{times:.0f}", "")
-    console.print(table)
-    flies, (again_1, again_px4) = found["flight"][MISSIONS[0]], found["replay"].values()
-    bars = (
-        running.least("over UDP in lockstep: times real time", flies, 150.0),
-        running.least("over UDP in lockstep: of bare frames", flies / times, 0.7),
-        running.least("replay without planning: times real time", again_1, 600.0),
-        running.least("the same, PX4", again_px4, 300.0),
-    )
-    return running.ended(console, options.json, {**found, "bare": times}, bars)
+    for what, rates in (("over UDP", flights), ("replay", replays), ("the bare frames", {})):
+        ardupilot, px4 = (rates.get(name) for name in MISSIONS)
+        ardupilot = ardupilot or times
+        yield {"times real time": what, f"{MISSIONS[0]}|.0f": ardupilot, f"{MISSIONS[1]}|.0f": px4}
+    flies = flights[MISSIONS[0]]
+    yield least("over UDP in lockstep: times real time", flies, 150.0)
+    yield least("over UDP in lockstep: of bare frames", flies / times, 0.7)
+    yield least("replay without planning: times real time", replays[MISSIONS[0]], 600.0)
+    yield least("the same, PX4", replays[MISSIONS[1]], 300.0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(lockstep)

@@ -1,19 +1,22 @@
 """How fast logs are read, and in how much memory, beside pymavlink on a part of the same log.
 
-python scripts/benchmarks/logs.py [--megabytes 250] [--only tlog|bin|ulg|rivals] [--json FILE]
+    scripts/bench logs [--megabytes 250] [--only tlog|bin|ulg|rivals] [--json FILE]
 
 The log is a recorded one over and over, with time going on; each reader runs in its own process.
 """
 
-import json
-import os
-import subprocess
+import multiprocessing
 import sys
 import tempfile
+import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import running
+from running import Found, OneOf, least, main, most
+
+from companion.mavlink.frames import Receiver
+from companion.telemetry.logs import open_log
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "fuzz"), str(ROOT / "tests" / "recordings")]
@@ -24,34 +27,6 @@ PARTS = {
     "bin": "arducopter-gps-loss.tlog",
     "ulg": "px4-offboard-short.ulg",
 }
-_READER = """
-import json, sys, time
-from pathlib import Path
-began_s, began_cpu_s, opened_s, findings = time.perf_counter(), time.process_time(), None, []
-{}
-done_s = time.perf_counter()
-status = Path("/proc/self/status").read_text()  # ru_maxrss would begin with the parent's
-print(json.dumps({{
-    "records": count, "open_s": (opened_s or began_s) - began_s,
-    "read_s": done_s - (opened_s or began_s), "cpu_s": time.process_time() - began_cpu_s,
-    "peak_mb": int(status.partition("VmHWM:")[2].split()[0]) / 1024, "findings": findings,
-}}))
-"""
-_OPENS = """from companion.telemetry.logs import open_log
-from companion.mavlink.frames import Receiver
-receiver, log = Receiver(), open_log(Path(sys.argv[1]))
-opened_s = time.perf_counter()
-count = {}
-findings = [str(each) for each in log.findings]"""
-READS = _READER.format(_OPENS.format("sum(1 for _ in log.records())"))
-DECODES = _READER.format(
-    _OPENS.format("sum(len(receiver.feed(each.frame)) for each in log.records())")
-)
-PYMAVLINK = _READER.format("""from pymavlink import mavutil
-mavutil.set_dialect("all")
-log, count = mavutil.mavlink_connection(sys.argv[1]), 0
-while log.recv_msg() is not None:
-    count += 1""")
 
 
 def tlog_of(path: Path, size: int) -> None:
@@ -105,57 +80,67 @@ def ulg_of_size(path: Path, size: int) -> None:
 WRITERS = {"tlog": tlog_of, "bin": bin_of_size, "ulg": ulg_of_size}
 
 
-def measured(program: str, path: Path) -> dict[str, Any]:
+def read(path: Path, how: str, told: Connection) -> None:
+    """Read a log in this process: messages, seconds until it was open and in all, of the
+    processor, and the most memory, MB."""
+    began_s, began_cpu_s = time.perf_counter(), time.process_time()
+    if how == "pymavlink":
+        from pymavlink import mavutil  # noqa: TID251  # the rival
+
+        mavutil.set_dialect("all")
+        rival, count = mavutil.mavlink_connection(str(path)), 0
+        opened_s = time.perf_counter()
+        while rival.recv_msg() is not None:
+            count += 1
+    else:
+        log, receiver = open_log(path), Receiver()
+        opened_s = time.perf_counter()
+        records = log.records()
+        count = sum(1 if how == "read" else len(receiver.feed(each.frame)) for each in records)
+    ended_s, cpu_s = time.perf_counter(), time.process_time() - began_cpu_s
+    status = Path("/proc/self/status").read_text()  # ru_maxrss would begin with the parent's
+    peak_mb = int(status.partition("VmHWM:")[2].split()[0]) / 1024
+    told.send((count, opened_s - began_s, ended_s - began_s, cpu_s, peak_mb))
+
+
+def row_of(what: str, path: Path, how: str) -> dict[str, Any]:
     """One reader in a process of its own."""
-    environment = {**os.environ, "MAVLINK20": "1"}
-    command = [sys.executable, "-c", program, str(path)]
-    said = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-    figures: dict[str, Any] = json.loads(said.stdout)
-    size_mb = path.stat().st_size / 1e6
-    total_s = figures["open_s"] + figures["read_s"]
-    return figures | {
-        "megabytes": size_mb,
-        "per_s": figures["records"] / total_s,
-        "per_cpu_s": figures["records"] / figures["cpu_s"],
-        "mb_per_s": size_mb / total_s,
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    reader = multiprocessing.get_context("spawn").Process(target=read, args=(path, how, theirs))
+    reader.start()
+    count, opened_s, whole_s, cpu_s, peak_mb = ours.recv()
+    reader.join()
+    return {
+        "log": what,
+        "MB|.0f": path.stat().st_size / 1e6,
+        "messages|,": count,
+        "a second|,.0f": count / whole_s,
+        "by CPU time|,.0f": count / cpu_s,
+        "opened in, s|.2f": opened_s,
+        "peak, MB|.0f": peak_mb,
     }
 
 
-def line(name: str, figures: dict[str, Any]) -> str:
-    return (
-        f"{name:34}{figures['megabytes']:6.0f} MB  {figures['records']:9,} messages  "
-        f"{figures['per_s']:9,.0f} /s ({figures['per_cpu_s']:9,.0f} by CPU time)  "
-        f"opened in {figures['open_s']:5.2f} s  peak {figures['peak_mb']:4.0f} MB"
-    )
-
-
-def main() -> int:
-    only = {"choices": [*WRITERS, "rivals"]}
-    wanted, console = running.begin(__doc__, megabytes=250.0, only=only)
-    size, results = round(wanted.megabytes * 1e6), dict[str, Any]()
+def logs(megabytes: float = 250.0, only: str = OneOf("all", *WRITERS, "rivals")) -> Found:
+    """The readers, and on a part of the .tlog pymavlink."""
+    size, tlog = round(megabytes * 1e6), dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
         for kind, write in WRITERS.items():
-            if wanted.only not in (None, kind):
-                continue
-            path = Path(folder) / f"log.{kind}"
-            write(path, size if kind == "tlog" else size // 5)
-            results[kind] = measured(READS, path)
-            print(line(f".{kind}, opened and read", results[kind]), flush=True)
-            path.unlink()
-        programs = {"and decoded (Receiver)": DECODES, "pymavlink": PYMAVLINK}
-        if wanted.only not in (None, "rivals"):
-            programs.clear()
+            if only in ("all", kind):
+                path = Path(folder) / f"log.{kind}"
+                write(path, size if kind == "tlog" else size // 5)
+                row = row_of(f".{kind}, opened and read", path, "read")
+                tlog = row if kind == "tlog" else tlog
+                yield row
+                path.unlink()
         part = Path(folder) / "part.tlog"
         tlog_of(part, size // 25)
-        for name, program in programs.items():
-            results[name] = measured(program, part)
-            print(line(f".tlog, {name}", results[name]), flush=True)
-    bars = []
-    if (tlog := results.get("tlog")) is not None:
-        bars.append(running.least("messages of a .tlog a second", tlog["per_s"], 30_000.0))
-        bars.append(running.most("memory for a .tlog, MB", tlog["peak_mb"], 300.0))
-    return running.ended(console, wanted.json, results, bars)
+        for how in ("decoded", "pymavlink") if only in ("all", "rivals") else ():
+            yield row_of(f".tlog, {how}", part, how)
+    if tlog:
+        yield least("messages of a .tlog a second", tlog["a second|,.0f"], 30_000.0)
+        yield most("memory for a .tlog, MB", tlog["peak, MB|.0f"], 300.0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(logs)

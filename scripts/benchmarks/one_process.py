@@ -3,18 +3,16 @@
 By processor time, a recorded flight of a bundled environment, the fastest of some.  Beside it what
 it is made of: the plans; the simulator alone, told the same again; and the floor that messages set:
 the same frames packed, found and decoded by either program's own code, and nothing else.
-usage: python scripts/benchmarks/one_process.py [--environment environment-1] [--repeats 3]
-           [--json FILE]
+    scripts/bench one_process [--environment environment-1] [--repeats 3] [--json FILE]
 """
 
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import running
+from running import Found, least, main
 
 from companion.config import folder_of, load_mission, mission_text
 from companion.mavlink.dialect import codec
@@ -122,36 +120,32 @@ def frames_alone(ticks: Sequence[Tick]) -> float:
     return time.process_time() - began_s
 
 
-def main() -> int:
-    wanted, console = running.begin(
-        __doc__, environment=("environment-1", "a bundled one"), repeats=(3, "the fastest counts")
-    )
-    name = wanted.environment
+def one_process(environment: str = "environment-1", repeats: int = 3) -> Found:
+    """A flight of a bundled environment; the fastest of some counts."""
     load_kernel()
-    world = read_world(folder_of(name) / "world.toml")
+    world = read_world(folder_of(environment) / "world.toml")
     overheard = Overheard(Simulation(world))
-    flown(name, overheard)
+    flown(environment, overheard)
     ticks, flight_s = overheard.ticks, overheard.now_us * 1e-6
-    times = range(wanted.repeats)
-    whole_s, plans_s = min(flown(name, Simulation(world)) for _ in times)
-    alone_s = min(told_again(Simulation(world), ticks) for _ in times)
-    frames_s = min(frames_alone(ticks) for _ in times)
-    table = running.figures(f"{name}: {flight_s:.0f} s in one process", "", "s", "us a tick", "x")
-    rows = {
+    whole_s, plans_s = min(flown(environment, Simulation(world)) for _ in range(repeats))
+    alone_s = min(told_again(Simulation(world), ticks) for _ in range(repeats))
+    for what, took_s in {
         "the flight, recorded": whole_s,
         "its plans": plans_s,
         "the simulator alone, told the same": alone_s,
         "companion, control loop and recording": whole_s - plans_s - alone_s,
-        "the frames alone, both ways and both sides": frames_s,
-    }
-    for what, took_s in rows.items():
-        per_tick_us = took_s / len(ticks) * 1e6
-        table.add_row(what, f"{took_s:.2f}", f"{per_tick_us:.0f}", f"{flight_s / took_s:.0f}")
-    console.print(table)
-    found = {"flight_s": flight_s, "ticks": len(ticks), "processor_s": rows}
-    bar = running.least("in one process: times real time", flight_s / whole_s, 400.0)
-    return running.ended(console, wanted.json, found, [bar])
+        "the frames alone, both ways and both sides": min(
+            frames_alone(ticks) for _ in range(repeats)
+        ),
+    }.items():
+        yield {
+            f"{environment}: {flight_s:.0f} s in one process": what,
+            "s|.2f": took_s,
+            "us a tick|.0f": took_s / len(ticks) * 1e6,
+            "times real time|.0f": flight_s / took_s,
+        }
+    yield least("in one process: times real time", flight_s / whole_s, 400.0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(one_process)

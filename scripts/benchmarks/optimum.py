@@ -14,8 +14,7 @@ world.  How it is found:
    keep-outs. The best are refined with more control points.
 3. What comes out is checked densely with `truth`; where it breaks a bound by a little, the bound is
    drawn in by as much and step 2 goes on. Only a feasible route counts, so the cost found is an
-   upper bound of the optimum's. How close: the grid's cost, which leaves turn radius and climb
-   limit out.
+   upper bound of the optimum's.
 
 `best_of` looks for it where it was found before.  1 if a bar of design 10 is missed.
 """
@@ -25,19 +24,19 @@ import hashlib
 import json
 import math
 import os
-import sys
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import descent
 import lattice
 import numpy as np
-import running
 from descent import Margins, Problem, Smooth
 from lattice import GRID_M, SURFACE_M, Lattice
 from platformdirs import user_cache_dir
+from running import Bar, Found, in_processes, main, most
 
 from companion.campaign import drawn_world, route_cost, truth
 from companion.campaign.drawn_world import DrawnWorld
@@ -62,18 +61,10 @@ OPTIMA = Path(__file__).with_name("optima.json")
 class Optimum:
     """The best feasible route that was found."""
 
-    fingerprint: str
     cost: float
     """J."""
-    length_m: float
-    shortest_m: float
-    """Length of the shortest radar-free way over the grid at the floor of the band."""
-    grid_cost: float
-    """J of the best way over the grid, without turn radius and climb limit."""
-    radar_m: float
-    starts: int
-    """Curves that were tried."""
-    control_nea_m: tuple[tuple[float, float, float], ...]
+    control_nea_m: FloatArray
+    """(K, 3): of a clamped cubic B-spline."""
 
 
 # --- from a way over the grid to a feasible curve
@@ -249,28 +240,9 @@ def optimum(world: DrawnWorld) -> Optimum:
             cost, mended = solver.mended(finer, soft)
             if cost < best:
                 best, best_control = cost, mended
-    return _described(solver, best, best_control)
-
-
-def _described(solver: Solver, cost: float, control: FloatArray) -> Optimum:
-    world, lattice = solver.world, solver.lattice
-    if not math.isfinite(cost):
+    if not math.isfinite(best):
         raise ValueError(f"{world.name}: no feasible route was found")
-    shortest = lattice.ways(
-        lattice.rate(over=False, radar_free=True, height=False), 1, solver.ends_ne_m
-    )
-    cheapest = lattice.ways(lattice.rate(over=True, radar_free=False), 1, solver.ends_ne_m)
-    measures = solver.measured(truth.sampled(control, 1.0))
-    return Optimum(
-        fingerprint=world.fingerprint,
-        cost=cost,
-        length_m=measures.length_m,
-        shortest_m=shortest[0][0] if shortest else math.inf,
-        grid_cost=cheapest[0][0] * Rates.of(world).unit,
-        radar_m=measures.radar_m,
-        starts=solver.tried,
-        control_nea_m=tuple(tuple(round(v, 6) for v in row) for row in control.tolist()),
-    )
+    return Optimum(cost=best, control_nea_m=best_control.round(6))
 
 
 def _evenly(route: FloatArray, count: int) -> FloatArray:
@@ -289,23 +261,16 @@ def _apart_m(a: FloatArray, b: FloatArray) -> float:
     return float(max(between.min(axis=0).max(), between.min(axis=1).max()))
 
 
-# --- the file of optima
-
-
-def load() -> dict[str, Optimum]:
-    """What has been computed before, by fingerprint of the world."""
-    if not OPTIMA.is_file():
-        return {}
-    rows = json.loads(OPTIMA.read_text(encoding="utf-8"))
-    return {row["fingerprint"]: of_row(row) for row in rows.values()}
-
-
-def of_row(row: dict[str, Any]) -> Optimum:
-    """As JSON has it."""
-    return Optimum(**row | {"control_nea_m": tuple(map(tuple, row["control_nea_m"]))})
-
-
 # --- of any world, found once
+
+
+def load(path: Path = OPTIMA) -> dict[str, Optimum]:
+    """What has been computed before, by fingerprint of the world."""
+    rows = json.loads(path.read_text(encoding="utf-8"))
+    return {
+        key: Optimum(cost=row["cost"], control_nea_m=np.array(row["control_nea_m"]))
+        for key, row in rows.items()
+    }
 
 
 def best(drawn: DrawnWorld) -> Optimum:
@@ -319,14 +284,7 @@ def best(drawn: DrawnWorld) -> Optimum:
     if abs(scale - 1.0) < 1e-9:
         return optimum(drawn)
     found = optimum(drawn_world.scaled(drawn, scale))
-    return replace(
-        found,
-        fingerprint=drawn.fingerprint,
-        length_m=found.length_m / scale,
-        shortest_m=found.shortest_m / scale,
-        radar_m=found.radar_m / scale,
-        control_nea_m=tuple((n / scale, e / scale, a / scale) for n, e, a in found.control_nea_m),
-    )
+    return replace(found, control_nea_m=found.control_nea_m / scale)
 
 
 def best_of(world: DrawnWorld) -> Optimum | None:
@@ -336,14 +294,15 @@ def best_of(world: DrawnWorld) -> Optimum | None:
         return known
     stored = _store() / f"{world.fingerprint}.json"
     if stored.is_file():
-        return of_row(json.loads(stored.read_text(encoding="utf-8")))
+        return load(stored)[world.fingerprint]
     try:
         found = best(world)
     except ValueError:
         return None
     stored.parent.mkdir(parents=True, exist_ok=True)
     part = stored.with_suffix(f".{os.getpid()}")
-    part.write_text(json.dumps(asdict(found)), encoding="utf-8")
+    row = {"cost": found.cost, "control_nea_m": found.control_nea_m.tolist()}
+    part.write_text(json.dumps({world.fingerprint: row}), encoding="utf-8")
     part.replace(stored)
     return found
 
@@ -359,6 +318,7 @@ def _store() -> Path:
 # --- beside a campaign
 
 BARS = {"scans": (1.03, 1.06, 1.12), "elevation": (1.015, 1.03, 1.06)}
+_HEADINGS = ("J / J*: median|.4f", "mean|.4f", "90 %|.4f", "worst|.4f")
 _FIGURES = np.median, np.mean, lambda found: np.quantile(found, 0.9), np.max
 
 
@@ -381,36 +341,31 @@ def ratios(rows: Sequence[Row], known: dict[Place, Optimum | None]) -> FloatArra
     return np.array([cost / best.cost for cost, best in found if cost and best])
 
 
-def main() -> int:
-    """Find the optima of a campaign's worlds, and print J against them."""
-    options, console = running.begin(__doc__, campaign={"type": Path, "required": True}, jobs=2)
-    rows = [row for row in read_campaign(options.campaign).rows if row.over == "planner"]
+def beside(campaign: Path, jobs: int = 2) -> Found:
+    """Find the optima of a campaign's worlds: J against them, by family and planner."""
+    rows = [row for row in read_campaign(campaign).rows if row.over == "planner"]
     places = list(dict.fromkeys(map(place_of, rows)))
-    todo = [(place,) for place in places]
-    asked = running.in_processes(best_of_place, todo, options.jobs, "optima", console)
-    known = {place: future.result() for (place,), future in asked}
-    figures = ("runs", "arrived", "without J*", "J / J*: median", "mean", "90 %", "worst")
-    table = running.figures("J against the full-knowledge optimum", "", *figures)
-    bars = []
-    groups: dict[tuple[str, str, str, str], list[Row]] = {}
+    optima = in_processes(best_of_place, [(place,) for place in places], jobs)
+    known = dict(zip(places, optima, strict=True))
+    bars, numbers = list[Bar](), list[tuple[str, list[float]]]()
+    groups: dict[tuple[str, str, str, str], list[Row]] = defaultdict(list)
     for row in rows:
-        key = row.family or row.world, row.planner, row.knowledge, row.optimiser
-        groups.setdefault(key, []).append(row)
+        groups[row.family or row.world, row.planner, row.knowledge, row.optimiser].append(row)
     for key, mine in groups.items():
         found = ratios(mine, known)
         spread = [float(f(found)) for f in _FIGURES] if len(found) else []
         if key[1] == "ours" and key[2] in BARS:
-            what = f"J / J*, {key[0]}, {key[2]}"
-            bars.append(running.most(what, spread[:3], BARS[key[2]]))
-        table.add_row(
-            ", ".join(key), str(len(mine)), str(sum(row.arrived for row in mine)),
-            str(sum(known[place_of(row)] is None for row in mine)),
-            *(f"{value:.4f}" for value in spread),
-        )  # fmt: skip
-    console.print(table)
-    numbers = {"/".join(k): ratios(v, known).tolist() for k, v in groups.items()}
-    return running.ended(console, options.json, numbers, bars)
+            bars.append(most(f"J / J*, {key[0]}, {key[2]}", spread[:3], BARS[key[2]]))
+        yield {
+            "J against the full-knowledge optimum": ", ".join(key),
+            "runs": len(mine),
+            "arrived": sum(row.arrived for row in mine),
+            "without J*": sum(known[place_of(row)] is None for row in mine),
+        } | dict(zip(_HEADINGS, spread or [None] * 4, strict=True))
+        numbers.append((", ".join(key), found.tolist()))
+    yield numbers
+    yield from bars
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(beside)

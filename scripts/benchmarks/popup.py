@@ -12,13 +12,13 @@ nobody can stop it.  1 if one was touched that was farther away.
 """
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
-import running
 from pymavlink.dialects.v20 import all as wire
+from running import Found, main, most
 from stepped import Flight
 
 from companion.config import folder_of, load_mission
@@ -136,32 +136,27 @@ def popped_up(name: str, ahead_m: float, seed: int) -> dict[str, Any]:
     }
 
 
-def main() -> int:
-    given, console = running.begin(__doc__, runs=3)
-    headings = "speed", "ahead", "limit", "reaction", "least gap", "came to rest", "touched"
-    table = running.figures("A post appears", "mission", *headings)
-    found = []
-    for name in _MISSIONS:
-        for ahead_m in _AHEAD_M:
-            runs = [popped_up(name, ahead_m, seed) for seed in range(1, given.runs + 1)]
-            found += runs
-            reactions = [run["reaction_s"] for run in runs if run["reaction_s"] is not None]
-            limits = [run["limit_m"] for run in runs if run["limit_m"] is not None]
-            table.add_row(
-                name,
-                f"{max(run['speed_m_s'] for run in runs):.1f} m/s",
-                f"{ahead_m:.0f} m",
-                f"{max(limits):.1f} m" if limits else "",
-                f"{max(reactions):.2f} s" if reactions else "went round",
-                f"{min(run['least_m'] for run in runs):.1f} m",
-                f"{sum(run['stood'] for run in runs)} of {len(runs)}",
-                f"{sum(run['touched'] for run in runs)}",
-            )
-    console.print(table)
+def popup(runs: int = 3) -> Found:
+    """Posts so far ahead, so often each."""
+    found = list[dict[str, Any]]()
+    for name, ahead_m in product(_MISSIONS, _AHEAD_M):
+        mine = [popped_up(name, ahead_m, seed) for seed in range(1, runs + 1)]
+        reactions = [run["reaction_s"] for run in mine if run["reaction_s"] is not None]
+        yield {
+            "a post appears": name,
+            "speed, m/s|.1f": max(run["speed_m_s"] for run in mine),
+            "ahead, m|.0f": ahead_m,
+            "limit, m|.1f": max((run["limit_m"] for run in mine if run["limit_m"]), default=None),
+            "reaction": f"{max(reactions):.2f} s" if reactions else "went round",
+            "least gap, m|.1f": min(run["least_m"] for run in mine),
+            "came to rest": sum(run["stood"] for run in mine),
+            "touched": sum(run["touched"] for run in mine),
+        }
+        found += mine
+    yield found
     avoidable = [run["touched"] and (run["limit_m"] or 0.0) < run["ahead_m"] for run in found]
-    bar = running.most("touched where it could have stopped", sum(avoidable), 0)
-    return running.ended(console, given.json, found, [bar])
+    yield most("touched where it could have stopped", sum(avoidable), 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(popup)

@@ -11,19 +11,13 @@ its authors recommend, or (`-60`) 60. Intervals: 95 %, by resampling problems an
 
 import contextlib
 import math
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, final
+from typing import Any
 
 import numpy as np
-import running
 import subpaths
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
-from running import Bar
+from running import Bar, Found, OneOf, Some, least, main, most, progress
 from subpaths import Problem
 
 from companion.geodesy import FloatArray
@@ -174,39 +168,8 @@ def solve(name: str, problem: Problem, budget: int, seed: int) -> tuple[float, F
     return cost.best, cost.best_x
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figures:
-    """One search at one budget."""
-
-    gaps: FloatArray  # (problems, seeds)
-
-    @property
-    def success(self) -> float:
-        """Share of runs within 1 % of the best known."""
-        return float((self.gaps <= SUCCESS).mean())
-
-    def interval(self) -> tuple[float, float]:
-        """95 % of the success, by resampling problems and seeds."""
-        return _interval(_resampled(self.gaps <= SUCCESS))
-
-    def ahead_of(self, rival: "Figures") -> tuple[float, float]:
-        """95 % of the difference in success on the same problems."""
-        mine = _resampled(self.gaps <= SUCCESS)
-        return _interval(mine - _resampled(rival.gaps <= SUCCESS))
-
-
-def _resampled(hits: NDArray[np.bool_]) -> FloatArray:
-    """Shares of bootstrap samples; every set of figures draws the same problems.  -> (samples,)."""
-    problems, seeds = hits.shape
-    which = np.random.default_rng(1).integers(problems, size=(_SAMPLES, problems))
-    again = np.random.default_rng([2, seeds]).integers(seeds, size=(_SAMPLES, problems, seeds))
-    return np.asarray(hits[which[:, :, None], again].mean(axis=(1, 2)))
-
-
-def _interval(values: FloatArray) -> tuple[float, float]:
-    low, high = np.percentile(values, [2.5, 97.5])
-    return float(low), float(high)
+Gaps = dict[tuple[str, int], FloatArray]
+"""By search and budget how far above the best known runs have ended.  (problems, seeds)."""
 
 
 def compare(
@@ -214,82 +177,79 @@ def compare(
     problems: Sequence[Problem],
     data: dict[str, Any],
     seeds: Callable[[str], int],
-    console: Console,
-) -> dict[tuple[str, int], Figures]:
+) -> Gaps:
     """Run everything; what is found anew lowers the best known before gaps are taken."""
-    found: dict[tuple[str, int], FloatArray] = {}
-    jobs = [(name, budget) for name in names for budget in BUDGETS]
-    for name, budget in track(jobs, "searches", console=console, transient=True):
-        costs = np.empty((len(problems), seeds(name)))
-        for i, problem in enumerate(problems):
-            for seed in range(seeds(name)):
-                costs[i, seed], x = solve(name, problem, budget, seed)
-                subpaths.keep_best(data, problem, costs[i, seed], x)
-        found[name, budget] = costs
+    costs: Gaps = {}
+    for name, budget in progress([(name, budget) for name in names for budget in BUDGETS]):
+        found = costs[name, budget] = np.empty((len(problems), seeds(name)))
+        for (i, seed), _ in np.ndenumerate(found):
+            found[i, seed], x = solve(name, problems[i], budget, seed)
+            subpaths.keep_best(data, problems[i], found[i, seed], x)
     best = np.array([subpaths.best_known(data, each) for each in problems])[:, None]
-    return {k: Figures(gaps=(v - best) / np.maximum(best, 2.0)) for k, v in found.items()}
+    return {key: (each - best) / np.maximum(best, 2.0) for key, each in costs.items()}
 
 
-def needles(figures: dict[tuple[str, int], Figures]) -> NDArray[np.bool_]:
+def resampled(gaps: FloatArray) -> FloatArray:
+    """Success of bootstrap samples of problems and seeds, of all searches the same.
+
+    (problems, seeds) -> (samples,).
+    """
+    problems, seeds = gaps.shape
+    which = np.random.default_rng(1).integers(problems, size=(_SAMPLES, problems))
+    again = np.random.default_rng([2, seeds]).integers(seeds, size=(_SAMPLES, problems, seeds))
+    return np.asarray((gaps <= SUCCESS)[which[:, :, None], again].mean(axis=(1, 2)))
+
+
+def interval(shares: FloatArray) -> tuple[float, float]:
+    """95 % of samples lie within it."""
+    low, high = np.percentile(shares, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def needles(gaps: Gaps) -> NDArray[np.bool_]:
     """Problems whose best basin nobody finds in 30 % of runs with the largest budget."""
-    hits = [f.gaps <= SUCCESS for (_, budget), f in figures.items() if budget == BUDGETS[-1]]
-    return np.asarray(np.max([each.mean(axis=1) for each in hits], axis=0) < _NEEDLE)
+    shares = [
+        (v <= SUCCESS).mean(axis=1) for (_, budget), v in gaps.items() if budget == BUDGETS[-1]
+    ]
+    return np.asarray(np.max(shares, axis=0) < _NEEDLE)
 
 
-def without(
-    figures: dict[tuple[str, int], Figures], dropped: NDArray[np.bool_]
-) -> dict[tuple[str, int], Figures]:
-    """The figures without some problems."""
-    return {k: Figures(gaps=f.gaps[~dropped]) for k, f in figures.items()}
+def rows(gaps: Gaps) -> Found:
+    """Mean gap, success with its interval, and how far the refined DE is ahead; percent."""
+    for (name, budget), mine in gaps.items():
+        samples = resampled(mine)
+        low, high = interval(100.0 * samples)
+        ours, ahead = gaps.get((OURS, budget)), (None, None)
+        if name != OURS and ours is not None:
+            ahead = interval(100.0 * (resampled(ours) - samples))
+        yield {
+            "search": name,
+            "evaluations|,": budget,
+            "mean gap|.2f": 100.0 * mine.mean(),
+            "within 1 %|.1f": 100.0 * (mine <= SUCCESS).mean(),
+            "from|.1f": low,
+            "to|.1f": high,
+            "ours ahead from|.1f": ahead[0],
+            "ahead to|.1f": ahead[1],
+        }
 
 
-def table(title: str, figures: dict[tuple[str, int], Figures]) -> Table:
-    """Mean gap, success with its interval, and how far the refined DE is ahead."""
-    result = Table("search", *(f"{budget:,}" for budget in BUDGETS), title=title)
-    for name in dict.fromkeys(name for name, _ in figures):
-        cells = []
-        for budget in BUDGETS:
-            each = figures[name, budget]
-            low, high = each.interval()
-            text = f"{100 * each.gaps.mean():5.2f} %  [bold]{100 * each.success:5.1f}[/] "
-            text += f"({100 * low:.1f}-{100 * high:.1f})"
-            if name != OURS and (OURS, budget) in figures:
-                low, high = figures[OURS, budget].ahead_of(each)
-                text += f"\n{'ours +':>9} {100 * low:.1f} .. {100 * high:.1f}"
-            cells.append(text)
-        result.add_row(name, *cells)
-    return result
-
-
-def rows(figures: dict[tuple[str, int], Figures]) -> list[dict[str, Any]]:
-    """The same for --json."""
-    result = []
-    for (name, budget), each in figures.items():
-        row = {"search": name, "evaluations": budget, "mean_gap": float(each.gaps.mean())}
-        row |= {"success": each.success, "interval": each.interval(), "runs": each.gaps.size}
-        result.append(row)
-    return result
-
-
-def bars_of(figures: dict[tuple[str, int], Figures], objective: str) -> Iterator[Bar]:
+def bars_of(gaps: Gaps, objective: str) -> Iterator[Bar]:
     """Ours beside its bars and, with the flight objective, beside the best of the rivals there."""
-    percent = {key: 100.0 * each.success for key, each in figures.items()}
+    percent = {key: 100.0 * float((each <= SUCCESS).mean()) for key, each in gaps.items()}
     ours = {budget: value for (name, budget), value in percent.items() if name == OURS}
     for budget, bar in _BARS[objective].items() if ours else ():
-        what = f"search, {objective} objective, {budget:,}: within 1 %, %"
-        yield running.least(what, ours[budget], bar)
-    rivals = {name for name, _ in percent} - {OURS} if objective == "flight" else set()
-    for budget, value in ours.items() if rivals else ():
-        best = max(rivals, key=lambda name, budget=budget: percent[name, budget])
-        behind = percent[best, budget] - value
-        yield running.most(f"search, {budget:,}: points behind {best}", behind, 0.0)
+        yield least(f"search, {objective} objective, {budget:,}: within 1 %, %", ours[budget], bar)
+    for budget, value in ours.items() if objective == "flight" else ():
+        rivals = {n: each for (n, b), each in percent.items() if b == budget and n != OURS}
+        if rivals:
+            best = max(rivals, key=rivals.__getitem__)
+            yield most(f"search, {budget:,}: points behind {best}", rivals[best] - value, 0.0)
 
 
-def search_long(
-    problems: Sequence[Problem], data: dict[str, Any], runs: int, console: Console
-) -> None:
+def search_long(problems: Sequence[Problem], data: dict[str, Any], runs: int) -> None:
     """Best known values by long searches with large populations, half without warm starts."""
-    for problem in track(problems, "best known", console=console, transient=True):
+    for problem in progress(problems):
         for run in range(runs):
             how = refined_de.Settings(population=(120, 200, 300)[run % 3], smallest=8, memory=20)
             seeds = problem.seeds if run % 2 else problem.seeds[:0]
@@ -298,43 +258,40 @@ def search_long(
             subpaths.keep_best(data, problem, *refine(state, problem, 30_000))
 
 
-def main() -> int:
-    """Run the comparison, print the tables; 1 if a bar is missed."""
-    options, console = running.begin(
-        __doc__,
-        width=150,
-        objective=["flight", "paper"],
-        seeds=10,
-        slow_seeds=(2, f"for {' and '.join(_SLOW)}"),
-        only={"nargs": "*", "default": [OURS, *RIVALS], "choices": [OURS, *RIVALS]},
-        all=(False, "with the problems used for tuning"),
-        record=(False, "fly the missions anew"),
-        best_known=(0, "runs of long searches"),
-    )
-    data = subpaths.record() if options.record else subpaths.load()
-    problems = subpaths.problems(data, options.objective)
-    problems = [p for p in problems if options.all or not p.for_tuning]
-    if options.best_known:
-        search_long(problems, data, options.best_known, console)
+def quality(
+    objective: str = OneOf("flight", "paper"),
+    seeds: int = 10,
+    slow_seeds: int = 2,
+    only: tuple[str, ...] = Some((OURS, *RIVALS)),
+    all_: bool = False,
+    record: bool = False,
+    best_known: int = 0,
+) -> Found:
+    """The comparison.
+
+    slow_seeds: of CMA-ES and scipy's DE; all_: with the problems used for tuning; record: the
+    missions are flown anew; best_known: runs of long searches.
+    """
+    data = subpaths.record() if record else subpaths.load()
+    problems = [p for p in subpaths.problems(data, objective) if all_ or not p.for_tuning]
+    if best_known:
+        search_long(problems, data, best_known)
         subpaths.store(data)
-    stale = [p.name for p in problems if math.isinf(subpaths.best_known(data, p))]
+    stale = sum(math.isinf(subpaths.best_known(data, p)) for p in problems)
     if stale:
-        console.print(f"{len(stale)} objectives are not those on file: add --best-known 12")
-
-    def seeds(name: str) -> int:
-        return options.slow_seeds if name in _SLOW else options.seeds
-
-    figures = compare(options.only, problems, data, seeds, console)
+        yield f"{stale} objectives are not those on file: add --best-known 12"
+    gaps = compare(only, problems, data, lambda n: slow_seeds if n in _SLOW else seeds)
     subpaths.store(data)
-    hard = needles(figures)
-    easier = without(figures, hard)
-    console.print(table(f"{len(problems)} problems: mean gap, % of runs within 1 %", figures))
+    hard = needles(gaps)
+    yield f"{len(problems)} problems"
+    yield from rows(gaps)
     if hard.any():
         names = ", ".join(p.name for p, drop in zip(problems, hard, strict=True) if drop)
-        console.print(table(f"without {hard.sum()} needles ({names})", easier))
-    found = {"all": rows(figures), "without_needles": rows(easier)}
-    return running.ended(console, options.json, found, list(bars_of(easier, options.objective)))
+        yield f"without {hard.sum()} needles ({names})"
+        gaps = {key: each[~hard] for key, each in gaps.items()}
+        yield from rows(gaps)
+    yield from bars_of(gaps, objective)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(quality)

@@ -9,13 +9,12 @@ companion that is killed and started again among them.  Each run folder is then 
 
 import json
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-import running
-from tapped import BIN, ENVIRONMENT, fly_campaign
+from running import Found, least, main
+from tapped import BIN, fly_campaign
 
 from companion.campaign.report import read_campaign
 
@@ -34,48 +33,34 @@ def campaign_text(flights: int, seed: int) -> str:
     return f"limit_s = 900.0\n{places}{faults}"
 
 
-def replayed(run: Path) -> dict[str, Any]:
+def replayed(run: Path, *options: str) -> dict[str, Any]:
     """What `companion replay` says of a run folder."""
     report = run / "replay.json"
-    command = [BIN / "companion", "replay", run, "--json", report]
-    done = subprocess.run(
-        [str(part) for part in command],
-        capture_output=True,
-        text=True,
-        env=ENVIRONMENT,
-        check=False,
-    )
+    command = [str(BIN / "companion"), "replay", str(run), "--json", str(report), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if not report.exists():
         return {"identical": False, "difference": done.stderr.strip() or done.stdout.strip()}
     found: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
     report.unlink()
-    return {**found, "code": done.returncode}
+    return found
 
 
-def main() -> int:
+def once_more(flights: int = 20, seed: int = 1) -> Found:
     """Fly, replay, and say how many were identical."""
-    options, console = running.begin(__doc__, flights=20, seed=1)
-    headings = "ended", "identical", "times real time"
-    table, found = running.figures("Once more", "flight", *headings), list[dict[str, Any]]()
+    identical = list[bool]()
     with tempfile.TemporaryDirectory() as folder:
-        text = campaign_text(options.flights, options.seed)
-        flown = fly_campaign(Path(folder), text, "--keep", "all")
+        flown = fly_campaign(Path(folder), campaign_text(flights, seed), "--keep", "all")
         for row in read_campaign(flown).rows:
-            run = flown / str(row.folder)
-            same = replayed(run)
-            found.append({"key": row.key, "replay": same})
-            table.add_row(
-                row.key,
-                row.ending or row.outcome,
-                "yes" if same["identical"] else str(same["difference"])[:300],
-                f"{same.get('flown_s', 0.0) / (same.get('took_s') or 1.0):.0f}",
-            )
-    console.print(table)
-    bars = (
-        running.least("identical", sum(each["replay"]["identical"] for each in found), len(found)),
-    )
-    return running.ended(console, options.json, found, bars)
+            same = replayed(flown / str(row.folder))
+            identical.append(same["identical"])
+            yield {
+                "flight": row.key,
+                "ended": row.ending or row.outcome,
+                "identical": "yes" if same["identical"] else str(same["difference"])[:300],
+                "times real time|.0f": same.get("flown_s", 0.0) / (same.get("took_s") or 1.0),
+            }
+    yield least("identical", sum(identical), len(identical))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(once_more)

@@ -1,6 +1,6 @@
 """How fast the simulator is, beside a bare pair of sockets in the same run, and its memory.
 
-python scripts/benchmarks/simulator.py [--seconds 300] [--hours 10] [--json FILE]
+scripts/bench simulator [--seconds 300] [--hours 10] [--json FILE]
 """
 
 import multiprocessing
@@ -9,11 +9,11 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
-import running
 from pymavlink.dialects.v20 import all as mavlink
+from running import Found, least, main
 from tapped import messages
 
 from vehicle_sim.simulation import Simulation
@@ -116,13 +116,12 @@ def many(count: int, seconds: float, autopilot: str) -> float:
     return seconds / (time.perf_counter() - start_s)
 
 
-def memory_mb(hours: float) -> list[tuple[float, float]]:
-    """Resident memory of one vehicle that flies and streams, by simulated hours."""
+def resident_mb(hours: float) -> Iterator[tuple[float, float]]:
+    """Memory of one vehicle that flies and streams, by simulated hours."""
     vehicle = Simulation(flat_world("copter", "px4", heading_deg=0.0, **HOME))
     mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
-    rows = []
     for tenth in range(11):
-        rows.append((hours * tenth / 10, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+        yield hours * tenth / 10, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         for _ in range(round(hours * 360)):
             vehicle.receive(0, frame(mav, mav.heartbeat_encode(18, 8, 0, 0, 4, 3)))
             vehicle.receive(0, frame(mav, mav.param_request_read_encode(1, 1, b"X", 0)))
@@ -131,35 +130,28 @@ def memory_mb(hours: float) -> list[tuple[float, float]]:
             vehicle.take_frames()
             vehicle.take_truth()
             vehicle.take_notices()
-    return rows
 
 
-def main() -> int:
-    wanted, console = running.begin(
-        __doc__,
-        seconds=(300.0, "of vehicle time for each speed"),
-        hours=(10.0, "of vehicle time for the memory"),
-    )
-    seconds = wanted.seconds
-    bare = with_client(lambda port: bare_server(port, seconds), takeoff=False)
-    ground = with_client(lambda port: lockstep(port, seconds), takeoff=False)
+def simulator(seconds: float = 300.0, hours: float = 10.0) -> Found:
+    """seconds: of vehicle time for each speed; hours: for the memory."""
     flying = with_client(lambda port: lockstep(port, seconds), takeoff=True)
-    print(f"bare pair of position and TIMESYNC, 20 Hz        {bare:6.0f} x real time")
-    print(f"vehicle-sim in lockstep, on the ground           {ground:6.0f} x real time")
-    print(f"vehicle-sim in lockstep, flying after 45 s       {flying:6.0f} x real time")
     fleets = {name: many(50, 60.0, name) for name in ("ardupilot", "px4")}
-    for name, times in fleets.items():
-        print(f"50 vehicles in one process, {name:9}            {times:6.1f} x real time")
-    memory = memory_mb(wanted.hours)
-    for hours, size in memory:
-        print(f"resident after {hours:4.1f} simulated hours           {size:6.1f} MB")
-    figures = {"bare": bare, "ground": ground, "flying": flying, "fleets": fleets}
-    bars = (
-        running.least("flying in lockstep: times real time", flying, 150.0),
-        running.least("50 vehicles in one process", min(fleets.values()), 1.0),
-    )
-    return running.ended(console, wanted.json, {**figures, "memory": memory}, bars)
+    for what, times in {
+        "bare pair of position and TIMESYNC, 20 Hz": with_client(
+            lambda port: bare_server(port, seconds), takeoff=False
+        ),
+        "vehicle-sim in lockstep, on the ground": with_client(
+            lambda port: lockstep(port, seconds), takeoff=False
+        ),
+        "vehicle-sim in lockstep, flying after 45 s": flying,
+        **{f"50 vehicles in one process, {name}": times for name, times in fleets.items()},
+    }.items():
+        yield {"": what, "times real time|.1f": times}
+    for at_hours, size in resident_mb(hours):
+        yield {"after simulated hours": f"{at_hours:.1f}", "resident, MB|.1f": size}
+    yield least("flying in lockstep: times real time", flying, 150.0)
+    yield least("50 vehicles in one process", min(fleets.values()), 1.0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(simulator)

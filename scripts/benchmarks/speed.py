@@ -10,13 +10,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import running
+from running import Found, main, most
 from tapped import BIN, udp_socket
 
 from companion.campaign.families import mountain
@@ -103,49 +105,54 @@ def timed(what: Callable[[], Any], repeats: int) -> tuple[list[tuple[float, floa
     return times, result
 
 
-def measure(scenes: int, repeats: int) -> dict[str, Any]:
-    """All times, by what they are of."""
+def speed(scenes: int = 60, repeats: int = 5) -> Found:
+    """Times of what is done for a plan, each so often in each scene."""
     load_kernel()
-    times: dict[str, list[tuple[float, float]]] = {}
+    times: dict[str, list[tuple[float, float]]] = defaultdict(list)
     proven = 0
 
-    def note(name: str, what: Callable[[], Any], count: int = repeats) -> Any:
-        some, result = timed(what, count)
-        times.setdefault(name, []).extend(some)
+    def note(name: str, count: int, what: Callable[..., Any], *told: Any) -> Any:
+        some, result = timed(partial(what, *told), count)
+        times[name] += some
         return result
 
     for number in range(scenes):
         asked = request(number)
-        here = asked.scan_nea_m[:2]
-        field = note(
-            "guidance", lambda a=asked, h=here: cost_to_go(a.known, a.task, h, a.target_ne_m)
-        )
-        note("surfaces", lambda a=asked, f=field: planning._scene(a, f))
-        speed_m_s = asked.task.limits.speed_m_s
-        note("surface to prove against", lambda a=asked, v=speed_m_s: planning._surroundings(a, v))
+        speed_m_s, here = asked.task.limits.speed_m_s, asked.scan_nea_m[:2]
+        told = asked.known, asked.task, here, asked.target_ne_m
+        field = note("guidance", repeats, cost_to_go, *told)
+        note("surfaces", repeats, planning._scene, asked, field)
+        note("surface to prove against", repeats, planning._surroundings, asked, speed_m_s)
         planner = planning._Plan(asked, lambda: False)
-        found = note("plan", lambda p=planner: _one(p))
+        found = note("plan", repeats, _one, planner)
         proven += isinstance(found, Planned)
-        if number % 6 == 0:
-            note("certificate alone", lambda p=planner, f=found: _certified(p, f))
-        note("whole answer", lambda a=asked: planning.plan(a), 1)
-    return {
-        "times_ms": times,
-        "proven": proven,
-        "scenes": scenes,
-        "first_plan_s": _first_plan_s(),
-        "first_heartbeat_s": min(_first_heartbeat_s() for _ in range(3)),
-    }
+        if number % 6 == 0 and isinstance(found, Planned):
+            motion_m_s = planner._scene.motion.speed_m_s
+            prove = partial(planner._certified, from_rest=False)
+            note("certificate alone", repeats, prove, found.subpath, motion_m_s)
+        note("whole answer", 1, planning.plan, asked)
+    yield "ms of the processor, which the bars are for, and by the wall"
+    for name, some in times.items():
+        (median, wall), (slowest, wall_most) = np.quantile(some, (0.5, 0.99), axis=0).tolist()
+        yield {
+            "time of a plan": name,
+            "median|.2f": median,
+            "99 %|.2f": slowest,
+            "wall, median|.2f": wall,
+            "wall, 99 %|.2f": wall_most,
+            "runs": len(some),
+        }
+    yield f"first search proven in {proven} of {scenes} scenes"
+    search_ms = np.quantile(times["plan"], (0.5, 0.99), axis=0)[:, 0].tolist()
+    yield most("plan, median and 99 %, ms", search_ms, (10.0, 20.0))
+    yield most("from the start of a process to its first plan, s", _first_plan_s(), 1.0)
+    first_s = min(_first_heartbeat_s() for _ in range(3))
+    yield most("companion fly to first heartbeat, s", first_s, 1.5)
 
 
 def _one(planner: Any) -> Planned | None:
     planner._tries = 0
     return planner._attempt(planner._scene)
-
-
-def _certified(planner: Any, found: Planned | None) -> None:
-    if found is not None:
-        planner._certified(found.subpath, planner._scene.motion.speed_m_s, from_rest=False)
 
 
 def _first_plan_s() -> float:
@@ -173,29 +180,5 @@ def _first_heartbeat_s() -> float:
                 companion.kill()
 
 
-def main() -> int:
-    given, console = running.begin(__doc__, scenes=60, repeats=5)
-    found = measure(given.scenes, given.repeats)
-    table = running.figures(
-        "time of a plan, ms", "", "median", "99 %", "wall, median", "wall, 99 %", "runs",
-        caption="The bars are for the processor's time: other loads do not count.",
-    )  # fmt: skip
-    for name, times in found["times_ms"].items():
-        medians, slowest = np.median(times, axis=0), np.quantile(times, 0.99, axis=0)
-        figures = (medians[0], slowest[0], medians[1], slowest[1])
-        table.add_row(name, *(f"{each:.2f}" for each in figures), f"{len(times)}")
-    console.print(table)
-    console.print(f"first search proven in {found['proven']} of {found['scenes']} scenes")
-    search_ms = np.quantile(found["times_ms"]["plan"], (0.5, 0.99), axis=0)[:, 0].tolist()
-    bars = (
-        running.most("plan, median and 99 %, ms", search_ms, (10.0, 20.0)),
-        running.most(
-            "from the start of a process to its first plan, s", found["first_plan_s"], 1.0
-        ),
-        running.most("companion fly to first heartbeat, s", found["first_heartbeat_s"], 1.5),
-    )
-    return running.ended(console, given.json, found, bars)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    main(speed)

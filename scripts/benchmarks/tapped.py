@@ -18,7 +18,6 @@ from companion.mission.mission import AutopilotName
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = dict(os.environ)
 TO_COMPANION, TO_VEHICLE = 0, 1
 Seen = Callable[[int, float, bytes], None]
 """Direction, time (monotonic seconds), datagram."""
@@ -150,19 +149,14 @@ def start_companion(
 
 
 def _start(command: list[Any], log: Path | None = None) -> subprocess.Popen[bytes]:
-    where = subprocess.DEVNULL if log is None else log.open("ab")
-    try:
+    with Path(log or os.devnull).open("ab") as where:
         return subprocess.Popen(
             [str(part) for part in command],
             stdout=where,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
             cwd=ROOT,
-            env=ENVIRONMENT,
         )
-    finally:
-        if log is not None:
-            where.close()  # type: ignore[union-attr]
 
 
 def fly_campaign(folder: Path, text: str, *options: str) -> Path:
@@ -170,7 +164,7 @@ def fly_campaign(folder: Path, text: str, *options: str) -> Path:
     file, out = folder / "campaign.toml", folder / "campaign"
     file.write_text(f'schema = 1\nname = "bench"\n{text}', encoding="utf-8")
     command = [BIN / "companion", "campaign", "run", file, "--out", out, *options]
-    subprocess.run(command, check=True, cwd=ROOT, env=ENVIRONMENT)
+    subprocess.run(command, check=True, cwd=ROOT)
     return out
 
 

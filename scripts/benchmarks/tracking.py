@@ -1,120 +1,90 @@
 """How the four simulated autopilots follow setpoints, beside what was measured on the real ones.
 
-python scripts/benchmarks/tracking.py        the tables of docs/results/tracking.md
+scripts/bench tracking       the tables of docs/results/tracking.md
 """
 
 import math
 import sys
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from running import Found, main
+
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "vehicle_sim"))
-import tracking_copter as tracking
-import tracking_plane
-import tracking_px4
-import tracking_px4_fixed_wing
+import tracking_copter as copter
+import tracking_plane as plane
+import tracking_px4 as px4
+import tracking_px4_fixed_wing as fixed_wing
 
 
-def table(text: str, head: str, rows: Iterable[Iterable[str]]) -> None:
-    """Print a table of Markdown; the columns of its head are parted by |."""
-    print(f"{text}\n\n| {head} |\n" + "|---" * (head.count("|") + 1) + "|")
-    for row in rows:
-        print("| " + " | ".join(row) + " |", flush=True)
-    print()
-
-
-def both(row: Any, flown: Any, *names: str) -> Iterator[str]:
+def both(real: Any, sim: Any, **columns: str) -> dict[str, str]:
     """The measured and the simulated value of each field: format after a colon, two by a slash."""
-    for name in names:
-        fields, _, form = name.partition(":")
+    cells = {}
+    for heading, told in columns.items():
+        fields, _, form = told.partition(":")
         form, _, unit = form.partition(" ")
-        for one in (row, flown):
-            values = (format(getattr(one, field), form) for field in fields.split("/"))
-            yield " / ".join(values).replace("nan", "-") + (f" {unit}" if unit else "")
-
-
-def copter() -> None:
-    table(
-        "## ArduCopter (ardupilot.md 3)\n\n"
-        "Along: vehicle minus reference. Off path: rms / max. Metres.",
-        "m/s, lateral m/s2, lean deg | setpoints | Hz | along | sim | off path | sim",
-        (
-            (
-                f"{row.speed_m_s:g}, {row.lateral_m_s2:g}, {row.lean_deg:g}",
-                row.kind,
-                f"{row.rate_hz:g}",
-                *both(row, tracking.fly(row), "along_m:.1f", "off_rms_m/off_max_m:.2f"),
+        for whose, one in (("", real), (", sim", sim)):
+            values = " / ".join(format(getattr(one, name), form) for name in fields.split("/"))
+            cells[heading.replace("_", " ") + whose] = (
+                f"{values.replace('nan', '-')} {unit}".strip()
             )
-            for row in tracking.ROWS
-        ),
-    )
-    table(
-        "A stream at 10 m/s that ends: seconds to a standstill, metres beyond its last setpoint.",
-        "setpoints | GUID_TIMEOUT | still | sim | furthest | sim | ends at | sim",
-        (
-            (
-                row.kind,
-                f"{row.timeout_s:g} s",
-                *both(row, tracking.end_stream(row), "still_s:.1f s", "furthest_m:.1f",
-                      "ends_m:.1f"),
-            )
-            for row in tracking.STOPS
-        ),
-    )  # fmt: skip
-    table(
-        "Jumps of the target: peak speed, and seconds until within 1 m for good.",
-        "jump | peak m/s | sim | within | sim",
-        (
-            (row.what, *both(row, tracking.jump(row), "peak_m_s:.1f", "within_s:.1f s"))
-            for row in tracking.JUMPS
-        ),
-    )
+    return cells
 
 
-def _setpoint(row: tracking_px4.Row) -> str:
-    what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
-    return what + (f", carrot {row.carrot_m:.0f} m" if row.carrot_m else "")
-
-
-def _flown(row: tracking_px4.Row) -> tracking_px4.Tracking:
-    """With a carrot the target has no time: it is not told how far along it is."""
-    flown = row.fly()
-    return flown._replace(along_mean_m=math.nan, along_max_m=math.nan) if row.carrot_m else flown
-
-
-def main() -> None:
-    copter()
-    table(
-        "## ArduPlane (ardupilot.md 7)\n\nA weaving route at 21 m/s; off path, rms / max, metres.",
-        "law | lateral m/s2 | Hz | real | sim",
-        (
-            (name, f"{lateral:g}", f"{hz:g}", "{:.1f} / {:.1f}".format(*real),
-             "{:.1f} / {:.1f}".format(*tracking_plane.off_path_m(law, lateral, hz=hz)))
-            for name, law, lateral, hz, real in tracking_plane.TABLE
-        ),
-    )  # fmt: skip
-    table(
-        "## PX4 multicopter (px4.md 5)\n\n"
-        "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.",
-        "v | setpoint | Hz | along, real | sim | across, real | sim | height | sim | v | sim",
-        (
-            (f"{row.speed_m_s:.0f}", _setpoint(row), f"{row.rate_hz:.0f}",
-             *both(row.real, _flown(row), "along_mean_m/along_max_m:.1f",
-                   "cross_rms_m/cross_max_m:.2f", "altitude_rms_m:.2f", "speed_m_s:.1f"))
-            for row in tracking_px4.TABLE
-        ),
-    )  # fmt: skip
-    table(
-        "## PX4 fixed wing (px4.md 10)\n\n"
-        "A curve of least radius 100 m; off path, rms / max, metres.",
-        "setpoints | real | sim",
-        (
-            (row.name, *both(row, tracking_px4_fixed_wing.fly(row), "rms_m/most_m:.1f"))
-            for row in tracking_px4_fixed_wing.ROWS
-        ),
-    )
+def tracking() -> Found:
+    """Every row of the documents, flown again."""
+    yield "## ArduCopter (ardupilot.md 3)\n"
+    yield "Along: vehicle minus reference. Off path: rms / max. Metres.\n"
+    for row in copter.ROWS:
+        settings = f"{row.speed_m_s:g}, {row.lateral_m_s2:g}, {row.lean_deg:g}"
+        head = {"m/s, lateral m/s2, lean deg": settings, "setpoints": row.kind, "Hz|g": row.rate_hz}
+        off = "off_rms_m/off_max_m:.2f"
+        yield head | both(row, copter.fly(row), along="along_m:.1f", off_path=off)
+    yield "\nA stream at 10 m/s that ends: time to a standstill, metres beyond its last setpoint.\n"
+    for stop in copter.STOPS:
+        yield {"setpoints": stop.kind, "GUID_TIMEOUT": f"{stop.timeout_s:g} s"} | both(
+            stop,
+            copter.end_stream(stop),
+            still="still_s:.1f s",
+            furthest="furthest_m:.1f",
+            ends_at="ends_m:.1f",
+        )
+    yield "\nJumps of the target: peak speed, and seconds until within 1 m for good.\n"
+    for jump in copter.JUMPS:
+        sim = copter.jump(jump)
+        told = both(jump, sim, peak="peak_m_s:.1f m/s", within="within_s:.1f s")
+        yield {"jump": jump.what} | told
+    yield "\n## ArduPlane (ardupilot.md 7)\n"
+    yield "A weaving route at 21 m/s; off path, rms / max, metres.\n"
+    for name, law, lateral, hz, real in plane.TABLE:
+        yield {
+            "law": name,
+            "lateral m/s2|g": lateral,
+            "Hz|g": hz,
+            "real": "{:.1f} / {:.1f}".format(*real),
+            "sim": "{:.1f} / {:.1f}".format(*plane.off_path_m(law, lateral, hz=hz)),
+        }
+    yield "\n## PX4 multicopter (px4.md 5)\n"
+    yield "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n"
+    for row in px4.TABLE:
+        what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
+        what += f", carrot {row.carrot_m:.0f} m" if row.carrot_m else ""
+        flown = row.fly()
+        if row.carrot_m:  # its target has no time: it is not told how far along it is
+            flown = flown._replace(along_mean_m=math.nan, along_max_m=math.nan)
+        yield {"v|.0f": row.speed_m_s, "setpoint": what, "Hz|.0f": row.rate_hz} | both(
+            row.real,
+            flown,
+            along="along_mean_m/along_max_m:.1f",
+            across="cross_rms_m/cross_max_m:.2f",
+            height="altitude_rms_m:.2f",
+            speed="speed_m_s:.1f",
+        )
+    yield "\n## PX4 fixed wing (px4.md 10)\n"
+    yield "A curve of least radius 100 m; off path, rms / max, metres.\n"
+    for row in fixed_wing.ROWS:
+        yield {"setpoints": row.name} | both(row, fixed_wing.fly(row), off_path="rms_m/most_m:.1f")
 
 
 if __name__ == "__main__":
-    main()
+    main(tracking)

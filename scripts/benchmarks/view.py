@@ -16,9 +16,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import rich
-import running
 import viser
 from playwright.sync_api import Page, sync_playwright
+from running import Found, main, most
 from tapped import BIN
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "telemetry"))
@@ -56,13 +56,10 @@ _COUNT = """() => {
 }"""
 
 
-def main() -> int:
+def view() -> Found:
     """Open it, and drag."""
-    options, console = running.begin(__doc__)
     with tempfile.TemporaryDirectory() as folder:
-        opened_s = _look_at(_hour(Path(folder)))
-    bar = running.most("a flight of an hour is shown after, s", opened_s, 5.0)
-    return running.ended(console, options.json, None, [bar])
+        yield from _looked_at(_hour(Path(folder)))
 
 
 def _hour(folder: Path) -> Path:
@@ -74,12 +71,11 @@ def _hour(folder: Path) -> Path:
     it.run_until(lambda it: it.out.end is not None, _LIMIT_S)
     record(folder / "hour", it, text)
     (folder / "hour" / "inputs.msgpack").write_bytes(b"".join(packed([HEADER, *it.inputs])))
-    print(f"a flight of {it.session.now_s / 60.0:.0f} minutes, {len(it.record):,} messages")
     return folder / "hour"
 
 
-def _look_at(folder: Path) -> float:
-    """Open a run folder in a browser, and drag its slider.  -> seconds until it was shown"""
+def _looked_at(folder: Path) -> Found:
+    """Open a run folder in a browser, and drag its slider."""
     with sync_playwright() as playwright, ExitStack() as stack:
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=list(_CHROMIUM)
@@ -92,32 +88,30 @@ def _look_at(folder: Path) -> float:
         bare.gui.add_html("<table><tr><td>time</td></tr></table>")
         began_s = time.monotonic()
         _wait_for_row(page, f"http://127.0.0.1:{bare.get_port()}/")
-        print(f"a bare page of viser is there after {time.monotonic() - began_s:.1f} s")
+        yield {"there after": "a bare page of viser", "s|.1f": time.monotonic() - began_s}
         began_s = time.monotonic()
         command = [BIN / "companion", "view", folder, "--view-port", "0"]
         view = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
         stack.callback(view.terminate)
         assert view.stdout is not None
         address = view.stdout.readline().split()[1]
-        served_s = time.monotonic() - began_s
+        yield {"there after": "the flight, served", "s|.1f": time.monotonic() - began_s}
         _wait_for_row(page, address)
         opened_s = time.monotonic() - began_s
-        print(
-            f"the flight is served after {served_s:.1f} s, shown after {opened_s:.1f} s; "
-            f"companion view has computed {_processor_s(view.pid):.1f} s; "
-            f"load {os.getloadavg()[0]:.1f}"
-        )
+        yield {"there after": "the flight, shown", "s|.1f": opened_s}
         page.wait_for_function(_IS_READ, timeout=_READ_MS, polling=1000)
-        print(f"all of its ground is read after {time.monotonic() - began_s:.1f} s")
-        for name, is_dragged in (("at rest", False), ("dragged", True)):
+        yield {"there after": "all of its ground", "s|.1f": time.monotonic() - began_s}
+        for slider, is_dragged in (("at rest", False), ("dragged", True)):
             used_s = _processor_s(view.pid)
             frames_hz, places_hz = _watched(page, is_dragged=is_dragged)
-            used_s = _processor_s(view.pid) - used_s
-            print(
-                f"slider {name}: {frames_hz:.1f} frames/s, {places_hz:.1f} moments shown/s, "
-                f"{used_s / _DRAGGED_S:.0%} of a processor; load {os.getloadavg()[0]:.1f}"
-            )
-    return opened_s
+            yield {
+                "slider": slider,
+                "frames/s|.1f": frames_hz,
+                "moments shown/s|.1f": places_hz,
+                "processor|.0%": (_processor_s(view.pid) - used_s) / _DRAGGED_S,
+                "load|.1f": os.getloadavg()[0],
+            }
+    yield most("a flight of an hour is shown after, s", opened_s, 5.0)
 
 
 def _wait_for_row(page: Page, address: str) -> None:
@@ -152,4 +146,4 @@ def _watched(page: Page, *, is_dragged: bool) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(view)

@@ -1,4 +1,4 @@
-"""Two rivals for flights among near things, on the same map, lidar and simulated ArduCopter.
+"""Two rivals for flights among near things, on the same map, by the same lidar.
 
 - `Bendy`: what ArduPilot's BendyRuler does (AC_Avoidance/AP_OABendyRuler, horizontal search): every
   5 degrees to either side of the target's bearing, the first that keeps the margin from what was
@@ -6,39 +6,27 @@
 - `AStar`: the cheapest way over the cells of the map, and pure pursuit of it.
 
 For both, what nobody has seen is free, as it is for them in the field.  Both keep from what stands
-what our own vehicle has to keep, decide five times a second (BendyRuler itself once) and send
-velocities 20 times a second.  The companion takes off for them, and then says nothing more.
-
-A place is north + 1j east, in metres.
+what our own vehicle has to keep.  A place is north + 1j east, in metres.
 """
 
 import cmath
 import math
-from typing import Any, final
+from typing import final
 
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import all as wire
 from scipy.sparse import csr_array
-from stepped import Flight
 
-from companion.config import load_mission
 from companion.geodesy import FloatArray
-from companion.mavlink.near_scanner import NearScanner
-from companion.mission.state import Phase
 from companion.paper.rivals.roadmaps import EIGHT, cheapest, grid_edges
 from companion.world.near_map import NearMap
-from vehicle_sim.world import World
 
 _DEAR = 20.0  # what a metre costs nearer than the clearance: A* would find no way out else
-DECIDES_S, _SENDS_S, LIMIT_S, _TAKEN_OFF_S = 0.2, 0.05, 600.0, 90.0
-AT_M, _SLOW_M_S = 1.0, 0.2
 _LOOK_AHEAD_M, _RATIO, _RESISTS_RAD = 15.0, 1.5, math.radians(75.0)  # OA_BR_* as by default
 _PAST_M = 2.0  # OA_BENDYRULER_LOOKAHEAD_PAST_DEST, and _STEP2_MIN
 _ASIDE = [0.0, *(side * step for step in range(5, 175, 5) for side in (-1.0, 1.0))]
 _PURSUES = 0.125  # of R, ahead of the vehicle on its way: 2 m in the forest
-_VELOCITY = 0b110111000111  # POSITION_TARGET_TYPEMASK: all but the velocity is ignored
 
 
 class Clearances:
@@ -164,73 +152,4 @@ def a_star(rate: FloatArray, start: tuple[int, int], end: tuple[int, int]) -> ND
     return np.stack(np.divmod(np.array(way, dtype=np.int64), rate.shape[1]), axis=-1)
 
 
-@final
-class _RivalFlight(Flight):
-    """A companion that takes off, and then a rival in its place."""
-
-    def __init__(self, name: str, world: World, seed: int, kind: type[Bendy | AStar]) -> None:
-        super().__init__(load_mission(name), world, seed)
-        task = self.mission.task
-        self._limits, self._range_m = task.limits, task.settings.scan_range_m
-        self._kind, self._margin_m = kind, task.required_clearance_m
-        self.target = complex(*self.mission.targets_ne_m[0])
-        self._scanner, self._pilot = NearScanner(self.mission), None
-        self._ears, self._mouth = wire.MAVLink(None), wire.MAVLink(None, 1, 195)
-        self._here, self._course, self._aim = None, 1.0 + 0.0j, None
-        self._up_m = self._boot_s = self._decides_s = self._sends_s = 0.0
-
-    def on(self, level_m: float) -> None:
-        """One step with the rival at the controls."""
-        self.simulation.step()
-        for _, frame in self.simulation.take_frames():
-            for message in self._ears.parse_buffer(frame) or ():
-                self._hear(message)
-        seen = None if self._here is None else self._scanner.seen(self._boot_s)
-        if seen is not None:
-            if self._pilot is None:
-                self._pilot = self._kind(seen.near, self.target, self._margin_m, self._range_m)
-            self._pilot.look(seen.near, self._here, self._range_m + 2.0)
-        if self._pilot is not None and self.now_s >= self._decides_s:
-            self._decides_s = self.now_s + DECIDES_S
-            self._aim = self._pilot.aim(self._here, self._course)
-        if self._here is not None and self.now_s >= self._sends_s:
-            self._sends_s = self.now_s + _SENDS_S
-            self._send(self._up_m - level_m)
-
-    def _hear(self, message: Any) -> None:
-        if message.get_msgId() != wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
-            return self._scanner.on_message(message, self._boot_s)
-        place = self.mission.frame.to_local_m(message.lat * 1e-7, message.lon * 1e-7)
-        self._here, self._up_m = complex(*map(float, place)), message.alt * 1e-3
-        self._boot_s = message.time_boot_ms * 1e-3
-        course = complex(message.vx, message.vy) * 1e-2
-        self._course = course if abs(course) > _SLOW_M_S else self._course
-        self._scanner.on_position(self._boot_s, (self._here.real, self._here.imag, self._up_m))
-
-    def _send(self, down_m_s: float) -> None:
-        """A velocity to where it aims, slower near where it has to stop."""
-        away = (self._here if self._aim is None else self._aim) - self._here
-        left_m = abs(away if self._kind is Bendy else self.target - self._here)
-        speed_m_s = math.sqrt(self._limits.acceleration_m_s2 * left_m)
-        speed_m_s = min(self._limits.speed_m_s, speed_m_s, 2.0 * abs(away))
-        velocity = speed_m_s * away / max(abs(away), 1e-6)
-        message = wire.MAVLink_set_position_target_local_ned_message(
-            round(self._boot_s * 1e3), 1, 1, wire.MAV_FRAME_LOCAL_NED, _VELOCITY,
-            *[0.0] * 3, velocity.real, velocity.imag, down_m_s, *[0.0] * 5,
-        )  # fmt: skip
-        self.simulation.receive(0, message.pack(self._mouth))
-
-
-def fly(name: str, world: World, seed: int, kind: type[Bendy | AStar]) -> tuple[float, FloatArray]:
-    """One flight: how many seconds it took, inf if it did not arrive; and where it truly was."""
-    it = _RivalFlight(name, world, seed, kind)
-    while it.phase is not Phase.FLYING:
-        it.step()
-        assert it.now_s < _TAKEN_OFF_S, it.phase
-    began_s, track = it.now_s, [it.simulation.place_nea_m()]
-    while it.now_s < began_s + LIMIT_S and it.simulation.nearest_m > 0.0:
-        it.on(track[0][2])
-        track.append(it.simulation.place_nea_m())
-        if abs(complex(*track[-1][:2]) - it.target) < AT_M:
-            return it.now_s - began_s, np.array(track)
-    return math.inf, np.array(track)
+PILOTS: dict[str, type[Bendy | AStar]] = {"bendy ruler": Bendy, "A*": AStar}

@@ -1,12 +1,11 @@
 """docs/reference/world.md, made from the declarations of the world file by `scripts/docs`."""
 
-import ast
-import inspect
-import textwrap
 from typing import Any, Final
 
+from pages.journal_page import words_of
 from pydantic import TypeAdapter
 
+from vehicle_sim import world
 from vehicle_sim.world import World
 
 _HEAD: Final = """# The world file
@@ -37,10 +36,10 @@ def world_page() -> str:
     schema = TypeAdapter(World).json_schema()
     tables = schema["$defs"]
     parts, places = [_HEAD], _places(schema, tables)
-    parts.append(_table("The file itself", schema, World.__doc__ or "", _meanings(World)))
+    parts.append(_table("The file itself", schema, World.__doc__ or "", words_of(World)))
     for name, place in places.items():
-        kind = _class_of(name)
-        parts.append(_table(f"`{place}`", tables[name], kind.__doc__ or "", _meanings(kind)))
+        kind = getattr(world, name)
+        parts.append(_table(f"`{place}`", tables[name], kind.__doc__ or "", words_of(kind)))
     return "\n".join(parts)
 
 
@@ -60,31 +59,6 @@ def _places(schema: dict[str, Any], tables: dict[str, Any], of: str = "") -> dic
 
 def _alternatives(value: dict[str, Any]) -> list[dict[str, Any]]:
     return [each for each in value.get("anyOf", [value]) if each.get("type") != "null"]
-
-
-def _class_of(name: str) -> type:
-    from vehicle_sim import world
-
-    kind = getattr(world, name)
-    assert isinstance(kind, type)
-    return kind
-
-
-def _meanings(kind: type) -> dict[str, str]:
-    """The docstring below each field of a class."""
-    (declared,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
-    assert isinstance(declared, ast.ClassDef)
-    found = {}
-    for field, after in zip(declared.body, declared.body[1:], strict=False):
-        match field, after:
-            case (
-                ast.AnnAssign(target=ast.Name(id=name)),
-                ast.Expr(value=ast.Constant(value=str(text))),
-            ):
-                found[name] = " ".join(text.split())
-            case _:
-                pass
-    return found
 
 
 def _table(title: str, schema: dict[str, Any], about: str, meanings: dict[str, str]) -> str:

@@ -9,7 +9,7 @@ import pytest
 import quality
 import subpaths
 from numpy.typing import NDArray
-from quality import BUDGETS, OURS, RIVALS, Counted, Figures
+from quality import BUDGETS, OURS, RIVALS, Counted
 
 from companion.jit import compiled
 from companion.planner import kernels
@@ -85,33 +85,37 @@ def test_writing_the_file_and_reading_it_changes_nothing(
     assert json.loads((tmp_path / "copy.json").read_text(encoding="utf-8")) == data
 
 
-def figures(success: float, problems: int = 100, seeds: int = 10) -> Figures:
+def gaps_of(success: float, problems: int = 100, seeds: int = 10) -> FloatArray:
     hits = np.random.default_rng(3).random((problems, seeds)) < success
-    return Figures(gaps=np.where(hits, 0.0, 0.5))
+    return np.where(hits, 0.0, 0.5)
 
 
 def test_the_interval_of_independent_runs_is_that_of_the_binomial_distribution() -> None:
-    each = figures(0.9)
-    low, high = each.interval()
+    each = gaps_of(0.9)
+    low, high = quality.interval(quality.resampled(each))
     deviation = math.sqrt(0.9 * 0.1 / 1_000)
     # resampled seeds add as much again as the problems do
-    assert low < each.success < high
+    assert low < (each == 0.0).mean() < high
     assert 2 * 1.96 * deviation < high - low < 2 * 1.96 * deviation * 1.8
 
 
 def test_a_search_is_not_ahead_of_itself() -> None:
-    assert figures(0.7).ahead_of(figures(0.7)) == (0.0, 0.0)
-    low, _ = figures(0.9).ahead_of(figures(0.6))
-    assert low > 0.2
+    same, ahead, behind = (
+        quality.rows({(OURS, 600): gaps_of(0.9), ("other", 600): gaps_of(success)})
+        for success in (0.9, 0.6, 0.97)
+    )
+    found = [[*each][1] for each in (same, ahead, behind)]
+    intervals = [(row["ours ahead from|.1f"], row["ahead to|.1f"]) for row in found]
+    assert intervals[0] == (0.0, 0.0)
+    assert intervals[1][0] > 20.0
+    assert intervals[2][1] < 0.0
 
 
 def test_a_needle_is_a_problem_that_no_search_solves_in_a_third_of_runs() -> None:
     last = BUDGETS[-1]
     found = {
-        ("a", last): Figures(gaps=np.array([[0.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])),
-        ("b", last): Figures(gaps=np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 1.0, 1.0]])),
-        ("b", 600): Figures(gaps=np.zeros((2, 4))),
+        ("a", last): np.array([[0.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]]),
+        ("b", last): np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 1.0, 1.0]]),
+        ("b", 600): np.zeros((2, 4)),
     }
-    dropped = quality.needles(found)
-    assert dropped.tolist() == [False, True]
-    assert quality.without(found, dropped)["b", last].success == 0.5
+    assert quality.needles(found).tolist() == [False, True]

@@ -1,18 +1,14 @@
 """The rivals among near things: what they decide, against brute force and scipy."""
 
 import math
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from woods import true_gap_m
 from woods_rivals import AStar, Bendy, Clearances
 
-from companion.config import folder_of
 from companion.world.lattice import Lattice
 from companion.world.near_map import NearMap
-from vehicle_sim.world import read_world
 
 CELL_M, MARGIN_M, RANGE_M = 0.5, 1.0, 16.0
 SIZE = 100
@@ -81,19 +77,3 @@ def test_where_nothing_stands_both_fly_to_the_target() -> None:
         assert abs(np.angle((aim - here) / (target - here))) < 0.2
         aim = looked(kind(near, target, MARGIN_M, RANGE_M), near).aim(target - 0.5, 1.0 + 0.0j)
         assert abs(aim - target) < 1e-9
-
-
-@pytest.mark.sample(3)
-@pytest.mark.parametrize("seed", range(5))
-def test_the_least_distance_is_that_of_the_simulators_scene(seed: int) -> None:
-    world = read_world(folder_of("forest") / "world.toml")
-    ends = np.random.default_rng(seed).uniform((0, 0, 395), (300, 300, 425), size=(3, 3))
-    along = np.linspace(0.0, 1.0, 5000)[:, None]
-    way = np.concatenate([a + along * (b - a) for a, b in pairwise(ends)])
-    expected = float(world.scene(world.truth()).distance_m(way).min())
-    assert true_gap_m(world, ends) == pytest.approx(expected, abs=0.05)
-
-
-def test_who_flies_through_a_house_has_touched_it() -> None:
-    world = read_world(folder_of("street") / "world.toml")
-    assert true_gap_m(world, np.array([[50.0, -30.0, 415.0], [50.0, 0.0, 415.0]])) < 0.051

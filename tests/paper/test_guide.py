@@ -84,14 +84,6 @@ def test_circles_count_as_one_from_an_overlap_of_more_than_d_overlap_on(off_m: f
     assert guide(o1, o2) == pytest.approx(outer if off_m < 0.0 else alone)
 
 
-def test_overlaps_join_from_circle_to_circle() -> None:
-    chain = [radar(50_000.0, -1_000.0 + 15_000.0 * k, 9_000.0) for k in range(4)]
-    assert guide(chain[0]) > 0.0
-    assert guide(*chain) == pytest.approx(min(tangent_bearings(S, chain[0])))
-    # with a link missing, the rest does not count
-    assert guide(chain[0], *chain[2:]) == guide(chain[0])
-
-
 @given(
     seed=st.integers(0, 10**6),
     overlap_m=st.sampled_from([0.0, 2_000.0, 6_000.0]),

@@ -51,18 +51,6 @@ def blended(
     ]
 
 
-@given(seed=seeds, a=st.floats(0.0, 1.0), f1=st.floats(0.0, 1.0), f2=st.floats(0.0, 1.0))
-def test_the_blend_is_the_sum_that_equation_15_prints(
-    seed: int, a: float, f1: float, f2: float
-) -> None:
-    de, draws = ClassicalDE(D, 0, np.random.default_rng(seed)), np.random.default_rng(seed)
-    x, costs = draws.random((NP, D)), np.random.default_rng(seed + 1).random(NP)
-    de.tell(costs)
-    others = three_others(NP, draws)
-    for i, mutant in enumerate(de.blend(a, f1, f2)):
-        assert mutant == pytest.approx(blended(x, costs, others[:, i], a, f1, f2), abs=1e-14)
-
-
 @pytest.mark.parametrize("make", [ClassicalDE, ImprovedDE])
 @given(seed=seeds)
 def test_the_same_draws_make_the_trials_of_equations_12_to_18(

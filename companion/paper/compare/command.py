@@ -102,7 +102,7 @@ def _compare(
             pictures.draw(comparison, found, picture)
         console.out(f"picture: {picture}", highlight=False)
     if json_file is not None:
-        results = [outcome.facts() | comparison.more(outcome) for outcome in found]
+        results = [outcome.facts() for outcome in found]
         numbers = {"runs": runs, "seed": seed, "results": results}
         with writing("--json", json_file):
             json_file.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")

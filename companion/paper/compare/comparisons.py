@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, final
 
-import numpy as np
 from scipy.stats import mannwhitneyu
 
 from companion import extras
 from companion.config import load_mission
-from companion.geodesy import FloatArray
-from companion.paper.compare.missions import KINDS, Case, Outcome, bundled_case
+from companion.paper.compare.missions import KINDS, Case, Line, Outcome, bundled_case
 from companion.paper.rivals.routes import PLANNERS
 from companion.planning import OURS, planner_of
 from companion.profiles import PAPER, Weights
@@ -34,8 +32,6 @@ class Comparison:
     cases: Sequence[Case]
     tables: Mapping[str, Row]  # by their titles
     remarks: Callable[[Sequence[Outcome]], list[str]]  # what the tables cannot say by themselves
-    more: Callable[[Outcome], dict[str, Any]] = lambda _: {}
-    """What is told beside the numbers of an outcome, for --json."""
 
 
 def by_heading(found: Sequence[Outcome]) -> list[list[Outcome]]:
@@ -86,9 +82,6 @@ def table_1(per_second: int = PER_SECOND) -> Comparison:
             "Missions that break a bound somewhere, and the mean metres that do": _broken,
         },
         remarks=partial(_orders, per_second=per_second),
-        more=lambda outcome: dict(
-            zip(("paper_mean_cost", "paper_st_dev_cost"), outcome.case.papers_cost, strict=True)
-        ),
     )
 
 
@@ -171,33 +164,27 @@ def surely_less(one: Outcome, other: Outcome) -> bool:
 
 _T_S = 3.0
 _RANGE_M, _OVERLAP_M, _ASIDE_M = 16_000.0, 2_500.0, 1_000.0  # of the radars; aside of the way
-Peaks = Sequence[tuple[float, float, float, float]]
-"""Of each north, east, height AMSL and spread, metres."""
-_RIDGE: Peaks = [(k * 1e3, 100e3 - k * 1e3, 3_900.0, 10_000.0) for k in (42.0, 50.0, 58.0)]
-_HILLS: Peaks = [
-    (88_000.0, 25_000.0, 4_200.0, 6_000.0),
-    (22_000.0, 86_000.0, 4_800.0, 6_000.0),
-    (66_000.0, 92_000.0, 3_400.0, 6_000.0),
+_RIDGE = [Peak(k * 1e3, 100e3 - k * 1e3, 3_900.0, 10_000.0, 10_000.0) for k in (42.0, 50.0, 58.0)]
+_HILLS = [
+    Peak(88_000.0, 25_000.0, 4_200.0, 6_000.0, 6_000.0),
+    Peak(22_000.0, 86_000.0, 4_800.0, 6_000.0, 6_000.0),
+    Peak(66_000.0, 92_000.0, 3_400.0, 6_000.0, 6_000.0),
 ]
-Point = tuple[float, float]
 
 
 def figure_3(per_second: int = PER_SECOND) -> Comparison:
     """Fig. 3: climb over a ridge or go round it, by the weights of height and guide."""
+    one, two = ((peak.north_m, peak.east_m) for peak in (_RIDGE[0], _RIDGE[-1]))
+    base = _case("ridge", _RIDGE, (), ("climbs over", one, two), per_second)
     cases = [
-        replace(
-            _case("ridge", _RIDGE, per_second, weights=Weights(height=a2, guide=a3)),
-            label=f"a2 = {a2:g}, a3 = {a3:g}",
-            papers_way=way,
-        )
+        _set(base, way, f"a2 = {a2:g}, a3 = {a3:g}", weights=Weights(height=a2, guide=a3))
         for way, a2, a3 in (("climbs over", 0.15, 0.15), ("goes round", 0.25, 0.05))
     ]
     paper = (
         "“UAV can choose climbing or bypassing the mountain by weighing the relative size of a2 "
         "and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”"
     )
-    title = "Fig. 3: 3D path and vertical profile for two weightings"
-    return _effect(title, paper, cases, "climbs over", _RIDGE[0][:2], _RIDGE[-1][:2])
+    return _effect("Fig. 3: 3D path and vertical profile for two weightings", paper, cases)
 
 
 def figure_4(per_second: int = PER_SECOND) -> Comparison:
@@ -206,77 +193,58 @@ def figure_4(per_second: int = PER_SECOND) -> Comparison:
     aside_m = [math.sqrt(0.5) * (_ASIDE_M + side * half_m) for side in (-1.0, 1.0)]
     one, two = ((50_000.0 - each_m, 50_000.0 + each_m) for each_m in aside_m)
     radars = tuple(
-        Radar(name=name, centre_nea_m=(*centre, 0.0), range_m=_RANGE_M)
-        for name, centre in (("radar 1", one), ("radar 2", two))
+        Radar(name=f"radar {number}", centre_nea_m=(*centre, 0.0), range_m=_RANGE_M)
+        for number, centre in enumerate((one, two), 1)
     )
+    base = _case("two radars", _HILLS, radars, ("flies between", one, two), per_second)
     cases = [
-        replace(
-            _case("two radars", _HILLS, per_second, radars, overlap_m=1000.0 * km),
-            label=f"d_overlap = {km:g} km",
-            papers_way=way,
-        )
+        _set(base, way, f"d_overlap = {km:g} km", overlap_m=1000.0 * km)
         for way, km in (("goes round", 2.0), ("flies between", 6.0))
     ]
     paper = (
         "“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
         "traverse through the intersection of two radars”"
     )
-    title = "Fig. 4: 3D path for two values of d_overlap"
-    return _effect(title, paper, cases, "flies between", one, two)
+    return _effect("Fig. 4: 3D path for two values of d_overlap", paper, cases)
 
 
 def _case(
-    world: str, peaks: Peaks, per_second: int, radars: tuple[Radar, ...] = (), **settings: Any
+    world: str, peaks: list[Peak], radars: tuple[Radar, ...], line: Line, per_second: int
 ) -> Case:
     """A world with the vehicle, the band and the planner of environment-1."""
-    settings |= {"optimiser": ALGORITHMS["improved DE"], **_budget(_T_S, per_second)}
-    base = bundled_case("environment-1", **settings)
-    round_ones = tuple(Peak(n, e, height, spread, spread) for n, e, height, spread in peaks)
-    terrain = PeakTerrain(peaks=round_ones, ground_amsl_m=0.0)
-    return replace(base, world=world, terrain=terrain, task=replace(base.task, radars=radars))
+    optimiser = ALGORITHMS["improved DE"]
+    base = bundled_case("environment-1", optimiser=optimiser, **_budget(_T_S, per_second))
+    terrain = PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0)
+    task = replace(base.task, radars=radars)
+    return replace(base, world=world, terrain=terrain, task=task, line=line)
 
 
-def _effect(
-    title: str, paper: str, cases: Sequence[Case], across: str, one_ne_m: Point, two_ne_m: Point
-) -> Comparison:
+def _set(case: Case, way: str, label: str, **settings: Any) -> Case:
+    """A case with some settings, by which the paper's route goes this way."""
+    task = replace(case.task, settings=replace(case.task.settings, **settings))
+    return replace(case, task=task, papers_way=way, label=label)
+
+
+def _effect(title: str, paper: str, cases: Sequence[Case]) -> Comparison:
     """Settings with which routes cross a line, and are said to, or go round it."""
-
-    def ways(outcome: Outcome) -> list[str]:
-        crossed = (crosses(run.route_nea_m, one_ne_m, two_ne_m) for run in outcome.runs)
-        return [across if each else "goes round" for each in crossed]
-
-    def row(outcome: Outcome) -> dict[str, str]:
-        shown, way = outcome.shown, outcome.case.papers_way
-        return {
-            "way": f"{way}: {ways(outcome).count(way)}/{len(outcome.runs)}",
-            "arrived": outcome.arrivals,
-            "cost": f"{shown.cost:.1f}",
-            "length": f"{shown.length_m / 1000:.1f} km",
-            "highest": f"{shown.highest_amsl_m / 1000:.2f} km",
-            "in radars": f"{shown.violations['radar'] / 1000:.1f} km",
-        }
-
     remarks = [
         f"The paper: {paper}.",
         "Cost, length and heights are those of the run of median cost, which the picture shows. "
         f"Improved DE, {cases[0].task.settings.evaluations:,} evaluations for T = {_T_S:g} s.",
     ]
-    return Comparison(
-        cases=cases,
-        tables={title: row},
-        remarks=lambda _: remarks,
-        more=lambda each: {"papers_way": each.case.papers_way, "ways": ways(each)},
-    )
+    return Comparison(cases=cases, tables={title: _ways}, remarks=lambda _: remarks)
 
 
-def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
-    """Whether a route passes between two points, seen from above.  (S, 3)."""
-    one = complex(*one_ne_m)
-    place = (route_nea_m[:, 0] + 1j * route_nea_m[:, 1] - one) / (complex(*two_ne_m) - one)
-    before = np.nonzero(np.diff(place.imag < 0.0))[0]  # the points lie at 0 and 1
-    here, there = place[before], place[before + 1]
-    at = here.real + here.imag / (here.imag - there.imag) * (there.real - here.real)
-    return bool(np.any((at > 0.0) & (at < 1.0)))
+def _ways(outcome: Outcome) -> dict[str, str]:
+    shown, way = outcome.shown, outcome.case.papers_way
+    return {
+        "way": f"{way}: {outcome.ways.count(way)}/{len(outcome.runs)}",
+        "arrived": outcome.arrivals,
+        "cost": f"{shown.cost:.1f}",
+        "length": f"{shown.length_m / 1000:.1f} km",
+        "highest": f"{shown.highest_amsl_m / 1000:.2f} km",
+        "in radars": f"{shown.violations['radar'] / 1000:.1f} km",
+    }
 
 
 # --- planners of whole routes, ours and the paper's

@@ -41,6 +41,11 @@ KINDS = {
 """What may be violated, and how tables say it."""
 
 
+Point = tuple[float, float]  # north and east, metres
+Line = tuple[str, Point, Point]
+"""What a route does that passes between two points; any other goes round."""
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
@@ -52,11 +57,11 @@ class Case:
     terrain: PeakTerrain
     task: Task
     start_nea_m: tuple[float, float, float]
-    target_ne_m: tuple[float, float]
+    target_ne_m: Point
     planner: str = OURS  # who plans (`planning.planner_of`): ours plans by the task's profile
-    papers_cost: tuple[float, float] = (math.nan, math.nan)
-    """The mean and the standard deviation that the paper has."""
-    papers_way: str = ""  # which way the paper's route goes
+    papers_cost: tuple[float, ...] = ()  # mean and standard deviation (Table 1)
+    papers_way: str = ""  # which way the paper's route goes (Fig. 3, Fig. 4)
+    line: Line | None = None
 
 
 def bundled_case(name: str, **settings: Any) -> Case:
@@ -175,6 +180,16 @@ def peak_distance_m(points_nea_m: FloatArray, terrain: PeakTerrain) -> FloatArra
     return nearest
 
 
+def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
+    """Whether a route passes between two points, seen from above.  (S, 3)."""
+    one = complex(*one_ne_m)
+    place = (route_nea_m[:, 0] + 1j * route_nea_m[:, 1] - one) / (complex(*two_ne_m) - one)
+    before = np.nonzero(np.diff(place.imag < 0.0))[0]  # the points lie at 0 and 1
+    here, there = place[before], place[before + 1]
+    at = here.real + here.imag / (here.imag - there.imag) * (there.real - here.real)
+    return bool(np.any((at > 0.0) & (at < 1.0)))
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
@@ -194,14 +209,24 @@ class Outcome:
         return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
 
     @property
+    def ways(self) -> list[str]:
+        """Which way each run goes, where the case has a line."""
+        assert self.case.line is not None
+        across, one, two = self.case.line
+        crossed = (crosses(run.route_nea_m, one, two) for run in self.runs)
+        return [across if each else "goes round" for each in crossed]
+
+    @property
     def violations(self) -> dict[str, dict[str, float]]:
         """Of each kind the share of missions that break it, and the mean metres that do."""
-        result = {}
-        for kind in KINDS:
-            metres = [run.violations[kind] for run in self.runs]
-            share = statistics.fmean(each > 0.0 for each in metres)
-            result[kind] = {"missions": share, "mean_m": statistics.fmean(metres)}
-        return result
+        metres = {kind: [run.violations[kind] for run in self.runs] for kind in KINDS}
+        return {
+            kind: {
+                "missions": statistics.fmean(each > 0.0 for each in found),
+                "mean_m": statistics.fmean(found),
+            }
+            for kind, found in metres.items()
+        }
 
     @property
     def arrivals(self) -> str:
@@ -219,18 +244,23 @@ class Outcome:
         return statistics.stdev(self.costs) if len(self.costs) > 1 else math.nan
 
     def facts(self) -> dict[str, Any]:
-        """All its numbers, for --json."""
+        """All its numbers and the paper's, for --json."""
+        case, names = self.case, ("paper_mean_cost", "paper_st_dev_cost")
+        paper: dict[str, Any] = dict(zip(names, case.papers_cost, strict=False))
+        if case.line is not None:
+            paper = {"papers_way": case.papers_way, "ways": self.ways}
         return {
-            "heading": self.case.heading,
-            "label": self.case.label,
-            "world": self.case.world,
-            "evaluations": self.case.task.settings.evaluations,
+            "heading": case.heading,
+            "label": case.label,
+            "world": case.world,
+            "evaluations": case.task.settings.evaluations,
             "arrived": [run.arrived for run in self.runs],
             "costs": [run.cost if run.arrived else None for run in self.runs],
             "lengths_m": [run.length_m for run in self.runs],
             "highest_amsl_m": [run.highest_amsl_m for run in self.runs],
             "j": [run.j for run in self.runs],
             "violations": self.violations,
+            **paper,
         }
 
 

@@ -34,7 +34,7 @@ def compose_effect(comparison: Comparison, found: Sequence[Outcome]) -> Figure:
     canvas = _canvas((15.0, 12.2), title, 0.967, comparison.remarks(found))
     lower, places = [], (("a", "c", 0.02), ("b", "d", 0.51))
     for outcome, (letter, below_letter, left) in zip(found, places, strict=True):
-        flight, ways = _flight(outcome), comparison.more(outcome)["ways"]
+        flight, ways = _flight(outcome), outcome.ways
         box = (left, 0.525, 0.47, 0.42)
         views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
         way = max(sorted(set(ways)), key=ways.count)
@@ -80,7 +80,8 @@ def _draw_row(axes: Axes, row: Sequence[Outcome]) -> None:
         ends = np.nan_to_num([[below], [deviation]])
         name = f"{unnamed}mean ± standard deviation, here (left scale)"
         axes.errorbar(at, mean, ends, color=_OURS, label=name, **bars)
-        other.errorbar(at + 0.2, *outcome.case.papers_cost, color=_PAPERS, **bars)
+        papers_mean, papers_deviation = outcome.case.papers_cost
+        other.errorbar(at + 0.2, papers_mean, papers_deviation, color=_PAPERS, **bars)
         name = f"{unnamed}the paper's (right scale)"  # in the legend of the left scale
         axes.errorbar([], [], [], color=_PAPERS, label=name, **bars)
     axes.set_xticks(range(len(row)), [each.case.label for each in row])

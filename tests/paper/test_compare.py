@@ -1,32 +1,33 @@
-"""What is told of runs that nobody flew: tables, remarks, numbers and pictures."""
+"""The table and the figures: what is told of runs that nobody flew, and the ways that are flown."""
 
 import itertools
 import json
 import math
 from dataclasses import replace
-from io import StringIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
+from typer.testing import CliRunner
 
-from companion.paper.compare.command import table
+from companion.errors import InputError
+from companion.paper.compare import missions
+from companion.paper.compare.command import compare_app
 from companion.paper.compare.comparisons import (
     ALGORITHMS,
     Comparison,
     agreement,
     by_heading,
-    crosses,
     figure_3,
     figure_4,
     order,
     surely_less,
     table_1,
 )
-from companion.paper.compare.missions import KINDS, Outcome, Run, fly_all
+from companion.paper.compare.missions import KINDS, Case, Outcome, Run, crosses, fly_all
 from companion.paper.compare.pictures import compose_effect, compose_table
 
 TABLE = table_1()
@@ -56,15 +57,19 @@ def run(cost: float, aside_m: float = 0.0, **changes: Any) -> Run:
     return Run(**values | changes)
 
 
-def told(*runs: tuple[Run, ...]) -> list[Outcome]:
-    """Table 1, cell by cell; the runs of the last one stand for all that follow."""
-    every = [*runs, *[runs[-1]] * (len(TABLE.cases) - len(runs))]
-    return [Outcome(case=case, runs=each) for case, each in zip(TABLE.cases, every, strict=True)]
-
-
 def row(*costs: list[float]) -> list[Outcome]:
-    """The four algorithms of the first row."""
-    return told(*(tuple(run(cost) for cost in each) for each in costs))[:4]
+    """The four algorithms of the first row of the table."""
+    runs = (tuple(map(run, each)) for each in costs)
+    return [Outcome(case=case, runs=each) for case, each in zip(TABLE.cases, runs, strict=False)]
+
+
+def called(*words: str) -> str:
+    """What a command prints."""
+    runner = CliRunner(env={"COLUMNS": "80"})
+    result = runner.invoke(compare_app, list(words), standalone_mode=False)
+    if result.exception is not None:
+        raise result.exception
+    return result.stdout
 
 
 # --- Table 1
@@ -80,15 +85,36 @@ def test_the_table_is_4_algorithms_on_2_environments_with_2_budgets() -> None:
     assert {case.task.settings.evaluations for case in table_1(200).cases} == {600, 1000}
 
 
-@given(costs=st.lists(st.floats(1.0, 1e4), min_size=2, max_size=20), lost=st.integers(0, 3))
-def test_mean_and_deviation_are_those_of_the_runs_that_arrived(
-    costs: list[float], lost: int
+@pytest.mark.parametrize("arrive", [0, 1, 4])
+def test_the_command_tells_of_the_runs_that_arrived_what_numpy_does(
+    arrive: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runs = [run(cost) for cost in costs] + [run(1e9, arrived=False)] * lost
-    outcome = Outcome(case=TABLE.cases[0], runs=tuple(runs))
-    assert outcome.mean() == pytest.approx(np.mean(costs))
-    assert outcome.deviation == pytest.approx(np.std(costs, ddof=1), abs=1e-9)
-    assert outcome.arrivals == f"{len(costs)}/{len(costs) + lost}"
+    bad = CLEAN | {"clearance": 30.0, "turn": 10.0}
+
+    def flown(case: Case, seed: int) -> Run:
+        cost = sum(case.papers_cost) * seed**2
+        return run(cost, arrived=seed <= arrive, violations=bad if seed == 1 else CLEAN)
+
+    monkeypatch.setattr(missions, "fly", flown)
+    files = tmp_path / "p.png", tmp_path / "numbers.json"
+    words = ["--runs", "5", "--jobs", "1", "--figure", str(files[0]), "--json", str(files[1])]
+    shown = called("table-1", *words)
+    assert "…" not in shown  # no cell is cut in 80 columns
+    assert files[0].read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    written = json.loads(files[1].read_text(), parse_constant=pytest.fail)  # NaN is no JSON
+    assert (written["runs"], written["seed"]) == (5, 1)
+    lines = [" ".join(line.split()) for line in shown.splitlines()]
+    for case, each in zip(TABLE.cases, written["results"], strict=True):
+        costs = sum(case.papers_cost) * np.arange(1, arrive + 1) ** 2.0
+        assert each["costs"] == pytest.approx([*costs, *[None] * (5 - arrive)])
+        assert [each["paper_mean_cost"], each["paper_st_dev_cost"]] == list(case.papers_cost)
+        assert each["violations"]["turn"] == {"missions": 0.2, "mean_m": 2.0}
+        mean = costs.mean() if arrive else math.nan
+        deviation = costs.std(ddof=1) if arrive > 1 else math.nan
+        papers = "{:.1f} ± {:.1f}".format(*case.papers_cost)
+        told = f"{case.label} {mean:.2f} ± {deviation:.2f} {papers} {arrive}/5"
+        assert any(line.startswith(told) for line in lines)
+    assert "T = 3 s is 3,000 evaluations" in shown
 
 
 def test_algorithms_are_ordered_by_mean_and_those_that_never_arrive_come_last() -> None:
@@ -96,7 +122,6 @@ def test_algorithms_are_ordered_by_mean_and_those_that_never_arrive_come_last() 
     assert order(found) == "PSO ~ improved DE ~ GA ~ classical DE"  # two prove nothing
     lost = replace(found[2], runs=(run(0.1, arrived=False),))
     assert order([*found[:2], lost, found[3]]).endswith(" ~ PSO")
-    assert math.isnan(lost.mean())
 
 
 def test_only_costs_that_lie_apart_noticeably_are_surely_less() -> None:
@@ -107,72 +132,33 @@ def test_only_costs_that_lie_apart_noticeably_are_surely_less() -> None:
     assert not surely_less(b, a)
     assert not any(surely_less(one, other) for one, other in itertools.permutations((a, c, d), 2))
     for apart, counts in ((1.0, True), (0.1, False)):  # 1 %, and a sure 0.1 %
-        a, b, *_ = row(*([100.0 + 1e-4 * v + k * apart for v in range(20)] for k in range(2)))
+        a, b = row(*([100.0 + 1e-4 * v + k * apart for v in range(20)] for k in range(2)))
         assert surely_less(a, b) is counts
 
 
-def by_the_paper(found: list[Outcome]) -> list[Outcome]:
-    return [found[k] for k in (0, 2, 1, 3)]
-
-
-def test_the_agreement_with_the_paper_is_counted_in_pairs() -> None:
-    # the paper: improved DE < PSO < classical DE < GA in this row
-    costs = {"improved DE": 100.0, "classical DE": 140.0, "PSO": 120.0, "GA": 160.0}
-    spread = [0.1 * v for v in range(20)]
-    same = row(*([cost + v for v in spread] for cost in costs.values()))
-    assert agreement(by_the_paper(same)) == (6, [])
-    assert order(same) == "improved DE < PSO < classical DE < GA"
-    other = row(*([cost + v for v in spread] for cost in (costs | {"GA": 90.0}).values()))
-    expected = ["GA < improved DE", "GA < PSO", "GA < classical DE"]
-    assert agreement(by_the_paper(other)) == (3, expected)
-
-
-def test_the_remarks_state_the_budget_and_the_papers_order_of_each_row() -> None:
-    words = TABLE.remarks(told((run(1.0), run(2.0))))
-    assert "3,000 evaluations" in words[0]
+def test_the_agreement_with_the_paper_is_counted_in_pairs_of_its_order() -> None:
+    words = TABLE.remarks([Outcome(case=case, runs=(run(1.0), run(2.0))) for case in TABLE.cases])
     # "The classical DE performs better than PSO and GA": not in environment 1 with T = 3 s
-    assert "improved DE < PSO < classical DE < GA" in words[2]
+    papers = "improved DE < PSO < classical DE < GA"
+    assert papers in words[2]
     assert all("improved DE < classical DE < PSO < GA" in each for each in words[3:])
-
-
-def test_violations_are_shares_of_missions_and_means_of_metres() -> None:
-    bad = CLEAN | {"clearance": 30.0, "turn": 10.0}
-    found = Outcome(case=TABLE.cases[0], runs=(run(1.0), run(1.0, violations=bad))).violations
-    assert found["clearance"] == {"missions": 0.5, "mean_m": 15.0}
-    assert found["turn"] == {"missions": 0.5, "mean_m": 5.0}
-    assert found["radar"] == {"missions": 0.0, "mean_m": 0.0}
-
-
-@pytest.mark.parametrize("columns", ["80", "120"])
-def test_no_cell_of_a_table_is_cut(columns: str) -> None:
-    found = told((run(208.55), run(596.96)))
-    with (console := Console(width=int(columns), file=StringIO())).capture() as said:
-        for title, each in TABLE.tables.items():
-            console.print(table(title, each, found))
-    assert "…" not in said.get()
-    for cell in ("environment-2, 5 s", "classical DE", "402.75 ± 274.65", "150.0 km"):
-        assert cell in said.get()
-
-
-def test_what_nobody_arrived_in_can_be_drawn_and_written() -> None:
-    found = told((run(1.0, arrived=False), run(2.0, arrived=False)))
-    compose_table(TABLE, found)
-    facts = [outcome.facts() | TABLE.more(outcome) for outcome in found]
-    facts = json.loads(json.dumps(facts, allow_nan=False))
-    assert facts[0]["costs"] == [None, None]
-    assert (facts[0]["paper_mean_cost"], facts[15]["paper_st_dev_cost"]) == (88.3, 16.4)
+    for last, agrees in ((160.0, (6, [])), (90.0, (3, ["improved DE", "PSO", "classical DE"]))):
+        costs = ([cost + 0.1 * v for v in range(20)] for cost in (100.0, 140.0, 120.0, last))
+        found = row(*costs)
+        by_the_paper = [found[k] for k in (0, 2, 1, 3)]
+        assert agreement(by_the_paper) == (agrees[0], [f"GA < {each}" for each in agrees[1]])
+        assert order(found) == (papers if agrees[0] == 6 else f"GA < {papers[:-5]}")
 
 
 def test_the_picture_of_the_table_shows_every_run_and_every_mean() -> None:
     rng = np.random.default_rng(1)
-    found = told(*(tuple(map(run, rng.uniform(30.0, 500.0, 5).tolist())) for _ in range(16)))
-    figure = compose_table(TABLE, found)
-    panels = [axes for axes in figure.axes if axes.get_label() == "row"]
+    runs = [tuple(map(run, rng.uniform(30.0, 500.0, 5).tolist())) for _ in TABLE.cases]
+    found = [Outcome(case=c, runs=each) for c, each in zip(TABLE.cases, runs, strict=True)]
+    panels = [axes for axes in compose_table(TABLE, found).axes if axes.get_label() == "row"]
     assert len(panels) == 4
-    for axes, each in zip(panels, by_heading(found), strict=True):
-        assert axes.get_yscale() == "log"
+    for axes, outcomes in zip(panels, by_heading(found), strict=True):
         lines = [np.asarray(line.get_ydata()).tolist() for line in axes.lines]
-        for outcome in each:
+        for outcome in outcomes:
             assert outcome.costs in lines
             assert any(line == pytest.approx([outcome.mean()]) for line in lines if line)
 
@@ -215,7 +201,7 @@ def test_the_paper_s_way_is_flown_in_both_settings(
 ) -> None:
     one, other = fly_all(effect.cases, runs, seed, 1)
     for outcome in (one, other):  # a search of chance: nearly always
-        assert effect.more(outcome)["ways"].count(outcome.case.papers_way) >= (runs + 1) // 2
+        assert outcome.ways.count(outcome.case.papers_way) >= (runs + 1) // 2
         assert outcome.arrivals == f"{runs}/{runs}"
     if effect is EFFECTS[0]:  # over: higher and shorter
         assert one.shown.highest_amsl_m > other.shown.highest_amsl_m + 300.0
@@ -250,3 +236,47 @@ def test_each_panel_shows_the_route_of_median_cost_and_says_where_most_runs_go(
             along = np.hypot(*np.diff(route_km[:, :2], axis=0).T).cumsum()
             shown = np.stack([np.insert(along, 0, 0.0), route_km[:, 2]], axis=-1)
         assert any(line.shape == shown.shape and np.allclose(line, shown) for line in lines)
+
+
+# --- the commands
+
+
+def test_routes_flies_whoever_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.paper.compare.comparisons.ENVIRONMENTS", ("environment-1",))
+    words = ["routes", "--jobs", "1", "--planner", "paper", "--planner", "a-star"]
+    shown = called(*words, "--json", str(tmp_path / "routes.json"))
+    results = json.loads((tmp_path / "routes.json").read_text())["results"]
+    assert [each["label"] for each in results] == ["paper", "a-star"]
+    for each in results:
+        assert each["arrived"] == [True]
+        assert f"{each['j'][0]:.2f}" in shown
+    with pytest.raises(InputError, match=r"--planner = 'magic': there is no such planner"):
+        called("routes", "--planner", "magic")
+
+
+@pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_flown(
+    command: str, tmp_path: Path
+) -> None:
+    for option in ("--figure", "--json"):
+        for path in (tmp_path, tmp_path / "nowhere" / "file.png"):
+            with pytest.raises(InputError, match=f"{option} = .*{path.name}"):
+                called(command, option, str(path))
+    with pytest.raises(InputError, match=r"--figure = 'x.jpg': .* \.png, \.svg or \.pdf"):
+        called(command, "--figure", "x.jpg")
+    same = str(tmp_path / "figure.png")
+    with pytest.raises(InputError, match=r"--json = .*the picture goes there"):
+        called(command, "--figure", same, "--json", same)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_figure_is_flown_drawn_and_told(tmp_path: Path) -> None:
+    picture, numbers = tmp_path / "p.pdf", tmp_path / "numbers.json"
+    words = ["figure-4", "--runs", "1", "--jobs", "1", "--seed", "3", "--per-second", "100"]
+    shown = called(*words, "--figure", str(picture), "--json", str(numbers))
+    assert picture.read_bytes().startswith(b"%PDF-")
+    for each in json.loads(numbers.read_text())["results"]:
+        assert each["evaluations"] == 300
+        assert each["label"] in shown
+        assert f"{each['papers_way']}: {each['ways'].count(each['papers_way'])}/1" in shown
+    assert "may traverse" in shown

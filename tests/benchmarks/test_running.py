@@ -1,0 +1,65 @@
+"""The frame of the benchmarks: parameters are options, rows are Markdown, bars are held."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+import running
+from running import Found, OneOf, Some, least, main, most
+
+
+def measured(
+    flights: int = 2,
+    world: str = OneOf("forest", "street"),
+    rates: tuple[float, ...] = (20.0, 200.0),
+    only: tuple[str, ...] = Some(("a", "b")),
+    all_: bool = False,
+) -> Found:
+    """A benchmark."""
+    yield "a title"
+    for number in range(flights):
+        yield {"flight": f"{world}-{number}", "m|.1f": 0.25 * number, "why": None}
+    yield [rates, only, all_]
+    yield most("metres", 0.25 * (flights - 1), 0.5)
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> object:
+    """Its exit code."""
+    monkeypatch.setattr(sys, "argv", ["bench", *words])
+    with pytest.raises(SystemExit) as ended:
+        main(measured)
+    return ended.value.code
+
+
+def test_parameters_are_options_and_what_is_yielded_is_printed_and_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(running, "CONSOLE", running.Console(file=sys.stdout, width=100))
+    path = tmp_path / "found.json"
+    words = ["--world", "street", "--rates", "5", "--only", "b", "--all", "--flights", "3"]
+    assert not run(monkeypatch, *words, "--json", str(path))
+    found = json.loads(path.read_text(encoding="utf-8"))
+    assert [row["flight"] for row in found["rows"]] == ["street-0", "street-1", "street-2"]
+    assert [row["m"] for row in found["rows"]] == [0.0, 0.25, 0.5]
+    assert found["found"] == [[[5.0], ["b"], True]]
+    assert found["bars"] == [["metres", "0.5", "0.5", True]]
+    lines = [line.replace(" ", "") for line in capsys.readouterr().out.splitlines()]
+    assert {"atitle", "|flight|m|why|", "|street-2|0.5||", "|metres|0.5|0.5|met|"} <= set(lines)
+
+
+def test_a_missed_bar_and_a_word_that_is_none_of_the_choices_end_it_with_a_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "--flights", "9") == 1
+    assert run(monkeypatch, "--world", "moon") == 2
+    assert run(monkeypatch, "--only", "c") == 2
+    assert "invalid choice: 'c'" in capsys.readouterr().err
+
+
+def test_a_bar_without_values_is_missed() -> None:
+    assert not most("nothing", [], [1.0]).kept
+    assert most("two", [1.0, 2.0], (1.0, 2.0)).kept
+    assert not most("two", [1.0, 2.1], (1.0, 2.0)).kept
+    assert least("as much", 3.0, 3.0).kept
+    assert not least("no number", float("nan"), 3.0).kept
