@@ -242,7 +242,7 @@ class Simulation:
     @property
     def landed(self) -> bool:
         """Whether it stands on the ground."""
-        return self._contact.on_ground if self._is_down else self._controller.autopilot.landed
+        return self.vehicle.stands if self._is_down else self._controller.autopilot.landed
 
     @property
     def armable(self) -> bool:

@@ -249,7 +249,7 @@ class ArduPlaneFlight(ArduFlight):
             autopilot.reached(route.current)
             self._passed = self._place if leg.does is Does.GO else None
             autopilot.seek(route.current + 1)
-        if route.leg is None and not autopilot.standing:
+        if route.leg is None and not self._plane.stands:
             autopilot.set_mode("RTL")
 
     def _is_done(self, leg: Leg) -> bool:
@@ -383,7 +383,7 @@ class ArduPlaneFlight(ArduFlight):
 
     def arming_refusal(self) -> str | None:
         """Why it may not be armed now."""
-        if not self.autopilot.standing:
+        if not self._plane.stands:
             return None
         if self._first_fix_s is None:
             return "GPS 1: Bad fix"
@@ -459,7 +459,7 @@ class ArduPlaneFlight(ArduFlight):
     def _navigate(self) -> None:
         """By itself: to its point, along the way or around it."""
         autopilot, control = self.autopilot, self._control
-        if self._flies == "takes_off" and autopilot.standing and autopilot.armed:
+        if self._flies == "takes_off" and self._plane.stands and autopilot.armed:
             if abs(control.velocity) < _AIMED_M_S:
                 self._aim_ahead(self.parameters["TKOFF_DIST"], self.parameters["TKOFF_ALT"])
         elif self._flies == "flies_mission":

@@ -232,7 +232,7 @@ class Px4PlaneFlight(Px4Flight):
         """Where to and how high."""
         del dt_s
         self._steps += 1
-        if self._steps % _STEER_EVERY == 0 and not self.autopilot.standing:
+        if self._steps % _STEER_EVERY == 0 and not self._plane.stands:
             self._guide()
 
     def _guide(self) -> None:
