@@ -118,8 +118,7 @@ class Simulation:
         """Mission, fence and rally points as the autopilot stores them."""
         self._boots, self._down_until_us, self._port_change = 0, 0, False
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
-        reads_lidar = any(each.output == "autopilot" for each in world.lidars)
-        given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
+        given = self._own_lidar()
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
         self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot, links, byte_streams, forwards_all)
@@ -137,7 +136,7 @@ class Simulation:
         self._timeline = Timeline.parse(
             faults,
             name="faults",
-            firmware=vehicle.autopilot,
+            firmware=self._personality.firmware.profile.firmware,
             latitude_deg=world.origin.latitude_deg,
         )
         self._boot(autopilot)
@@ -168,10 +167,21 @@ class Simulation:
             rng=generator(self._seed, "links"),
         )
 
+    def _own_lidar(self) -> dict[str, float]:
+        """The parameter of an autopilot that reads a lidar itself."""
+        world, profile = self._world, self._personality.firmware.profile
+        for name, table in (("lidar", world.lidar), ("second_lidar", world.second_lidar)):
+            if table is not None and table.output == "autopilot":
+                if profile.firmware == "px4":
+                    rule = f"{world.vehicle.autopilot} has no driver for it"
+                    raise InputError(f"{name}.output", table.output, rule, "Write driver.")
+                return {"PRX1_TYPE": RPLIDAR}
+        return {}
+
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
-        rng, make = generator(self._seed, f"autopilot {self._boots}"), self._personality.autopilot
-        autopilot = make(self.vehicle, overrides, self.plans, rng=rng)
+        rng = generator(self._seed, f"autopilot {self._boots}")
+        autopilot = self._personality.boot(self.vehicle, overrides, self.plans, rng)
         autopilot.battery = self._battery
         return autopilot
 

@@ -93,7 +93,7 @@ def make(kind: str) -> tuple[Autopilot, Receiver]:
     airframe = (
         Copter(**_PLACE, limits=STRONG) if flies == "copter" else Plane(**_PLACE, limits=limits)
     )
-    return one.autopilot(airframe, {}, Plans(), rng=np.random.default_rng(1)), one.receiver
+    return one.boot(airframe, {}, Plans(), np.random.default_rng(1)), one.receiver
 
 
 def is_somewhere(place: Place) -> bool:

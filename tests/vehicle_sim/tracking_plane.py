@@ -9,7 +9,7 @@ import numpy as np
 import rig
 from rig import STEP_S
 
-from vehicle_sim.autopilot import arduplane
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.values import Result, SendMessage
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
@@ -37,7 +37,9 @@ class Rig(rig.Rig):
         )
         self.plans = Plans()
         rng = np.random.default_rng(1)
-        autopilot = arduplane.make(self.plane, parameters or {}, self.plans, rng=rng)
+        autopilot = PERSONALITIES["ardupilot", "plane"].boot(
+            self.plane, parameters or {}, self.plans, rng
+        )
         super().__init__(autopilot, GROUND_M, Gps(ARDUPLANE, rng))
         self.frame = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
 

@@ -11,7 +11,7 @@ import numpy as np
 import rig
 from rig import STEP_US, STRONG, ZERO, Vector
 
-from vehicle_sim.autopilot import px4copter
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.plans import Plans
@@ -43,7 +43,8 @@ class Rig(rig.Rig):
         )
         self.plans = Plans()
         given = {"SIH_KDV": 0.25, "COM_OBL_RC_ACT": 5.0, **parameters}
-        self.px4 = px4copter.make(self.copter, given, self.plans, rng=np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        self.px4 = PERSONALITIES["px4", "copter"].boot(self.copter, given, self.plans, rng)
         gps = Gps(PX4, np.random.default_rng(seed + 1000))
         super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 
