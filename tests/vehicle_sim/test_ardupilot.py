@@ -5,8 +5,8 @@ import math
 from typing import Any
 
 import pytest
+from harness import Rig
 from pyproj import Geod
-from rig import Rig
 from tracking_copter import HOME_DEG, Flown
 
 from vehicle_sim.autopilot.ardupilot import STREAMABLE

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 from fault_lines import LINES
+from harness import GENTLE
 from hypothesis import given
 from hypothesis import strategies as st
-from rig import GENTLE
 
 from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.conditions import (

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from flown import Flown
+from harness import Flown
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import factory
@@ -49,15 +49,15 @@ def test_a_world_names_it_and_it_flies_as_its_data_say() -> None:
     flown = Flown("copter", "sparrow")
     simulation = flown.simulation
     heard(simulation, "HEARTBEAT")
-    flown.command(224, 7)  # an item of a mission that there is not
+    flown.order(224, 7)  # an item of a mission that there is not
     (ack,) = heard(simulation, "COMMAND_ACK")
     assert ack.result == Result.DENIED  # ArduPilot says FAILED
-    flown.command(176, 1, 40)
-    flown.command(400, 1)
-    flown.until(lambda: simulation.armed, 1.0)
+    flown.order(176, 1, 40)
+    flown.order(400, 1)
+    flown.fly_until(lambda: simulation.armed, 1.0)
     assert [text.text for text in heard(simulation, "STATUSTEXT")] == ["Off we go"]
-    flown.command(22, *[0.0] * 6, 10.0)
-    flown.until(lambda: flown.above_m > 9.5, 30.0)
+    flown.order(22, *[0.0] * 6, 10.0)
+    flown.fly_until(lambda: flown.above_m > 9.5, 30.0)
     said = heard(simulation, "HEARTBEAT")
     assert {(beat.custom_mode, beat.autopilot) for beat in said[-2:]} == {(40, 0)}
     far_north = (0.0, 0.0, 0.0)
@@ -68,8 +68,8 @@ def test_a_world_names_it_and_it_flies_as_its_data_say() -> None:
         fastest_m_s = max(fastest_m_s, abs(simulation.vehicle.velocity_north_m_s))
     assert simulation.mode_name == "GUIDED"
     assert fastest_m_s == pytest.approx(3.0, abs=0.5)
-    flown.command(176, 1, 41)
-    flown.until(lambda: not simulation.armed, 60.0)
+    flown.order(176, 1, 41)
+    flown.fly_until(lambda: not simulation.armed, 60.0)
     assert simulation.crash is None
 
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from harness import GENTLE
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
 from recordings import recording
-from rig import GENTLE
 
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter

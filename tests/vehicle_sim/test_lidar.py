@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flown import Flown
+from harness import Flown
 from pymavlink.dialects.v20 import all as mavlink
 from test_near_scene import GROUND_M, world
 

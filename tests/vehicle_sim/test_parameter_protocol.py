@@ -7,9 +7,9 @@ from itertools import pairwise
 from typing import Any, cast
 
 import pytest
+from harness import COMPANION, GCS, PLACE, VEHICLE, Link
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from over_the_wire import COMPANION, GCS, PLACE, VEHICLE, Link
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from rig import STEP_S, Rig
+from harness import STEP_S, Rig
 
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.dynamics.copter import Copter, Limits

@@ -5,9 +5,9 @@ import functools
 import math
 from collections.abc import Callable
 
+import harness
 import numpy as np
-import rig
-from rig import STEP_S
+from harness import STEP_S
 
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.values import Result, SendMessage
@@ -25,7 +25,7 @@ AGE_STEPS = 15
 """A client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
 
 
-class Rig(rig.Rig):
+class Rig(harness.Rig):
     """A plane over flat ground at home, with its autopilot and its receiver."""
 
     def __init__(self, parameters: dict[str, float] | None = None, *, heading_deg: float = 0.0):

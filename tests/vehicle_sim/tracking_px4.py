@@ -7,9 +7,9 @@ with 3 m of height up and down.  Errors are taken against the estimator's positi
 import math
 from typing import Any, Literal, NamedTuple, final
 
+import harness
 import numpy as np
-import rig
-from rig import STEP_US, STRONG, ZERO, Vector
+from harness import STEP_US, STRONG, ZERO, Vector
 
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.conditions import GpsConditions
@@ -31,7 +31,7 @@ _RAMP_M_S2 = 2.0
 
 
 @final
-class Rig(rig.Rig):
+class Rig(harness.Rig):
     """One PX4 multicopter in still air, without links: what goes in and what comes out."""
 
     def __init__(self, seed: int = 1, **parameters: float) -> None:

@@ -10,8 +10,8 @@ import functools
 import math
 from typing import Any, Final, Literal, NamedTuple, final
 
+import harness
 import numpy as np
-import rig
 
 from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
@@ -51,7 +51,7 @@ def _taken_off(*made_of: Any) -> dict[str, Any]:
 
 
 @final
-class Rig(rig.Rig):
+class Rig(harness.Rig):
     """One PX4 aeroplane, without links: what goes in and what comes out."""
 
     def __init__(self, seed: int = 1, **parameters: float) -> None:
