@@ -304,13 +304,6 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
             assert values[name] == expected(name, now)
 
 
-def test_nothing_due_costs_no_list() -> None:
-    timeline, values = Timeline.parse("at 10 s: gps_off"), parameters()
-    assert timeline.next_us == 10 * S
-    assert timeline.step(9 * S, values) is timeline.step(0, values)
-    assert Timeline().step(10**12, values) == ()
-
-
 BAD = [
     ("at 120 s gps_off", 'reads "at TIME: FAULT"'),
     ("gps_off", 'reads "at TIME: FAULT"'),
