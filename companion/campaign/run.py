@@ -222,6 +222,7 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     if run.script is not None:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
+        autopilot = "ardupilot" if autopilot == "ideal" else autopilot  # as which it speaks
         subject = drawn_faults.Subject(
             vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"]
         )
