@@ -105,8 +105,9 @@ def test_world_and_mission_agree_on_the_frame_and_the_vehicle(name: str) -> None
     assert world["schema"] == mission["schema"] == 1
     assert world["origin"] == mission["origin"] == {"latitude_deg": 47.0, "longitude_deg": 8.0}
     assert mission["targets"] == [{"north_m": 100_000.0, "east_m": 100_000.0}]
-    for key in ("kind", "autopilot"):
-        assert world["vehicle"][key] == mission["vehicle"][key]
+    assert world["vehicle"]["kind"] == mission["vehicle"]["kind"]
+    assert mission["vehicle"]["autopilot"] == "ardupilot"
+    assert world["vehicle"]["autopilot"] == "ideal"
     assert world["vehicle"]["speed_max_m_s"] > mission["vehicle"]["speed_m_s"]
     assert world["vehicle"]["acceleration_max_m_s2"] > mission["vehicle"]["acceleration_m_s2"]
     assert world["scanner"]["range_m"] >= mission["planner"]["scan_range_m"]

@@ -25,14 +25,13 @@ from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import messages, telemetry
 from vehicle_sim.wire.missions import Missions, store
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
-from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
+from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RangeSensors
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.wire.routing import MISSION
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
 
 _HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
-_RANGES = (DISTANCE_SENSOR, RANGEFINDER)
 _CURRENT_MODE_US = 500_000
 _GROUND_STATION = 6
 _SET_MODE = 11
@@ -53,16 +52,15 @@ class FlightController:
         boot_us: int,
         hardware_id: int,
         on_text: Callable[[Text], None],
-        ranging: RangeSensors | None = None,
+        ranging: RangeSensors,
     ) -> None:
         profile = autopilot.profile
         self.autopilot = autopilot
         self.parameters = autopilot.parameters
         self.boot_us = boot_us
         self.wants_reboot = False
-        self.setpoints_ignored = self.rangefinder_off = False
+        self.setpoints_ignored = False
         self.ranging = ranging
-        """None: PX4, which has no proximity sensors here."""
         self._radio, self._on_text = radio, on_text
         self.now_us = boot_us
         self._firmware = profile.firmware
@@ -111,12 +109,10 @@ class FlightController:
 
     def _said(self, number: int) -> Sequence[Any]:
         """What there is to say by this number now."""
-        if number in _RANGES:
-            if self.ranging is not None:
-                self.ranging.rangefinder_off = self.rangefinder_off
-                return self.ranging.messages(number, self.now_us - self.boot_us)
-            if self.rangefinder_off:  # of PX4 there is only the one that looks down
-                return ()
+        if number in self.ranging.numbers:
+            return self.ranging.messages(number, self.now_us - self.boot_us)
+        if number == DISTANCE_SENSOR and self.ranging.rangefinder_off:
+            return ()
         build = self._builders.get(number)
         message = build(self.report) if build else None
         return () if message is None else (message,)
@@ -137,8 +133,7 @@ class FlightController:
     def _renew_report(self) -> None:
         report, now_us = self.report, self.now_us
         report.renew(now_us - self.boot_us, _EPOCH_US + now_us if report.fix.usable else 0)
-        if self.ranging is not None:
-            report.range_sensors = self.ranging.bits(now_us - self.boot_us)
+        report.range_sensors = self.ranging.bits(now_us - self.boot_us)
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -204,7 +199,7 @@ class FlightController:
             case "TIMESYNC" if message.tc1 == 0:
                 said = messages.time_sync(us * 1000, message.ts1, sender)
                 return (SendMessage(message=said, to=sender),)
-            case "OBSTACLE_DISTANCE" if self.ranging is not None:
+            case "OBSTACLE_DISTANCE":
                 self.ranging.proximity.on_obstacle_distance(message, us)
             case "COMMAND_LONG" | "COMMAND_INT":
                 command = messages.command(message, sender)

@@ -36,7 +36,7 @@ from vehicle_sim.sensors.terrain_radar import ScanRequest, TerrainRadar, Viewpoi
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.lidar import LidarDriver
-from vehicle_sim.wire.proximity import RPLIDAR, Proximity, RangeSensors
+from vehicle_sim.wire.proximity import RPLIDAR, RangeSensors
 from vehicle_sim.wire.radar import RadarComponent
 from vehicle_sim.wire.radio import Radio, Received
 from vehicle_sim.world import World
@@ -118,8 +118,7 @@ class Simulation:
         """Mission, fence and rally points as the autopilot stores them."""
         self._boots, self._down_until_us, self._port_change = 0, 0, False
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
-        reads_lidar = any(each.output == "autopilot" for each in world.lidars)
-        given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
+        given = self._own_lidar()
         autopilot = self._make_autopilot(given | overrides_of(vehicle))
         self._ids = ids_of(self._personality, autopilot.parameters)
         self._radio = self._make_radio(autopilot, links, byte_streams, forwards_all)
@@ -137,7 +136,7 @@ class Simulation:
         self._timeline = Timeline.parse(
             faults,
             name="faults",
-            firmware=vehicle.autopilot,
+            firmware=self._personality.firmware.profile.firmware,
             latitude_deg=world.origin.latitude_deg,
         )
         self._boot(autopilot)
@@ -168,20 +167,28 @@ class Simulation:
             rng=generator(self._seed, "links"),
         )
 
+    def _own_lidar(self) -> dict[str, float]:
+        """The parameter of an autopilot that reads a lidar itself."""
+        world, profile = self._world, self._personality.firmware.profile
+        for name, table in (("lidar", world.lidar), ("second_lidar", world.second_lidar)):
+            if table is not None and table.output == "autopilot":
+                if profile.firmware == "px4":
+                    rule = f"{world.vehicle.autopilot} has no driver for it"
+                    raise InputError(f"{name}.output", table.output, rule, "Write driver.")
+                return {"PRX1_TYPE": RPLIDAR}
+        return {}
+
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
-        rng, make = generator(self._seed, f"autopilot {self._boots}"), self._personality.autopilot
-        autopilot = make(self.vehicle, overrides, self.plans, rng=rng)
+        rng = generator(self._seed, f"autopilot {self._boots}")
+        autopilot = self._personality.boot(self.vehicle, overrides, self.plans, rng)
         autopilot.battery = self._battery
         return autopilot
 
     def _boot(self, autopilot: Autopilot) -> None:
         """The flight controller and its receiver start, now."""
-        parameters, ranging = autopilot.parameters, None
-        if "PRX1_TYPE" in parameters:
-            lidars, kind = self._world.lidars, int(parameters["PRX1_TYPE"])
-            limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
-            ranging = RangeSensors(parameters, Proximity(kind, *limits_m), self._range_down_m)
+        parameters, lidars = autopilot.parameters, self._world.lidars
+        limits_m = (lidars[-1].min_m, lidars[-1].range_m) if lidars else (0.0, 0.0)
         self._controller = FlightController(
             autopilot,
             self._radio,
@@ -189,7 +196,7 @@ class Simulation:
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
             on_text=self._on_text,
-            ranging=ranging,
+            ranging=RangeSensors(parameters, limits_m, self._range_down_m),
         )
         rng = generator(self._seed, f"gps {self._boots}")
         self._gps = Gps(self._personality.receiver, rng)
@@ -250,7 +257,7 @@ class Simulation:
     @property
     def landed(self) -> bool:
         """Whether it stands on the ground."""
-        return self._contact.on_ground if self._is_down else self._controller.autopilot.landed
+        return self.vehicle.stands if self._is_down else self._controller.autopilot.landed
 
     @property
     def armable(self) -> bool:
@@ -367,7 +374,7 @@ class Simulation:
         self._conditions = conditions_of(parameters)
         self._seen_version = parameters.version
         controller.setpoints_ignored = self._conditions.setpoints_ignored
-        controller.rangefinder_off = self._conditions.rangefinder_off
+        controller.ranging.rangefinder_off = self._conditions.rangefinder_off
         self._radio.impair(self._conditions.link)
         if "MAV_OPTIONS" in parameters:
             router.enforce = bool(int(parameters["MAV_OPTIONS"]) & 1)
@@ -452,7 +459,7 @@ class Simulation:
     def _say(self, now_us: int, looks: bool) -> bool:
         """Queue the telemetry that is due; returns whether the tick is complete."""
         controller = self._controller
-        if controller.ranging is not None and controller.ranging.proximity.kind:
+        if controller.ranging.proximity.kind:
             controller.ranging.proximity.step(now_us - controller.boot_us)
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
@@ -465,15 +472,14 @@ class Simulation:
         wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
         north_m, east_m, _ = self.place_nea_m()
         fired = lidar.step(self.now_us, self.vehicle, (north_m, east_m), wrong)
-        hears = controller.ranging is not None and not self._is_down
-        proximity = controller.ranging.proximity if controller.ranging and hears else None
+        proximity, hears = controller.ranging.proximity, not self._is_down
         if driver is None:
-            if proximity is not None and not wrong.silent:
+            if hears and not wrong.silent:
                 angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
                 proximity.on_beams(angles_rad, distances_m, since_boot_us)
             return
         for message in driver.step(self.now_us, controller.boot_us, wrong):
-            if proximity is not None and message.get_type() == "OBSTACLE_DISTANCE":
+            if hears and message.get_type() == "OBSTACLE_DISTANCE":
                 proximity.on_obstacle_distance(message, since_boot_us)
             if wrong.mirrored and self.companion is not None:
                 self._radio.send_as(message, self.companion.system, self.companion.component)

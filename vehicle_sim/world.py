@@ -143,7 +143,8 @@ class Vehicle:
     """
 
     kind: VehicleKind
-    autopilot: Firmware
+    autopilot: _Name
+    """"ardupilot" or "px4"; of a copter also "ideal", a law that no autopilot has."""
     system_id: Annotated[int, Field(strict=True, ge=1, le=255)] = 1
     north_m: _Local = 0.0
     east_m: _Local = 0.0
@@ -165,8 +166,9 @@ class Vehicle:
     """The autopilot's own, by their names and in their units."""
 
     def __post_init__(self) -> None:
-        for key in _OF_PLANES if self.kind == "copter" else _OF_COPTERS:
-            if (value := getattr(self, key)) is not None:
+        own = (*LIMITS[self.kind], *(["drag_1_s"] if self.kind == "copter" else []))
+        for key in (*LIMITS["copter"], *LIMITS["plane"], "drag_1_s"):
+            if key not in own and (value := getattr(self, key)) is not None:
                 rule = f"a {self.kind} has no such limit"
                 raise _refused(key, value, rule, "Leave it out.")
         slowest, fastest = self.airspeed_min_m_s, self.airspeed_max_m_s
@@ -175,20 +177,17 @@ class Vehicle:
             raise _refused("airspeed_min_m_s", slowest, rule, "Swap or widen them.")
 
 
-_OF_COPTERS: Final = (
-    "speed_max_m_s",
-    "acceleration_max_m_s2",
-    "speed_vertical_max_m_s",
-    "acceleration_vertical_max_m_s2",
-    "drag_1_s",
-)
-_OF_PLANES: Final = (
-    "airspeed_min_m_s",
-    "airspeed_max_m_s",
-    "bank_max_deg",
-    "climb_max_m_s",
-    "sink_max_m_s",
-)
+LIMITS: Final[dict[VehicleKind, tuple[str, ...]]] = {
+    "copter": (
+        *("speed_max_m_s", "acceleration_max_m_s2"),
+        *("speed_vertical_max_m_s", "acceleration_vertical_max_m_s2"),
+    ),
+    "plane": (
+        *("airspeed_min_m_s", "airspeed_max_m_s", "bank_max_deg"),
+        *("climb_max_m_s", "sink_max_m_s"),
+    ),
+}
+"""The keys of a kind's own limits."""
 
 
 @_table
@@ -361,16 +360,12 @@ class World:
     def __post_init__(self) -> None:
         if self.terrain.file is not None and self.area is None:
             raise _refused("area", None, *_MISSING)
-        lidar, second, firmware = self.lidar, self.second_lidar, self.vehicle.autopilot
+        lidar, second = self.lidar, self.second_lidar
         beside = lidar is not None and lidar.output != "autopilot"
         if second is not None and (second.output != "autopilot" or not beside):
             rule = "is an autopilot's, beside a [lidar] that is not"
             remedy = 'Write second_lidar.output = "autopilot", or leave the table out.'
             raise _refused("second_lidar.output", second.output, rule, remedy)
-        for name, each in (("lidar", lidar), ("second_lidar", second)):
-            if each is not None and each.output == "autopilot" and firmware != "ardupilot":
-                rule = f"{firmware} has no driver for it"
-                raise _refused(f"{name}.output", each.output, rule, "Write driver.")
         if lidar and self.scanner and self.scanner.component_id == lidar.component_id:
             rule = "is the terrain radar's too"
             raise _refused("lidar.component_id", lidar.component_id, rule, "Choose another.")

@@ -127,7 +127,8 @@ def _zone(zone: Zone) -> dict[str, Any]:
 def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     """The truth, and a vehicle that can do what the mission asks of it."""
     task, terrain = drawn.task, drawn.terrain
-    strategy = named(autopilot, drawn.task.limits.kind)
+    kind = task.limits.kind
+    strategy = named(autopilot, kind)
     start, target = np.array(drawn.start_nea_m[:2]), np.array(drawn.targets_ne_m[0])
     ahead = target - start if task.limits.hovers else start - target
     """A plane climbs out over ground on which nothing stands."""
@@ -144,8 +145,8 @@ def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
         "origin": {"latitude_deg": FRAME.latitude_deg, "longitude_deg": FRAME.longitude_deg},
         "terrain": ground,
         "vehicle": {
-            "kind": drawn.task.limits.kind,
-            "autopilot": autopilot,
+            "kind": kind,
+            "autopilot": "ideal" if (autopilot, kind) == ("ardupilot", "copter") else autopilot,
             "north_m": float(start[0]),
             "east_m": float(start[1]),
             "heading_deg": math.degrees(math.atan2(ahead[1], ahead[0])),

@@ -209,8 +209,10 @@ def _files(run: Run, folder: Path) -> FlightFiles:
             table["terrain"] = terrain | {"file": str(file)}
     if run.vehicle is not None:
         autopilot, kind = run.vehicle.split("-")
-        for table in (world, mission):
-            table["vehicle"] = table["vehicle"] | {"autopilot": autopilot, "kind": kind}
+        was_ideal = world["vehicle"]["autopilot"] == "ideal"
+        is_ideal = was_ideal and run.vehicle == "ardupilot-copter"
+        for table, name in ((world, "ideal" if is_ideal else autopilot), (mission, autopilot)):
+            table["vehicle"] = table["vehicle"] | {"autopilot": name, "kind": kind}
     planner = {"profile": run.profile, "optimiser": run.optimiser, "evaluations": run.budget}
     given = {k: v for k, v in planner.items() if v is not None}
     mission["planner"] = mission.get("planner", {}) | given
@@ -220,6 +222,7 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     if run.script is not None:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
+        autopilot = "ardupilot" if autopilot == "ideal" else autopilot  # as which it speaks
         subject = drawn_faults.Subject(
             vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"]
         )

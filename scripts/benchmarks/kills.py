@@ -195,7 +195,7 @@ def setting(scale: str, autopilot: str, seed: int) -> tuple[Mission, World]:
             return load_mission(str(files[1])), read_world(files[0])
     mission, world = load_mission(scale), read_world(folder_of(scale) / "world.toml")
     world = world.with_woods_of(seed)
-    if autopilot != world.vehicle.autopilot:
+    if autopilot == "px4":  # the worlds of these scales are flown by an ArduCopter
         mission, world = _on_px4(mission, world)
     return mission, world
 

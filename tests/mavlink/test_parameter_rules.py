@@ -22,6 +22,7 @@ from companion.path.envelope import flown_on_m
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.near_map import NearSensor
+from vehicle_sim.autopilot.factory import personality_of
 from vehicle_sim.parameters import table
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
@@ -106,12 +107,13 @@ def test_defaults_are_safe_but_for_what_was_measured_not_to_be(
 def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
     file = resources.files("companion") / "environments" / name / "world.toml"
     loaded, world = load_mission(name), read_world(Path(str(file)))
-    flown = world.vehicle
-    assert (loaded.kind, loaded.autopilot) == (flown.kind, flown.autopilot)
+    kind = world.vehicle.kind
+    firmware = personality_of(world.vehicle).firmware.profile.firmware
+    assert (loaded.kind, loaded.autopilot) == (kind, firmware)
     values = Simulation(world, seed=0).parameters.values()
-    findings = findings_of(TABLES[flown.autopilot, flown.kind], values, loaded)
+    findings = findings_of(TABLES[firmware, kind], values, loaded)
     wrong = {each.name for each in findings}
-    assert wrong == ({"COM_OBL_RC_ACT"} if flown.autopilot == "px4" else set())
+    assert wrong == ({"COM_OBL_RC_ACT"} if firmware == "px4" else set())
 
 
 @ALL_FOUR

@@ -52,7 +52,7 @@ WORLD: dict[str, Any] = {
     ],
     "vehicle": {
         "kind": "copter",
-        "autopilot": "ardupilot",
+        "autopilot": "ideal",
         "system_id": 1,
         "north_m": 0.0,
         "east_m": 0.0,

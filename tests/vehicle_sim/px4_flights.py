@@ -8,8 +8,7 @@ import functools
 from collections.abc import Iterable
 from typing import Any, Final
 
-from over_the_wire import Heard, Key
-from px4_wire import HOLD, MISSION, NAN, OFFBOARD, Aim, Companion, Seen, local
+from harness import HOLD, MISSION, NAN, OFFBOARD, Aim, Companion, Heard, Key, Seen, local
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.world import VehicleKind

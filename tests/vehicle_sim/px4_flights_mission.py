@@ -3,8 +3,8 @@
 import functools
 from typing import Any, Final
 
+from harness import GROUND_AMSL_M, NAN, OFFBOARD, Seen, Vector, local, place
 from px4_flights import GROUND_STATION, hover, north
-from px4_wire import GROUND_AMSL_M, NAN, OFFBOARD, Seen, Vector, local, place
 from pymavlink.dialects.v20 import all as mavlink
 
 

@@ -4,8 +4,8 @@ import functools
 import math
 from typing import Any, Literal
 
+from harness import HOLD, NAN, OFFBOARD, Companion, Seen, Vector, local
 from px4_flights import GROUND_STATION, cruise, disarmed, ground, hover, north, positions, refreshed
-from px4_wire import HOLD, NAN, OFFBOARD, Companion, Seen, Vector, local
 
 # --- 4: masks, frames, steps ----------------------------------------------------------------------
 

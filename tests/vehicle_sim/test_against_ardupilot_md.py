@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from over_the_wire import (
+from harness import (
     ALL,
     ATTITUDE,
     BRAKE,
     COMPANION,
+    COPTER_LAND,
     ECHO,
     GCS,
     GUIDED,
     HOME_M,
-    LAND,
     LOCAL_POSITION,
     PLANE_GUIDED,
     POSITION,
@@ -337,7 +337,7 @@ def take_off_finished() -> None:
 @says("2", "LAND: landed_state 4 then 1, from 30 m in 35 s, disarms 2 s after touchdown")
 def land() -> None:
     wire = hovering()
-    wire.command(176, 1, LAND)
+    wire.command(176, 1, COPTER_LAND)
     wire.run(0.5)
     assert wire.last("EXTENDED_SYS_STATE").landed_state == 4
     took_s = 0.5 + wire.run_until(lambda: wire.ned_m[2] > -0.05, within_s=50.0)
@@ -449,7 +449,7 @@ def mask_of_a_setpoint(mask: int, taken: set[str]) -> None:
 def nan_that_is_ignored() -> None:
     wire = hovering()
     nans = (NAN, NAN, NAN)
-    echo = wire.echo_of(local((40.0, 0.0, -30.0), nans, nans, mask=POSITION, yaw_rad=NAN))
+    echo = wire.echo_of(local((40.0, 0.0, -30.0), nans, nans, mask=POSITION, yaw=NAN))
     assert echo.x == pytest.approx(40.0, abs=0.1)
     assert wire.not_survived is None
 
@@ -669,7 +669,7 @@ NOT_SURVIVED: dict[str, tuple[Any]] = {
     "NaN z": (local((0.0, 0.0, NAN)),),
     "NaN altitude": (over_ground(10.0, 0.0, NAN),),
     "NaN used acceleration": (local(ZERO, ZERO, (NAN, 0.0, 0.0), mask=ALL),),
-    "NaN used yaw": (local((0.0, 0.0, -30.0), mask=0x9F8, yaw_rad=NAN),),
+    "NaN used yaw": (local((0.0, 0.0, -30.0), mask=0x9F8, yaw=NAN),),
     "x = 1e9": (local((1e9, 0.0, -30.0)),),
     "an altitude of 1e9": (over_ground(10.0, 0.0, 1e9),),
 }

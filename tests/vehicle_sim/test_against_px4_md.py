@@ -20,7 +20,7 @@ import px4_flights as links
 import px4_flights_mission as mission
 import px4_flights_offboard as offboard
 import pytest
-from px4_wire import (
+from harness import (
     ALTCTL,
     HOLD,
     LAND,

@@ -5,14 +5,12 @@ import math
 from typing import Any
 
 import pytest
+from harness import Rig
 from pyproj import Geod
-from rig import Rig
 from tracking_copter import HOME_DEG, Flown
 
-from vehicle_sim.autopilot.ardupilot import STREAMABLE
 from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.dynamics.copter import Limits
-from vehicle_sim.wire.telemetry import MESSAGES
 
 METRES_PER_DEG_NORTH = 111_181.0  # of the meridian near 47 N: the tests stay within 1 km of it
 WGS84 = Geod(ellps="WGS84")
@@ -91,10 +89,6 @@ def test_guided_is_had_without_a_position_but_armed_in_only_with_one() -> None:
     it.run(12.0)
     assert it.command(400, 1) == ACCEPTED
     assert it.autopilot.status().base_mode == 217  # as ArduCopter's, armed in GUIDED
-
-
-def test_what_can_be_said_can_be_asked_for_but_for_timesync() -> None:
-    assert set(MESSAGES["ardupilot"]) - STREAMABLE == {111}
 
 
 def test_motors_that_idle_for_ten_seconds_are_disarmed() -> None:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from rig import GENTLE
+from harness import GENTLE
 
 from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.conditions import BatteryConditions

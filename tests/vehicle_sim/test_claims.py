@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import pytest
-from over_the_wire import KINDS, PLACE, Link, flying, ready
+from harness import KINDS, PLACE, Link, flying, ready
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import arducopter, arduplane, px4

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from flown import ALL, GROUND_M, Flown
+from harness import GROUND_M, VEHICLES, Flown
 
 from vehicle_sim.dynamics.contact import Contact, Crash, is_crash
 from vehicle_sim.dynamics.plane import Plane
@@ -89,7 +89,7 @@ def test_a_step_up_is_hit_though_it_is_level_before_and_behind_it(
     assert [hit.into for hit in hits] == ["the ground"] * crashes
 
 
-@pytest.mark.parametrize(("kind", "autopilot"), ALL)
+@pytest.mark.parametrize(("kind", "autopilot"), VEHICLES)
 def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: str) -> None:
     slowly = SLOWLY.get((kind, autopilot), {}) | {"SIM_WIND_DIR": 0.0}
     north_m = 690.0 if kind == "copter" else 0.0
@@ -98,14 +98,14 @@ def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: st
     flown.into_the_air(15.0)
     assert simulation.crash is None
     aim = (9.0, 0.0) if kind == "copter" else ()
-    flown.until(lambda: simulation.crash is not None, 150.0, *aim)
+    flown.fly_until(lambda: simulation.crash is not None, 150.0, *aim)
     crash = simulation.crash
     assert crash is not None
     assert crash.into == "the ground"
     assert 7.5 < crash.speed_m_s < 12.0
     assert crash.altitude_amsl_m == pytest.approx(hill_m(crash.north_m), abs=1.0)
     assert hill_m(crash.north_m + 1.0) - hill_m(crash.north_m) > 0.5
-    flown.until(lambda: simulation.now_us * 1e-6 > crash.t_s + 3.0, 3.1)
+    flown.fly_until(lambda: simulation.now_us * 1e-6 > crash.t_s + 3.0, 3.1)
     assert not simulation.armed
     last = flown.truth()[-1]
     assert (last["landed"], last["armed"]) == (True, False)
@@ -119,8 +119,8 @@ def test_nobody_stands_on_a_slope_that_it_hits_at_9_m_s(kind: str, autopilot: st
 def test_a_copter_that_comes_down_to_land_has_not_crashed(autopilot: str) -> None:
     flown = Flown("copter", autopilot)
     flown.into_the_air(6.0)
-    flown.command(21, 0, 0, 0, math.nan, math.nan, math.nan, 0)
-    flown.until(lambda: not flown.simulation.armed, 40.0)
+    flown.order(21, 0, 0, 0, math.nan, math.nan, math.nan, 0)
+    flown.fly_until(lambda: not flown.simulation.armed, 40.0)
     assert flown.simulation.crash is None
     assert "crash" not in flown.truth()[-1]
 
@@ -135,12 +135,12 @@ def test_a_plane_that_rolls_out_on_its_runway_has_not_crashed() -> None:
 
     items = (item(16), item(22, up_m=20.0), item(16, 250.0, 20.0), item(21, 500.0))
     simulation.plans[PlanKind.MISSION] = items
-    flown.command(176, 1, 10)
-    flown.command(400, 1)
-    flown.until(lambda: flown.above_m > 10.0, 40.0)
-    flown.until(lambda: flown.above_m <= 0.0, 90.0)
+    flown.order(176, 1, 10)
+    flown.order(400, 1)
+    flown.fly_until(lambda: flown.above_m > 10.0, 40.0)
+    flown.fly_until(lambda: flown.above_m <= 0.0, 90.0)
     assert simulation.vehicle.velocity_north_m_s > 5.0
-    flown.until(lambda: not simulation.armed, 40.0)
+    flown.fly_until(lambda: not simulation.armed, 40.0)
     assert simulation.crash is None
 
 
@@ -150,12 +150,12 @@ def test_a_plane_that_hits_a_house_falls_and_does_not_fly_through(autopilot: str
     flown = Flown("plane", autopilot, buildings=[house])
     simulation = flown.simulation
     flown.into_the_air(15.0)
-    flown.until(lambda: simulation.crash is not None, 100.0)
+    flown.fly_until(lambda: simulation.crash is not None, 100.0)
     crash = simulation.crash
     assert crash is not None
     assert crash.into == "a tree, wall, building or wire"
     assert crash.north_m == pytest.approx(500.0, abs=0.3)
-    flown.until(lambda: simulation.landed, 10.0)
+    flown.fly_until(lambda: simulation.landed, 10.0)
     assert simulation.crash is crash  # the first counts
     assert flown.truth()[-1]["north_m"] == pytest.approx(500.0, abs=0.3)
     assert not simulation.armed

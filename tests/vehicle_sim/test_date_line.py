@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from flown import ALL, Flown
+from harness import VEHICLES, Flown, heartbeat
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import px4copter
@@ -50,9 +50,9 @@ def flight(kind: str, autopilot: str, longitude_deg: float) -> tuple[Sequence[Ro
     flown = Flown(kind, autopilot, parameters=on, longitude_deg=longitude_deg, heading_deg=90.0)
     simulation = flown.simulation
     simulation.plans[PlanKind.FENCE] = fence(longitude_deg, 0.002)
-    simulation.receive(0, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(flown.mav))
+    flown.send(heartbeat())
     for message in (24, 33):
-        flown.command(511, message, 500_000)
+        flown.order(511, message, 500_000)
     flown.into_the_air(12.0)
     for k in range(2800):
         if kind == "copter" and k % 20 == 0:
@@ -70,7 +70,7 @@ def flight(kind: str, autopilot: str, longitude_deg: float) -> tuple[Sequence[Ro
     return rows, places
 
 
-@pytest.mark.parametrize(("kind", "autopilot"), ALL)
+@pytest.mark.parametrize(("kind", "autopilot"), VEHICLES)
 def test_a_flight_over_the_date_line_is_that_over_any_other_meridian(
     kind: str, autopilot: str
 ) -> None:

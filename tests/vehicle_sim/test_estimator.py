@@ -12,9 +12,9 @@ import pytest
 import tracking_copter
 import tracking_px4
 from conformance.log import Side, read_recording
-from flown import Flown as OnGround
+from harness import STEP_S
+from harness import Flown as OnGround
 from recordings import recording
-from rig import STEP_S
 
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.geodesy import metres_per_degree
@@ -162,8 +162,8 @@ def test_a_receiver_that_is_late_makes_everything_late() -> None:
 def test_an_outage_of_ten_seconds_leaves_it_armable_again(kind: str) -> None:
     it = OnGround(kind, "ardupilot")  # between 7 s, "timed out", and 15 s, "stopped aiding"
     it.simulation.add_fault("for 10 s: gps_off")
-    it.until(lambda: not it.simulation.armable, 10.0)
-    it.until(lambda: it.simulation.armable, 5.0)
+    it.fly_until(lambda: not it.simulation.armable, 10.0)
+    it.fly_until(lambda: it.simulation.armable, 5.0)
 
 
 # --- PX4 ------------------------------------------------------------------------------------------

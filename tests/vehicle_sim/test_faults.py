@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 from fault_lines import LINES
+from harness import GENTLE
 from hypothesis import given
 from hypothesis import strategies as st
-from rig import GENTLE
 
 from vehicle_sim.autopilot.values import Battery
 from vehicle_sim.conditions import (
@@ -302,13 +302,6 @@ def test_any_overlap_is_what_a_replay_from_the_start_says(
             values[name] = value
         for name in ("SIM_WIND_SPD", "SIM_WIND_TURB", "SIM_LNK_LOSS"):
             assert values[name] == expected(name, now)
-
-
-def test_nothing_due_costs_no_list() -> None:
-    timeline, values = Timeline.parse("at 10 s: gps_off"), parameters()
-    assert timeline.next_us == 10 * S
-    assert timeline.step(9 * S, values) is timeline.step(0, values)
-    assert Timeline().step(10**12, values) == ()
 
 
 BAD = [

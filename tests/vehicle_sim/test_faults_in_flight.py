@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_lines import LINES
+from harness import GCS, KINDS, PLACE, QUIET, READY_S, Link, heartbeat, take_off
+from harness import Heard as Frame
 from numpy.typing import NDArray
-from over_the_wire import GCS, KINDS, PLACE, QUIET, READY_S, Link, heartbeat, take_off
-from over_the_wire import Heard as Frame
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.faults import FAULTS as ALL_FAULTS

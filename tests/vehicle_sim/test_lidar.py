@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flown import Flown
+from harness import Flown, Link
 from pymavlink.dialects.v20 import all as mavlink
 from test_near_scene import GROUND_M, world
 
@@ -20,31 +20,23 @@ POST = {"north_m": 10.0, "east_m": 0.0, "radius_m": 1.0, "height_m": 50.0}
 WALL = {"points_ne_m": [[-60.0, 8.0], [60.0, 8.0]], "thickness_m": 1.0, "height_m": 50.0}
 
 
-class Bench:
+class Bench(Link):
     """A vehicle that is held where the test wants it, and what it says on each link."""
 
     def __init__(
         self,
         *,
         lidar: dict[str, Any] | None = None,
-        faults: str = "",
-        seed: int = 0,
-        links: int = 1,
-        vehicle: dict[str, Any] | None = None,
-        **near: Any,
+        autopilot: str = "ardupilot",
+        **fields: Any,
     ) -> None:
-        table = {"kind": "copter", "autopilot": "ardupilot"} | (vehicle or {})
-        near["lidar"] = {"range_m": 16.0} | (lidar or {})
-        self.simulation = Simulation(
-            world(vehicle=table, **near), seed=seed, links=links, faults=faults
-        )
-        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
-        self.said: list[tuple[float, int, Any]] = []
-        """Time in seconds, link, message."""
+        table = {"range_m": 16.0} | (lidar or {})
+        super().__init__("copter", autopilot, (47.0, 8.0, GROUND_M), lidar=table, **fields)
+        self.source = (1, 195)
         self.hold_m = 5.0
         self.turn_rad = (0.0, 0.0, 0.0)
-        autopilot = self.simulation._controller.autopilot
-        flies = autopilot.step
+        pilot = self.simulation._controller.autopilot
+        flies = pilot.step
 
         def held(*arguments: Any) -> Any:
             replies, vehicle = flies(*arguments), self.simulation.vehicle
@@ -52,39 +44,34 @@ class Bench:
             vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad = self.turn_rad
             return replies
 
-        autopilot.step = held  # type: ignore[method-assign]
+        pilot.step = held  # type: ignore[method-assign]
 
-    def send(self, message: Any, link: int = 0) -> None:
-        self.simulation.receive(link, message.pack(self.mav))
+    @property
+    def said(self) -> list[tuple[float, int, Any]]:
+        """Time in seconds, link, message."""
+        return [(each.at_s, each.link, each.message) for each in self.heard]
 
-    def ask(self, number: int, rate_hz: float, link: int = 0) -> None:
+    def ask(self, number: int, rate_hz: float) -> None:
         self.send(
-            mavlink.MAVLink_command_long_message(1, 1, 511, 0, number, 1e6 / rate_hz, *[0] * 5),
-            link,
+            mavlink.MAVLink_command_long_message(1, 1, 511, 0, number, 1e6 / rate_hz, *[0] * 5)
         )
 
-    def run(self, seconds: float) -> "Bench":
-        for _ in range(round(seconds * 100)):
-            self.simulation.step()
-            for link, frame in self.simulation.take_frames():
-                message = mavlink.MAVLink(None).decode(bytearray(frame))
-                self.said.append((self.simulation.now_us * 1e-6, link, message))
+    def fly(self, seconds: float) -> "Bench":
+        self.run(seconds)
         return self
 
     def of(self, kind: str, component: int | None = None, link: int = 0) -> list[Any]:
         return [
-            m
-            for _, at, m in self.said
-            if m.get_type() == kind
-            and at == link
-            and component in (None, m.get_header().srcComponent)
+            each.message
+            for each in self.all(kind, link=link)
+            if component in (None, each.source[1])
         ]
 
     def maps(self) -> list[Any]:
         return self.of("OBSTACLE_DISTANCE", 196)
 
     def frames(self) -> bytes:
-        return b"".join(bytes(m.get_msgbuf()) for *_, m in self.said)
+        return b"".join(each.frame for each in self.heard)
 
 
 # --- the driver -----------------------------------------------------------------------------------
@@ -95,7 +82,7 @@ def test_a_post_is_in_the_sector_where_mavlink_puts_it() -> None:
         bearing = math.radians(bearing_deg)
         place = {"north_m": 10 * math.cos(bearing), "east_m": 10 * math.sin(bearing)}
         near = {"trees": [POST | place | {"radius_m": 0.2}]}
-        bench = Bench(lidar={"step_deg": 0.5}, **near).run(1.0)
+        bench = Bench(lidar={"step_deg": 0.5}, **near).fly(1.0)
         told = bench.maps()[-1]
         met = [k for k, cm in enumerate(told.distances) if cm < NOT_THERE]
         middles = [told.angle_offset + k * told.increment_f for k in met]
@@ -105,7 +92,7 @@ def test_a_post_is_in_the_sector_where_mavlink_puts_it() -> None:
 
 
 def test_what_the_driver_says() -> None:
-    bench = Bench(trees=[POST], lidar={"latency_s": 0.06}).run(5.0)
+    bench = Bench(trees=[POST], lidar={"latency_s": 0.06}).fly(5.0)
     maps = bench.maps()
     assert len(maps) == pytest.approx(50, abs=2)
     for each in maps[5:]:
@@ -122,25 +109,25 @@ def test_what_the_driver_says() -> None:
 
 def test_outside_the_field_of_view_nothing_is_known_and_nearer_than_the_least_either() -> None:
     near = POST | {"north_m": 1.3}
-    told = Bench(trees=[near], lidar={"width_deg": 90.0, "min_m": 0.5}).run(1.0).maps()[-1]
+    told = Bench(trees=[near], lidar={"width_deg": 90.0, "min_m": 0.5}).fly(1.0).maps()[-1]
     assert told.angle_offset == -42.5
     assert told.distances[18:] == [NOT_KNOWN] * 54
     assert NOT_KNOWN in told.distances[:18]  # the post, too near
-    told = Bench(trees=[near], lidar={"min_m": 0.1}).run(1.0).maps()[-1]
+    told = Bench(trees=[near], lidar={"min_m": 0.1}).fly(1.0).maps()[-1]
     assert min(told.distances) == 30
 
 
 def test_a_leaning_vehicle_sees_the_ground() -> None:
     bench = Bench()
     bench.turn_rad = (0.0, math.radians(-30.0), math.radians(90.0))
-    told = bench.run(1.0).maps()[-1]
+    told = bench.fly(1.0).maps()[-1]
     assert told.distances[0] == pytest.approx((5.15 / math.sin(math.radians(30))) * 100, abs=3)
     assert told.distances[36] == NOT_THERE
 
 
 def test_noise_and_lost_echoes_have_the_size_that_the_world_says() -> None:
     lidar = {"noise_m": 0.1, "lost_share": 0.2, "kind": "sectors", "step_deg": 5.0}
-    maps = Bench(trees=[POST | {"radius_m": 3.0}], lidar=lidar).run(60.0).maps()[5:]
+    maps = Bench(trees=[POST | {"radius_m": 3.0}], lidar=lidar).fly(60.0).maps()[5:]
     ahead = np.array([m.distances[0] for m in maps])
     assert np.mean(ahead == NOT_THERE) == pytest.approx(0.2, abs=0.06)
     met = ahead[ahead != NOT_THERE] * 0.01
@@ -149,8 +136,8 @@ def test_noise_and_lost_echoes_have_the_size_that_the_world_says() -> None:
 
 
 def test_a_mounting_that_is_known_changes_nothing() -> None:
-    turned = Bench(trees=[POST], lidar={"yaw_deg": 90.0, "step_deg": 5.0}).run(1.0).maps()[-1]
-    straight = Bench(trees=[POST], lidar={"step_deg": 5.0}).run(1.0).maps()[-1]
+    turned = Bench(trees=[POST], lidar={"yaw_deg": 90.0, "step_deg": 5.0}).fly(1.0).maps()[-1]
+    straight = Bench(trees=[POST], lidar={"step_deg": 5.0}).fly(1.0).maps()[-1]
     assert turned.distances == straight.distances
 
 
@@ -159,17 +146,17 @@ def test_the_same_seed_says_the_same_and_another_does_not() -> None:
 
     def said(seed: int) -> bytes:
         faults = "at 1 s: lidar_dust 5 %\nat 1 s: lidar_clock 0 ms jumping 20 ms"
-        return Bench(trees=[POST], lidar=lidar, seed=seed, faults=faults).run(4.0).frames()
+        return Bench(trees=[POST], lidar=lidar, seed=seed, faults=faults).fly(4.0).frames()
 
     assert said(3) == said(3) != said(4)
 
 
 def test_every_link_hears_the_driver_and_what_a_client_says_goes_to_the_others() -> None:
     bench = Bench(trees=[POST], links=2)
-    bench.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 1)
+    bench.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), link=1)
     mine = mavlink.MAVLink_obstacle_distance_message(1, 0, [500] * 72, 5, 30, 1000, 5.0, 0.0, 12)
     bench.send(mine)
-    bench.run(1.0)
+    bench.fly(1.0)
     assert len(bench.of("OBSTACLE_DISTANCE", 196, 0)) == len(bench.of("OBSTACLE_DISTANCE", 196, 1))
     (forwarded,) = bench.of("OBSTACLE_DISTANCE", 195, 1)
     assert forwarded.distances == [500] * 72
@@ -178,8 +165,7 @@ def test_every_link_hears_the_driver_and_what_a_client_says_goes_to_the_others()
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_the_driver_does_not_mind_the_autopilot(autopilot: str) -> None:
-    vehicle = {"autopilot": autopilot}
-    assert min(Bench(trees=[POST], vehicle=vehicle).run(1.0).maps()[-1].distances) == 900
+    assert min(Bench(trees=[POST], autopilot=autopilot).fly(1.0).maps()[-1].distances) == 900
 
 
 # --- faults ---------------------------------------------------------------------------------------
@@ -188,7 +174,7 @@ def test_the_driver_does_not_mind_the_autopilot(autopilot: str) -> None:
 def faulty(line: str, seconds: float = 3.0, **fields: Any) -> Bench:
     at_once = {"kind": "sectors"}  # which takes a tenth of the time of beam after beam
     faults = f"at 1 s: {line}"
-    return Bench(trees=[POST], lidar=at_once, faults=faults, **fields).run(1.0 + seconds)
+    return Bench(trees=[POST], lidar=at_once, faults=faults, **fields).fly(1.0 + seconds)
 
 
 def after(bench: Bench, kind: str, from_s: float = 1.15) -> list[Any]:
@@ -221,9 +207,9 @@ def test_dust_returns_near_and_never_behind_what_is_there() -> None:
 
 
 def test_a_stuck_lidar_repeats_itself_with_new_stamps() -> None:
-    bench = Bench(trees=[POST], faults="at 1 s: lidar_stuck").run(1.2)
+    bench = Bench(trees=[POST], faults="at 1 s: lidar_stuck").fly(1.2)
     bench.turn_rad = (0.0, 0.0, 2.0)
-    bench.run(2.0)
+    bench.fly(2.0)
     maps = after(bench, "OBSTACLE_DISTANCE")
     assert len({tuple(m.distances) for m in maps}) == 1
     assert len({m.time_usec for m in maps}) == len(maps)
@@ -258,11 +244,11 @@ def test_a_flood_a_wrong_frame_and_junk() -> None:
 def test_a_mirror_sends_a_companion_its_own_messages() -> None:
     bench = Bench(trees=[POST], faults="at 1 s: lidar_mirror")
     bench.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
-    bench.run(1.5)
-    bench.said.clear()
+    bench.fly(1.5)
+    bench.heard.clear()
     mine = mavlink.MAVLink_obstacle_distance_message(1, 0, [777] * 72, 5, 30, 1000, 5.0, 0.0, 12)
     bench.send(mine)
-    bench.run(1.0)
+    bench.fly(1.0)
     said = bench.of("OBSTACLE_DISTANCE", 195)
     assert said[0].distances == [777] * 72
     assert [m.distances for m in said[1:]] == [m.distances for m in bench.maps()]
@@ -286,14 +272,14 @@ def healthy(bench: Bench) -> list[bool]:
 
 
 def autopilot_bench(**fields: Any) -> Bench:
-    bench = Bench(lidar=ON_AUTOPILOT, **fields).run(0.2)
+    bench = Bench(lidar=ON_AUTOPILOT, **fields).fly(0.2)
     bench.ask(132, 10)
     bench.ask(1, 2)
     return bench
 
 
 def test_each_sector_says_the_nearest_echo_of_its_45_degrees_and_the_time_of_sending() -> None:
-    bench = autopilot_bench(trees=[POST], walls=[WALL]).run(5.0)
+    bench = autopilot_bench(trees=[POST], walls=[WALL]).fly(5.0)
     assert bench.of("OBSTACLE_DISTANCE") == []
     now = {m.orientation: m for _, m in sectors(bench)[-8:]}
     assert now[0].current_distance == pytest.approx(900, abs=5)
@@ -308,10 +294,10 @@ def test_each_sector_says_the_nearest_echo_of_its_45_degrees_and_the_time_of_sen
 def test_nothing_in_reach_and_a_dead_lidar_are_both_silent_and_only_the_health_bit_differs() -> (
     None
 ):
-    empty = autopilot_bench().run(3.0)
+    empty = autopilot_bench().fly(3.0)
     assert sectors(empty) == []
     assert healthy(empty)[-1]
-    dead = autopilot_bench(walls=[WALL], faults="at 3 s: lidar_dead").run(5.0)
+    dead = autopilot_bench(walls=[WALL], faults="at 3 s: lidar_dead").fly(5.0)
     assert sectors(dead)[-1][0] == pytest.approx(3.2, abs=0.15)
     assert healthy(dead)[1]
     assert not healthy(dead)[-1]
@@ -322,10 +308,10 @@ def test_nothing_in_reach_and_a_dead_lidar_are_both_silent_and_only_the_health_b
 def test_an_echo_is_repeated_for_1_to_1_75_s_after_the_last_with_new_stamps(seed: int) -> None:
     # a high post in the sector before it: behind an empty one it would be wiped at once
     high = {"north_m": 6.0, "east_m": -6.0, "radius_m": 1.0, "height_m": 500.0}
-    bench = autopilot_bench(trees=[POST, high], seed=seed).run(4.0)
+    bench = autopilot_bench(trees=[POST, high], seed=seed).fly(4.0)
     start_s = bench.simulation.now_us * 1e-6
     bench.hold_m = 60.0  # above the post
-    bench.run(3.0)
+    bench.fly(3.0)
     ahead = [(t, m) for t, m in sectors(bench) if m.orientation == 0]
     last_s = max(t for t, m in ahead if m.current_distance < 1600)
     assert {m.current_distance for t, m in ahead if t > last_s} == {1600}
@@ -335,7 +321,7 @@ def test_an_echo_is_repeated_for_1_to_1_75_s_after_the_last_with_new_stamps(seed
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sector_with_a_post_is_called_empty_for_up_to_0_9_s_in_a_row(seed: int) -> None:
-    bench = autopilot_bench(trees=[POST, POST | {"north_m": -10.0}], seed=seed).run(10.0)
+    bench = autopilot_bench(trees=[POST, POST | {"north_m": -10.0}], seed=seed).fly(10.0)
     ahead = [m.current_distance for _, m in sectors(bench) if m.orientation == 0][5:]
     full = "".join("x" if cm == 1600 else "." for cm in ahead)
     rows = [len(row) for row in full.split(".") if row]
@@ -347,7 +333,7 @@ def test_a_sector_with_a_post_is_called_empty_for_up_to_0_9_s_in_a_row(seed: int
 def test_330_is_denied() -> None:
     bench = autopilot_bench()
     bench.ask(330, 5)
-    bench.run(0.1)
+    bench.fly(0.1)
     assert [m.result for m in bench.of("COMMAND_ACK") if m.command == 511][-1] == 2
 
 
@@ -389,10 +375,9 @@ def test_what_says_nothing_is_not_read_and_precision_is_a_centimetre_cut_off() -
 
 
 def test_with_prx1_type_2_the_driver_comes_back_as_eight_sectors_of_component_1() -> None:
-    vehicle = {"parameters": {"PRX1_TYPE": 2.0}}
-    bench = Bench(walls=[WALL], vehicle=vehicle).run(0.5)
+    bench = Bench(walls=[WALL], parameters={"PRX1_TYPE": 2.0}).fly(0.5)
     bench.ask(132, 10)
-    bench.run(2.0)
+    bench.fly(2.0)
     last = {m.orientation: m.current_distance for _, m in sectors(bench)[-8:]}
     assert last[2] == pytest.approx(750, abs=3)
     assert {m.get_header().srcComponent for _, m in sectors(bench)} == {1}
@@ -404,29 +389,29 @@ def test_with_prx1_type_2_the_driver_comes_back_as_eight_sectors_of_component_1(
 
 def test_a_rangefinder_measures_slant_range_and_goes_on_beyond_its_maximum() -> None:
     parameters = {"RNGFND1_TYPE": 100.0, "RNGFND1_MAX": 12.0}
-    bench = Bench(vehicle={"parameters": parameters}, faults="at 3 s: rangefinder_off").run(0.2)
+    bench = Bench(parameters=parameters, faults="at 3 s: rangefinder_off").fly(0.2)
     bench.ask(132, 10)
     bench.ask(173, 10)
     bench.hold_m, bench.turn_rad = 16.0, (math.radians(20.0), math.radians(-10.0), 1.0)
-    bench.run(2.0)
+    bench.fly(2.0)
     slant_m = 16.0 / (math.cos(math.radians(20.0)) * math.cos(math.radians(10.0)))
     message = bench.of("DISTANCE_SENSOR")[-1]
     assert message.current_distance == pytest.approx(slant_m * 100, abs=1)
     assert (message.id, message.orientation, message.type) == (0, 25, 4)
     assert (message.min_distance, message.max_distance) == (20, 1200)
     assert bench.of("RANGEFINDER")[-1].distance == pytest.approx(slant_m, abs=0.01)
-    bench.run(1.0)
-    bench.said.clear()
-    bench.run(1.0)
+    bench.fly(1.0)
+    bench.heard.clear()
+    bench.fly(1.0)
     assert bench.of("DISTANCE_SENSOR") == []
     assert {m.distance for m in bench.of("RANGEFINDER")} == {0.0}
 
 
 def test_without_one_nothing_is_said() -> None:
-    bench = Bench().run(0.2)
+    bench = Bench().fly(0.2)
     bench.ask(132, 10)
     bench.ask(173, 10)
-    bench.run(1.0)
+    bench.fly(1.0)
     assert bench.of("DISTANCE_SENSOR") == bench.of("RANGEFINDER") == []
 
 
@@ -491,9 +476,9 @@ def test_worlds_without_things_have_no_such_key() -> None:
 
 def test_a_driver_and_the_autopilots_own_lidar_say_the_same_of_a_post() -> None:
     near = {"second_lidar": {"range_m": 12.0, "output": "autopilot"}}
-    bench = Bench(trees=[POST], lidar={"range_m": 40.0}, **near).run(0.2)
+    bench = Bench(trees=[POST], lidar={"range_m": 40.0}, **near).fly(0.2)
     bench.ask(132, 10.0)
-    bench.run(2.0)
+    bench.fly(2.0)
     by_driver, sectors = bench.maps()[-1], bench.of("DISTANCE_SENSOR", 1)
     assert by_driver.max_distance == 4000
     assert {(m.orientation, m.max_distance) for m in sectors} == {(0, 1200)}

@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 import pytest
+from harness import COMPANION, GCS, PLACE, VEHICLE, Link, flying, ready
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from over_the_wire import COMPANION, GCS, PLACE, VEHICLE, Link, flying, ready
 from pymavlink import mavwp
 from pymavlink.dialects.v20 import all as mavlink
 

@@ -7,9 +7,9 @@ from itertools import pairwise
 from typing import Any, cast
 
 import pytest
+from harness import COMPANION, GCS, PLACE, VEHICLE, Link
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from over_the_wire import COMPANION, GCS, PLACE, VEHICLE, Link
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -280,24 +280,15 @@ def test_the_rates_of_streams_are_parameters_that_count_from_the_boot(
     ("table", "name", "words"),
     [
         (arducopter.FIRMWARE.table, "SYSID_THISMAV", "It is called MAV_SYSID here."),
-        (arducopter.FIRMWARE.table, "SYSID_MYGCS", "It is called MAV_GCS_SYSID here."),
-        (arducopter.FIRMWARE.table, "SR0_POSITION", "It is called MAV1_POSITION here."),
         (arducopter.FIRMWARE.table, "SR1_EXTRA1", "It is called MAV2_EXTRA1 here."),
         (
             arducopter.FIRMWARE.table,
             "SR2_EXTRA1",
             "MAV2_EXTRA1 here, for the second link; the others have",
         ),
-        (arducopter.FIRMWARE.table, "WP_SPD_DN", "It is called WPNAV_SPEED_DN here, in cm/s."),
-        (arducopter.FIRMWARE.table, "MAV_SYS_ID", "It is called MAV_SYSID here."),
         (arduplane.FIRMWARE.table, "TRIM_ARSPD_CM", "It is called AIRSPEED_CRUISE here, in m/s."),
         (arduplane.FIRMWARE.table, "FS_GCS_ENABLE", "It is called FS_GCS_ENABL here."),
         (px4copter.FIRMWARE.table, "SYSID_THISMAV", "It is called MAV_SYS_ID here."),
-        (
-            px4copter.FIRMWARE.table,
-            "COM_OBL_ACT",
-            "It is called COM_OBL_RC_ACT here.",
-        ),
         (arducopter.FIRMWARE.table, "GUID_TIMEOUTS", "Did you mean GUID_TIMEOUT?"),
         (arducopter.FIRMWARE.table, "QQQQQQQQ", "Leave it out."),
     ],

@@ -5,7 +5,7 @@ import math
 import pytest
 from tracking_px4 import Rig
 
-from vehicle_sim.autopilot.px4 import MODES, RATES_HZ, parameter_rows, profile
+from vehicle_sim.autopilot.px4 import RATES_HZ, parameter_rows, profile
 from vehicle_sim.autopilot.values import Ack, Reboot, Result, Sender
 from vehicle_sim.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
@@ -20,11 +20,6 @@ def _acks(rig: Rig, number: int) -> list[int]:
 
 
 # --- numbers --------------------------------------------------------------------------------------
-
-
-def test_base_modes_are_the_recorded_ones() -> None:
-    base = {mode.name: mode.base for mode in MODES}
-    assert (base["Hold"], base["Offboard"], base["Descend"]) == (29, 17, 29)
 
 
 def test_parameters_have_legal_names_and_are_in_order() -> None:
@@ -125,11 +120,6 @@ def test_it_reboots_only_while_disarmed() -> None:
     assert any(isinstance(reply, Reboot) for _, reply in rig.said)
     rig.command(400, 1.0)
     assert rig.command(246, 1.0) == [Result.TEMPORARILY_REJECTED]
-
-
-@pytest.mark.parametrize("number", [31000, 207, 0])
-def test_unknown_commands_are_unsupported(number: int) -> None:
-    assert Rig().command(number) == [Result.UNSUPPORTED]
 
 
 def test_the_battery_brings_it_home() -> None:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from harness import GENTLE
 from pymavlink.dialects.v20 import all as mavlink
-from rig import GENTLE
 
 from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.conditions import RadarConditions

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flown import Flown
+from harness import Flown
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.rng import generator
@@ -146,7 +146,7 @@ def test_a_reboot_is_the_autopilots_alone(autopilot: str) -> None:
     heard: list[Any] = []
     for k in range(120):
         if k == 20:
-            simulation.receive(0, ask.pack(flown.mav))
+            flown.send(ask)
         simulation.step()
         frames = [frame for _, frame in simulation.take_frames()]
         if 10 <= k < 100:  # the autopilot is down for 1.1 s

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot.values import (
@@ -89,23 +87,6 @@ def test_a_rate_is_met_exactly_and_only_on_the_link_that_asked(
     assert seen[0, HEARTBEAT] == seen[1, HEARTBEAT] == 20
 
 
-@given(
-    intervals=st.lists(st.integers(1_000, 3_000_000), min_size=1, max_size=5),
-    seconds=st.floats(0.1, 5.0),
-)
-def test_the_count_of_each_message_is_time_over_interval(
-    intervals: list[int], seconds: float
-) -> None:
-    numbers = [POSITION, ATTITUDE, LOCAL, 74, 148]
-    streams = fresh("px4")
-    for number, interval_us in zip(numbers, intervals, strict=False):
-        ask(streams, 511, number, interval_us)
-    seen = counts(streams, seconds)
-    for number, interval_us in zip(numbers, intervals, strict=False):
-        wanted = seconds * 1e6 / max(interval_us, STEP_US)  # at most once a step
-        assert abs(seen[0, number] - wanted) <= 2.5
-
-
 def test_nothing_is_due_before_it_is_said_to_be_and_a_pause_is_not_made_up_for() -> None:
     streams = fresh("px4", links=1, _30=50.0)
     for now_us in range(0, 3_000_000, 1_000):
@@ -134,36 +115,6 @@ def test_what_is_not_streamed_is_denied_with_a_text_or_fails() -> None:
     assert ack.result == Result.DENIED
     for number in (HEARTBEAT, 42, 12345, math.nan, -1.0, 1e30):
         assert [ack.result for ack in ask(fresh("px4"), 511, number, 1e5)] == [Result.FAILED]
-
-
-@pytest.mark.parametrize(
-    ("firmware", "parameters", "wanted"),
-    [
-        ("ardupilot", (0, 1, 0, 0, 1), Result.ACCEPTED),
-        ("ardupilot", (1, 0, 0, 0, 0), Result.DENIED),
-        ("ardupilot", (math.nan, 0, 0, 0, 0), Result.DENIED),
-        ("px4", (math.nan, math.nan, 9, 9, math.nan), Result.ACCEPTED),
-        ("px4", (1, 0, 0, 0, 0), Result.FAILED),
-        ("px4", (0, 1, 0, 0, 0), Result.FAILED),
-        ("px4", (0, 0, 0, 0, 1), Result.FAILED),
-    ],
-)
-def test_reserved_parameters_must_be_zero(
-    firmware: Firmware, parameters: tuple[float, ...], wanted: Result
-) -> None:
-    assert result(ask(fresh(firmware), 511, POSITION, 1e5, *parameters)) == wanted
-
-
-@given(interval_us=st.floats(width=32), number=st.floats(width=32))
-def test_no_interval_and_no_number_breaks_the_table(interval_us: float, number: float) -> None:
-    for firmware in ("ardupilot", "px4"):
-        streams = fresh(firmware)  # type: ignore[arg-type]
-        for asked in (511, 512):
-            ask(streams, asked, POSITION, interval_us)
-            ask(streams, asked, number, interval_us)
-        every = streams.interval_us(0, POSITION)
-        assert every is None or every >= 1
-        streams.due(10**9)
 
 
 def test_ardupilots_intervals_are_whole_milliseconds_up_to_a_minute() -> None:

@@ -63,23 +63,6 @@ def test_every_message_can_be_packed_and_read_again(copter: Flown, multicopter: 
     assert {*px4plane.FIRMWARE.profile.rates_hz, 49, 148, 300} <= set(PX4)
 
 
-def test_the_receiver_has_no_speed_or_position_before_it_speaks(copter: Flown) -> None:
-    message = read(ARDUPILOT[24](report_of(copter, Fix())))
-    assert (message.fix_type, message.eph, message.epv) == (0, 65535, 65535)
-    assert (message.lat, message.vel, message.cog, message.satellites_visible) == (0, 0, 0, 0)
-
-
-def test_home_has_no_attitude_on_ardupilot(copter: Flown) -> None:
-    home = read(ARDUPILOT[242](report_of(copter)))
-    assert all(math.isnan(part) for part in home.q)
-    assert (home.x, home.y) == pytest.approx((0.0, 0.0), abs=0.05)
-
-
-def test_ardupilots_question_of_the_time_is_told_by_its_last_digit(copter: Flown) -> None:
-    message = read(ARDUPILOT[111](report_of(copter)))
-    assert (message.tc1, message.ts1) == (0, copter.now_us * 1000 + 1)
-
-
 def test_px4s_echo_is_what_the_controller_wants(multicopter: Rig) -> None:
     """POSITION_TARGET_LOCAL_NED: position not given: NaN and its bits; motors idle: mask 63."""
     echo = read(PX4[85](report_of(multicopter)))
@@ -91,13 +74,3 @@ def test_px4s_echo_is_what_the_controller_wants(multicopter: Rig) -> None:
     idle = read(PX4[85](report_of(fresh)))
     assert (idle.type_mask, idle.afz) == (63, 100.0)
     assert math.isnan(idle.vx)
-
-
-def test_px4s_global_targets_are_told_in_auto_modes_only(multicopter: Rig) -> None:
-    assert PX4[87](report_of(multicopter)) is None
-    rig = Rig()
-    rig.take_off(8.0)
-    rig.command(21)
-    rig.run(2.0)
-    landing = read(PX4[87](report_of(rig)))
-    assert (landing.coordinate_frame, landing.alt) == (5, 0.0)

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from harness import GENTLE
 from numpy.typing import NDArray
-from rig import GENTLE
 from scipy import integrate, signal
 
 from vehicle_sim.conditions import WindConditions

@@ -125,7 +125,7 @@ def test_near_things_that_cannot_be_are_refused_in_one_line(
 def test_px4_has_no_lidar_of_its_own(world_table: Table) -> None:
     table = changed(world_table, "vehicle", "autopilot", "px4")
     with pytest.raises(InputError, match=r"lidar\.output = 'autopilot'.*px4"):
-        parse_world(table | {"lidar": {"range_m": 9.0, "output": "autopilot"}})
+        Simulation(parse_world(table | {"lidar": {"range_m": 9.0, "output": "autopilot"}}))
 
 
 def test_nobody_starts_inside_a_tree(world_table: Table) -> None:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from rig import STEP_S, Rig
+from harness import STEP_S, Rig
 
-from vehicle_sim.autopilot import arducopter
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.geodesy import metres_per_degree
 from vehicle_sim.plans import Plans
@@ -77,7 +77,8 @@ class Flown(Rig):
             drag_1_m=DRAG_1_M * drag,
         )
         rng = np.random.default_rng(1)
-        autopilot = arducopter.make(self.copter, parameters, Plans(), rng=rng)
+        personality = PERSONALITIES["ardupilot" if drag else "ideal", "copter"]
+        autopilot = personality.boot(self.copter, parameters, Plans(), rng)
         super().__init__(autopilot, ground_amsl_m)
         self.wind_m_s = (0.0, 0.0)
 

@@ -5,11 +5,11 @@ import functools
 import math
 from collections.abc import Callable
 
+import harness
 import numpy as np
-import rig
-from rig import STEP_S
+from harness import STEP_S
 
-from vehicle_sim.autopilot import arduplane
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.values import Result, SendMessage
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
@@ -25,7 +25,7 @@ AGE_STEPS = 15
 """A client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
 
 
-class Rig(rig.Rig):
+class Rig(harness.Rig):
     """A plane over flat ground at home, with its autopilot and its receiver."""
 
     def __init__(self, parameters: dict[str, float] | None = None, *, heading_deg: float = 0.0):
@@ -37,7 +37,9 @@ class Rig(rig.Rig):
         )
         self.plans = Plans()
         rng = np.random.default_rng(1)
-        autopilot = arduplane.make(self.plane, parameters or {}, self.plans, rng=rng)
+        autopilot = PERSONALITIES["ardupilot", "plane"].boot(
+            self.plane, parameters or {}, self.plans, rng
+        )
         super().__init__(autopilot, GROUND_M, Gps(ARDUPLANE, rng))
         self.frame = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
 

@@ -7,11 +7,11 @@ with 3 m of height up and down.  Errors are taken against the estimator's positi
 import math
 from typing import Any, Literal, NamedTuple, final
 
+import harness
 import numpy as np
-import rig
-from rig import STEP_US, STRONG, ZERO, Vector
+from harness import STEP_US, STRONG, ZERO, Vector
 
-from vehicle_sim.autopilot import px4copter
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.plans import Plans
@@ -31,7 +31,7 @@ _RAMP_M_S2 = 2.0
 
 
 @final
-class Rig(rig.Rig):
+class Rig(harness.Rig):
     """One PX4 multicopter in still air, without links: what goes in and what comes out."""
 
     def __init__(self, seed: int = 1, **parameters: float) -> None:
@@ -43,7 +43,8 @@ class Rig(rig.Rig):
         )
         self.plans = Plans()
         given = {"SIH_KDV": 0.25, "COM_OBL_RC_ACT": 5.0, **parameters}
-        self.px4 = px4copter.make(self.copter, given, self.plans, rng=np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        self.px4 = PERSONALITIES["px4", "copter"].boot(self.copter, given, self.plans, rng)
         gps = Gps(PX4, np.random.default_rng(seed + 1000))
         super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 

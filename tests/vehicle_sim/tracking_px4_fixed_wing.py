@@ -10,10 +10,10 @@ import functools
 import math
 from typing import Any, Final, Literal, NamedTuple, final
 
+import harness
 import numpy as np
-import rig
 
-from vehicle_sim.autopilot import px4plane
+from vehicle_sim.autopilot.factory import PERSONALITIES
 from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
 from vehicle_sim.autopilot.values import Sender
 from vehicle_sim.conditions import GpsConditions
@@ -51,7 +51,7 @@ def _taken_off(*made_of: Any) -> dict[str, Any]:
 
 
 @final
-class Rig(rig.Rig):
+class Rig(harness.Rig):
     """One PX4 aeroplane, without links: what goes in and what comes out."""
 
     def __init__(self, seed: int = 1, **parameters: float) -> None:
@@ -65,7 +65,7 @@ class Rig(rig.Rig):
         self.plans = Plans()
         rng = np.random.default_rng(seed)
         given = {"COM_OBL_RC_ACT": 5.0, **parameters}
-        self.px4 = px4plane.make(self.plane, given, self.plans, rng=rng)
+        self.px4 = PERSONALITIES["px4", "plane"].boot(self.plane, given, self.plans, rng)
         gps = Gps(PX4, np.random.default_rng(seed + 1000))
         super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 

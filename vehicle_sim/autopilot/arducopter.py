@@ -4,15 +4,13 @@ Source: ardupilot.md 2 to 5 and the recorded flights; submodes and their changes
 """
 
 import enum
-import functools
 import math
-from typing import ClassVar, Final, final
+from typing import ClassVar, Final
 
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
 from vehicle_sim.autopilot.core import Firmware, Handler, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
-from vehicle_sim.autopilot.ideal import Ideal, Spatial
 from vehicle_sim.autopilot.legs import RETURN, Does, back
 from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
 from vehicle_sim.autopilot.values import (
@@ -119,15 +117,14 @@ _ECHO_MASKS: Final = {
     Kind.PUSH: 0xC3F,
 }
 """type_mask of POSITION_TARGET_LOCAL_NED."""
-Order = Spatial
-"""Acceleration of the thrust."""
+Order = tuple[complex, float]
+"""Acceleration of the thrust: level, north + east j, and up."""
 
 
 def _degrees(place: Place) -> complex:
     return complex(place.latitude_deg, place.longitude_deg)
 
 
-@final
 class CopterFlight(ArduFlight):
     """An ArduCopter: its modes, on the position controller."""
 
@@ -136,10 +133,8 @@ class CopterFlight(ArduFlight):
     def __init__(self, autopilot: ArduPilot) -> None:
         super().__init__(autopilot)
         assert isinstance(autopilot.vehicle, Copter)
-        self.copter = copter = autopilot.vehicle
-        self._ideal = None if copter.drag_1_s else Ideal(copter.limits)
-        """Of one without drag, which no autopilot was tuned for."""
-        self._flown_in = {mode.name: getattr(self, mode.flies) for mode in MODES}
+        self.copter = autopilot.vehicle
+        self._flown_in = {mode.name: getattr(self, mode.flies) for mode in autopilot.firmware.modes}
         self.kind = Kind.VELOCITY
         self._place_deg, self._altitude_m = 0j, 0.0
         self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
@@ -228,19 +223,10 @@ class CopterFlight(ArduFlight):
         self._speeds_up_down = (tuning.speed_up_m_s, tuning.speed_down_m_s)
         self.level.start(self._here_deg, self._flown)
         self._start_vertical()
-        if self._ideal is not None:
-            self._ideal.forget()
-            self._go_on()
 
     def _start_vertical(self) -> None:
         estimate = self.estimate
         self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
-
-    def _go_on(self) -> None:
-        """Level, with the acceleration that there is."""
-        copter = self.copter
-        felt = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
-        self.level.follow(self._here_deg, self._flown, felt)
 
     @property
     def _here_deg(self) -> complex:
@@ -437,15 +423,10 @@ class CopterFlight(ArduFlight):
         north, east, down = target.velocity if moves else (0.0, 0.0, 0.0)
         a_n, a_e, a_d = target.acceleration if given(target.acceleration) else (0.0, 0.0, 0.0)
         velocity, feed = (complex(north, east), -down), (complex(a_n, a_e), -a_d)
-        now_s = self.autopilot.now_s
-        if self._ideal is not None:
-            streams = kind is self.kind is Kind.PATH and not any(feed)
-            before, gap_s = (self._velocity, self._climb_m_s), now_s - self._heard_s
-            self._ideal.learn(before, velocity, gap_s, streams=streams)
         if kind is not self.kind:
             self._restart(kind)
         (self._velocity, self._climb_m_s), (self._feed, self._feed_up) = velocity, feed
-        self._heard_s = now_s
+        self._heard_s = self.autopilot.now_s
         yaw_rad, rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
         self._yaw_rad = None if yaw_rad != yaw_rad else yaw_rad
         turns = self._yaw_rad is None and rate_rad_s == rate_rad_s
@@ -571,13 +552,6 @@ class CopterFlight(ArduFlight):
             self._watch_takeoff()
         if not self.estimator.aiding:
             return self._level_out(0.0, dt_s)
-        if self._ideal is not None:
-            if self.kind is Kind.PATH and self._age_s <= self._timeout_s:
-                return self._track(self._ideal)
-            if self._ideal.tracks:
-                self._ideal.tracks = False
-                self._start_vertical()
-                self._go_on()
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return self._go(self._place_deg, self._altitude_m, dt_s)
         self._move_desired(dt_s)
@@ -599,16 +573,6 @@ class CopterFlight(ArduFlight):
     def _age_s(self) -> float:
         """Since the last setpoint."""
         return self.autopilot.now_s - self._heard_s
-
-    def _track(self, ideal: Ideal) -> Order:
-        """The law without drag."""
-        estimate, here_deg = self.estimate, self._here_deg
-        self.level.scale = metres_per_degree(here_deg.real)
-        off_m = self.level.metres(here_deg, self._place_deg)
-        rise_m = self._altitude_m - estimate.altitude_amsl_m
-        late = (self._velocity - self._flown, self._climb_m_s - estimate.velocity_up_m_s)
-        ideal.tracks, feed = True, (self._feed, self._feed_up)
-        return ideal.order((off_m, rise_m), late, feed, self._age_s, self.tuning)
 
     def _watch_takeoff(self) -> None:
         """The take-off is over some time after the height was nearly reached."""
@@ -730,9 +694,7 @@ class CopterFlight(ArduFlight):
     @property
     def _way_m_s(self) -> complex:
         """The velocity that the nose looks along."""
-        if self._ideal is None:
-            return self.level.velocity
-        return complex(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)
+        return self.level.velocity
 
     def _heading_rad(self, dt_s: float) -> float:
         """One step on, from 0 to 2 pi."""
@@ -818,7 +780,3 @@ class CopterFlight(ArduFlight):
             bearing_rad=math.atan2(way.imag, way.real) % math.tau,
             altitude_error_m=place.altitude_amsl_m - here.altitude_amsl_m,
         )
-
-
-make: Final = functools.partial(ArduPilot, FIRMWARE, CopterFlight)
-"""One that boots, of vehicle, parameters, plans and rng=."""

@@ -204,7 +204,7 @@ class ArduPilot(Autopilot):
         self.gcs_lost = False
         self.battery_acted = 0
         """1: of a low battery, 2: of a critical one."""
-        self._was_armed = self._was_aiding = False
+        self._was_aiding = False
         self._gcs_s: float | None = None
         self._battery_low_s: float | None = None
         self._fence_left_alone_s = 0.0
@@ -414,7 +414,6 @@ class ArduPilot(Autopilot):
 
     def on_armed(self) -> None:
         """Home is told; a mission begins where it stands."""
-        self._was_armed = True
         if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
             self.fence.enabled = True
         self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
@@ -479,6 +478,5 @@ class ArduPilot(Autopilot):
             fence_breach_type=fence.breach_type,
             fence_breach_ms=round(fence.breach_s * 1e3),
             failsafe=self.failsafe,
-            logging=self._was_armed,
             airspeed_m_s=flight.airspeed_m_s(),
         )

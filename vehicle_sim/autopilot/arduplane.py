@@ -3,13 +3,9 @@
 Whatever it flies to by itself is a point that it circles in the end, or passes in a mission.
 """
 
-import functools
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, final
-
-import numpy as np
 
 from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
 from vehicle_sim.autopilot.copter_control import bounded
@@ -46,7 +42,6 @@ from vehicle_sim.conditions import SIM_PARAMETERS
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import table
-from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import Fix
 
 _BY_HAND, _BY_ITSELF = 0x51, 0x59
@@ -140,9 +135,10 @@ class ArduPlaneFlight(ArduFlight):
 
     GCS_FAILSAFE = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
 
-    def __init__(self, autopilot: ArduPilot, plane: Plane) -> None:
+    def __init__(self, autopilot: ArduPilot) -> None:
         super().__init__(autopilot)
-        self._plane = plane
+        assert isinstance(autopilot.vehicle, Plane)
+        self._plane = plane = autopilot.vehicle
         plane.turn_efficiency = _TURN_EFFICIENCY
         self._control = PlaneControl(plane, self.estimate)
         self._control.slowing_m_s2 = _SLOWING_M_S2
@@ -249,7 +245,7 @@ class ArduPlaneFlight(ArduFlight):
             autopilot.reached(route.current)
             self._passed = self._place if leg.does is Does.GO else None
             autopilot.seek(route.current + 1)
-        if route.leg is None and not autopilot.standing:
+        if route.leg is None and not self._plane.stands:
             autopilot.set_mode("RTL")
 
     def _is_done(self, leg: Leg) -> bool:
@@ -383,7 +379,7 @@ class ArduPlaneFlight(ArduFlight):
 
     def arming_refusal(self) -> str | None:
         """Why it may not be armed now."""
-        if not self.autopilot.standing:
+        if not self._plane.stands:
             return None
         if self._first_fix_s is None:
             return "GPS 1: Bad fix"
@@ -459,7 +455,7 @@ class ArduPlaneFlight(ArduFlight):
     def _navigate(self) -> None:
         """By itself: to its point, along the way or around it."""
         autopilot, control = self.autopilot, self._control
-        if self._flies == "takes_off" and autopilot.standing and autopilot.armed:
+        if self._flies == "takes_off" and self._plane.stands and autopilot.armed:
             if abs(control.velocity) < _AIMED_M_S:
                 self._aim_ahead(self.parameters["TKOFF_DIST"], self.parameters["TKOFF_ALT"])
         elif self._flies == "flies_mission":
@@ -635,11 +631,3 @@ class ArduPlaneFlight(ArduFlight):
             cross_track_m=control.l1.cross_track_m,
             airspeed_error_m_s=self._demand_m_s - self.airspeed_m_s(),
         )
-
-
-def make(
-    plane: Plane, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
-) -> ArduPilot:
-    """One that boots; InputError names a parameter that it does not have."""
-    make_flight = functools.partial(ArduPlaneFlight, plane=plane)
-    return ArduPilot(FIRMWARE, make_flight, plane, parameters, plans, rng)

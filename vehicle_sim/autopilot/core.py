@@ -208,8 +208,8 @@ class Autopilot(abc.ABC):
         self.home: Place | None = None
         self.now_s, self.ground_m = 0.0, vehicle.altitude_amsl_m
         self.armed = False
-        self.landed = self.standing = True
-        """It believes to be on the ground; it is."""
+        self.landed = True
+        """It believes to be on the ground."""
         self.armed_s = 0.0
         self.touched_s: float | None = None
         self.landed_s: float | None = None
@@ -293,9 +293,9 @@ class Autopilot(abc.ABC):
         vehicle, flight = self.vehicle, self.flight
         if self.armed:
             flight.steer(dt_s)
-        if self.standing and self.armed and flight.lifts_off():
-            self.standing, self.touched_s = False, None
-        if self.standing:
+        if vehicle.stands and self.armed and flight.lifts_off():
+            vehicle.stands, self.touched_s = False, None
+        if vehicle.stands:
             flight.stand(self.ground_m, dt_s)
             self._wait_on_ground()
             return
@@ -308,7 +308,7 @@ class Autopilot(abc.ABC):
                 vehicle.altitude_amsl_m = self.ground_m
                 vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
                 return
-            self.standing, self.touched_s = True, self.now_s
+            self.touched_s = self.now_s
             flight.touch_down(self.ground_m)
 
     def take_to_the_air(self) -> None:
@@ -406,7 +406,7 @@ class Autopilot(abc.ABC):
 
     def crash(self) -> Sequence[Reply]:
         """It has hit something; who lies on the ground need not wait to believe it."""
-        self.landed = self.landed or self.standing
+        self.landed = self.landed or self.vehicle.stands
         if self.armed and self.firmware.crashes:
             self.say(0, self.firmware.crashes)
         self.disarm("failure detector")

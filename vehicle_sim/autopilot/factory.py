@@ -1,186 +1,207 @@
-"""Which personality a world asks for, and the vehicle that it flies."""
+"""Which autopilot a world asks for, and the vehicle that it flies.
 
-import dataclasses
+Another one is a row of PERSONALITIES: a `Firmware` value, and a `Flight` of its own only if its law
+is new (simulator.md).
+"""
+
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, final
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
 
-from vehicle_sim.autopilot import arducopter, arduplane, px4copter, px4plane
-from vehicle_sim.autopilot.core import Autopilot
-from vehicle_sim.autopilot.px4plane import SIH_AIRPLANE
+import numpy as np
+
+from vehicle_sim.autopilot import arducopter, arduplane, ideal, px4copter, px4plane
+from vehicle_sim.autopilot.ardupilot import ArduPilot
+from vehicle_sim.autopilot.core import Autopilot, Firmware
+from vehicle_sim.autopilot.px4 import Px4
+from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.errors import InputError
 from vehicle_sim.parameters import Readable
+from vehicle_sim.plans import Plans
 from vehicle_sim.sensors import gps
 from vehicle_sim.sensors.gps import Receiver
-from vehicle_sim.world import Vehicle
+from vehicle_sim.world import LIMITS
+from vehicle_sim.world import Vehicle as VehicleTable
 
-_COPTER = Limits(
+_COPTER: Final = Limits(
     speed_m_s=40.0,
     acceleration_m_s2=30.0,
     speed_vertical_m_s=10.0,
     acceleration_vertical_m_s2=5.0,
 )
 """A simulated quadcopter that has no other limits than its tilt and its drag."""
-_COPTER_DRAG_1_S, _COPTER_DRAG_1_M = 0.340, 0.0193
+_ARDUCOPTER_DRAG: Final = (0.340, 0.0193)
 """10.05 m/s at 28.7 degrees of tilt and 15.4 m/s at 45, as in the recorded flights."""
-_STEEPEST_CDEG = 8000.0
+_STEEPEST_CDEG: Final = 8000.0
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class AutopilotVariant:
+class Personality:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    autopilot: Callable[..., Autopilot]
-    """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
-    does not have."""
-    system_id: str
-    """The parameter that holds it."""
-    component_id: str | None
-    """The same; None: it is always 1."""
-    highest_id: int
-    """Of both; the least is 1.  Of PX4 as Mavlink::set_system_id has it."""
+    family: Callable[..., Autopilot]
+    firmware: Firmware
+    flight: Callable[[Any], Any]
     receiver: Receiver
     battery: Model
+    limits: Limits | PlaneLimits
+    drag: tuple[float, float] = (0.0, 0.0)
+    """Of a copter: 1/s, and 1/m for the square of the speed.  PX4's is a parameter (SIH_KDV)."""
+
+    def boot(
+        self,
+        vehicle: Vehicle,
+        parameters: Mapping[str, float],
+        plans: Plans,
+        rng: np.random.Generator,
+    ) -> Autopilot:
+        """One that boots now.  InputError names a parameter that it does not have."""
+        return self.family(self.firmware, self.flight, vehicle, parameters, plans, rng)
+
+    @property
+    def id_parameters(self) -> tuple[str, str | None]:
+        """Which hold system and component; None: it is always 1."""
+        is_px4 = self.firmware.profile.firmware == "px4"
+        return ("MAV_SYS_ID", "MAV_COMP_ID") if is_px4 else ("MAV_SYSID", None)
+
+    @property
+    def highest_id(self) -> int:
+        """Of both; the least is 1.  Of PX4 as Mavlink::set_system_id has it."""
+        return 254 if self.firmware.profile.firmware == "px4" else 255
 
 
+_ARDUCOPTER: Final = Personality(
+    ArduPilot,
+    arducopter.FIRMWARE,
+    arducopter.CopterFlight,
+    gps.ARDUCOPTER,
+    "ardupilot copter",
+    _COPTER,
+    _ARDUCOPTER_DRAG,
+)
 PERSONALITIES: Final = {
-    ("ardupilot", "copter"): AutopilotVariant(
-        arducopter.make, "MAV_SYSID", None, 255, gps.ARDUCOPTER, "ardupilot copter"
+    ("ardupilot", "copter"): _ARDUCOPTER,
+    ("ideal", "copter"): replace(_ARDUCOPTER, flight=ideal.IdealFlight, drag=(0.0, 0.0)),
+    ("ardupilot", "plane"): Personality(
+        ArduPilot,
+        arduplane.FIRMWARE,
+        arduplane.ArduPlaneFlight,
+        gps.ARDUPLANE,
+        "ardupilot plane",
+        PlaneLimits(),
     ),
-    ("ardupilot", "plane"): AutopilotVariant(
-        arduplane.make, "MAV_SYSID", None, 255, gps.ARDUPLANE, "ardupilot plane"
+    ("px4", "copter"): Personality(
+        Px4, px4copter.FIRMWARE, px4copter.Px4CopterFlight, gps.PX4, "px4", _COPTER
     ),
-    ("px4", "copter"): AutopilotVariant(
-        px4copter.make, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
-    ),
-    ("px4", "plane"): AutopilotVariant(
-        px4plane.make, "MAV_SYS_ID", "MAV_COMP_ID", 254, gps.PX4, "px4"
+    ("px4", "plane"): Personality(
+        Px4, px4plane.FIRMWARE, px4plane.Px4PlaneFlight, gps.PX4, "px4", px4plane.SIH_AIRPLANE
     ),
 }
+"""By vehicle.autopilot and vehicle.kind of the world file."""
 
 
-def personality_of(vehicle: Vehicle) -> AutopilotVariant:
-    """The one that a world asks for."""
-    return PERSONALITIES[vehicle.autopilot, vehicle.kind]
+def personality_of(vehicle: VehicleTable) -> Personality:
+    """The one that a world asks for; InputError if there is none."""
+    found = PERSONALITIES.get((vehicle.autopilot, vehicle.kind))
+    if found is None:
+        known = " or ".join(f"'{name}'" for name, kind in PERSONALITIES if kind == vehicle.kind)
+        rule = f"must be {known} with a {vehicle.kind}"
+        raise InputError("vehicle.autopilot", vehicle.autopilot, rule, "Correct the world file.")
+    return found
 
 
-def ids_of(personality: AutopilotVariant, parameters: Readable) -> tuple[int, int]:
+def ids_of(personality: Personality, parameters: Readable) -> tuple[int, int]:
     """System and component that an autopilot boots as; what is out of range counts as 1."""
-    names = (personality.system_id, personality.component_id)
-    ids = [1 if name is None else int(parameters[name]) for name in names]
+    ids = [1 if name is None else int(parameters[name]) for name in personality.id_parameters]
     system, component = (each if 1 <= each <= personality.highest_id else 1 for each in ids)
     return system, component
 
 
-def with_own_ids(vehicle: Vehicle) -> Vehicle:
+def with_own_ids(vehicle: VehicleTable) -> VehicleTable:
     """The same vehicle, whose system_id is what its parameter says, if that is given.
 
     InputError for a system or component id that there cannot be, or that another part has.
     """
     personality, parameters = personality_of(vehicle), vehicle.parameters
-    most = personality.highest_id
-    for name in (personality.system_id, personality.component_id):
+    most, system_id = personality.highest_id, personality.id_parameters[0]
+    for name in personality.id_parameters:
         value = parameters.get(name or "", 1.0)
         if not (1 <= value <= most and value == int(value)):
             rule = f"must be a whole number from 1 to {most}"
             raise InputError(f"parameter {name}", value, rule, "Try 2.")
-    given = parameters.get(personality.system_id)
+    given = parameters.get(system_id)
     if given is None and vehicle.system_id > most:
         rule = f"must be from 1 to {most} with {vehicle.autopilot}"
         raise InputError("vehicle.system_id", vehicle.system_id, rule, "Give a smaller one.")
     if given is None:
         return vehicle
-    rest = {name: value for name, value in parameters.items() if name != personality.system_id}
-    return dataclasses.replace(vehicle, system_id=int(given), parameters=rest)
+    rest = {name: value for name, value in parameters.items() if name != system_id}
+    return replace(vehicle, system_id=int(given), parameters=rest)
 
 
 def make_vehicle(
-    vehicle: Vehicle, latitude_deg: float, longitude_deg: float, ground_amsl_m: float
+    vehicle: VehicleTable, latitude_deg: float, longitude_deg: float, ground_amsl_m: float
 ) -> Copter | Plane:
     """The airframe, standing on the ground here."""
-    if vehicle.kind == "plane":
-        return Plane(
-            latitude_deg=latitude_deg,
-            longitude_deg=longitude_deg,
-            altitude_amsl_m=ground_amsl_m,
-            heading_rad=math.radians(vehicle.heading_deg),
-            limits=_plane_limits(vehicle),
-        )
-    return Copter(
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        altitude_amsl_m=ground_amsl_m,
-        limits=_copter_limits(vehicle),
-        drag_1_s=_drag_1_s(vehicle),
-        drag_1_m=_COPTER_DRAG_1_M if _only_drag_limits(vehicle) else 0.0,
-        heading_rad=math.radians(vehicle.heading_deg),
-    )
-
-
-def _copter_limits(vehicle: Vehicle) -> Limits:
-    return Limits(
-        speed_m_s=vehicle.speed_max_m_s or _COPTER.speed_m_s,
-        acceleration_m_s2=vehicle.acceleration_max_m_s2 or _COPTER.acceleration_m_s2,
-        speed_vertical_m_s=vehicle.speed_vertical_max_m_s or _COPTER.speed_vertical_m_s,
-        acceleration_vertical_m_s2=vehicle.acceleration_vertical_max_m_s2
-        or _COPTER.acceleration_vertical_m_s2,
-    )
-
-
-def _drag_1_s(vehicle: Vehicle) -> float:
-    """A vehicle whose speed is given is limited by that; any other by its drag."""
-    if vehicle.drag_1_s is not None:
-        return vehicle.drag_1_s
-    return _COPTER_DRAG_1_S if _only_drag_limits(vehicle) else 0.0
-
-
-def _only_drag_limits(vehicle: Vehicle) -> bool:
-    """An ArduPilot as its own simulation has it; PX4 brings its drag as a parameter (SIH_KDV)."""
-    given = vehicle.speed_max_m_s is not None or vehicle.drag_1_s is not None
-    return vehicle.autopilot == "ardupilot" and not given
-
-
-def _plane_limits(vehicle: Vehicle) -> PlaneLimits:
-    usual = PlaneLimits() if vehicle.autopilot == "ardupilot" else SIH_AIRPLANE
-    bank_deg = vehicle.bank_max_deg
-    limits = dataclasses.replace(
-        usual,
-        airspeed_min_m_s=vehicle.airspeed_min_m_s or usual.airspeed_min_m_s,
-        airspeed_max_m_s=vehicle.airspeed_max_m_s or usual.airspeed_max_m_s,
-        bank_max_rad=usual.bank_max_rad if bank_deg is None else math.radians(bank_deg),
-        climb_max_m_s=vehicle.climb_max_m_s or usual.climb_max_m_s,
-        sink_max_m_s=vehicle.sink_max_m_s or usual.sink_max_m_s,
-    )
+    usual = personality_of(vehicle)
+    here: Any = {
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
+        "altitude_amsl_m": ground_amsl_m,
+        "heading_rad": math.radians(vehicle.heading_deg),
+    }
+    own = {
+        key: value for key in LIMITS[vehicle.kind] if (value := getattr(vehicle, key)) is not None
+    }
+    if vehicle.kind == "copter":
+        named = {key.replace("_max", ""): value for key, value in own.items()}
+        drag_1_s, drag_1_m = usual.drag if (drag := _own_drag_1_s(vehicle)) is None else (drag, 0.0)
+        limits: Any = replace(usual.limits, **named)
+        return Copter(**here, limits=limits, drag_1_s=drag_1_s, drag_1_m=drag_1_m)
+    if (bank_deg := own.pop("bank_max_deg", None)) is not None:
+        own["bank_max_rad"] = math.radians(bank_deg)
+    limits = replace(usual.limits, **own)
     if limits.airspeed_min_m_s >= limits.airspeed_max_m_s:
         value, most = limits.airspeed_min_m_s, limits.airspeed_max_m_s
         rule = f"must be less than airspeed_max_m_s, which is {most:g}"
         raise InputError("vehicle.airspeed_min_m_s", value, rule, "Give both.")
-    return limits
+    return Plane(**here, limits=limits)
 
 
-def overrides_of(vehicle: Vehicle) -> dict[str, float]:
+def _own_drag_1_s(vehicle: VehicleTable) -> float | None:
+    """What the world gives; a vehicle whose speed it gives is limited by that, and has no drag."""
+    if vehicle.drag_1_s is None and vehicle.speed_max_m_s is not None:
+        return 0.0
+    return vehicle.drag_1_s
+
+
+_FOLLOWING: Final = (
+    ("speed_vertical_max_m_s", "WPNAV_SPEED_UP", 100.0),
+    ("speed_vertical_max_m_s", "WPNAV_SPEED_DN", 100.0),
+    ("acceleration_vertical_max_m_s2", "WPNAV_ACCEL_Z", 100.0),
+)
+"""Limits of a copter, and the parameters in cm/s and cm/s2 that follow them."""
+
+
+def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
     """The parameters of the world file, and those that follow from the limits that it gives.
 
     An ArduCopter's climb, descent and tilt follow the vehicle's limits and not its own defaults: a
     vehicle for 3 km of height would otherwise climb for twenty minutes.  PX4 has the drag of its
     simulated quadcopter as a parameter.
     """
-    overrides: dict[str, float] = {personality_of(vehicle).system_id: vehicle.system_id}
-    if vehicle.kind == "copter" and vehicle.autopilot == "ardupilot":
-        vertical_m_s = vehicle.speed_vertical_max_m_s
-        if vertical_m_s is not None:
-            overrides |= dict.fromkeys(("WPNAV_SPEED_UP", "WPNAV_SPEED_DN"), vertical_m_s * 100.0)
+    personality = personality_of(vehicle)
+    overrides: dict[str, float] = {personality.id_parameters[0]: vehicle.system_id}
+    if vehicle.kind == "copter" and personality.family is ArduPilot:
+        given = ((name, getattr(vehicle, key), scale) for key, name, scale in _FOLLOWING)
+        overrides |= {name: limit * scale for name, limit, scale in given if limit is not None}
         if vehicle.acceleration_max_m_s2 is not None:
             overrides["ANGLE_MAX"] = _STEEPEST_CDEG
-        if vehicle.acceleration_vertical_max_m_s2 is not None:
-            overrides["WPNAV_ACCEL_Z"] = vehicle.acceleration_vertical_max_m_s2 * 100.0
-    if vehicle.kind == "copter" and vehicle.autopilot == "px4":
-        given = vehicle.drag_1_s is not None or vehicle.speed_max_m_s is not None
-        if given:
-            overrides["SIH_KDV"] = _drag_1_s(vehicle)
+    elif vehicle.kind == "copter" and (drag_1_s := _own_drag_1_s(vehicle)) is not None:
+        overrides["SIH_KDV"] = drag_1_s
     return overrides | vehicle.parameters

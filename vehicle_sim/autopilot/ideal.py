@@ -1,25 +1,26 @@
-"""The law of fictional copters, `ideal`: what follows a path that is streamed to one without drag.
+"""A fictional copter: an ArduCopter that follows a streamed path by a law that no autopilot has.
 
 ArduCopter's controller was never tuned for such airframes.  The bundled worlds fly a copter at
-150 m/s with 9 m/s2 of lateral acceleration: no such vehicle exists, no autopilot has this law, and
-WPNAV_ACCEL would not let the real controller correct so hard.
+150 m/s with 9 m/s2 of lateral acceleration: no such vehicle exists, and WPNAV_ACCEL would not let
+the real controller correct so hard.
 """
 
 from typing import Final, final
 
-from vehicle_sim.autopilot.copter_control import Tuning, bounded, clipped
-from vehicle_sim.dynamics.copter import Limits
+from vehicle_sim.autopilot.arducopter import CopterFlight, Kind, Order
+from vehicle_sim.autopilot.copter_control import bounded, clipped
+from vehicle_sim.autopilot.setpoints import Target
+from vehicle_sim.autopilot.values import Place
+from vehicle_sim.geodesy import metres_per_degree
 
 KP_1_S2: Final = 0.75
 KV_1_S: Final = 4.0
 """Well damped (2.3): the vehicle's acceleration overshoots a step of the path's by 4 %."""
 _STREAM_GAP_S: Final = 0.5
-Spatial = tuple[complex, float]
-"""Level, north + east j, and up."""
 
 
 @final
-class Ideal:
+class IdealFlight(CopterFlight):
     """With a position and a velocity streamed it accelerates by the errors in both.
 
         a = KP (p_target - p) + KV (v_target - v),
@@ -30,42 +31,68 @@ class Ideal:
     has: held still, it would saw the acceleration up and down at the rate of the stream.
     """
 
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
-        self.tracks = False
-        """It has flown the last step."""
-        self.forget()
+    _slope: Order = (0j, 0.0)
+    """How the streamed velocity changes, and the interval that it was seen over; 0: not known."""
+    _interval_s = 0.0
+    _tracks = False
+    """It has flown the last step by this law."""
 
-    def forget(self) -> None:
-        """The stream has ended."""
-        self._slope: Spatial = (0j, 0.0)
-        self._interval_s = 0.0
+    def _restart(self, kind: Kind) -> None:
+        """Another submode: level, with the acceleration that there is."""
+        super()._restart(kind)
+        self._slope, self._interval_s = (0j, 0.0), 0.0
+        self._go_on()
 
-    def learn(self, before: Spatial, velocity: Spatial, gap_s: float, *, streams: bool) -> None:
-        """A setpoint with this velocity, so long after one with that."""
-        if gap_s < 1e-3:
-            return
-        slope = ((velocity[0] - before[0]) / gap_s, (velocity[1] - before[1]) / gap_s)
-        level_ok = abs(slope[0]) <= self._limits.acceleration_m_s2
-        if (
-            streams
-            and gap_s <= _STREAM_GAP_S
-            and level_ok
-            and abs(slope[1]) <= self._limits.acceleration_vertical_m_s2
-        ):
-            self._slope, self._interval_s = slope, gap_s
-        else:
-            self.forget()
+    def _go_on(self) -> None:
+        copter = self.copter
+        felt = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
+        self.level.follow(self._here_deg, self._flown, felt)
 
-    def order(
-        self, off_m: Spatial, late_m_s: Spatial, feed: Spatial, age_s: float, tuning: Tuning
-    ) -> Spatial:
-        """Acceleration by the errors of position and velocity, of a target so old."""
+    def _take(self, target: Target, place: Place | None) -> bool:
+        """Steer for it, and see how the velocity has changed since the one before."""
+        kind, velocity, climb_m_s = self.kind, self._velocity, self._climb_m_s
+        gap_s = self._age_s
+        if not super()._take(target, place):
+            return False
+        if gap_s >= 1e-3:
+            slope = (self._velocity - velocity) / gap_s, (self._climb_m_s - climb_m_s) / gap_s
+            limits, feeds = self.copter.limits, bool(self._feed or self._feed_up)
+            streams = kind is self.kind is Kind.PATH and not feeds and gap_s <= _STREAM_GAP_S
+            level_ok = abs(slope[0]) <= limits.acceleration_m_s2
+            if streams and level_ok and abs(slope[1]) <= limits.acceleration_vertical_m_s2:
+                self._slope, self._interval_s = slope, gap_s
+            else:
+                self._slope, self._interval_s = (0j, 0.0), 0.0
+        return True
+
+    def fly_target(self, dt_s: float) -> Order:
+        """GUIDED."""
+        if self.estimator.aiding:
+            if self.kind is Kind.PATH and self._age_s <= self._timeout_s:
+                return self._track()
+            if self._tracks:
+                self._tracks = False
+                self._start_vertical()
+                self._go_on()
+        return super().fly_target(dt_s)
+
+    def _track(self) -> Order:
+        """Acceleration by the errors of position and velocity."""
+        estimate, here_deg, tuning, age_s = self.estimate, self._here_deg, self.tuning, self._age_s
+        self._tracks, self.level.scale = True, metres_per_degree(here_deg.real)
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
-        level = clipped(off_m[0] * KP_1_S2, KV_1_S * tuning.speed_m_s)
+        off_m = self.level.metres(here_deg, self._place_deg)
+        rise_m = self._altitude_m - estimate.altitude_amsl_m
+        late, late_up = self._velocity - self._flown, self._climb_m_s - estimate.velocity_up_m_s
+        level = clipped(off_m * KP_1_S2, KV_1_S * tuning.speed_m_s)
         most_up = KV_1_S * tuning.speed_up_m_s
-        up = bounded(off_m[1] * KP_1_S2, -most_up, most_up)
+        up = bounded(rise_m * KP_1_S2, -most_up, most_up)
         return (
-            level + KV_1_S * (late_m_s[0] + self._slope[0] * ahead_s) + feed[0],
-            up + KV_1_S * (late_m_s[1] + self._slope[1] * ahead_s) + feed[1],
+            level + KV_1_S * (late + self._slope[0] * ahead_s) + self._feed,
+            up + KV_1_S * (late_up + self._slope[1] * ahead_s) + self._feed_up,
         )
+
+    @property
+    def _way_m_s(self) -> complex:
+        """The nose looks where the vehicle goes."""
+        return complex(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)

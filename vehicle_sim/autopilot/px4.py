@@ -115,15 +115,6 @@ MODES: Final = (
 )
 """Descend is a failsafe only, told as AUTO:LAND."""
 MODE_NAMES: Final = {mode.number: mode.name for mode in reversed(MODES)}
-STANDARD_MODES: Final = {
-    "Position": 1,
-    "Altitude": 4,
-    "Return": 5,
-    "Mission": 6,
-    "Land": 7,
-    "Takeoff": 8,
-}
-"""MAV_STANDARD_MODE of CURRENT_MODE: 7 and 8 as recorded, the others from the source."""
 MANUAL: Final = frozenset(mode.name for mode in MODES if mode.base == _BY_HAND)
 NAVIGATED: Final = frozenset({"Takeoff", "Hold", "Mission", "Return", "Land"})
 """Modes in which the navigator has a place to go to."""

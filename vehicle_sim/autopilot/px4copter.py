@@ -1,6 +1,5 @@
 """PX4 1.17 flying a multicopter: OFFBOARD without look-ahead, and AUTO modes (px4.md 3 to 8)."""
 
-import functools
 import math
 from typing import Final, final
 
@@ -402,7 +401,3 @@ class Px4CopterFlight(Px4Flight):
         goal, down = self._aim
         place = self.autopilot.frame.place(goal.real, goal.imag, down)
         return Waypoint(place=place, distance_m=abs(goal - self._here))
-
-
-make: Final = functools.partial(Px4, FIRMWARE, Px4CopterFlight)
-"""One that boots, of vehicle, parameters, plans and rng=."""

@@ -11,10 +11,7 @@ The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offb
 
 import cmath
 import math
-from collections.abc import Mapping
 from typing import Final, NamedTuple, final
-
-import numpy as np
 
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.core import Mode
@@ -26,7 +23,6 @@ from vehicle_sim.autopilot.setpoints import NOTHING, Target
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
-from vehicle_sim.plans import Plans
 
 FIRMWARE: Final = firmware(vehicle_type=1, rates_hz=RATES_HZ | {231: 10.0}, parameters="px4plane")
 """WIND_COV as well."""
@@ -94,9 +90,10 @@ class Line(NamedTuple):
 class Px4PlaneFlight(Px4Flight):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
-    def __init__(self, autopilot: Px4, plane: Plane) -> None:
+    def __init__(self, autopilot: Px4) -> None:
         super().__init__(autopilot)
-        self._plane = plane
+        assert isinstance(autopilot.vehicle, Plane)
+        self._plane = plane = autopilot.vehicle
         self._control = PlaneControl(plane, self.estimate)
         self._control.l1.upright = True
         self._aim: Circle | Way | Line | None = None
@@ -232,7 +229,7 @@ class Px4PlaneFlight(Px4Flight):
         """Where to and how high."""
         del dt_s
         self._steps += 1
-        if self._steps % _STEER_EVERY == 0 and not self.autopilot.standing:
+        if self._steps % _STEER_EVERY == 0 and not self._plane.stands:
             self._guide()
 
     def _guide(self) -> None:
@@ -460,10 +457,3 @@ def _bend(target: Target) -> float:
     if math.isnan(a_n + a_e + a_d):
         return 0.0
     return -(v_n * a_e - v_e * a_n) / math.hypot(v_n, v_e) ** 3
-
-
-def make(
-    plane: Plane, parameters: Mapping[str, float], plans: Plans, *, rng: np.random.Generator
-) -> Px4:
-    """A PX4 fixed wing that boots."""
-    return Px4(FIRMWARE, lambda it: Px4PlaneFlight(it, plane), plane, parameters, plans, rng)

@@ -273,8 +273,6 @@ class Status(NamedTuple):
     """The estimator uses GPS (PX4)."""
     fence_breached: bool = False
     fence_breaches: int = 0
-    logging: bool = False
-    """ArduPilot: it has been armed since it was started."""
     fence_present: bool = False
     """There is something that FENCE_STATUS could tell of."""
     fence_breach_type: int = 0

@@ -37,6 +37,8 @@ class Vehicle(ABC):
     """Where the air goes to; set from outside before each step, as are the other two."""
     wind_east_m_s: float = field(init=False, default=0.0)
     wind_up_m_s: float = field(init=False, default=0.0)
+    stands: bool = field(init=False, default=True)
+    """The ground carries it: at rest, or rolling on its wheels."""
     broken: bool = field(init=False, default=False)
     """It has hit something in the air: it falls, and nothing carries it."""
 
@@ -60,7 +62,7 @@ class Vehicle(ABC):
         self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
         self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self.throttle = 0.0
-        self.broken = False
+        self.stands, self.broken = True, False
 
     def hit(self) -> None:
         """Something stops it in the air."""

@@ -98,7 +98,8 @@ class Contact:
         self.local_m = frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         self.ground_amsl_m = self._height_m(*self.local_m)
         """Height of the ground below, as of the last look."""
-        self.on_ground, self._on_thing, self._took_off = True, False, False
+        self._stood, self._on_thing, self._took_off = True, False, False
+        """Whether it stood before the step, and touched a thing; and has been well above ground."""
         self.nearest_m = self._near_m = math.inf
         """To a tree, wall, building or wire: the least of the whole flight; and the least since
         the last look."""
@@ -131,11 +132,11 @@ class Contact:
     def prepare(self, now_us: int) -> None:
         """Before a step: who is low has to know the ground as it is now."""
         above_m = self._vehicle.altitude_amsl_m - self.ground_amsl_m
-        self._before = None
+        self._before, self._stood = None, self._vehicle.stands
         if above_m < _LOW_M:
             self._before = way = self._vehicle.velocity_neu_m_s
             is_far = above_m >= math.hypot(*way) * LOOK_US * 1e-6
-            if not (self.on_ground or is_far or self._measured_us == now_us):
+            if not (self._stood or is_far or self._measured_us == now_us):
                 self._measure(now_us)
 
     def settle(self, now_us: int, dt_s: float) -> None:
@@ -160,9 +161,8 @@ class Contact:
         self._rise_m_s = rise_m / lasted_s if lasted_s > 0.0 else 0.0
 
     def _touch_ground(self, way: Velocity, now_us: int) -> None:
-        above_m, touched = self._vehicle.altitude_amsl_m - self.ground_amsl_m, self.on_ground
-        self.on_ground = above_m <= 0.0
-        if not self.on_ground:
+        above_m, touched = self._vehicle.altitude_amsl_m - self.ground_amsl_m, self._stood
+        if above_m > 0.0:
             self._took_off = self._took_off or above_m > _OFF_GROUND_M
             return
         if touched and (self._measured_us != now_us or not any(way)):
@@ -197,7 +197,7 @@ class Contact:
         self._near_m = min(self._near_m, near_m)
         touches, self._on_thing = self._on_thing, near_m == 0.0
         if self._on_thing and not touches and any(way):
-            if self.on_ground:
+            if self._vehicle.altitude_amsl_m <= self.ground_amsl_m:
                 self._vehicle.stand(self.ground_amsl_m)
             else:
                 self._vehicle.hit()

@@ -142,8 +142,8 @@ class Plane(Vehicle):
         if self.velocity_north_m_s != 0.0 or self.velocity_east_m_s != 0.0:
             course = math.atan2(self.velocity_east_m_s, self.velocity_north_m_s)
             self.heading_rad = course % math.tau
-        self.throttle = 0.0
-        self.velocity_up_m_s = 0.0
+        self.stands = True
+        self.throttle = self.velocity_up_m_s = 0.0
 
     def _accelerate(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
         """One step to this velocity."""

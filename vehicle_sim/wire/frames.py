@@ -16,14 +16,12 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.wire.signing import LinkSigner
 
-DATAGRAM_BYTES = 1400
 _MARKER_1, _MARKER_2 = 0xFE, 0xFD
 _HEADER_1, _HEADER_2 = 6, 10
 _CHECKSUM_BYTES, _SIGNATURE_BYTES = 2, 13
 _SIGNED = 0x01
 _HEAD = struct.Struct("<BBBxBBB")
 """Marker, length, flags, sequence, system, component; then comes the message number in 24 bits."""
-_INT32_MAX = 2**31 - 1
 _LARGEST_FLOAT = 3.4028234663852886e38
 _find_marker = re.compile(rb"[\xfd\xfe]").search
 _reader = mavlink.MAVLink(None)

@@ -117,16 +117,26 @@ class Proximity:
 class RangeSensors:
     """What an ArduPilot has of them since its boot: proximity, and a rangefinder (proximity.md 3).
 
-    look_down: how far it is to the ground along the body's downward axis.
+    PX4, which has none of these parameters, has only the one that looks down, of telemetry.py.
+    limits_m: of a lidar of its own.  look_down: how far it is to the ground along the body's
+    downward axis.
     """
 
     def __init__(
-        self, parameters: Parameters, proximity: Proximity, look_down: Callable[[], float]
+        self,
+        parameters: Parameters,
+        limits_m: tuple[float, float],
+        look_down: Callable[[], float],
     ) -> None:
-        self.proximity, self._look_down = proximity, look_down
-        self._least_m, self._most_m = (parameters[f"RNGFND1_{name}"] for name in ("MIN", "MAX"))
-        self._has_rangefinder = parameters["RNGFND1_TYPE"] and parameters["RNGFND1_ORIENT"] == _DOWN
-        self.rangefinder_off = False
+        self._look_down, self.rangefinder_off = look_down, False
+        known = "PRX1_TYPE" in parameters
+        self.proximity = Proximity(int(parameters["PRX1_TYPE"]) if known else 0, *limits_m)
+        self.numbers = (DISTANCE_SENSOR, RANGEFINDER) if known else ()
+        """The messages that come from here."""
+        if known:
+            self._limits_m = parameters["RNGFND1_MIN"], parameters["RNGFND1_MAX"]
+        looks_down = known and parameters["RNGFND1_ORIENT"] == _DOWN
+        self._has_rangefinder = looks_down and bool(parameters["RNGFND1_TYPE"])
 
     def bits(self, now_us: int) -> tuple[int, int]:
         """Of SYS_STATUS: what is there, and what of it is not well."""
@@ -142,7 +152,7 @@ class RangeSensors:
             return [make("RANGEFINDER", 0.0 if is_off else self._look_down())] if has_one else []
         found = self.proximity.messages(now_us)
         if has_one and not is_off:
-            limits_cm = (round(self._least_m * 100.0), round(self._most_m * 100.0))
+            limits_cm = (round(limit_m * 100.0) for limit_m in self._limits_m)
             range_cm = min(_cm(np.float32(self._look_down())), _UNKNOWN)
             rest = (*limits_cm, range_cm, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN, 0, _DOWN)
             found.insert(0, make("DISTANCE_SENSOR", now_us // 1000, *rest))

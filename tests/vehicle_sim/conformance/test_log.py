@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from recordings import FOLDER, recording
 
-from conformance.log import Clock, Recording, decoded, heard, read_recording, records
+from conformance.log import Clock, Recording, decoded, read_recording, records
 from vehicle_sim.errors import InputError
 
 Recorded = Callable[[str], Recording]
@@ -30,30 +30,6 @@ def log(*frames: bytes) -> bytes:
 
 BEAT = frame(mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 0, 3))
 SYNC = frame(mavlink.MAVLink_timesync_message(0, 5), component=191)
-
-
-def test_each_record_is_given_as_it_was_written() -> None:
-    stream = io.BytesIO(log(BEAT, SYNC, BEAT))
-    assert [(r.time_us - 10**15, r.frame) for r in records(stream, "x")] == [
-        (0, BEAT),
-        (1, SYNC),
-        (2, BEAT),
-    ]
-
-
-def test_frames_of_mavlink_1_and_signed_ones_have_their_own_lengths() -> None:
-    old = mavlink.MAVLink(None, srcSystem=7, srcComponent=8)
-    v1 = bytes(mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 0, 3).pack(old, force_mavlink1=True))
-    signed = bytearray(BEAT)
-    signed[2] |= 1
-    stream = io.BytesIO(log(v1, bytes(signed) + bytes(13), SYNC))
-    read = [heard(0.0, r.frame) for r in records(stream, "x")]
-    assert [(h.number, h.system, h.component) for h in read] == [
-        (0, 7, 8),
-        (0, 1, 1),
-        (111, 1, 191),
-    ]
-    assert decoded(read[0]).custom_mode == 0
 
 
 @given(cut=st.integers(1, len(log(BEAT, SYNC))))

@@ -9,11 +9,6 @@ import pytest
 
 from conformance.flights import Reason, flight_of
 from conformance.log import Recording
-from conformance.report import (
-    markdown_reasons,
-    markdown_row,
-    with_tables,
-)
 from conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
@@ -67,31 +62,6 @@ def test_reasons_are_narrow_say_something_and_belong_to_their_recordings(
         assert len(reason.why) > 20
         assert not (reason.names == ".*" and reason.shown == ".*")
         assert reason.recordings in (name, "*.tlog")
-
-
-def test_the_page_gets_its_tables_and_keeps_the_rest(recorded: Recorded) -> None:
-    line = markdown_row(recorded("px4-offboard-short.tlog"), ROWS)
-    assert line.startswith("| px4-offboard-short.tlog | 4 | 2 | 50.0 % | 0.70 of the tolerance")
-    page = "before\n<!-- measured: begin -->\nold\n<!-- measured: end -->\nafter\n"
-    because = markdown_reasons(recorded("px4-offboard-short.tlog"), ROWS)
-    assert because.splitlines() == [
-        "| px4-offboard-short.tlog | 1 | echo (known) | because |",
-        "| px4-offboard-short.tlog | 1 | echo (unknown) | none is known |",
-    ]
-    new = with_tables(page, [line], [because])
-    assert line in new
-    assert because in new
-    assert "old" not in new
-    assert new.startswith("before\n")
-    assert new.endswith("after\n")
-    assert with_tables(new, [line], [because]) == new
-    with pytest.raises(ValueError, match="no place"):
-        with_tables("a page", [line], [])
-
-
-def test_the_documentation_has_a_place_for_the_tables() -> None:
-    page = (Path(__file__).parents[3] / "docs/results/conformance.md").read_text(encoding="utf-8")
-    assert with_tables(page, ["| x |\n"], []) != page
 
 
 def test_a_file_that_is_none_ends_with_a_line_and_not_a_traceback(tmp_path: Path) -> None:

@@ -1,22 +1,31 @@
-"""A vehicle of which nothing is seen but its frames: what goes in and what comes out, by link.
+"""The one harness: a vehicle that is told what to do, by values, by messages or by frames.
 
-Vehicles that have booted or fly already are made once and handed out as copies.
+`Rig` is an autopilot alone over level ground, told by values: what tracking is measured with.
+`Link` is a whole vehicle of which nothing is seen but its frames; `Wire` and `Companion` know the
+words of ArduPilot and of PX4, `Flown` is flown into things.  Vehicles that have booted or fly
+already are made once and handed out as copies.
 """
 
 import copy
 import copyreg
-import dataclasses
 import functools
+import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final, Self, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.autopilot.values import Ack, Command, Reply, Sender, Setpoint, Text
+from vehicle_sim.conditions import GpsConditions
+from vehicle_sim.dynamics.copter import Limits
+from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Firmware, Parameter
+from vehicle_sim.sensors.gps import Fix, Gps
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import VehicleKind, flat_world
+from vehicle_sim.world import VehicleKind, parse_world
 
 copyreg.pickle(Parameter, lambda row: row.name)  # never changes: copies share it
 
@@ -28,7 +37,7 @@ METRES_PER_DEG_NORTH = 110_955.0
 VEHICLE, GCS, COMPANION = (1, 1), (255, 190), (1, 191)
 ZERO: Vector = (0.0, 0.0, 0.0)
 POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
-GUIDED, LAND, BRAKE = 4, 9, 17
+GUIDED, COPTER_LAND, BRAKE = 4, 9, 17
 PLANE_GUIDED, PLANE_TAKEOFF = 15, 13
 LOCAL_POSITION, ECHO, ATTITUDE = 32, 85, 30
 QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
@@ -42,6 +51,148 @@ _NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 def kind_of(number: int) -> str:
     """The name of a message, as pymavlink gives it to those that it does not know too."""
     return _NAMES.get(number, f"UNKNOWN_{number}")
+
+
+# --- by values ------------------------------------------------------------------------------------
+
+STEP_US, STEP_S = 10_000, 0.01
+_ASKER = Sender(system=1, component=191)
+GENTLE = Limits(
+    speed_m_s=50.0,
+    acceleration_m_s2=9.0,
+    speed_vertical_m_s=5.0,
+    acceleration_vertical_m_s2=5.0,
+)
+STRONG = Limits(
+    speed_m_s=40.0,
+    acceleration_m_s2=30.0,
+    speed_vertical_m_s=10.0,
+    acceleration_vertical_m_s2=9.0,
+)
+"""What airframes can do: one for sensors and weather, one for autopilots."""
+
+
+class Rig:
+    """What all four have in common; a vehicle's own adds how it gets into the air."""
+
+    def __init__(
+        self,
+        autopilot: Any,
+        ground_amsl_m: float,
+        gps: Gps | None = None,
+        conditions: GpsConditions | None = None,
+    ) -> None:
+        self.autopilot = autopilot
+        self.ground_amsl_m = ground_amsl_m
+        self.gps, self.gps_conditions = gps, conditions or GpsConditions()
+        self.now_us = 0
+        self.fix = Fix()
+        self.said: list[tuple[float, Reply]] = []
+        """With the time in seconds."""
+
+    @property
+    def now_s(self) -> float:
+        """Since boot."""
+        return self.now_us * 1e-6
+
+    @property
+    def height_m(self) -> float:
+        """Above the ground, truly."""
+        return self.autopilot.vehicle.altitude_amsl_m - self.ground_amsl_m
+
+    @property
+    def speed_m_s(self) -> float:
+        """Over the ground, truly."""
+        vehicle = self.autopilot.vehicle
+        return math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
+
+    @property
+    def texts(self) -> list[str]:
+        return [reply.text for _, reply in self.said if isinstance(reply, Text)]
+
+    def when(self, text: str) -> list[float]:
+        """The times at which this was said."""
+        return [at for at, reply in self.said if isinstance(reply, Text) and reply.text == text]
+
+    def receive(self) -> Fix:
+        """The newest fix."""
+        assert self.gps is not None
+        return self.gps.step(self.now_us, self.autopilot.vehicle, self.gps_conditions)
+
+    def take(self, replies: Sequence[Reply]) -> Sequence[Reply]:
+        self.said.extend((self.now_s, reply) for reply in replies)
+        return replies
+
+    def step(self) -> None:
+        """One hundredth of a second."""
+        self.now_us += STEP_US
+        self.fix = self.receive()
+        self.take(self.autopilot.step(self.now_us, STEP_S, self.ground_amsl_m, self.fix))
+
+    def run(self, seconds: float, each: Callable[[], None] | None = None) -> None:
+        """Fly on, with something to do before each step."""
+        for _ in range(round(seconds / STEP_S)):
+            if each is not None:
+                each()
+            self.step()
+
+    def run_until(self, reached: Callable[[], bool], within_s: float = 300.0) -> float:
+        """Fly until this is so; returns how long it took, in seconds."""
+        start_us = self.now_us
+        while not reached():
+            assert self.now_us - start_us < within_s * 1e6, "it never came to that"
+            self.step()
+        return (self.now_us - start_us) * 1e-6
+
+    def answers(
+        self,
+        number: int,
+        *parameters: float,
+        frame: int | None = None,
+        target_component: int = 1,
+    ) -> list[int]:
+        """What a command is answered at once."""
+        command = Command(
+            sender=_ASKER,
+            target_component=target_component,
+            number=number,
+            parameters=(*parameters, *(0.0,) * (7 - len(parameters))),
+            frame=frame,
+        )
+        acks = [r for r in self.take(self.autopilot.on_command(command)) if isinstance(r, Ack)]
+        assert all((ack.to, ack.command) == (_ASKER, number) for ack in acks)
+        return [ack.result for ack in acks]
+
+    def command(self, number: int, *parameters: float, **fields: Any) -> int:
+        """The only answer."""
+        (answer,) = self.answers(number, *parameters, **fields)
+        return answer
+
+    def give(
+        self,
+        position: Vector = ZERO,
+        velocity: Vector = ZERO,
+        acceleration: Vector = ZERO,
+        *,
+        mask: int,
+        frame: int = 1,
+        is_global: bool = False,
+        yaw_rad: float = 0.0,
+    ) -> None:
+        """A setpoint."""
+        setpoint = Setpoint(
+            is_global=is_global,
+            frame=frame,
+            type_mask=mask,
+            position=position,
+            velocity_ned_m_s=velocity,
+            acceleration_ned_m_s2=acceleration,
+            yaw_rad=yaw_rad,
+        )
+        self.take(self.autopilot.on_setpoint(setpoint))
+
+
+# --- by frames ------------------------------------------------------------------------------------
 
 
 class Heard:
@@ -74,18 +225,29 @@ class Key:
 
 
 def local(
-    ned: Vector,
-    velocity: Vector = ZERO,
-    acceleration: Vector = ZERO,
+    position: Vector | None = None,
+    velocity: Vector | None = None,
+    acceleration: Vector | None = None,
     *,
-    mask: int = POSITION,
+    yaw: float | None = None,
+    yaw_rate: float | None = None,
+    mask: int | None = None,
     frame: int = 1,
-    target: Ids = VEHICLE,
-    yaw_rad: float = 0.0,
+    target: tuple[int, int] = (1, 1),
 ) -> Any:
-    """SET_POSITION_TARGET_LOCAL_NED."""
+    """SET_POSITION_TARGET_LOCAL_NED; what is None is masked, unless a mask is given."""
+    wanted = (0 if position else 0x7) | (0 if velocity else 0x38) | (0 if acceleration else 0x1C0)
+    wanted |= (0x400 if yaw is None else 0) | (0x800 if yaw_rate is None else 0)
     return mavlink.MAVLink_set_position_target_local_ned_message(
-        0, *target, frame, mask, *ned, *velocity, *acceleration, yaw_rad, 0.0
+        0,
+        *target,
+        frame,
+        wanted if mask is None else mask,
+        *(position or ZERO),
+        *(velocity or ZERO),
+        *(acceleration or ZERO),
+        yaw or 0.0,
+        yaw_rate or 0.0,
     )
 
 
@@ -137,29 +299,33 @@ class Link:
     def __init__(
         self,
         kind: VehicleKind,
-        firmware: Firmware,
+        autopilot: str,
         place: Vector,
         *,
         links: int = 1,
         parameters: Mapping[str, float] | None = None,
         scan_range_m: float | None = None,
+        north_m: float = 0.0,
+        heading_deg: float = 0.0,
+        peaks: Sequence[Mapping[str, float]] = (),
         faults: str = "",
         seed: int = 0,
+        **tables: Any,
     ) -> None:
-        radar = {} if scan_range_m is None else {"scan_range_m": scan_range_m}
-        world = flat_world(
-            kind,
-            firmware,
-            latitude_deg=place[0],
-            longitude_deg=place[1],
-            altitude_amsl_m=place[2],
-            heading_deg=0.0,
-            **radar,
-        )
-        vehicle = dataclasses.replace(world.vehicle, parameters=parameters or {})
-        world = dataclasses.replace(world, vehicle=vehicle)
+        terrain = {"combine": "maximum", "ground_amsl_m": place[2], "peaks": list(peaks)}
+        vehicle = {"kind": kind, "autopilot": autopilot, "parameters": dict(parameters or {})}
+        table = {
+            "schema": 1,
+            "name": "flat",
+            "origin": {"latitude_deg": place[0], "longitude_deg": place[1]},
+            "terrain": terrain,
+            "vehicle": vehicle | {"north_m": north_m, "heading_deg": heading_deg},
+        }
+        if scan_range_m is not None:
+            tables["scanner"] = {"component_id": 100, "range_m": scan_range_m}
+        world = parse_world(table | tables)
         self.simulation = Simulation(world, links=links, faults=faults, seed=seed)
-        self.kind, self.firmware, self.source = kind, firmware, COMPANION
+        self.kind, self.firmware, self.source = kind, autopilot, COMPANION
         self.heard: list[Heard] = []
         self.aim: Callable[[float], Any] | None = None
         self.rate_hz = 20.0
@@ -568,3 +734,206 @@ def _flying(firmware: Firmware, kind: VehicleKind) -> Link:
 def flying(firmware: Firmware, kind: VehicleKind) -> Link:
     """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
     return _flying(firmware, kind).copy()
+
+
+# --- a PX4 ----------------------------------------------------------------------------------------
+
+NAN: Final = math.nan
+LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M = 47.397742, 8.545594, 488.0
+NORTH_M_PER_DEG, EAST_M_PER_DEG = 111_191.0, 75_470.0
+OFFBOARD, POSCTL, ALTCTL = 0x00060000, 0x00030000, 0x00020000
+TAKEOFF, HOLD, MISSION, RETURN, LAND = 0x02040000, 0x03040000, 0x04040000, 0x05040000, 0x06040000
+Aim = Callable[[float], Any]
+"""The setpoint of a time in seconds, as a message."""
+Seen = dict[str, Any]
+"""What an experiment saw, by name."""
+
+
+def place(north_m: float, east_m: float) -> tuple[float, float]:
+    """Latitude and longitude of a point of the local frame, in degrees."""
+    return LATITUDE_DEG + north_m / NORTH_M_PER_DEG, LONGITUDE_DEG + east_m / EAST_M_PER_DEG
+
+
+def worldwide(
+    north_m: float,
+    east_m: float,
+    altitude_m: float,
+    velocity: Vector = (0.0, 0.0, 0.0),
+    *,
+    mask: int = 0xDF8,
+    frame: int = 5,
+) -> Any:
+    """SET_POSITION_TARGET_GLOBAL_INT."""
+    degrees = (round(value * 1e7) for value in place(north_m, east_m))
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        0, 1, 1, frame, mask, *degrees, altitude_m, *velocity, 0.0, 0.0, 0.0, 0.0, 0.0
+    )
+
+
+@final
+class Companion(Link):
+    """A PX4 and one client."""
+
+    def __init__(self, kind: VehicleKind = "copter", *, links: int = 1) -> None:
+        super().__init__(kind, "px4", (LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M), links=links)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """PARAM_SET, whole numbers bytewise."""
+        whole = isinstance(value, int)
+        bits = struct.unpack("<f", struct.pack("<i", value))[0] if whole else value
+        kind = 6 if whole else 9
+        self.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), bits, kind))
+
+    def parameter(self, name: str) -> float | None:
+        """PARAM_REQUEST_READ; None if it does not answer."""
+        since_s = self.now_s
+        self.send(mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1))
+        self.run(0.1)
+        found = [m for m in self.of("PARAM_VALUE", since_s) if m.param_id == name]
+        if not found:
+            return None
+        value: float = found[-1].param_value
+        if found[-1].param_type == 6:
+            value = struct.unpack("<i", struct.pack("<f", value))[0]
+        return value
+
+    def of(self, kind: str, since_s: float = 0.0) -> list[Any]:
+        return [heard.message for heard in self.times(kind, since_s)]
+
+    def times(self, kind: str, since_s: float = 0.0) -> list[Heard]:
+        """After this time."""
+        return [heard for heard in self.all(kind) if heard.at_s > since_s]
+
+    def modes(self, since_s: float = 0.0) -> list[tuple[float, int]]:
+        """Changes of the mode, by CURRENT_MODE."""
+        found = list[tuple[float, int]]()
+        for heard in self.times("CURRENT_MODE", since_s):
+            mode = heard.message.custom_mode
+            if not found or found[-1][1] != mode:
+                found.append((heard.at_s, mode))
+        return found
+
+    @property
+    def mode(self) -> int:
+        return int(self.last("CURRENT_MODE").custom_mode)
+
+    @property
+    def status(self) -> int:
+        """system_status of the newest heartbeat."""
+        return int(self.last("HEARTBEAT").system_status)
+
+    @property
+    def position(self) -> Vector:
+        here = self.last("LOCAL_POSITION_NED")
+        return here.x, here.y, here.z
+
+    @property
+    def velocity(self) -> Vector:
+        here = self.last("LOCAL_POSITION_NED")
+        return here.vx, here.vy, here.vz
+
+    @property
+    def speed(self) -> float:
+        return math.hypot(*self.velocity[:2])
+
+    # --- common beginnings --------------------------------------------------------------------
+
+    def booted(self, **parameters: float) -> "Companion":
+        """On the ground and armable, with only the needed messages switched on."""
+        self.run(1.0)
+        for number in QUIET:
+            self.command(511, number, -1)
+        self.command(511, 436, 50_000)
+        self.command(511, 30, 100_000)
+        for name, value in parameters.items():
+            self.set_parameter(name, value)
+        self.run(6.0)
+        return self
+
+    def flying(self, height_m: float = 15.0) -> "Companion":
+        """Up there in OFFBOARD, above the origin."""
+        self.aim = lambda _: local((0.0, 0.0, -height_m), yaw=0.0)
+        self.run(0.5)
+        self.set_mode(OFFBOARD)
+        self.command(400, 1)
+        self.run(8.0 + height_m / 2.0)
+        return self
+
+
+# --- into things ----------------------------------------------------------------------------------
+
+GROUND_M = 400.0
+VEHICLES = [(kind, autopilot) for kind in ("copter", "plane") for autopilot in ("ardupilot", "px4")]
+
+
+class Flown(Link):
+    """Ready to be armed, on a plain at GROUND_M; told what to do and not waited for."""
+
+    def __init__(
+        self, kind: VehicleKind, autopilot: str, *, longitude_deg: float = 8.0, **fields: Any
+    ) -> None:
+        super().__init__(kind, autopilot, (47.0, longitude_deg, GROUND_M), **fields)
+        self.is_px4 = autopilot == "px4"
+        self.source = (1, 195)
+        while not self.simulation.armable:
+            self.simulation.step()
+
+    @property
+    def above_m(self) -> float:
+        """Above the plain."""
+        return self.simulation.vehicle.altitude_amsl_m - GROUND_M
+
+    def order(self, number: int, *values: float) -> None:
+        """A command; what is answered is not looked at."""
+        padded = [*values, *[0.0] * (7 - len(values))]
+        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+
+    def go(
+        self,
+        north_m_s: float,
+        down_m_s: float,
+        east_m_s: float = 0.0,
+        *,
+        at_m: tuple[float, float, float] | None = None,
+    ) -> None:
+        """A velocity, from where it is or through a place of the local frame."""
+        mask = 0xDC7 if at_m is None else 0xDC0
+        way = (*(at_m or (0.0, 0.0, 0.0)), north_m_s, east_m_s, down_m_s)
+        fields = [0, 1, 1, 1, mask, *way, *[0] * 5]
+        self.send(mavlink.MAVLink_set_position_target_local_ned_message(*fields))
+
+    def fly_until(self, reached: Callable[[], bool], within_s: float, *aim: float) -> None:
+        """Until this is so, with a velocity sent five times a second if one is given."""
+        for k in range(round(within_s * 100.0)):
+            if reached():
+                return
+            if aim and k % 20 == 0:
+                self.go(*aim)
+            self.simulation.step()
+        raise AssertionError(f"it never came to that: {self.simulation.outcome()}")
+
+    def into_the_air(self, height_m: float) -> None:
+        simulation = self.simulation
+        up = lambda: self.above_m > height_m - 0.5  # noqa: E731
+        if isinstance(simulation.vehicle, Plane):
+            if self.is_px4:
+                self.order(22, 0, 0, 0, *[math.nan] * 4)  # for good straight on
+            else:
+                self.order(176, 1, 13)
+            self.order(400, 1)
+            self.fly_until(up, 60.0)
+            if not self.is_px4:
+                self.order(176, 1, 7)  # CRUISE: straight on
+        elif not self.is_px4:
+            self.order(176, 1, 4)
+            self.order(400, 1)
+            self.order(22, *[0.0] * 6, height_m)
+            self.fly_until(up, 60.0)
+        else:
+            self.fly_until(lambda: simulation.now_us % 1_000_000 == 0, 1.1, 0.0, 0.0)
+            self.order(176, 1, 6)
+            self.order(400, 1)
+            self.fly_until(up, 60.0, 0.0, -2.0)
+
+    def truth(self) -> Sequence[dict[str, Any]]:
+        return [json.loads(line) for line in self.simulation.take_truth()][1:]

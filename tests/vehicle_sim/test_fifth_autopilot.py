@@ -1,0 +1,86 @@
+"""Another autopilot is data: a firmware's value in the list, and a world file that names it."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from harness import Flown
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilot import factory
+from vehicle_sim.autopilot.arducopter import FIRMWARE
+from vehicle_sim.autopilot.values import Result
+from vehicle_sim.errors import InputError
+from vehicle_sim.parameters import Parameter
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import parse_world
+
+_NUMBERS = {"GUIDED": 40, "LAND": 41, "RTL": 42}
+"""custom_mode of its own."""
+SPARROW = replace(
+    FIRMWARE,
+    profile=replace(FIRMWARE.profile, rates_hz={0: 2.0}, autopilot=0),  # MAV_AUTOPILOT_GENERIC
+    modes=tuple(replace(m, number=_NUMBERS.get(m.name, m.number)) for m in FIRMWARE.modes),
+    table=tuple(
+        Parameter(name="WPNAV_SPEED", default=300.0) if row.name == "WPNAV_SPEED" else row
+        for row in FIRMWARE.table
+    ),
+    refused=Result.DENIED,
+    prearm_s=2.5,
+    arms="Off we go",
+)
+
+
+@pytest.fixture(autouse=True)
+def sparrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the list."""
+    usual = factory.PERSONALITIES["ardupilot", "copter"]
+    mine = replace(usual, firmware=SPARROW)
+    monkeypatch.setitem(factory.PERSONALITIES, ("sparrow", "copter"), mine)
+
+
+def heard(simulation: Simulation, kind: str) -> list[Any]:
+    frames = b"".join(frame for link, frame in simulation.take_frames() if link == 0)
+    said = mavlink.MAVLink(None).parse_buffer(frames) or []
+    return [message for message in said if message.get_type() == kind]
+
+
+def test_a_world_names_it_and_it_flies_as_its_data_say() -> None:
+    flown = Flown("copter", "sparrow")
+    simulation = flown.simulation
+    heard(simulation, "HEARTBEAT")
+    flown.order(224, 7)  # an item of a mission that there is not
+    (ack,) = heard(simulation, "COMMAND_ACK")
+    assert ack.result == Result.DENIED  # ArduPilot says FAILED
+    flown.order(176, 1, 40)
+    flown.order(400, 1)
+    flown.fly_until(lambda: simulation.armed, 1.0)
+    assert [text.text for text in heard(simulation, "STATUSTEXT")] == ["Off we go"]
+    flown.order(22, *[0.0] * 6, 10.0)
+    flown.fly_until(lambda: flown.above_m > 9.5, 30.0)
+    said = heard(simulation, "HEARTBEAT")
+    assert {(beat.custom_mode, beat.autopilot) for beat in said[-2:]} == {(40, 0)}
+    far_north = (0.0, 0.0, 0.0)
+    flown.go(*far_north, at_m=(200.0, 0.0, -10.0))
+    fastest_m_s = 0.0
+    for _ in range(2000):
+        simulation.step()
+        fastest_m_s = max(fastest_m_s, abs(simulation.vehicle.velocity_north_m_s))
+    assert simulation.mode_name == "GUIDED"
+    assert fastest_m_s == pytest.approx(3.0, abs=0.5)
+    flown.order(176, 1, 41)
+    flown.fly_until(lambda: not simulation.armed, 60.0)
+    assert simulation.crash is None
+
+
+@pytest.mark.parametrize(("name", "kind"), [("sparow", "copter"), ("ideal", "plane")])
+def test_one_that_there_is_not_is_refused_with_those_that_there_are(name: str, kind: str) -> None:
+    table = {
+        "schema": 1,
+        "name": "nobody",
+        "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
+        "terrain": {"combine": "maximum", "ground_amsl_m": 0.0},
+        "vehicle": {"kind": kind, "autopilot": name},
+    }
+    with pytest.raises(InputError, match=f"autopilot = '{name}': must be 'ardupilot' or"):
+        Simulation(parse_world(table))
