@@ -21,31 +21,25 @@ from companion.mission.events import (
     OrderKind,
     Prepared,
     Rebooted,
-    StatusText,
     TargetsChanged,
+    say,
+    warn,
 )
 from companion.mission.health import battery_is_short
 from companion.mission.state import (
     ON_PATH,
+    ON_SETPOINTS,
     OVER,
     Answered,
     Flight,
-    Grounded,
-    HoldMode,
-    LandOrdered,
-    OnSetpoints,
+    Hold,
     Orders,
     Outward,
-    Paused,
     Phase,
     Planning,
     Reason,
     ReplanHome,
-    ReturnOrdered,
-    Silent,
     State,
-    TakenOver,
-    TakeOver,
     Trigger,
     Vehicle,
 )
@@ -89,7 +83,7 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
             held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
         case OrderKind.LAND:
-            held = isinstance(state.hold, TakenOver | Grounded | Silent)
+            held = state.hold in (Hold.TAKEN_OVER, Hold.GROUNDED, Hold.SILENT)
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
             down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
@@ -138,12 +132,12 @@ def _may_pause(state: State) -> bool:
 
 def _accepts_orders(state: State) -> bool:
     """Whether an order takes effect immediately in this hold."""
-    return isinstance(state.hold, OnSetpoints) and state.reason is not Reason.BATTERY_LOW
+    return state.hold in ON_SETPOINTS and state.reason is not Reason.BATTERY_LOW
 
 
 def _stops(state: State) -> bool:
     """Whether it is stopped by its autopilot: an order takes effect once it is led again."""
-    return isinstance(state.hold, HoldMode | TakeOver)
+    return state.hold in (Hold.MODE, Hold.TAKE_OVER)
 
 
 # --- threats
@@ -153,11 +147,11 @@ def _with_fence(state: State, event: FenceChanged, context: Context) -> Step:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
     state = state.with_fence(context.mission.task, event)
-    says: list[Command] = [StatusText(text=f"fence: {len(event.zones)} zones", warning=known)]
+    says: list[Command] = [(warn if known else say)(f"fence: {len(event.zones)} zones")]
     if (inside := _inside(state)) and state.phase not in ON_PATH:
-        says.append(StatusText(text=f"inside zone {inside}", warning=True))
+        says.append(warn(f"inside zone {inside}"))
     if not _is_touched(state):
-        return state, says, None  # `loiter` sees to the place where a plane waits
+        return state, says, None
     if state.phase not in ON_PATH:  # a path that was to be gone on with
         flight = following.at_rest(state.flight, state.flight.hover_nea_m)
         return replace(state, flight=flight), says, None
@@ -170,58 +164,48 @@ def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step
         return replace(state, fence_unread_s=None), [], None
     if state.fence_unread_s is None:
         state = replace(state, fence_unread_s=event.time_s)
-    if event.items <= _FEW_ITEMS:
-        return state, [], None
     text = f"the fence has changed: reading {event.items:,} items"
-    return state, [StatusText(text=text, warning=True)], None
+    return state, [warn(text)] if event.items > _FEW_ITEMS else [], None
 
 
-def _with_near_things(state: State, event: NearSeen, context: Context) -> Step:
+def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    range_m, vehicle = state.task.settings.scan_range_m, state.vehicle
+    range_m, vehicle, says = state.task.settings.scan_range_m, state.vehicle, list[Command]()
     if state.airborne and event.sees_m < min(range_m, vehicle.sees_m):  # before: preflight
-        state = replace(state, vehicle=replace(vehicle, sees_m=event.sees_m))
-        text = f"sensor sees {event.sees_m:g} m of R = {range_m:g} m"
-        return preceded(
-            [StatusText(text=text, warning=True)], _with_near_things(state, event, context)
-        )
-    if event.sight is not vehicle.sight:
-        state = replace(state, vehicle=replace(vehicle, sight=event.sight))
+        vehicle = replace(vehicle, sees_m=event.sees_m)
+        says = [warn(f"sensor sees {event.sees_m:g} m of R = {range_m:g} m")]
+    state = replace(state, vehicle=replace(vehicle, sight=event.sight))
     flight = state.flight
     if state.phase not in ON_PATH or flight.leg is None:
-        return state, [], None
+        return state, says, None
     stops_for = None if flight.stop is None else flight.stop.reason
     if event.sight.is_blind:
         if flight.returning or stops_for is not None:
-            return state, [], None  # what was flown before is flown again
-        return preceded(
-            [StatusText(text=Reason.SENSOR_SILENT.text, warning=True)],
-            following.stop(state, Reason.SENSOR_SILENT),
-        )
-    if stops_for is Reason.NEW_THREAT:
-        return state, [], None
+            return state, says, None  # what was flown before is flown again
+        says.append(warn(Reason.SENSOR_SILENT.text))
+        return preceded(says, following.stop(state, Reason.SENSOR_SILENT))
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
     legs = [(flight.leg, following.vehicle_at_m(state, flight.leg)), (flight.next_leg, 0.0)]
-    if any(leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs):
-        return following.stop(state, Reason.NEW_THREAT)
-    return state, [], None
+    if stops_for is not Reason.NEW_THREAT and any(
+        leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs
+    ):
+        return preceded(says, following.stop(state, Reason.NEW_THREAT))
+    return state, says, None
 
 
 def _on_ground_seen(state: State, event: GroundSeen, _context: Context) -> Step:
     """The ground is nearer than the map says: stop, and wait for the two to agree.
 
-    Not on the way back: what was flown before is flown again.
+    Not on the way back: what was flown before is flown again; nor while it stops: `stopped` waits
+    for it, too.
     """
     state = replace(state, vehicle=replace(state.vehicle, ground_above_m=event.above_m))
     flight = state.flight
-    goes_back = flight.returning or flight.homeward
-    if not event.above_m or state.phase is not Phase.FLYING or goes_back or flight.leg is None:
+    follows = state.phase is Phase.FLYING and flight.leg is not None and flight.stop is None
+    if not event.above_m or not follows or flight.returning or flight.homeward:
         return state, [], None
-    if flight.stop is not None:
-        return state, [], None  # `stopped` waits for it, too
-    state, commands, trigger = following.stop(state, Reason.GROUND_NEARER)
-    text = f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m"
-    return state, [StatusText(text=text, warning=True), *commands], trigger
+    says = warn(f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m")
+    return preceded([says], following.stop(state, Reason.GROUND_NEARER))
 
 
 def _is_touched(state: State) -> bool:
@@ -250,39 +234,40 @@ def _with_vehicles_targets(state: State, event: TargetsChanged, _context: Contex
 
 def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
     """New targets: stop, and plan to the first of them."""
-    if targets_ne_m == state.targets_ne_m and (why == _OF_VEHICLE or _flies_there(state)):
+    flight, of_vehicle = state.flight, why == _OF_VEHICLE
+    if targets_ne_m == state.targets_ne_m and (of_vehicle or _flies_there(state)):
         return state, [], None
-    if why == _OF_VEHICLE and (state.flight.returning or state.flight.fallen_back is not None):
-        return (
-            state,
-            [StatusText(text="mission changed: returning all the same", warning=True)],
-            None,
-        )
+    if of_vehicle and (flight.returning or flight.fallen_back is not None):
+        return state, [warn("mission changed: returning all the same")], None
     if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
-        text = "the vehicle's mission is empty: the old one is flown"
-        return state, [StatusText(text=text, warning=True)], None
+        return state, [warn("the vehicle's mission is empty: the old one is flown")], None
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
-            return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
-    flight = replace(
-        state.flight, target=0, route_ne_m=(), progress=NO_PROGRESS, stops=0, way=Outward()
-    )
-    search = Answered() if isinstance(flight.search, Planning) else flight.search
-    flight = replace(flight, failures=0)
-    flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)
+            return state, [warn(f"{why}: {trouble}")], None
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
-    state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
-    if why != _OF_VEHICLE:
-        state = replace(state, orders=Orders())
-    says: list[Command] = [StatusText(text=why)]
+    orders = state.orders if of_vehicle else Orders()
+    state = replace(state, targets_ne_m=targets_ne_m, vehicle=vehicle, orders=orders)
+    state = state.with_flight(
+        target=0,
+        route_ne_m=(),
+        progress=NO_PROGRESS,
+        stops=0,
+        failures=0,
+        way=Outward(),
+        fallen_back=None,
+        search=Answered() if isinstance(flight.search, Planning) else flight.search,
+        planning_backtrack=None,
+        refusal=None,
+    )
+    says: list[Command] = [say(why)]
     if state.phase in ON_PATH and targets_ne_m:
         return preceded(says, following.stop(state, Reason.NEW_TARGET))
     if state.phase is Phase.ARRIVED:
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
-        return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
-    if isinstance(state.hold, Paused | ReturnOrdered | LandOrdered):
-        return with_hold_reason(state, Reason.NEW_TARGET), says, None
+        return preceded(says, fault(state, Reason.TAKING_OVER))  # it may hold by now
+    if state.hold in (Hold.PAUSED, Hold.RETURN, Hold.LAND):
+        state = with_hold_reason(state, Reason.NEW_TARGET)
     return state, says, None
 
 
@@ -295,7 +280,7 @@ def _flies_there(state: State) -> bool:
 def _ordered(state: State, order: Order, context: Context) -> Step:
     match order.kind:
         case OrderKind.START if state.phase is Phase.READY:
-            return state, [StatusText(text=f"go: told by {order.sender}")], Trigger.GO
+            return state, [say(f"go: told by {order.sender}")], Trigger.GO
         case OrderKind.START | OrderKind.CONTINUE:
             return _go_on(state)
         case OrderKind.PAUSE:
@@ -306,22 +291,23 @@ def _ordered(state: State, order: Order, context: Context) -> Step:
         case OrderKind.RETURN:
             waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
             text = "it returns once the changed fence is read, or goes on being read for too long"
-            return preceded([StatusText(text=text)] if waits else [], _return(state))
+            return preceded([say(text)] if waits else [], _return(state))
         case OrderKind.LAND:
             return _land(state)
 
 
 def _go_on(state: State) -> Step:
     """End a pause: the order suspended by it is active again."""
-    flight, stop, wanted = state.flight, state.flight.stop, state.orders.suspended
+    stop, wanted = state.flight.stop, state.orders.suspended
     state = replace(state, orders=state.orders.continued())
     if state.phase in ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
-        flight = replace(flight, stop=replace(stop, reason=wanted or Reason.CONTINUED))
-        return replace(state, flight=flight), [StatusText(text="going on")], None
-    if isinstance(state.hold, Paused):
-        return preceded([StatusText(text="going on")], resumed(state))
-    if isinstance(state.hold, TakenOver):
-        return replace(state, hold=replace(state.hold, released_at_s=state.now_s)), [], None
+        stop = replace(stop, reason=wanted or Reason.CONTINUED)
+        return state.with_flight(stop=stop), [say("going on")], None
+    if state.hold is Hold.PAUSED:
+        return preceded([say("going on")], resumed(state))
+    if state.hold is Hold.TAKEN_OVER:
+        taken_over = replace(state.taken_over, released_at_s=state.now_s)
+        return replace(state, taken_over=taken_over), [], None
     return state, [], None
 
 
@@ -333,11 +319,11 @@ def _pause(state: State) -> Step:
     if state.phase in _GOING_UP:
         return fault(state, Reason.BROKEN_OFF)
     if _stops(state):
-        return state, [StatusText(text=Reason.PAUSED.text)], None
+        return state, [say(Reason.PAUSED.text)], None
     if state.phase in ON_PATH:
         return following.stop(state, Reason.PAUSED)
-    state = replace(state, flight=replace(state.flight, planning_backtrack=None))
-    return with_hold_reason(state, Reason.PAUSED), [StatusText(text=Reason.PAUSED.text)], None
+    state = with_hold_reason(state.with_flight(planning_backtrack=None), Reason.PAUSED)
+    return state, [say(Reason.PAUSED.text)], None
 
 
 def _return(state: State) -> Step:
@@ -348,15 +334,15 @@ def _return(state: State) -> Step:
 
 def _back_again(state: State) -> Step:
     """Go on with the backtrack."""
-    flight, stop, orders = state.flight, state.flight.stop, state.orders
+    stop, orders = state.flight.stop, state.orders
     if Reason.LAND_ASKED not in (orders.active, orders.suspended):
         return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
     state = replace(state, orders=Orders())
     if stop is not None and stop.reason in (Reason.PAUSED, Reason.LAND_ASKED):
-        flight = replace(flight, stop=replace(stop, reason=Reason.CONTINUED))
-        return replace(state, flight=flight), [StatusText(text="going on")], None
-    if isinstance(state.hold, Paused | LandOrdered):
-        return with_hold_reason(state, Reason.CONTINUED), [StatusText(text="going on")], None
+        stop = replace(stop, reason=Reason.CONTINUED)
+        return state.with_flight(stop=stop), [say("going on")], None
+    if state.hold in (Hold.PAUSED, Hold.LAND):
+        return with_hold_reason(state, Reason.CONTINUED), [say("going on")], None
     return state, [], None
 
 
@@ -373,12 +359,11 @@ def _stop_for(state: State, order: Reason) -> Step:
     if state.phase in _GOING_UP:
         return fault(state, Reason.BROKEN_OFF)
     if state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
-        return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
+        return fault(state, Reason.TAKING_OVER)
     if state.phase in (*ON_PATH, Phase.ARRIVED):
         return following.stop(state, order)
-    if isinstance(state.hold, OnSetpoints) and state.reason is not order:
-        state = replace(state, flight=replace(state.flight, planning_backtrack=None))
-        return with_hold_reason(state, order), [], None
+    if state.hold in ON_SETPOINTS and state.reason is not order:
+        state = with_hold_reason(state.with_flight(planning_backtrack=None), order)
     return state, [], None
 
 
@@ -395,7 +380,7 @@ def _prepared(state: State, event: Prepared, _context: Context) -> Step | None:
         return None
     if state.phase is Phase.ARMING:
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
-    return state, [StatusText(text=event.refusal, warning=True)], None
+    return state, [warn(event.refusal)], None
 
 
 def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
@@ -434,7 +419,7 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         fence_unread_s=None,
         unready=Reason.REBOOTED.text if waited else "",
     )
-    return state, [StatusText(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN
+    return state, [warn(Reason.REBOOTED.text)], Trigger.PREPARE_AGAIN
 
 
 HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {

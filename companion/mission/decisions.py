@@ -24,9 +24,7 @@ from companion.mission.state import (
     Phase,
     Reason,
     State,
-    StreamLost,
     TakenOver,
-    TakeOver,
     Trigger,
     Vehicle,
 )
@@ -156,7 +154,7 @@ def _is_held_by_what_it_misreads(state: State) -> bool:
 
     Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
     """
-    fence, lost = state.fence, isinstance(state.hold, StreamLost)
+    fence, lost = state.fence, state.hold is Hold.STREAM_LOST
     return fence is not None and fence.misread and lost and in_phase_s(state) > _COMES_BACK_S
 
 
@@ -217,7 +215,7 @@ def is_own_takeoff(state: State) -> bool:
     """Whether the autopilot's take-off mode was requested by us."""
     return (
         state.phase in (Phase.ARMING, Phase.TAKING_OFF)
-        or isinstance(state.hold, TakeOver)
+        or state.hold is Hold.TAKE_OVER
         or _still_goes_up(state)
     )
 
@@ -296,13 +294,6 @@ def landing_order(state: State) -> Reason | None:
     return Reason.LAND_ASKED if ordered else None
 
 
-def begin_hold(state: State, reason: Reason) -> Hold:
-    """The hold that begins for a reason."""
-    if reason is Reason.FAILSAFE:
-        return TakenOver(why=seen_cause(state))
-    return reason.hold()
-
-
 def seen_cause(state: State) -> Reason | None:
     """What was seen to be wrong of late, on which an autopilot's failsafe may have acted."""
     vehicle = state.vehicle
@@ -314,10 +305,11 @@ def seen_cause(state: State) -> Reason | None:
 
 
 def with_hold_reason(state: State, reason: Reason) -> State:
-    """The state with another reason for the hold."""
-    hold = state.hold if isinstance(state.hold, reason.hold) else begin_hold(state, reason)
-    state = replace(state, reason=reason, hold=hold, since_s=state.now_s)
-    return replace(state, asked_at_s=-1e9, asks=0, obeyed=False)
+    """Held for this reason from now on; what is known of who has it is kept as long as he has."""
+    if state.hold is not reason.hold:
+        why = seen_cause(state) if reason is Reason.FAILSAFE else None
+        state = replace(state, hold=reason.hold, taken_over=TakenOver(why=why))
+    return replace(state, reason=reason, since_s=state.now_s, asked_at_s=-1e9, asks=0, obeyed=False)
 
 
 def cannot_fly(

@@ -386,6 +386,16 @@ class StatusText(Struct, frozen=True, kw_only=True):
     """Topic: a newer text replaces a queued one of the same topic."""
 
 
+def say(text: str, about: str = "") -> StatusText:
+    """A text."""
+    return StatusText(text=text, about=about)
+
+
+def warn(text: str, about: str = "") -> StatusText:
+    """A text that is a warning."""
+    return StatusText(text=text, warning=True, about=about)
+
+
 @final
 class End(Struct, frozen=True, kw_only=True):
     """The mission is over."""

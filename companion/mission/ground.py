@@ -41,10 +41,10 @@ from companion.mission.events import (
     Position,
     Prepared,
     SetMode,
-    StatusText,
     TakeOff,
     Vector,
     VehicleFound,
+    warn,
 )
 from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
@@ -86,7 +86,7 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return _silent(state, event, context)
     if isinstance(event, Prepared) and event.refusal and not context.shadow:
         if _is_flying(state):
-            return state, [StatusText(text=event.refusal, warning=True)], None
+            return state, [warn(event.refusal)], None
         if state.unready:
             return _still_unready(_without(state, event.item), event.refusal)
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
@@ -164,14 +164,14 @@ def _why_unready(state: State, context: Context) -> str:
 
 def _unready(state: State, why: str) -> Step:
     """Back to preparing; what was checked is checked again."""
-    says = StatusText(text=f"not ready any more: {why}", warning=True, about="phase")
+    says = warn(f"not ready any more: {why}", "phase")
     return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
 
 
 def _still_unready(state: State, why: str) -> Step:
     if why == state.unready:
         return state, [], None
-    says = StatusText(text=f"not ready: {why}", warning=True, about="phase")
+    says = warn(f"not ready: {why}", "phase")
     return replace(state, unready=why), [says], None
 
 
@@ -200,7 +200,7 @@ def on_duplicate_id(state: State, event: DuplicateId, context: Context) -> Step:
         begun = state.phase is not Phase.WAITING
         return give_up(state, Reason.NOT_ALONE) if begun else (state, [], None)
     if event.certain and event.news:
-        return state, [StatusText(text=f"{Reason.NOT_ALONE.text}: end it", warning=True)], None
+        return state, [warn(f"{Reason.NOT_ALONE.text}: end it")], None
     return state, [], None
 
 
@@ -213,7 +213,7 @@ def _landing_goes_on(state: State) -> Step:
         return state, [], None
     state = replace(state, landing=False)
     if state.sank and vehicle.mode is not Mode.LAND:
-        says = StatusText(text=LANDING_ABORTED, warning=True)
+        says = warn(LANDING_ABORTED)
         orders = Orders(Reason.PAUSED, landing_order(state))
         return replace(state, orders=orders), [says], None
     return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None

@@ -35,7 +35,7 @@ from companion.mission.events import (
     Vector,
 )
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.mission.state import Phase, Reason, Replan, TakeOver
+from companion.mission.state import Hold, Phase, Reason
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest, Refusal
 
 AWAY = two_legs_away()
@@ -277,7 +277,7 @@ def test_with_nothing_flown_yet_it_plans_home_from_where_it_is(
     craft = taken_over()
     if why is no_way_on:
         why(craft)
-    craft.run_until(lambda craft: isinstance(craft.state.hold, TakeOver | Replan))
+    craft.run_until(lambda craft: craft.state.hold in (Hold.TAKE_OVER, Hold.REPLAN))
     if why is told:
         why(craft)
     craft.fly_to(Phase.DONE)
@@ -349,7 +349,7 @@ def test_what_an_autopilot_calls_home_after_a_reboot_in_the_air_is_not_flown_to(
 
 def test_told_to_return_on_its_planned_way_home_it_flies_on() -> None:
     craft = taken_over()
-    craft.run_until(lambda craft: isinstance(craft.state.hold, TakeOver))
+    craft.run_until(lambda craft: craft.state.hold is Hold.TAKE_OVER)
     told(craft)
     craft.run_until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
     told(craft)

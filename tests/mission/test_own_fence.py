@@ -23,7 +23,7 @@ from companion.mission.events import (
     StatusText,
     VehicleStatus,
 )
-from companion.mission.state import Phase, Reason, TakenOver
+from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.envelope import flown_on_m
 from companion.world.zones import CircleZone
@@ -151,7 +151,7 @@ def test_it_is_given_back_by_a_word_as_the_remedy_says() -> None:
     craft.take(FenceBreach(time_s=craft.now_s))
     craft.take(status(craft.now_s, Mode.RETURN))
     craft.take(Order(time_s=craft.now_s, kind=OrderKind.START))
-    assert craft.state.hold == TakenOver(released_at_s=craft.now_s)
+    assert craft.state.taken_over.released_at_s == craft.now_s
 
 
 @PX4S

@@ -38,7 +38,7 @@ from companion.mission.events import (
     VehicleStatus,
 )
 from companion.mission.mission import Mission
-from companion.mission.state import MOVES, Phase, Reason, State
+from companion.mission.state import Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
 from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
@@ -47,7 +47,7 @@ OVER = (Phase.DONE, Phase.FAULTED)
 MOVING = (SetMode, Setpoint, Arm, TakeOff, SetSpeed)
 """Commands that move a vehicle."""
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
-ARROWS = {(phase, after) for (phase, _), after in MOVES.items()}
+ARROWS = {(phase, trigger.after) for trigger in Trigger for phase in trigger.origins}
 WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""
 NOT_OURS = (
