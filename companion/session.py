@@ -284,16 +284,7 @@ class Session:
                 waiting.appendleft(heard)
                 self._out.awaits_plan = True
                 break
-        state, keeper = self.state, self._keeper
-        since_s = self.clock.now_s - keeper.kept_at_s
-        if (
-            not 0.0 <= since_s < checkpoint.LONGEST_S
-            or state.flight.known is not keeper.known
-            or (
-                since_s >= checkpoint.PERIOD_S and checkpoint.persisted_fields(state) != keeper.kept
-            )
-        ):
-            self._keep()
+        self._keep()
         return self.take_output()
 
     def take_output(self) -> Output:
@@ -701,23 +692,12 @@ class Session:
             self._due_s = -math.inf
             for moved in entries.of_change(before, after):
                 self._note(**moved)
-        ends = False
+        ends = any(type(command) is End for command in commands)
         for command in commands:
-            ends = ends or type(command) is End
-        for command in commands:
-            if type(command) is not events.Setpoint:
+            if type(command) is events.Setpoint:
+                self._lead(command)
+            else:
                 self._carry_out(command)
-            elif self.vehicle is not None and not self.context.shadow:
-                circle_m = self.state.task.limits.loiter_radius_m
-                messages = self.vehicle.autopilot.setpoint(
-                    command, self.mission.frame, self.vehicle.system_id, circle_m
-                )
-                if messages is None:
-                    self._note("setpoint refused", setpoint=repr(command))
-                    died = events.PlannerDied(time_s=self.now_s, error="setpoint out of range")
-                    self._handle(died)
-                else:
-                    self._outbox.send(messages, self.clock.now_s)
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
@@ -727,6 +707,19 @@ class Session:
             self._status = None if told else self._status
             assert self._end is not None
             self._send_end_text(self._end, told)
+
+    def _lead(self, setpoint: events.Setpoint) -> None:
+        """Send it at once, in shadow never; one that the wire has no numbers for is an error."""
+        if (vehicle := self.vehicle) is None or self.context.shadow:
+            return
+        circle_m = self.state.task.limits.loiter_radius_m
+        frame, system_id = self.mission.frame, vehicle.system_id
+        messages = vehicle.autopilot.setpoint(setpoint, frame, system_id, circle_m)
+        if messages is not None:
+            self._outbox.send(messages, self.clock.now_s)
+            return
+        self._note("setpoint refused", setpoint=repr(setpoint))
+        self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
 
     def _carry_out(self, command: events.Command) -> None:
         self._due_s = -math.inf
@@ -745,11 +738,11 @@ class Session:
             case events.RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
-            case events.Setpoint():
-                pass  # goes out at once, or in shadow never
             case SetMode() | Disarm() | events.SetSpeed() | events.Arm() | events.TakeOff():
                 if not self.context.shadow:
                     self._command(command)
+            case _:
+                pass
 
     def _command(self, command: AutopilotCommand) -> None:
         """What the autopilot is told to do."""

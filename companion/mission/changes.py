@@ -6,25 +6,9 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from companion.mission import following, ground
+from companion.mission import events, following, ground
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
-from companion.mission.events import (
-    Command,
-    Event,
-    FenceBreach,
-    FenceChanged,
-    FenceReading,
-    GroundSeen,
-    Landed,
-    NearSeen,
-    Order,
-    OrderKind,
-    Prepared,
-    Rebooted,
-    TargetsChanged,
-    say,
-    warn,
-)
+from companion.mission.events import Command, Event, Landed, say, warn
 from companion.mission.health import battery_is_short
 from companion.mission.state import (
     ON_PATH,
@@ -34,14 +18,13 @@ from companion.mission.state import (
     Flight,
     Hold,
     Orders,
-    Outward,
     Phase,
     Planning,
     Reason,
-    ReplanHome,
     State,
     Trigger,
     Vehicle,
+    Way,
 )
 from companion.mission.stopped import fence_breached, resumed
 from companion.planner.progress import NO_PROGRESS
@@ -63,26 +46,26 @@ class OrderResult(enum.Enum):
     NOT_NOW = "it cannot be carried out now"
 
 
-def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
+def order_result(state: State, order: events.Order, *, go: bool = False) -> OrderResult:
     """The result of an order, for its acknowledgement; go: it takes off without being told."""
     in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
-        case OrderKind.REPOSITION:
+        case events.OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
             led = in_air and state.phase not in _GOING_UP
             return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
-        case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
-            ready = state.phase is Phase.READY and order.kind is OrderKind.START
+        case events.OrderKind.START | events.OrderKind.CONTINUE if not go and _waits_for_go(state):
+            ready = state.phase is Phase.READY and order.kind is events.OrderKind.START
             return OrderResult.ACCEPTED if ready else OrderResult.NOT_NOW
-        case OrderKind.START | OrderKind.CONTINUE:
+        case events.OrderKind.START | events.OrderKind.CONTINUE:
             return OrderResult.NOT_NOW if state.phase in _NOT_TO_GO_ON else OrderResult.ACCEPTED
-        case OrderKind.PAUSE:
+        case events.OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
-        case OrderKind.RETURN:
+        case events.OrderKind.RETURN:
             held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
-        case OrderKind.LAND:
+        case events.OrderKind.LAND:
             held = state.hold in (Hold.TAKEN_OVER, Hold.GROUNDED, Hold.SILENT)
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
@@ -91,17 +74,17 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
             return OrderResult.ACCEPTED if lands else OrderResult.INVALID
 
 
-def why_not(state: State, order: Order) -> str:
+def why_not(state: State, order: events.Order) -> str:
     """Why an order is refused, as text for its sender."""
     why = f"the mission is {state.phase.value}"
     if order_result(state, order) is OrderResult.INVALID:
         place = order.target_ne_m
         why = "it has no target" if place is None else target_refusal(state.task, place)
-        if order.kind is OrderKind.LAND:
+        if order.kind is events.OrderKind.LAND:
             why = f"{state.vehicle.traits.name} is not told to land: send it back"
-    elif order.kind is OrderKind.PAUSE and _is_short(state):
+    elif order.kind is events.OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
-    elif order.kind is OrderKind.START and _waits_for_go(state):
+    elif order.kind is events.OrderKind.START and _waits_for_go(state):
         why = ground.why_no_go(state)
     elif state.phase is Phase.READY:
         why = "it waits for MISSION_START"
@@ -143,7 +126,7 @@ def _stops(state: State) -> bool:
 # --- threats
 
 
-def _with_fence(state: State, event: FenceChanged, context: Context) -> Step:
+def _with_fence(state: State, event: events.FenceChanged, context: Context) -> Step:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
     state = state.with_fence(context.mission.task, event)
@@ -158,7 +141,7 @@ def _with_fence(state: State, event: FenceChanged, context: Context) -> Step:
     return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
-def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step:
+def _fence_reading(state: State, event: events.FenceReading, _context: Context) -> Step:
     """The fence has changed: said at once; who waits for it is `decisions.waits_for_fence`."""
     if not event.items:
         return replace(state, fence_unread_s=None), [], None
@@ -168,7 +151,7 @@ def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step
     return state, [warn(text)] if event.items > _FEW_ITEMS else [], None
 
 
-def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
+def _with_near_things(state: State, event: events.NearSeen, _context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
     range_m, vehicle, says = state.task.settings.scan_range_m, state.vehicle, list[Command]()
     if state.airborne and event.sees_m < min(range_m, vehicle.sees_m):  # before: preflight
@@ -193,7 +176,7 @@ def _with_near_things(state: State, event: NearSeen, _context: Context) -> Step:
     return state, says, None
 
 
-def _on_ground_seen(state: State, event: GroundSeen, _context: Context) -> Step:
+def _on_ground_seen(state: State, event: events.GroundSeen, _context: Context) -> Step:
     """The ground is nearer than the map says: stop, and wait for the two to agree.
 
     Not on the way back: what was flown before is flown again; nor while it stops: `stopped` waits
@@ -228,7 +211,7 @@ def _inside(state: State) -> str:
 # --- targets and orders
 
 
-def _with_vehicles_targets(state: State, event: TargetsChanged, _context: Context) -> Step:
+def _with_vehicles_targets(state: State, event: events.TargetsChanged, _context: Context) -> Step:
     return _with_targets(state, event.targets_ne_m, _OF_VEHICLE)
 
 
@@ -253,7 +236,8 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         progress=NO_PROGRESS,
         stops=0,
         failures=0,
-        way=Outward(),
+        way=Way.OUT,
+        back=(),
         fallen_back=None,
         search=Answered() if isinstance(flight.search, Planning) else flight.search,
         planning_backtrack=None,
@@ -277,22 +261,22 @@ def _flies_there(state: State) -> bool:
     return outward and state.orders.active is None and not state.flight.homeward
 
 
-def _ordered(state: State, order: Order, context: Context) -> Step:
+def _ordered(state: State, order: events.Order, context: Context) -> Step:
     match order.kind:
-        case OrderKind.START if state.phase is Phase.READY:
+        case events.OrderKind.START if state.phase is Phase.READY:
             return state, [say(f"go: told by {order.sender}")], Trigger.GO
-        case OrderKind.START | OrderKind.CONTINUE:
+        case events.OrderKind.START | events.OrderKind.CONTINUE:
             return _go_on(state)
-        case OrderKind.PAUSE:
+        case events.OrderKind.PAUSE:
             return _pause(state)
-        case OrderKind.REPOSITION:
+        case events.OrderKind.REPOSITION:
             assert order.target_ne_m is not None
             return _with_targets(state, (order.target_ne_m,), "new target")
-        case OrderKind.RETURN:
+        case events.OrderKind.RETURN:
             waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
             text = "it returns once the changed fence is read, or goes on being read for too long"
             return preceded([say(text)] if waits else [], _return(state))
-        case OrderKind.LAND:
+        case events.OrderKind.LAND:
             return _land(state)
 
 
@@ -370,12 +354,12 @@ def _stop_for(state: State, order: Reason) -> Step:
 # --- the vehicle itself
 
 
-def _fence_breach(state: State, event: FenceBreach, _context: Context) -> Step:
+def _fence_breach(state: State, event: events.FenceBreach, _context: Context) -> Step:
     state = replace(state, vehicle=replace(state.vehicle, fence_breached_at_s=event.time_s))
     return fence_breached(state) or (state, [], None)
 
 
-def _prepared(state: State, event: Prepared, _context: Context) -> Step | None:
+def _prepared(state: State, event: events.Prepared, _context: Context) -> Step | None:
     if not event.refusal or state.phase in (Phase.PREPARING, Phase.READY):
         return None
     if state.phase is Phase.ARMING:
@@ -383,7 +367,7 @@ def _prepared(state: State, event: Prepared, _context: Context) -> Step | None:
     return state, [warn(event.refusal)], None
 
 
-def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
+def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step | None:
     """The autopilot has rebooted: prepare again; the known terrain is kept."""
     if state.phase is Phase.WAITING:
         return None
@@ -394,7 +378,7 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         plan_id=flight.plan_id,
         legs_flown=flight.legs_flown,
         flown=flight.flown,
-        way=ReplanHome() if flight.homeward else Outward(),
+        way=Way.HOME if flight.homeward else Way.OUT,
         fallen_back=flight.fallen_back,
     )
     known = state.vehicle.home_nea_m if state.airborne else None
@@ -423,14 +407,14 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
 
 
 HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
-    NearSeen: _with_near_things,
-    GroundSeen: _on_ground_seen,
-    FenceChanged: _with_fence,
-    FenceReading: _fence_reading,
-    FenceBreach: _fence_breach,
-    TargetsChanged: _with_vehicles_targets,
-    Order: _ordered,
-    Rebooted: _rebooted,
-    Prepared: _prepared,
+    events.NearSeen: _with_near_things,
+    events.GroundSeen: _on_ground_seen,
+    events.FenceChanged: _with_fence,
+    events.FenceReading: _fence_reading,
+    events.FenceBreach: _fence_breach,
+    events.TargetsChanged: _with_vehicles_targets,
+    events.Order: _ordered,
+    events.Rebooted: _rebooted,
+    events.Prepared: _prepared,
 }
 """Handlers of events that are independent of the phase; None: also left to the phase."""

@@ -6,16 +6,8 @@ from typing import final
 
 from msgspec.structs import replace
 
-from companion.mission.events import (
-    Command,
-    Disarm,
-    Event,
-    Landed,
-    LinkLost,
-    Mode,
-    Position,
-    SetMode,
-)
+from companion.mission import events
+from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.state import (
@@ -248,7 +240,7 @@ def is_under_control(state: State) -> bool:
     return flies and vehicle.armed and not is_grounded(state) and (ours or waits)
 
 
-def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
+def parting(state: State, *, stopped: bool = False) -> list[events.SetMode | events.Disarm]:
     """What the vehicle is told when the companion goes: to hold; on the ground, to stay there.
 
     stopped: a person wants it; then a landing of ours is broken off, too, which goes on otherwise.
@@ -257,15 +249,18 @@ def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
     if not is_under_control(state):
         lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
         lands = lands and vehicle.armed and not is_grounded(state)
-        return [SetMode(mode=Mode.HOLD)] if stopped and lands else []
+        return [events.SetMode(mode=Mode.HOLD)] if stopped and lands else []
     at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
-    hold = SetMode(mode=Mode.HOLD, at_nea_m=at)
+    hold = events.SetMode(mode=Mode.HOLD, at_nea_m=at)
     goes_up = state.phase is Phase.TAKING_OFF or _still_goes_up(state)
     down = goes_up and is_grounded(state)
     if state.phase is Phase.ARMING:
         down = vehicle.landed is Landed.ON_GROUND
     if down and state.armed_by_us:
-        return [hold, Disarm()]  # in this order: the first counts should it be in the air by now
+        return [
+            hold,
+            events.Disarm(),
+        ]  # in this order: the first counts should it be in the air by now
     return [hold]
 
 

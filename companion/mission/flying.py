@@ -9,7 +9,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following, joining
+from companion.mission import events, following, joining
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -21,34 +21,21 @@ from companion.mission.decisions import (
     reason_text,
     waits_for_fence,
 )
-from companion.mission.events import (
-    Command,
-    Event,
-    Plan,
-    PlanLate,
-    PlanReady,
-    Position,
-    ScanDone,
-    StartScan,
-    Vector,
-    say,
-    warn,
-)
+from companion.mission.events import Command, Event, PlanReady, Position, Vector, say, warn
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
 from companion.mission.home import begins_at_home, beyond_path_m, home_ne_m, is_above_home
 from companion.mission.state import (
     Answered,
-    Backtracking,
     Flight,
     Orders,
     Planning,
     PlanningBacktrack,
     Reason,
-    ReplanHome,
     Scanning,
     State,
     Trigger,
+    Way,
 )
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.progress import NO_PROGRESS
@@ -82,11 +69,11 @@ def flying(state: State, event: Event, context: Context) -> Step:
     match event:
         case Position():
             return _on_position(state, event, context)
-        case ScanDone():
+        case events.ScanDone():
             return on_scan(state, event, context)
         case PlanReady():
             return on_plan(state, event)
-        case PlanLate():
+        case events.PlanLate():
             return on_late_plan(state, event)
         case _:
             return state, [], None
@@ -264,7 +251,7 @@ def _on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PAT
 # --- scans and plans
 
 
-def on_scan(state: State, event: ScanDone, context: Context) -> Step:
+def on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
     """Ask for the next subpath on the map that the scan has completed."""
     flight, scanning = state.flight, state.flight.search
     if not isinstance(scanning, Scanning):
@@ -304,11 +291,11 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         attempt=flight.failures,
     )
     flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
-    plan = Plan(request=request, due_s=event.time_s + request.time_s)
+    plan = events.Plan(request=request, due_s=event.time_s + request.time_s)
     return replace(state, flight=flight), [*says, plan], None
 
 
-def _scan_warnings(state: State, event: ScanDone) -> list[Command]:
+def _scan_warnings(state: State, event: events.ScanDone) -> list[Command]:
     """Warnings about a scan that was worse than the mission expects."""
     says: list[Command] = []
     if event.answered < event.asked:
@@ -361,7 +348,7 @@ def _closed(outcome: NotPlanned) -> list[Command]:
     return [warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")]
 
 
-def on_late_plan(state: State, event: PlanLate) -> Step:
+def on_late_plan(state: State, event: events.PlanLate) -> Step:
     """Note a late plan: the leg is flown to its end unless the plan comes before p_prog."""
     if event.plan_id == state.flight.plan_id:
         state = state.with_flight(shortfall=Reason.PLAN_LATE)
@@ -473,7 +460,7 @@ def start_scan(
 ) -> tuple[Flight, list[Command]]:
     """Start a scan around a point."""
     flight = replace(flight, search=Scanning(centre_nea_m, again))
-    return flight, [StartScan(centre_nea_m=centre_nea_m)]
+    return flight, [events.StartScan(centre_nea_m=centre_nea_m)]
 
 
 # --- the way back
@@ -497,7 +484,7 @@ def request_backtrack(state: State, context: Context) -> Step:
     )
     planning = PlanningBacktrack(state.task, since_s=state.now_s)
     state = state.with_flight(plan_id=request.plan_id, planning_backtrack=planning)
-    return state, [Plan(request=request, due_s=state.now_s)], None
+    return state, [events.Plan(request=request, due_s=state.now_s)], None
 
 
 def on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
@@ -508,7 +495,7 @@ def on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
     if asked.rules is not state.task:  # it was proven under other rules
         return request_backtrack(state, context)
     back = _way_of(event.outcome, state.task) if isinstance(event.outcome, Backtrack) else ()
-    after = state.with_flight(way=Backtracking(back), planning_backtrack=None)
+    after = state.with_flight(way=Way.BACK, back=back, planning_backtrack=None)
     if start_backtrack(after) is not None:
         return after, [], Trigger.BACKTRACK
     reason = state.reason or Reason.NO_PLAN
@@ -546,7 +533,7 @@ def start_backtrack(state: State) -> Flight | None:
     if joined is None:
         return None
     at_rest = Reference(length_m=joined.reference.length_m)
-    return _with_next(replace(joined, way=Backtracking(tuple(rest)), reference=at_rest))
+    return _with_next(replace(joined, back=tuple(rest), reference=at_rest))
 
 
 def _with_next(flight: Flight) -> Flight:
@@ -554,7 +541,7 @@ def _with_next(flight: Flight) -> Flight:
     if flight.leg is None or not flight.leg.through or not flight.back:
         return flight
     following_leg, *rest = flight.back
-    return replace(flight, next_leg=following_leg, way=Backtracking(tuple(rest)))
+    return replace(flight, next_leg=following_leg, back=tuple(rest))
 
 
 def _end_of_way(state: State) -> Step:
@@ -599,7 +586,8 @@ def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = Fal
     if why or state.flight.homeward:
         return preceded([warn(why)] if why else [], give_up(state, reason))
     state = replace(state, targets_ne_m=(place,), orders=Orders()).with_flight(
-        way=ReplanHome(),
+        way=Way.HOME,
+        back=(),
         target=0,
         route_ne_m=(),
         progress=NO_PROGRESS,

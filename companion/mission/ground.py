@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
-from companion.mission import following, joining
+from companion.mission import events, following, joining
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -30,22 +30,7 @@ from companion.mission.decisions import (
     landing_order,
     takeover_reason,
 )
-from companion.mission.events import (
-    Arm,
-    DuplicateId,
-    Event,
-    Item,
-    Landed,
-    LinkLost,
-    Mode,
-    Position,
-    Prepared,
-    SetMode,
-    TakeOff,
-    Vector,
-    VehicleFound,
-    warn,
-)
+from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector, warn
 from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import TakeoffSequence
@@ -67,7 +52,7 @@ _LEVEL_M_S = 1.0
 
 def waiting(state: State, event: Event, _context: Context) -> Step:
     """Wait for a matching autopilot; the runtime decides how long."""
-    if isinstance(event, VehicleFound):
+    if isinstance(event, events.VehicleFound):
         if event.traits is None:
             return give_up(state, Reason.WRONG_VEHICLE, f": {event.name}")
         return state, [], Trigger.VEHICLE_FOUND
@@ -84,7 +69,7 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     vehicle = state.vehicle
     if isinstance(event, LinkLost):
         return _silent(state, event, context)
-    if isinstance(event, Prepared) and event.refusal and not context.shadow:
+    if isinstance(event, events.Prepared) and event.refusal and not context.shadow:
         if _is_flying(state):
             return state, [warn(event.refusal)], None
         if state.unready:
@@ -105,7 +90,7 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED and not context.shadow
         if unled and in_phase_s(state) > _UNLED_S:
-            return ask(state, SetMode(mode=Mode.HOLD))
+            return ask(state, events.SetMode(mode=Mode.HOLD))
         return state, [], None
     if context.shadow:
         return state, [], Trigger.WATCH
@@ -136,7 +121,7 @@ def ready(state: State, event: Event, context: Context) -> Step:
         return give_up(state, Reason.NOT_ALONE)
     if state.vehicle.armed:
         return give_up(state, Reason.ARMED_ALREADY)
-    if isinstance(event, Prepared) and event.refusal:
+    if isinstance(event, events.Prepared) and event.refusal:
         return _unready(_without(state, event.item), event.refusal)
     why = Reason.LINK_LOST.text if isinstance(event, LinkLost) else _why_unready(state, context)
     return _unready(state, why) if why else (state, [], None)
@@ -190,7 +175,7 @@ def _may_not_be_alone(state: State) -> bool:
     return is_duplicate_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
 
 
-def on_duplicate_id(state: State, event: DuplicateId, context: Context) -> Step:
+def on_duplicate_id(state: State, event: events.DuplicateId, context: Context) -> Step:
     """Another companion with our ids: the one that came second must not take control.
 
     Two setpoint streams would fight over the vehicle.  The companion that has had control in the
@@ -299,10 +284,10 @@ def arming(state: State, event: Event, _context: Context) -> Step:
     if rises:
         return state, [], None  # its next heartbeat will say that it is armed
     if vehicle.mode is first:
-        return ask(replace(state, armed_by_us=True), Arm())
+        return ask(replace(state, armed_by_us=True), events.Arm())
     if traits.take_off is TakeoffSequence.CLIMB_THEN_ARM:
         return _ask_to_take_off(state)
-    return ask(state, SetMode(mode=first))
+    return ask(state, events.SetMode(mode=first))
 
 
 def taking_off(state: State, event: Event, _context: Context) -> Step:
@@ -362,7 +347,7 @@ def _ask_to_take_off(state: State) -> Step:
     if state.now_s - state.vehicle.take_off_taken_at_s < _BEGINS_S:
         return state, [], None
     above_home_m, amsl_m = height_m(state), state.task.take_off_amsl_m
-    return ask(state, TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
+    return ask(state, events.TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
 
 
 def may_take_off(state: State) -> bool:

@@ -9,20 +9,9 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import flying, following, joining
+from companion.mission import events, flying, following, joining
 from companion.mission.decisions import Context, Step, reason_text
-from companion.mission.events import (
-    Command,
-    Event,
-    Landed,
-    PlanLate,
-    PlanReady,
-    Position,
-    ScanDone,
-    Vector,
-    say,
-    warn,
-)
+from companion.mission.events import Command, Event, Landed, PlanReady, Position, Vector, say, warn
 from companion.mission.health import TRUST_S
 from companion.mission.state import Reason, State
 from companion.planner.procedure import Reference
@@ -43,12 +32,12 @@ def shadow(state: State, event: Event, context: Context) -> Step:
     match event:
         case Position():
             return _on_position(state, event)
-        case ScanDone():
+        case events.ScanDone():
             return flying.on_scan(state, event, context)
         case PlanReady():
             after, commands, _ = flying.on_plan(state, event)
             return after, commands, None
-        case PlanLate():
+        case events.PlanLate():
             return flying.on_late_plan(state, event)
         case _:
             return state, [], None

@@ -377,26 +377,12 @@ Search = Scanning | Planning | Answered
 """Progress of the search for the next leg."""
 
 
-@final
-class Outward(Struct, frozen=True):
-    """To the targets."""
+class Way(enum.Enum):
+    """Where a flight goes."""
 
-
-@final
-class Backtracking(Struct, frozen=True):
-    """Along the flown path."""
-
-    legs: tuple[Leg, ...]
-    """What is left of it."""
-
-
-@final
-class ReplanHome(Struct, frozen=True):
-    """Home, planned to like a target: the flown path does not lead there, or is too far away."""
-
-
-Direction = Outward | Backtracking | ReplanHome
-"""Direction of the flight."""
+    OUT = "to the targets"
+    BACK = "along the flown path"
+    HOME = "home, planned to like a target: the flown path does not lead there, or is too far away"
 
 
 @final
@@ -463,7 +449,9 @@ class Flight(Struct, frozen=True, kw_only=True):
     """When the reported target last agreed with the setpoint."""
     flown: tuple[FlownSegment, ...] = ()
     """The flown path, for the backtrack."""
-    way: Direction = Outward()
+    way: Way = Way.OUT
+    back: tuple[Leg, ...] = ()
+    """What is left of the backtrack, beside the legs that are flown."""
     planning_backtrack: PlanningBacktrack | None = None
     battery_told: int = 0
     """Battery warnings sent: 1, it will not last at this rate; 2, it does not last."""
@@ -475,17 +463,12 @@ class Flight(Struct, frozen=True, kw_only=True):
     @property
     def returning(self) -> bool:
         """Whether it follows the backtrack."""
-        return isinstance(self.way, Backtracking)
+        return self.way is Way.BACK
 
     @property
     def homeward(self) -> bool:
         """Whether a path home is planned."""
-        return isinstance(self.way, ReplanHome)
-
-    @property
-    def back(self) -> tuple[Leg, ...]:
-        """The remaining backtrack."""
-        return self.way.legs if isinstance(self.way, Backtracking) else ()
+        return self.way is Way.HOME
 
 
 @final

@@ -19,7 +19,7 @@ import math
 
 from msgspec.structs import replace
 
-from companion.mission import flying, following
+from companion.mission import events, flying, following
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -47,20 +47,7 @@ from companion.mission.decisions import (
     waits_for_fence,
     with_hold_reason,
 )
-from companion.mission.events import (
-    Battery,
-    Command,
-    Event,
-    Landed,
-    LinkLost,
-    Mode,
-    PlanReady,
-    Position,
-    SetMode,
-    StatusText,
-    say,
-    warn,
-)
+from companion.mission.events import Command, Event, Landed, Mode, Position, say, warn
 from companion.mission.health import TRUST_S
 from companion.mission.home import begins_at_home, home_ne_m, is_above_home
 from companion.mission.mission import EndAction, Fallback
@@ -105,7 +92,7 @@ def holding(state: State, event: Event, context: Context) -> Step:
         step = fence_breached(state) or flying.circling_near_zone(state, event)
         if step is not None:
             return step
-    if isinstance(event, LinkLost) or (is_silent(state) and state.hold is not Hold.SILENT):
+    if isinstance(event, events.LinkLost) or (is_silent(state) and state.hold is not Hold.SILENT):
         return with_hold_reason(_replan_hover(state), Reason.LINK_LOST), [], None
     if state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND:
         return _stay_down(state)
@@ -200,7 +187,7 @@ def _while_taken_over(state: State, event: Event, context: Context) -> Step:
 
     Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
-    if isinstance(event, Battery):
+    if isinstance(event, events.Battery):
         state, warning = flying.battery_warning(state, context)
         return state, warning, None
     known = state.taken_over if state.hold is Hold.TAKEN_OVER else TakenOver()
@@ -250,7 +237,7 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
         return _taken(_replan_hover(state))
     if reason is not None:
         return with_hold_reason(_replan_hover(state), reason), [], None
-    if isinstance(event, PlanReady):
+    if isinstance(event, events.PlanReady):
         return flying.on_backtrack_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
@@ -353,7 +340,7 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     )
     doubted = vehicle.distrust is not None
     if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
-        return ask(replace(_replan_hover(state), obeyed=False), SetMode(mode=Mode.HOLD))
+        return ask(replace(_replan_hover(state), obeyed=False), events.SetMode(mode=Mode.HOLD))
     if stands and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
         return _land_here(state)
     unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
@@ -415,7 +402,7 @@ def _replan_hover(state: State) -> State:
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
     """Request guided mode; with setpoints at the position, for autopilots that need them first."""
-    traits, asking = state.vehicle.traits, SetMode(mode=Mode.GUIDED)
+    traits, asking = state.vehicle.traits, events.SetMode(mode=Mode.GUIDED)
     if not (traits.hovers or traits.needs_setpoints_before_offboard):
         return ask(state, asking)  # refused before (ardupilot.md 7)
     if not isinstance(event, Position):
@@ -438,7 +425,7 @@ def arrived(state: State, event: Event, context: Context) -> Step:
         return fault(_replan_hover(state), reason)
     if in_phase_s(state) > _SETTLE_S + _OBEY_S:
         return give_up(state, Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
-    if isinstance(event, PlanReady):
+    if isinstance(event, events.PlanReady):
         return flying.on_backtrack_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
@@ -467,10 +454,10 @@ def _end(state: State, context: Context) -> Step:
         return state, [], Trigger.END_HOLD if told else None
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
     about = flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
-    return ask(state, SetMode(mode=Mode.HOLD, at_nea_m=about))
+    return ask(state, events.SetMode(mode=Mode.HOLD, at_nea_m=about))
 
 
-def reached(state: State) -> StatusText:
+def reached(state: State) -> events.StatusText:
     """Text at a target; for a plane that missed it by too much, with the distance."""
     here, there = state.vehicle.position_nea_m, state.flight.hover_nea_m
     if not state.vehicle.traits.hovers and here is not None and there is not None:
@@ -538,7 +525,7 @@ def landing(state: State, event: Event, _context: Context) -> Step:
         if is_grounded(state):
             return state, [], None  # down, and not yet disarmed: the mode is the autopilot's
         return _broken_off(state)
-    return ask(state, SetMode(mode=Mode.LAND))
+    return ask(state, events.SetMode(mode=Mode.LAND))
 
 
 def _broken_off(state: State) -> Step:
@@ -568,7 +555,7 @@ def handing_over(state: State, _event: Event, _context: Context) -> Step:
         return give_up(state, Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
     if vehicle.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):
         return give_up(state, takeover_reason(state))
-    asked = ask(state, SetMode(mode=Mode.RETURN))
+    asked = ask(state, events.SetMode(mode=Mode.RETURN))
     return give_up(asked[0], Reason.NOT_OBEYING) if asked[0].asks > _ASKS else asked
 
 

@@ -49,7 +49,7 @@ from companion.mission.events import (
 )
 from companion.mission.flying import on_scan
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import Backtracking, Phase, Reason, Scanning
+from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
@@ -231,7 +231,7 @@ def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> 
     craft.fly_to(Phase.HOLDING)
     flight = craft.state.flight
     assert flight.hover_nea_m is not None
-    craft.state = replace(craft.state, flight=replace(flight, way=Backtracking((leg,))))
+    craft.state = replace(craft.state, flight=replace(flight, way=Way.BACK, back=(leg,)))
     ahead_m = 10_000.0 * math.sqrt(0.5)
     craft.take(fence(craft, ahead_m, ahead_m, 500.0))
     assert craft.state.flight.hover_nea_m == flight.hover_nea_m
