@@ -153,11 +153,11 @@ def _fence_reading(state: State, event: events.FenceReading, _context: Context) 
 
 def _with_near_things(state: State, event: events.NearSeen, _context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    range_m, vehicle, says = state.task.settings.scan_range_m, state.vehicle, list[Command]()
-    if state.airborne and event.sees_m < min(range_m, vehicle.sees_m):  # before: preflight
-        vehicle = replace(vehicle, sees_m=event.sees_m)
-        says = [warn(f"sensor sees {event.sees_m:g} m of R = {range_m:g} m")]
-    state = replace(state, vehicle=replace(vehicle, sight=event.sight))
+    range_m, sees_m, says = state.task.settings.scan_range_m, event.sees_m, list[Command]()
+    if state.airborne and sees_m < min(range_m, state.vehicle.sees_m):  # before: preflight
+        state = state.told(sees_m=sees_m)
+        says = [warn(f"sensor sees {sees_m:g} m of R = {range_m:g} m")]
+    state = state.told(sight=event.sight)
     flight = state.flight
     if state.phase not in ON_PATH or flight.leg is None:
         return state, says, None
@@ -182,7 +182,7 @@ def _on_ground_seen(state: State, event: events.GroundSeen, _context: Context) -
     Not on the way back: what was flown before is flown again; nor while it stops: `stopped` waits
     for it, too.
     """
-    state = replace(state, vehicle=replace(state.vehicle, ground_above_m=event.above_m))
+    state = state.told(ground_above_m=event.above_m)
     flight = state.flight
     follows = state.phase is Phase.FLYING and flight.leg is not None and flight.stop is None
     if not event.above_m or not follows or flight.returning or flight.homeward:
@@ -227,10 +227,9 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
             return state, [warn(f"{why}: {trouble}")], None
-    vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     orders = state.orders if of_vehicle else Orders()
-    state = replace(state, targets_ne_m=targets_ne_m, vehicle=vehicle, orders=orders)
-    state = state.with_flight(
+    state = replace(state, targets_ne_m=targets_ne_m, orders=orders)
+    state = state.told(battery_short_at_s=None).with_flight(  # it may reach this one
         target=0,
         route_ne_m=(),
         progress=NO_PROGRESS,
@@ -282,11 +281,10 @@ def _ordered(state: State, order: events.Order, context: Context) -> Step:
 
 def _go_on(state: State) -> Step:
     """End a pause: the order suspended by it is active again."""
-    stop, wanted = state.flight.stop, state.orders.suspended
+    stop, wanted = state.flight.stop, state.orders.suspended or Reason.CONTINUED
     state = replace(state, orders=state.orders.continued())
     if state.phase in ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
-        stop = replace(stop, reason=wanted or Reason.CONTINUED)
-        return state.with_flight(stop=stop), [say("going on")], None
+        return state.with_flight(stop=replace(stop, reason=wanted)), [say("going on")], None
     if state.hold is Hold.PAUSED:
         return preceded([say("going on")], resumed(state))
     if state.hold is Hold.TAKEN_OVER:
@@ -323,11 +321,12 @@ def _back_again(state: State) -> Step:
         return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
     state = replace(state, orders=Orders())
     if stop is not None and stop.reason in (Reason.PAUSED, Reason.LAND_ASKED):
-        stop = replace(stop, reason=Reason.CONTINUED)
-        return state.with_flight(stop=stop), [say("going on")], None
-    if state.hold in (Hold.PAUSED, Hold.LAND):
-        return with_hold_reason(state, Reason.CONTINUED), [say("going on")], None
-    return state, [], None
+        state = state.with_flight(stop=replace(stop, reason=Reason.CONTINUED))
+    elif state.hold in (Hold.PAUSED, Hold.LAND):
+        state = with_hold_reason(state, Reason.CONTINUED)
+    else:
+        return state, [], None
+    return state, [say("going on")], None
 
 
 def _land(state: State) -> Step:
@@ -355,7 +354,7 @@ def _stop_for(state: State, order: Reason) -> Step:
 
 
 def _fence_breach(state: State, event: events.FenceBreach, _context: Context) -> Step:
-    state = replace(state, vehicle=replace(state.vehicle, fence_breached_at_s=event.time_s))
+    state = state.told(fence_breached_at_s=event.time_s)
     return fence_breached(state) or (state, [], None)
 
 
@@ -381,14 +380,9 @@ def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step 
         way=Way.HOME if flight.homeward else Way.OUT,
         fallen_back=flight.fallen_back,
     )
-    known = state.vehicle.home_nea_m if state.airborne else None
-    armed_by_us = state.armed_by_us and state.airborne  # on the ground who arms it now is another
-    vehicle = Vehicle(
-        traits=state.vehicle.traits,
-        bad_at_s=state.now_s,
-        home_nea_m=known,
-        home_kept=known is not None,
-    )
+    home, traits = state.vehicle.home_nea_m if state.airborne else None, state.vehicle.traits
+    kept = home is not None
+    vehicle = Vehicle(traits=traits, bad_at_s=state.now_s, home_nea_m=home, home_kept=kept)
     if flight.returning:  # the way back is asked for again
         orders = Orders(Reason.RETURN_ASKED)
         paused = state.orders.active is Reason.PAUSED
@@ -399,7 +393,7 @@ def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step 
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
-        armed_by_us=armed_by_us,
+        armed_by_us=state.armed_by_us and state.airborne,  # on the ground it is another's
         fence_unread_s=None,
         unready=Reason.REBOOTED.text if waited else "",
     )

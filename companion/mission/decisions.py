@@ -189,11 +189,8 @@ def is_silent(state: State) -> bool:
 
 def _lost_stream(vehicle: Vehicle) -> bool:
     """Whether it holds because setpoints were lost on the link (PX4), not on a pilot's command."""
-    return (
-        vehicle.traits.needs_setpoints_before_offboard
-        and vehicle.failsafe
-        and vehicle.mode is Mode.HOLD
-    )
+    needs_it = vehicle.traits.needs_setpoints_before_offboard
+    return needs_it and vehicle.failsafe and vehicle.mode is Mode.HOLD
 
 
 def is_grounded(state: State) -> bool:
@@ -257,10 +254,8 @@ def parting(state: State, *, stopped: bool = False) -> list[events.SetMode | eve
     if state.phase is Phase.ARMING:
         down = vehicle.landed is Landed.ON_GROUND
     if down and state.armed_by_us:
-        return [
-            hold,
-            events.Disarm(),
-        ]  # in this order: the first counts should it be in the air by now
+        # in this order: the first counts should it be in the air by now
+        return [hold, events.Disarm()]
     return [hold]
 
 
@@ -272,10 +267,8 @@ def is_duplicate_suspected(state: State) -> bool:
 def is_second_companion(state: State) -> bool:
     """Whether there certainly is another companion, and this one has not had control before."""
     is_there = state.duplicate_id and 0.0 <= state.now_s - state.duplicate_id_at_s < _THERE_S
-    is_late = (
-        not has_had_control(state) or 0.0 <= state.now_s - state.in_control_since_s < _SECOND_S
-    )
-    return is_there and is_late
+    just_now = 0.0 <= state.now_s - state.in_control_since_s < _SECOND_S
+    return is_there and (just_now or not has_had_control(state))
 
 
 def has_had_control(state: State) -> bool:
@@ -285,8 +278,7 @@ def has_had_control(state: State) -> bool:
 
 def landing_order(state: State) -> Reason | None:
     """The order that a landing follows; None: it is the end of the mission, or its fallback."""
-    ordered = state.flight.fallen_back is Reason.LAND_ASKED
-    return Reason.LAND_ASKED if ordered else None
+    return Reason.LAND_ASKED if state.flight.fallen_back is Reason.LAND_ASKED else None
 
 
 def seen_cause(state: State) -> Reason | None:

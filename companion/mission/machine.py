@@ -33,7 +33,6 @@ from companion.mission.state import (
     Reason,
     State,
     Trigger,
-    Vehicle,
 )
 from companion.mission.vehicle_traits import UNKNOWN
 
@@ -79,32 +78,31 @@ def _observed(state: State, event: Event, context: Context) -> State:
     vehicle, now_s, told_s = state.vehicle, state.now_s, event.time_s
     match event:
         case events.VehicleFound(traits=traits):
-            return _told(state, traits=traits or UNKNOWN)
+            return state.told(traits=traits or UNKNOWN)
         case events.VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):
-            return _told(state, mode=mode, armed=armed, failsafe=failsafe, status_at_s=told_s)
+            return state.told(mode=mode, armed=armed, failsafe=failsafe, status_at_s=told_s)
         case events.LandedState(landed=landed) if landed is not vehicle.landed:
-            return _told(state, landed=landed, landed_at_s=told_s)
+            return state.told(landed=landed, landed_at_s=told_s)
         case events.TakeOffTaken():
-            return _told(state, take_off_taken_at_s=now_s)
+            return state.told(take_off_taken_at_s=now_s)
         case events.GpsFix(good=good):
-            return _told(state, fix_good=good, fix_at_s=told_s)
+            return state.told(fix_good=good, fix_at_s=told_s)
         case events.Estimator(good=good, error_m=error_m):
             failed = vehicle.estimator_good and not good
-            return _told(
-                state,
+            return state.told(
                 estimator_good=good,
                 estimator_at_s=told_s,
                 estimator_failed_at_s=told_s if failed else vehicle.estimator_failed_at_s,
                 error_m=error_m,
             )
         case events.Home(position_nea_m=home) if not vehicle.home_kept:
-            return _told(state, home_nea_m=home)
+            return state.told(home_nea_m=home)
         case events.LinkDelay(round_trip_s=round_trip_s):
-            return _told(state, round_trip_s=round_trip_s)
+            return state.told(round_trip_s=round_trip_s)
         case events.Battery():
             return replace(state, vehicle=with_battery(state, event, context.mission))
         case events.Echo(position_nea_m=place, velocity_nea_m_s=velocity):
-            state = _told(state, echo_nea_m=place, echo_nea_m_s=velocity, echo_at_s=told_s)
+            state = state.told(echo_nea_m=place, echo_nea_m_s=velocity, echo_at_s=told_s)
             return replace(state, flight=following.with_echo(state))
         case events.DuplicateId(certain=certain):
             return replace(state, duplicate_id=certain, duplicate_id_at_s=now_s)
@@ -114,12 +112,6 @@ def _observed(state: State, event: Event, context: Context) -> State:
             return state.with_flight(known=state.flight.known.with_scan(scan))
         case _:
             return state
-
-
-def _told(state: State, **reports: Any) -> State:
-    """With reports of the vehicle."""
-    vehicle: Vehicle = replace(state.vehicle, **reports)
-    return replace(state, vehicle=vehicle)
 
 
 def _stop(state: State, _event: events.StopAsked, _context: Context) -> Step:

@@ -551,6 +551,10 @@ class State(Struct, frozen=True, kw_only=True):
             flight=Flight(known=known),
         )
 
+    def told(self, **reports: Any) -> "State":
+        """The state with these reports of its vehicle."""
+        return replace(self, vehicle=replace(self.vehicle, **reports))
+
     def with_flight(self, **changes: Any) -> "State":
         """The state with these fields of its flight changed."""
         return replace(self, flight=replace(self.flight, **changes))

@@ -23,37 +23,16 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
-from companion.mission import changes, checkpoint
+from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
-from companion.mission.events import (
-    Arm,
-    Battery,
-    Command,
-    Echo,
-    FenceChanged,
-    Landed,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    Rebooted,
-    SetMode,
-    Setpoint,
-    SetSpeed,
-    StartScan,
-    StatusText,
-    StopAsked,
-    TakeOff,
-    TargetsChanged,
-)
+from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
 from companion.mission.flying import on_scan
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
-MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
+MOVING = (events.Arm, events.TakeOff, SetMode, Setpoint, events.SetSpeed)
 AT_ONCE = {
     "preparing": preparing,
     "ready": lambda: Craft(go=False).fly_to(Phase.READY),
@@ -142,7 +121,7 @@ def test_a_pause_stops_on_the_path_and_a_word_goes_on_from_there() -> None:
     assert craft.state.reason is Reason.PAUSED
     assert math.hypot(*craft.here[:2]) == pytest.approx(stopped_m, abs=1.0)
     craft.obey(craft.take(order(OrderKind.CONTINUE, craft)))
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
 
 
 def test_a_start_asks_for_guided_mode_of_a_vehicle_that_somebody_had_taken() -> None:
@@ -152,7 +131,7 @@ def test_a_start_asks_for_guided_mode_of_a_vehicle_that_somebody_had_taken() -> 
     craft.obey(craft.take(order(OrderKind.START, craft)))
     craft.run_for(3.0)
     assert SetMode(mode=Mode.GUIDED) in craft.commands[count:]
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
 
 
 @pytest.mark.parametrize("target_ne_m", [(1e6, 0.0), (math.nan, 0.0), None], ids=str)
@@ -167,7 +146,7 @@ def test_a_target_that_cannot_be_one_is_invalid(target_ne_m: tuple[float, float]
 def test_other_targets_are_flown_to_from_where_the_vehicle_stops() -> None:
     craft = flying(two_legs_away())
     targets = ((8_000.0, 2_000.0), (2_000.0, 8_000.0))
-    craft.obey(craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=targets)))
+    craft.obey(craft.take(events.TargetsChanged(time_s=craft.now_s, targets_ne_m=targets)))
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.NEW_TARGET
     craft.fly_to(Phase.DONE)
@@ -180,7 +159,7 @@ def test_other_targets_are_flown_to_from_where_the_vehicle_stops() -> None:
 def test_a_mission_that_is_cleared_in_flight_changes_nothing(state: str) -> None:
     craft = AT_ONCE[state]()
     targets = craft.state.targets_ne_m
-    craft.obey(craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=())))
+    craft.obey(craft.take(events.TargetsChanged(time_s=craft.now_s, targets_ne_m=())))
     craft.run_for(3.0)
     assert craft.state.targets_ne_m == targets
 
@@ -198,7 +177,7 @@ def test_a_fence_that_does_not_touch_the_path_changes_the_next_plan_only() -> No
     before = craft.state.flight
     commands = craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
     assert craft.state.flight == before
-    assert [type(command) for command in commands] == [StatusText]
+    assert [type(command) for command in commands] == [events.StatusText]
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
     assert "drawn" in {zone.name for zone in craft.sent(Plan)[-1].request.task.zones}
 
@@ -290,7 +269,7 @@ def rebooted(craft: Craft) -> None:
     """As the session tells it: the clock begins again."""
     craft.now_s = 1.0
     craft.state = replace(craft.state, now_s=1.0, since_s=1.0)
-    craft.obey(craft.take(Rebooted(time_s=1.0)))
+    craft.obey(craft.take(events.Rebooted(time_s=1.0)))
 
 
 @pytest.mark.parametrize("state", AT_ONCE)
@@ -307,7 +286,7 @@ def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
 def test_a_vehicle_that_reboots_in_flight_and_falls_is_never_armed_again() -> None:
     craft = flying()
     rebooted(craft)
-    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, Landed.ON_GROUND
+    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
     count = len(craft.commands)
     craft.run_for(150.0)
     assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
@@ -318,15 +297,15 @@ def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over() -> None:
     craft = flying(near_target())
     rebooted(craft)
     count = len(craft.commands)
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-    assert not [c for c in craft.commands[count:] if isinstance(c, Arm | TakeOff)]
+    assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
+    assert not [c for c in craft.commands[count:] if isinstance(c, events.Arm | events.TakeOff)]
 
 
 def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold() -> None:
     craft = flying()
     while craft.phase is Phase.FLYING and craft.now_s < 100.0:
         far = (craft.here[0] - 5_000.0, craft.here[1], craft.here[2])
-        echo = Echo(time_s=craft.now_s, position_nea_m=far)
+        echo = events.Echo(time_s=craft.now_s, position_nea_m=far)
         craft.take(echo)
         craft.tick()
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.NOT_TAKEN)
@@ -356,9 +335,9 @@ def test_a_battery_below_its_reserve_ends_the_mission_by_its_fallback(how: Fallb
 def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> None:
     craft = Craft(replace(MISSION, endurance_s=600.0))  # 141 km at 150 m/s take 950 s
     craft.fly_to(Phase.PREPARING)
-    craft.take(Battery(time_s=craft.now_s, remaining=1.0))
+    craft.take(events.Battery(time_s=craft.now_s, remaining=1.0))
     assert craft.fly_to(Phase.DONE).end().reason.startswith(Reason.BATTERY_SHORT.text)
-    assert not craft.sent(Arm)
+    assert not craft.sent(events.Arm)
 
 
 # --- restarts
@@ -386,7 +365,7 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
         was = (wild.velocity, last.velocity_nea_m_s)  # it has stopped at the last setpoint, or not
         apart = min(math.dist(first.velocity_nea_m_s, velocity) for velocity in was)
         assert first.stay or apart <= 1.0 + 2.5 * wild.tick_s
-    assert wild.fly_to(Phase.DONE).said_to[-1].outcome is Outcome.ARRIVED
+    assert wild.fly_to(Phase.DONE).said_to[-1].outcome is events.Outcome.ARRIVED
 
 
 def test_what_is_restored_is_what_was_kept() -> None:
@@ -412,7 +391,7 @@ def test_a_companion_that_was_restarted_after_a_flight_never_arms(phase: Phase) 
         craft = holding_mode_taken()
     values = checkpoint.values_of(craft.state)
     craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
-    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, Landed.ON_GROUND
+    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
     count = len(craft.commands)
     craft.run_for(150.0)
     assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
@@ -427,15 +406,15 @@ def test_a_shadow_plans_and_says_and_never_commands(traits: VehicleTraits) -> No
     wild.run_for(60.0)
     assert wild.state.phase is Phase.SHADOW
     assert wild.sent(Plan)
-    moving: list[Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
+    moving: list[events.Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
     assert not moving
-    assert wild.state.flight.leg is not None or wild.sent(StatusText)
+    assert wild.state.flight.leg is not None or wild.sent(events.StatusText)
 
 
 def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
     wild = Wild.calmly(PX4_MULTICOPTER.traits).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
     assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
-    wild.take(StopAsked(time_s=wild.now_s))
+    wild.take(events.StopAsked(time_s=wild.now_s))
     assert [each.mode for each in wild.sent(SetMode)] == [Mode.HOLD]
 
 
@@ -446,8 +425,8 @@ def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shad
     flight = replace(wild.state.flight, leg=None, next_leg=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
     _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
-    does = [type(command) for command in commands if not isinstance(command, StatusText)]
-    assert does == [Plan if is_shadow else StartScan]
+    does = [type(command) for command in commands if not isinstance(command, events.StatusText)]
+    assert does == [Plan if is_shadow else events.StartScan]
 
 
 def test_made_up_vehicles_are_driven_as_the_real_ones() -> None:

@@ -7,18 +7,8 @@ from made_up import LAND, TICK_S, Craft, arrived, flying, status, two_legs_away
 from renewed import replace
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
-from companion.mission import checkpoint
-from companion.mission.events import (
-    Battery,
-    Command,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    SetMode,
-    Setpoint,
-    StatusText,
-)
+from companion.mission import checkpoint, events
+from companion.mission.events import Command, Mode, Order, OrderKind, Outcome, SetMode, Setpoint
 from companion.mission.state import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.mission.vehicle_traits import VehicleTraits
@@ -31,7 +21,7 @@ WHERE = [Mode.HOLD, Mode.RETURN, Mode.LAND]
 
 
 def texts(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, StatusText)]
+    return [c.text for c in commands if isinstance(c, events.StatusText)]
 
 
 def under_way(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
@@ -171,7 +161,7 @@ def test_whoever_flies_it_is_warned_of_the_battery_at_this_rate_and_at_the_reser
     count = len(craft.commands)
     for second in range(200):
         left = max(0.9 - 0.005 * second, 0.0)
-        craft.take(Battery(time_s=craft.now_s, remaining=left))
+        craft.take(events.Battery(time_s=craft.now_s, remaining=left))
         craft.run_for(1.0)
     assert texts(craft.commands[count:]) == [Reason.BATTERY_LOW.text] * 2
     assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]

@@ -22,18 +22,8 @@ from wild import Wild
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, Autopilot
-from companion.mission.events import (
-    Landed,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    Rebooted,
-    SetMode,
-    StatusText,
-    Vector,
-)
+from companion.mission import events
+from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode, StatusText
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Hold, Phase, Reason
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest, Refusal
@@ -313,7 +303,7 @@ def test_from_where_nothing_leads_away_no_way_home_is_looked_for() -> None:
     ids=["unknown", "off the map"],
 )
 def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_said_before(
-    home_nea_m: Vector | None, why: str
+    home_nea_m: events.Vector | None, why: str
 ) -> None:
     """The origin of the map is nobody's home."""
     craft = taken_over()
@@ -333,13 +323,13 @@ def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_sa
 
 def requests(craft: Craft) -> list[PlanRequest]:
     """Of ways to somewhere."""
-    asked = [plan.request for plan in craft.sent(Plan)]
+    asked = [plan.request for plan in craft.sent(events.Plan)]
     return [request for request in asked if request.flown is None]
 
 
 def test_what_an_autopilot_calls_home_after_a_reboot_in_the_air_is_not_flown_to() -> None:
     craft = flying(two_legs_away(), plan=back_as_flown).run_for(20.0)
-    craft.obey(craft.take(Rebooted(time_s=craft.now_s)))
+    craft.obey(craft.take(events.Rebooted(time_s=craft.now_s)))
     craft.home_nea_m = craft.here
     craft.run_until(lambda craft: craft.phase is Phase.FLYING)
     told(craft)

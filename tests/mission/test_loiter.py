@@ -10,19 +10,9 @@ from planning import PLANE_TASK
 from renewed import replace
 
 from companion.mavlink.autopilots import ARDUPLANE, PX4_FIXED_WING
-from companion.mission import machine
+from companion.mission import events, machine
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Command,
-    Event,
-    FenceChanged,
-    Landed,
-    Mode,
-    Position,
-    Setpoint,
-    StartScan,
-    StatusText,
-)
+from companion.mission.events import Command, Event, FenceChanged, Landed, Mode, Position, StartScan
 from companion.mission.state import Flight, Phase, State, Vehicle
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.known_map import empty_map
@@ -122,8 +112,8 @@ def test_a_fence_too_near_to_its_circle_is_said_once_and_it_stays(
     zone = CircleZone(name="new", north_m=distance_m + 70.0, east_m=0.0, radius_m=70.0)
     plane.take(FenceChanged(time_s=plane.now_s, zones=(zone,)))
     commands = plane.fly(1.0)
-    said = [c.text for c in commands if isinstance(c, StatusText) and c.warning]
+    said = [c.text for c in commands if isinstance(c, events.StatusText) and c.warning]
     assert said == (["circling too near to zone new"] if gap_m < 0.0 else [])
-    setpoints = [c for c in commands if isinstance(c, Setpoint)]
+    setpoints = [c for c in commands if isinstance(c, events.Setpoint)]
     assert setpoints
     assert all(each.stay and each.position_nea_m == HOVER for each in setpoints)

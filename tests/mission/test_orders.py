@@ -23,22 +23,9 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL
-from companion.mission import changes, checkpoint
+from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
-from companion.mission.events import (
-    End,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    PlanReady,
-    Rebooted,
-    SetMode,
-    Setpoint,
-    StatusText,
-    StopAsked,
-)
+from companion.mission.events import End, Mode, Order, OrderKind, Outcome, Plan, SetMode, Setpoint
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
@@ -84,7 +71,7 @@ HOLDING = Phase.HOLDING
 def answer(craft: Craft) -> None:
     """The planner answers what it was asked last."""
     request = craft.sent(Plan)[-1].request
-    craft.obey(craft.take(PlanReady(time_s=craft.now_s, outcome=home_or_on(request))))
+    craft.obey(craft.take(events.PlanReady(time_s=craft.now_s, outcome=home_or_on(request))))
 
 
 def restarted(craft: Craft) -> None:
@@ -154,7 +141,7 @@ def test_a_pause_on_a_return_outlives_the_companion_and_the_autopilot(again: obj
     else:
         craft.now_s = 1.0
         craft.state = replace(craft.state, now_s=1.0, since_s=1.0)
-        craft.obey(craft.take(Rebooted(time_s=1.0)))
+        craft.obey(craft.take(events.Rebooted(time_s=1.0)))
     count = len(craft.commands)
     craft.run_for(60.0)
     assert (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
@@ -226,7 +213,7 @@ def test_the_way_back_is_the_flown_one_after_a_pause_or_a_restart_on_it(
     wild.run_until(lambda wild: wild.over)
     assert len(wild.sent(Plan)) == plans
     assert wild.here == pytest.approx((0.0, 0.0, HOME_AMSL_M), abs=1.0)
-    assert f"hold: {Reason.OFF_PATH.text}" not in [say.text for say in wild.sent(StatusText)]
+    assert f"hold: {Reason.OFF_PATH.text}" not in [say.text for say in wild.sent(events.StatusText)]
 
 
 def ways_left(wild: Wild) -> list[bytes]:
@@ -361,7 +348,7 @@ def test_on_its_way_back_it_can_be_told_to_the_very_target_that_it_came_from() -
 
 def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
     over, shadow = under_way(), Craft(shadow=True)
-    over.take(StopAsked(time_s=over.now_s))
+    over.take(events.StopAsked(time_s=over.now_s))
     shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     for craft in (over, shadow):
         assert {tell(craft, kind) for kind in OrderKind} == {OrderResult.NOT_NOW}

@@ -17,28 +17,16 @@ from made_up import (
 )
 from renewed import replace
 
-from companion.mission import changes, checkpoint
+from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
-from companion.mission.events import (
-    Battery,
-    Command,
-    Landed,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    SetMode,
-    Setpoint,
-    StatusText,
-)
+from companion.mission.events import Battery, Landed, Mode, Order, OrderKind, SetMode, StatusText
 from companion.mission.health import battery_lasts
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, Reason
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
 
 
-def warnings(commands: list[Command]) -> list[str]:
+def warnings(commands: list[events.Command]) -> list[str]:
     return [c.text for c in commands if isinstance(c, StatusText) and c.warning]
 
 
@@ -66,7 +54,7 @@ def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallbac
     if how is Fallback.HOLD:
         craft.fly_to(Phase.DONE)
         assert craft.mode is Mode.HOLD
-        assert craft.end().outcome is Outcome.FAILED
+        assert craft.end().outcome is events.Outcome.FAILED
         assert craft.end().remedy == Reason.BATTERY_LOW.remedy
     elif how is Fallback.LAND:
         craft.fly_to(Phase.LANDING)
@@ -219,11 +207,11 @@ def test_told_to_go_on_with_a_battery_that_is_short_it_does_not_fly_to_the_targe
     craft = flying(replace(two_legs_away(), fallback=Fallback.LAND))
     craft.battery = 0.1
     craft.run_for(3.5)
-    asked = len(craft.sent(Plan))
+    asked = len(craft.sent(events.Plan))
     for _ in range(60):
         told(craft, kind)
         craft.run_for(1.0)
-    assert len(craft.sent(Plan)) == asked
+    assert len(craft.sent(events.Plan)) == asked
     assert craft.phase in (Phase.LANDING, Phase.DONE)
 
 
@@ -258,13 +246,13 @@ def test_a_landing_broken_off_into_guided_mode_is_held_where_it_is_until_told() 
     assert not [c for c in later if isinstance(c, SetMode)]
     assert craft.mode is Mode.GUIDED
     assert [text for text in warnings(later) if "MISSION_START" in text]
-    held = [c.position_nea_m for c in later if isinstance(c, Setpoint)]
+    held = [c.position_nea_m for c in later if isinstance(c, events.Setpoint)]
     assert len(held) > 100
     assert all(abs(there[2] - here[2]) < 5.0 for there in held)
     told(craft, OrderKind.START)
     craft.fly_to(Phase.DONE)
     assert craft.landed is Landed.ON_GROUND
-    assert craft.end().outcome is Outcome.ARRIVED
+    assert craft.end().outcome is events.Outcome.ARRIVED
 
 
 def test_a_landing_broken_off_by_hand_and_given_back_is_held_too() -> None:
