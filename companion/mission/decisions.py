@@ -7,7 +7,7 @@ from typing import final
 from msgspec.structs import replace
 
 from companion.mission import events
-from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
+from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position, say, warn
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.state import (
@@ -89,6 +89,11 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
 
 
+def in_words(state: State, reason: Reason) -> str:
+    """A reason with its detail."""
+    return f"{reason.text}{reason_text(state, reason)[0]}"
+
+
 def _metres(length_m: float) -> str:
     """With a decimal where that tells."""
     return f"{length_m:.1f} m" if length_m < 9.95 else f"{length_m:.0f} m"
@@ -109,11 +114,6 @@ def fault(state: State, reason: Reason) -> Step:
 def in_phase_s(state: State) -> float:
     """How long this phase has lasted."""
     return state.now_s - state.since_s
-
-
-def is_gone(state: State, event: Event, context: Context) -> bool:
-    """Whether the vehicle has been silent for too long."""
-    return isinstance(event, LinkLost) and event.silent_s >= longest_silence_s(state, context)
 
 
 def longest_silence_s(state: State, context: Context) -> float:
@@ -297,6 +297,13 @@ def with_hold_reason(state: State, reason: Reason) -> State:
         why = seen_cause(state) if reason is Reason.FAILSAFE else None
         state = replace(state, hold=reason.hold, taken_over=TakenOver(why=why))
     return replace(state, reason=reason, since_s=state.now_s, asked_at_s=-1e9, asks=0, obeyed=False)
+
+
+def held(state: State, reason: Reason) -> tuple[State, events.StatusText]:
+    """The same, and the text that says so."""
+    text = in_words(state, reason)
+    text = text if reason is Reason.TAKEN_OFF else f"hold: {text}"
+    return with_hold_reason(state, reason), (warn if reason.warns else say)(text, "phase")
 
 
 def cannot_fly(

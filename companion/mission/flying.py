@@ -17,8 +17,8 @@ from companion.mission.decisions import (
     cannot_fly,
     fault,
     give_up,
+    in_words,
     preceded,
-    reason_text,
     waits_for_fence,
 )
 from companion.mission.events import Command, Event, PlanReady, Position, Vector, say, warn
@@ -450,7 +450,7 @@ def _no_successor(state: State, reason: Reason) -> Step:
     flight = replace(state.flight, shortfall=reason)
     if flight.leg is not None:
         state = replace(state, flight=flight)
-        return state, [warn(f"{reason.text}{reason_text(state, reason)[0]}")], None
+        return state, [warn(in_words(state, reason))], None
     flight = replace(at_rest(flight, flight.hover_nea_m), failures=flight.failures + 1)
     return fault(replace(state, flight=flight), reason)
 

@@ -23,7 +23,6 @@ from companion.mission.decisions import (
     in_phase_s,
     is_at_rest,
     is_duplicate_suspected,
-    is_gone,
     is_grounded,
     is_second_companion,
     is_silent,
@@ -56,8 +55,6 @@ def waiting(state: State, event: Event, _context: Context) -> Step:
         if event.traits is None:
             return give_up(state, Reason.WRONG_VEHICLE, f": {event.name}")
         return state, [], Trigger.VEHICLE_FOUND
-    if isinstance(event, LinkLost):
-        return give_up(state, Reason.NO_VEHICLE)
     return state, [], None
 
 
@@ -67,8 +64,6 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     After a restart in the air, preparations of the previous companion are not repeated.
     """
     vehicle = state.vehicle
-    if isinstance(event, LinkLost):
-        return _silent(state, event, context)
     if isinstance(event, events.Prepared) and event.refusal and not context.shadow:
         if _is_flying(state):
             return state, [warn(event.refusal)], None
@@ -204,12 +199,6 @@ def _landing_goes_on(state: State) -> Step:
     return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None
 
 
-def _silent(state: State, event: LinkLost, context: Context) -> Step:
-    if state.airborne and not is_gone(state, event, context):
-        return state, [], None
-    return give_up(state, Reason.LINK_LOST)
-
-
 def _is_flying(state: State) -> bool:
     return state.vehicle.armed and state.vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
 
@@ -264,11 +253,9 @@ def _in_flight(state: State) -> Step:
     return replace(state, reason=reason), [], Trigger.IN_FLIGHT
 
 
-def arming(state: State, event: Event, _context: Context) -> Step:
+def arming(state: State, _event: Event, _context: Context) -> Step:
     """Request the first mode of the take-off sequence, then arming, once a second."""
     vehicle, traits = state.vehicle, state.vehicle.traits
-    if isinstance(event, LinkLost):
-        return give_up(state, Reason.LINK_LOST)
     if is_duplicate_suspected(state):
         return state, [], None
     first = Mode.GUIDED if traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
@@ -298,18 +285,19 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
     vehicle, traits = state.vehicle, state.vehicle.traits
     guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
-    if vehicle.landed is Landed.ON_GROUND:
-        return _still_on_ground(state, event, modes)
-    reason = cannot_fly(state, event, modes)
+    on_ground = vehicle.landed is Landed.ON_GROUND
+    reason = cannot_fly(state, event, modes, may_be_grounded=True)
     if reason is not None:
-        return fault(state, reason)
-    if isinstance(event, Position) and _has_climbed(state, event, guided=guided):
+        return (give_up if on_ground else fault)(state, reason)
+    if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if guided:
             return state, [], Trigger.AIRBORNE
         return replace(state, reason=Reason.TAKEN_OFF), [], Trigger.HANDED_OVER
+    if on_ground and height_m(state) <= 0.0:
+        return give_up(state, Reason.HOME_TOO_HIGH)
     if in_phase_s(state) > _longest_climb_s(state):
         return give_up(state, Reason.NO_TAKE_OFF)
-    return state, [], None
+    return _ask_to_take_off(state) if on_ground and guided else (state, [], None)
 
 
 def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
@@ -327,19 +315,6 @@ def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
     risen_m = 0.0 if home is None else event.position_nea_m[2] - home[2]
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
     return level and risen_m > _CLIMBED_M and state.vehicle.mode is not Mode.OTHER
-
-
-def _still_on_ground(state: State, event: Event, modes: tuple[Mode, ...]) -> Step:
-    reason = cannot_fly(state, event, modes, may_be_grounded=True)
-    if reason is not None:
-        return give_up(state, reason)
-    if height_m(state) <= 0.0:
-        return give_up(state, Reason.HOME_TOO_HIGH)
-    if in_phase_s(state) > _longest_climb_s(state):
-        return give_up(state, Reason.NO_TAKE_OFF)
-    if modes != (Mode.GUIDED,):
-        return state, [], None
-    return _ask_to_take_off(state)
 
 
 def _ask_to_take_off(state: State) -> Step:

@@ -16,10 +16,10 @@ from companion.mission.decisions import (
     Context,
     Step,
     give_up,
-    is_gone,
+    held,
+    longest_silence_s,
     parting,
     reason_text,
-    with_hold_reason,
 )
 from companion.mission.events import Command, End, Event, Landed, Mode, Outcome, SetMode, say, warn
 from companion.mission.health import distrust, with_battery, with_position, with_position_trust
@@ -124,9 +124,16 @@ def _died(state: State, event: events.PlannerDied, _context: Context) -> Step:
 
 
 def _link_lost(state: State, event: events.LinkLost, context: Context) -> Step | None:
-    """In the air, or while it is only watched, the flight is over once the silence is too long."""
-    held = state.phase in (*IN_AIR, Phase.SHADOW) and state.phase is not Phase.TAKING_OFF
-    return give_up(state, Reason.LINK_LOST) if held and is_gone(state, event, context) else None
+    """Before the flight a silence ends the mission at once, later once it is too long."""
+    phase = state.phase
+    if phase in (Phase.READY, Phase.TAKING_OFF):
+        return None
+    early = phase is Phase.ARMING or (phase is Phase.PREPARING and not state.airborne)
+    if phase is Phase.WAITING:
+        return give_up(state, Reason.NO_VEHICLE)
+    if early or event.silent_s >= longest_silence_s(state, context):
+        return give_up(state, Reason.LINK_LOST)
+    return (state, [], None) if phase is Phase.PREPARING else None
 
 
 _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
@@ -214,7 +221,7 @@ def _set_out(state: State) -> tuple[State, list[Command]]:
 def _hold(state: State) -> tuple[State, list[Command]]:
     """Hold for the reason that there is."""
     reason = state.reason or Reason.NO_PLAN
-    state = with_hold_reason(state, reason)
+    state, says_so = held(state, reason)
     match state.hold:
         case Hold.PAUSED | Hold.RETURN | Hold.LAND:
             state = replace(state, orders=replace(state.orders, active=reason))
@@ -224,9 +231,7 @@ def _hold(state: State) -> tuple[State, list[Command]]:
             state = state.with_flight(troubles=state.flight.troubles + 1)
         case _:
             pass
-    text = f"{reason.text}{reason_text(state, reason)[0]}"
-    text = text if reason is Reason.TAKEN_OFF else f"hold: {text}"
-    says: list[Command] = [warn(text, "phase") if reason.warns else say(text, "phase")]
+    says: list[Command] = [says_so]
     if state.hold is Hold.MODE:
         state = replace(state, asked_at_s=state.now_s)
         says += parting(state) if reason is Reason.BROKEN_OFF else [SetMode(mode=Mode.HOLD)]

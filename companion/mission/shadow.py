@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import events, flying, following, joining
-from companion.mission.decisions import Context, Step, reason_text
+from companion.mission.decisions import Context, Step, in_words
 from companion.mission.events import Command, Event, Landed, PlanReady, Position, Vector, say, warn
 from companion.mission.health import TRUST_S
 from companion.mission.state import Reason, State
@@ -48,8 +48,7 @@ def _would(state: State, reason: Reason | None) -> Step:
     state = replace(state, flight=following.at_rest(state.flight, None))
     if reason is None:
         return state, [say("shadow: would go on")], None
-    text = f"shadow: would hold: {reason.text}{reason_text(state, reason)[0]}"
-    return state, [warn(text)], None
+    return state, [warn(f"shadow: would hold: {in_words(state, reason)}")], None
 
 
 def _on_position(state: State, event: Position) -> Step:

@@ -32,7 +32,9 @@ from companion.mission.decisions import (
     fence_is_given_up,
     give_up,
     has_had_control,
+    held,
     in_phase_s,
+    in_words,
     is_at_rest,
     is_grounded,
     is_own_takeoff,
@@ -42,7 +44,6 @@ from companion.mission.decisions import (
     longest_silence_s,
     parting,
     preceded,
-    reason_text,
     takeover_reason,
     waits_for_fence,
     with_hold_reason,
@@ -177,9 +178,8 @@ def _is_elsewhere(state: State) -> bool:
 
 def _elsewhere(state: State) -> Step:
     """Hold for that, with a text: the previous reason is over."""
-    reason = Reason.POSITION_ELSEWHERE
-    says = warn(f"hold: {reason.text}{reason_text(state, reason)[0]}", "phase")
-    return replace(with_hold_reason(_replan_hover(state), reason), taken=False), [says], None
+    state, says = held(_replan_hover(state), Reason.POSITION_ELSEWHERE)
+    return replace(state, taken=False), [says], None
 
 
 def _while_taken_over(state: State, event: Event, context: Context) -> Step:
@@ -308,7 +308,7 @@ def _other_way(state: State, context: Context) -> Step:
     at_home = not flight.flown and is_above_home(state)
     if how is not Fallback.RETURN or flight.homeward or at_home:
         return give_up(state, reason)
-    why = f"{reason.text}{reason_text(state, reason)[0]}"
+    why = in_words(state, reason)
     state = state.with_flight(fallen_back=reason)
     if not flight.flown:
         return flying.home_by_plan(state, f"{why}: planning a way home", reason, warning=True)
@@ -361,9 +361,8 @@ def _land_here(state: State) -> Step:
 
 def _taken(state: State) -> Step:
     """A pilot or the autopilot has taken over."""
-    reason = takeover_reason(state)
-    says = warn(f"hold: {reason.text}", "phase")
-    return replace(with_hold_reason(state, reason), taken=True), [says], None
+    state, says = held(state, takeover_reason(state))
+    return replace(state, taken=True), [says], None
 
 
 def _lead_back(state: State, event: Event, context: Context) -> Step:
@@ -599,7 +598,7 @@ def fall_back(state: State, context: Context) -> Step:
     if way is None:
         return state, [], Trigger.GIVE_UP
     how = "landing here" if way is Mode.LAND else "its autopilot is told to return"
-    says = warn(f"{reason.text}{reason_text(state, reason)[0]}: {how}", "end")
+    says = warn(f"{in_words(state, reason)}: {how}", "end")
     return state, [says], Trigger.END_LAND if way is Mode.LAND else Trigger.HAND_OVER
 
 

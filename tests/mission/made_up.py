@@ -292,7 +292,7 @@ class Craft:
         north, east, _ = self.by_hand
         self.here = (self.here[0] + TICK_S * north, self.here[1] + TICK_S * east, height)
 
-    def events(self) -> list[Event]:
+    def says(self) -> list[Event]:
         """What the vehicle says at the next tick of its clock."""
         self.now_s = now = round(self.now_s + TICK_S, 6)
         self._move()
@@ -322,7 +322,7 @@ class Craft:
 
     def tick(self) -> list[Command]:
         out: list[Command] = []
-        for event in self.events():
+        for event in self.says():
             commands = self.take(event)
             self.obey(commands)
             out += commands

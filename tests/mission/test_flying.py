@@ -276,7 +276,7 @@ def test_a_datagram_that_was_overtaken_neither_stops_the_flight_nor_sends_it_bac
 
 def test_a_position_twice_moves_the_reference_once() -> None:
     craft = flying()
-    commands = craft.take(*craft.events())
+    commands = craft.take(*craft.says())
     craft.obey(commands)
     [first] = [c for c in commands if isinstance(c, Setpoint)]
     again = craft.take(position(craft.now_s, craft.here, craft.velocity))
