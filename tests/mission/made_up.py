@@ -2,18 +2,19 @@
 
 import copy
 import functools
+import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ARDUCOPTER
-from companion.mission import events, machine
+from companion.mission import checkpoint, events, machine
 from companion.mission.decisions import Context
 from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vector, VehicleStatus
 from companion.mission.mission import EndAction, Mission
@@ -355,6 +356,24 @@ class Craft:
         other = copy.copy(self)
         other.steps, other.told = [*self.steps], [*self.told]
         return other
+
+    def order(self, kind: events.OrderKind) -> "Craft":
+        """A person's order, obeyed at once."""
+        self.obey(self.take(order_of(self, kind)))
+        return self
+
+    def restart(self) -> "Craft":
+        """The companion dies and is started again from its checkpoint."""
+        values = json.loads(json.dumps(checkpoint.values_of(self.state)))
+        self.state = checkpoint.restored(self.context.mission, self.state.flight.known, values)
+        return self
+
+    def reboot(self) -> "Craft":
+        """The autopilot's clock begins again, as the session tells it."""
+        self.now_s = 1.0
+        self.state = replace(self.state, now_s=1.0, since_s=1.0)
+        self.obey(self.take(events.Rebooted(time_s=1.0)))
+        return self
 
     def end(self) -> events.End:
         ends = self.sent(events.End)

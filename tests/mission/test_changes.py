@@ -15,6 +15,7 @@ from made_up import (
     holding_without_plan,
     landing,
     near_target,
+    order_of,
     preparing,
     scan_done,
     two_legs_away,
@@ -59,16 +60,11 @@ ON_THE_WAY_UP = (OrderKind.PAUSE, OrderKind.RETURN, OrderKind.LAND)
 """`test_machine` has what these do to a take-off."""
 
 
-def order(kind: OrderKind, craft: Craft) -> Order:
-    target_ne_m = (6_000.0, 2_000.0) if kind is OrderKind.REPOSITION else None
-    return Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m)
-
-
 @pytest.mark.parametrize("state", AT_ONCE)
 @pytest.mark.parametrize("kind", OrderKind, ids=lambda kind: kind.name)
 def test_an_order_is_accepted_where_it_is_carried_out(kind: OrderKind, state: str) -> None:
     craft = AT_ONCE[state]()
-    assert (changes.order_result(craft.state, order(kind, craft)) is OrderResult.ACCEPTED) == (
+    assert (changes.order_result(craft.state, order_of(craft, kind)) is OrderResult.ACCEPTED) == (
         state in TAKEN[kind]
     )
 
@@ -105,14 +101,14 @@ def carried_out(kind: OrderKind, craft: Craft) -> bool:
 )
 def test_what_is_accepted_is_done(kind: OrderKind, state: str) -> None:
     craft = AT_ONCE[state]()
-    craft.obey(craft.take(order(kind, craft)))
+    craft.order(kind)
     craft.fix = craft.fix or kind is not OrderKind.LAND  # which waits for none
     assert carried_out(kind, craft)
 
 
 def test_a_pause_stops_on_the_path_and_a_word_goes_on_from_there() -> None:
     craft = flying(two_legs_away())
-    craft.obey(craft.take(order(OrderKind.PAUSE, craft)))
+    craft.order(OrderKind.PAUSE)
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.PAUSED
     stopped_m = math.hypot(*craft.here[:2])
@@ -120,7 +116,7 @@ def test_a_pause_stops_on_the_path_and_a_word_goes_on_from_there() -> None:
     craft.run_for(400.0)  # as long as it takes
     assert craft.state.reason is Reason.PAUSED
     assert math.hypot(*craft.here[:2]) == pytest.approx(stopped_m, abs=1.0)
-    craft.obey(craft.take(order(OrderKind.CONTINUE, craft)))
+    craft.order(OrderKind.CONTINUE)
     assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
 
 
@@ -128,7 +124,7 @@ def test_a_start_asks_for_guided_mode_of_a_vehicle_that_somebody_had_taken() -> 
     craft = holding_mode_taken().run_for(5.0)
     count = len(craft.commands)
     craft.obeys_modes = True
-    craft.obey(craft.take(order(OrderKind.START, craft)))
+    craft.order(OrderKind.START)
     craft.run_for(3.0)
     assert SetMode(mode=Mode.GUIDED) in craft.commands[count:]
     assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
@@ -265,18 +261,11 @@ def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
 # --- the vehicle itself
 
 
-def rebooted(craft: Craft) -> None:
-    """As the session tells it: the clock begins again."""
-    craft.now_s = 1.0
-    craft.state = replace(craft.state, now_s=1.0, since_s=1.0)
-    craft.obey(craft.take(events.Rebooted(time_s=1.0)))
-
-
 @pytest.mark.parametrize("state", AT_ONCE)
 def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
     craft = AT_ONCE[state]()
     known = craft.state.flight.known
-    rebooted(craft)
+    craft.reboot()
     assert craft.phase is Phase.PREPARING
     assert craft.state.flight.known is known
     assert craft.state.vehicle.position_nea_m is None
@@ -285,7 +274,7 @@ def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
 
 def test_a_vehicle_that_reboots_in_flight_and_falls_is_never_armed_again() -> None:
     craft = flying()
-    rebooted(craft)
+    craft.reboot()
     craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
     count = len(craft.commands)
     craft.run_for(150.0)
@@ -295,7 +284,7 @@ def test_a_vehicle_that_reboots_in_flight_and_falls_is_never_armed_again() -> No
 
 def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over() -> None:
     craft = flying(near_target())
-    rebooted(craft)
+    craft.reboot()
     count = len(craft.commands)
     assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
     assert not [c for c in craft.commands[count:] if isinstance(c, events.Arm | events.TakeOff)]
@@ -386,11 +375,10 @@ def test_what_is_restored_is_what_was_kept() -> None:
 def test_a_companion_that_was_restarted_after_a_flight_never_arms(phase: Phase) -> None:
     craft = flying(two_legs_away())
     if phase is Phase.PREPARING:
-        rebooted(craft)
+        craft.reboot()
     elif phase is Phase.HOLDING:
         craft = holding_mode_taken()
-    values = checkpoint.values_of(craft.state)
-    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    craft.restart()
     craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
     count = len(craft.commands)
     craft.run_for(150.0)

@@ -213,7 +213,7 @@ def under_way(craft: Craft) -> Craft:
 
 
 def told(craft: Craft) -> None:
-    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.RETURN)))
+    craft.order(OrderKind.RETURN)
 
 
 def low(craft: Craft) -> None:
