@@ -64,31 +64,31 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     After a restart in the air, preparations of the previous companion are not repeated.
     """
     vehicle = state.vehicle
-    if isinstance(event, events.Prepared) and event.refusal and not context.shadow:
+    if context.shadow:
+        return _to_watch(state)
+    if isinstance(event, events.Prepared) and event.refusal:
         if _is_flying(state):
             return state, [warn(event.refusal)], None
         if state.unready:
             return _still_unready(_without(state, event.item), event.refusal)
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
-    if state.unready and vehicle.armed and not context.shadow:
+    if state.unready and vehicle.armed:
         return give_up(state, Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
     if in_phase_s(state) > _PREPARE_S and not state.unready:
         return give_up(state, Reason.NOT_READY, _missing(state))
     if is_silent(state):
         return state, [], None
-    if is_second_companion(state) and not context.shadow:
+    if is_second_companion(state):
         return give_up(state, Reason.NOT_ALONE)
-    if not (has_had_control(state) or context.shadow) and _may_not_be_alone(state):
+    if not has_had_control(state) and _may_not_be_alone(state):
         return state, [], None
-    if state.landing and not context.shadow:
+    if state.landing:
         return _landing_goes_on(state)
     if vehicle.distrust is not None:
-        unled = _is_flying(state) and vehicle.mode is Mode.GUIDED and not context.shadow
+        unled = _is_flying(state) and vehicle.mode is Mode.GUIDED
         if unled and in_phase_s(state) > _UNLED_S:
             return ask(state, events.SetMode(mode=Mode.HOLD))
         return state, [], None
-    if context.shadow:
-        return state, [], Trigger.WATCH
     if _is_flying(state):
         return _in_flight(state)
     ready = state.prepared.issuperset(_ASKED_FOR) and vehicle.home_nea_m is not None
@@ -108,6 +108,14 @@ def preparing(state: State, event: Event, context: Context) -> Step:
             return state, [], None
         return give_up(state, Reason.NOT_READY, ": armed before a restart, and no go since")
     return state, [], Trigger.GO if context.go else Trigger.READY
+
+
+def _to_watch(state: State) -> Step:
+    """Wait for a valid position of a vehicle that is only watched."""
+    if in_phase_s(state) > _PREPARE_S:
+        return give_up(state, Reason.NOT_READY, _missing(state))
+    waits = is_silent(state) or state.vehicle.distrust is not None
+    return state, [], None if waits else Trigger.WATCH
 
 
 def ready(state: State, event: Event, context: Context) -> Step:

@@ -299,7 +299,7 @@ def _is_settled(state: State, event: Position) -> bool:
 
 
 def _other_way(state: State, context: Context) -> Step:
-    """Backtrack if that is the fallback; else as `fallback` says.
+    """Backtrack if that is the fallback; else as `fall_back` says.
 
     Not once planning a path home has failed.
     """

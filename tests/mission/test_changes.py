@@ -6,7 +6,6 @@ import math
 import pytest
 from made_up import (
     MISSION,
-    TICK_S,
     Craft,
     arrived,
     flying,
@@ -23,7 +22,7 @@ from made_up import (
 from renewed import replace
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
+from companion.mavlink.autopilots import ALL, PX4_MULTICOPTER
 from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
@@ -415,11 +414,6 @@ def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shad
     _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
     does = [type(command) for command in commands if not isinstance(command, events.StatusText)]
     assert does == [Plan if is_shadow else events.StartScan]
-
-
-def test_made_up_vehicles_are_driven_as_the_real_ones() -> None:
-    assert Craft().traits is ARDUCOPTER.traits
-    assert TICK_S == 0.1
 
 
 def test_a_battery_that_runs_low_while_it_is_held_does_not_leave_it_in_guided_mode_in_silence() -> (

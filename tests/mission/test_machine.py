@@ -36,7 +36,6 @@ from companion.mission import changes, events
 from companion.mission.decisions import parting, reason_text
 from companion.mission.events import Landed, Mode, Outcome, Plan, SetMode, Setpoint, TakeOff, Tick
 from companion.mission.health import distrust
-from companion.mission.machine import IN_PHASE
 from companion.mission.state import Phase, Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 
@@ -778,13 +777,6 @@ def over(craft: Craft) -> bool:
     return craft.phase in OVER
 
 
-def test_a_vehicle_that_will_not_arm_is_given_up() -> None:
-    craft = Craft()
-    craft.arms = False
-    assert within_ten_minutes(craft, over)
-    assert craft.end().reason == Reason.NOT_ARMED.text
-
-
 def test_a_vehicle_that_never_gets_ready_is_given_up() -> None:
     craft = preparing()
     assert within_ten_minutes(craft, over)
@@ -841,7 +833,3 @@ def test_a_vehicle_that_never_says_it_has_landed_is_not_waited_for_for_ever() ->
     craft = landing()
     craft.obeys_modes = False
     assert within_ten_minutes(craft, over)
-
-
-def test_each_phase_that_is_not_over_says_what_it_makes_of_an_event() -> None:
-    assert set(IN_PHASE) == set(Phase) - set(OVER)

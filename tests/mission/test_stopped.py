@@ -20,7 +20,7 @@ from companion.mission import changes, events
 from companion.mission.changes import OrderResult
 from companion.mission.events import Battery, Landed, Mode, Order, OrderKind, SetMode, StatusText
 from companion.mission.health import battery_lasts
-from companion.mission.mission import EndAction, Fallback, Mission
+from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
 
@@ -289,7 +289,3 @@ def test_a_landing_broken_off_while_the_companion_was_dead(broken_off: bool) -> 
         assert [text for text in warnings(craft.commands[count:]) if "MISSION_START" in text]
     else:
         assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
-
-
-def test_the_missions_end_is_a_landing() -> None:
-    assert LAND.end_action is EndAction.LAND
