@@ -7,16 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from scripted_vehicle import (
-    BRAKE,
-    GUIDED,
-    MISSION,
-    Pair,
-    Vehicle,
-    messages,
-    pair,
-    straight_plan,
-)
+from scripted_vehicle import BRAKE, GUIDED, MISSION, Pair, Vehicle, messages, pair, straight_plan
 
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason

@@ -16,14 +16,7 @@ from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.state import (
-    IN_AIR,
-    Orders,
-    Phase,
-    Reason,
-    State,
-    Way,
-)
+from companion.mission.state import IN_AIR, Orders, Phase, Reason, State, Way
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import FlownSegment, Refusal, control_points

@@ -10,16 +10,7 @@ from companion.mission import events
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position, say, warn
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.state import (
-    IN_AIR,
-    Hold,
-    Phase,
-    Reason,
-    State,
-    TakenOver,
-    Trigger,
-    Vehicle,
-)
+from companion.mission.state import IN_AIR, Hold, Phase, Reason, State, TakenOver, Trigger, Vehicle
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal

@@ -156,11 +156,7 @@ def with_position_trust(vehicle: Vehicle, reason: Reason | None, now_s: float) -
         return replace(vehicle, distrust=None)
     doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
     return replace(
-        vehicle,
-        distrust=reason,
-        last_distrust=reason,
-        doubted_at_s=doubted_at_s,
-        bad_at_s=now_s,
+        vehicle, distrust=reason, last_distrust=reason, doubted_at_s=doubted_at_s, bad_at_s=now_s
     )
 
 

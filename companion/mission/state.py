@@ -178,10 +178,7 @@ class Reason(enum.Enum):
         "End one of the two; each vehicle has one, by its own system id.",
     )
     REBOOTED = ("the autopilot has rebooted", "Look at the vehicle before it flies again.")
-    ARMED_ALREADY = (
-        "somebody else has armed the vehicle",
-        "Disarm it, then start again.",
-    )
+    ARMED_ALREADY = ("somebody else has armed the vehicle", "Disarm it, then start again.")
     STREAM_LOST = (
         "the autopilot has lost the setpoints",
         "Check the link; it goes on by itself.",
@@ -546,9 +543,7 @@ class State(Struct, frozen=True, kw_only=True):
     def of(mission: Mission, known: KnownMap) -> "State":
         """A mission that has not begun."""
         return State(
-            task=mission.task,
-            targets_ne_m=mission.targets_ne_m,
-            flight=Flight(known=known),
+            task=mission.task, targets_ne_m=mission.targets_ne_m, flight=Flight(known=known)
         )
 
     def told(self, **reports: Any) -> "State":

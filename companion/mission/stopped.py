@@ -52,15 +52,7 @@ from companion.mission.events import Command, Event, Landed, Mode, Position, say
 from companion.mission.health import TRUST_S
 from companion.mission.home import begins_at_home, home_ne_m, is_above_home
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import (
-    Hold,
-    Orders,
-    Phase,
-    Reason,
-    State,
-    TakenOver,
-    Trigger,
-)
+from companion.mission.state import Hold, Orders, Phase, Reason, State, TakenOver, Trigger
 from companion.mission.vehicle_traits import UNKNOWN
 from companion.planner.recheck import is_touched
 

@@ -296,10 +296,7 @@ def test_from_where_nothing_leads_away_no_way_home_is_looked_for() -> None:
 
 @pytest.mark.parametrize(
     ("home_nea_m", "why"),
-    [
-        (None, "home is not known"),
-        ((0.0, 1e6, HOME_AMSL_M), "home: it lies outside the map"),
-    ],
+    [(None, "home is not known"), ((0.0, 1e6, HOME_AMSL_M), "home: it lies outside the map")],
     ids=["unknown", "off the map"],
 )
 def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_said_before(

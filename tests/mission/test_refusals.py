@@ -3,13 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from made_up import (
-    Craft,
-    flying,
-    mission,
-    planned,
-    two_legs_away,
-)
+from made_up import Craft, flying, mission, planned, two_legs_away
 
 from companion.mission.events import Order, OrderKind, Outcome, StatusText
 from companion.mission.mission import Fallback

@@ -502,11 +502,7 @@ class Wild:
             (
                 PolygonZone(
                     name="c",
-                    vertices_ne_m=(
-                        (north, east),
-                        (north + 80.0, east),
-                        (north, east + 80.0),
-                    ),
+                    vertices_ne_m=((north, east), (north + 80.0, east), (north, east + 80.0)),
                 ),
             ),
             (CircleZone(name="d", north_m=self.here[0], east_m=self.here[1], radius_m=20.0),),
