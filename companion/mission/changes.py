@@ -130,7 +130,7 @@ def _with_fence(state: State, event: events.FenceChanged, context: Context) -> S
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
     state = state.with_fence(context.mission.task, event)
-    says: list[Command] = [(warn if known else say)(f"fence: {len(event.zones)} zones")]
+    says: list[Command] = [say(f"fence: {len(event.zones)} zones", warning=known)]
     if (inside := _inside(state)) and state.phase not in ON_PATH:
         says.append(warn(f"inside zone {inside}"))
     if not _is_touched(state):

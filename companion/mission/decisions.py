@@ -7,7 +7,7 @@ from typing import final
 from msgspec.structs import replace
 
 from companion.mission import events
-from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position, say, warn
+from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position, say
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
 from companion.mission.state import IN_AIR, Hold, Phase, Reason, State, TakenOver, Trigger, Vehicle
@@ -294,7 +294,7 @@ def held(state: State, reason: Reason) -> tuple[State, events.StatusText]:
     """The same, and the text that says so."""
     text = in_words(state, reason)
     text = text if reason is Reason.TAKEN_OFF else f"hold: {text}"
-    return with_hold_reason(state, reason), (warn if reason.warns else say)(text, "phase")
+    return with_hold_reason(state, reason), say(text, "phase", warning=reason.warns)
 
 
 def cannot_fly(

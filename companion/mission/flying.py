@@ -104,8 +104,9 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     if trigger is not None:
         return state, [], trigger
     state, warning = battery_warning(state, context)
-    waits = state.flight.leg is None
-    return preceded(warning, (_hover if waits else _lead)(state, event, context))
+    if state.flight.leg is None:
+        return preceded(warning, _hover(state, event, context))
+    return preceded(warning, _lead(state, event, context))
 
 
 def _stop_for_fence(state: State, context: Context) -> tuple[State, Trigger | None]:
@@ -211,8 +212,7 @@ def _kept_to_path(
     if departs is not None or not flight.left_path_m or state.flight.left_path_m:
         return flight, [], departs
     text = f"beside its path, {flight.left_path_m:.2g} m more than its tracking error"
-    says = warn if flight.stop is not None else say
-    return flight, [says(text, "path")], None
+    return flight, [say(text, "path", warning=flight.stop is not None)], None
 
 
 def _circle(state: State, event: Position, context: Context) -> Step:
@@ -596,4 +596,4 @@ def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = Fal
         planning_backtrack=None,
         search=None,
     )
-    return state, [(warn if warning else say)(text, "end")], Trigger.RESUME
+    return state, [say(text, "end", warning=warning)], Trigger.RESUME

@@ -296,7 +296,7 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
     on_ground = vehicle.landed is Landed.ON_GROUND
     reason = cannot_fly(state, event, modes, may_be_grounded=True)
     if reason is not None:
-        return (give_up if on_ground else fault)(state, reason)
+        return give_up(state, reason) if on_ground else fault(state, reason)
     if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if guided:
             return state, [], Trigger.AIRBORNE
