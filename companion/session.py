@@ -284,16 +284,7 @@ class Session:
                 waiting.appendleft(heard)
                 self._out.awaits_plan = True
                 break
-        state, keeper = self.state, self._keeper
-        since_s = self.clock.now_s - keeper.kept_at_s
-        if (
-            not 0.0 <= since_s < checkpoint.LONGEST_S
-            or state.flight.known is not keeper.known
-            or (
-                since_s >= checkpoint.PERIOD_S and checkpoint.persisted_fields(state) != keeper.kept
-            )
-        ):
-            self._keep()
+        self._keep()
         return self.take_output()
 
     def take_output(self) -> Output:
@@ -384,9 +375,7 @@ class Session:
     def _look_for_duplicates(self, heard: Incoming) -> None:
         """Check whether another process with our ids has sent it."""
         system_id = self.selector.system_id
-        found = self._outbox.duplicates.heard(heard.frame, system_id, self.now_s)
-        if found is not None:
-            self._handle(found)
+        self._handle(self._outbox.duplicates.heard(heard.frame, system_id, self.now_s))
 
     def _select(self, heard: Incoming) -> None:
         """Select our vehicle, as long as it is not known."""
@@ -394,8 +383,9 @@ class Session:
             assert self.selector.system_id is not None
             self._outbox.set_system_id(self.selector.system_id)
         elif name := self.selector.ambiguity:
-            found = events.VehicleFound(time_s=self.now_s, system_id=0, traits=None, name=name)
-            self._handle(found)
+            self._handle(
+                events.VehicleFound(time_s=self.now_s, system_id=0, traits=None, name=name)
+            )
 
     def _on_radar(self, heard: Incoming) -> None:
         """A message of the radar: its answers to a scan, and when to look whether it is over."""
@@ -414,15 +404,13 @@ class Session:
         assert self.near is not None
         if position is not None:
             self.near.on_position(position.time_s, position.position_nea_m)
-        if (seen := self.near.seen(self.now_s)) is not None:
-            self._handle(seen)
+        self._handle(self.near.seen(self.now_s))
 
     def _look_down(self, position: events.Position) -> None:
         """Tell the mission when the ground is nearer than its map says."""
         assert self.rangefinder is not None
         self.rangefinder.on_position(position.time_s, position.position_nea_m)
-        if (seen := self.rangefinder.seen(self.now_s, self.state.flight.known)) is not None:
-            self._handle(seen)
+        self._handle(self.rangefinder.seen(self.now_s, self.state.flight.known))
 
     def _on_heartbeat(self, heard: Incoming) -> None:
         if self.vehicle is None:
@@ -434,17 +422,16 @@ class Session:
         if (vehicle := self.vehicle) is None:
             return
         now_s, plan, shadow = self.clock.now_s, self._plan, self.context.shadow
-        if now_s >= plan.due_s and not shadow and (answer := plan.take(now_s)) is not None:
-            self._handle(answer)
+        if not shadow:
+            self._handle(plan.take(now_s))
         event = vehicle.on_position(heard.message, now_s)
         if self.near is not None:
             self._look_near(event)
-        if event is not None:
-            if self.rangefinder is not None:
-                self._look_down(event)
-            self._handle(event)
-        if now_s >= plan.due_s and shadow and (answer := plan.take(now_s)) is not None:
-            self._handle(answer)  # the position before may be a second old
+        if event is not None and self.rangefinder is not None:
+            self._look_down(event)
+        self._handle(event)
+        if shadow:
+            self._handle(plan.take(now_s))  # the position before may be a second old
         if vehicle.is_news:
             self._look_at_news(vehicle)
         if self.state.phase in (Phase.PREPARING, Phase.READY):
@@ -464,8 +451,7 @@ class Session:
             self.rangefinder.on_message(message, now_s)
         if replies := vehicle.on_message(message, now_s):
             self._outbox.send(replies, now_s)
-        if (event := vehicle.event_of(message, now_s)) is not None:
-            self._handle(event)
+        self._handle(vehicle.event_of(message, now_s))
         if vehicle.is_news or vehicle.notes:
             self._look_at_news(vehicle)
         self._housekeeping()
@@ -496,9 +482,7 @@ class Session:
         """A TIMESYNC answer, or a request: a simulator in lockstep advances once it is answered."""
         message = heard.message
         if self.vehicle is not None and message.tc1 != 0 and heard.at_s is not None:
-            delay = self.vehicle.on_timesync(message, self.now_s, heard.at_s)
-            if delay is not None:
-                self._handle(delay)
+            self._handle(self.vehicle.on_timesync(message, self.now_s, heard.at_s))
         self._after_time_only(heard)
         if message.tc1 != 0:
             return
@@ -545,8 +529,7 @@ class Session:
         """The result of an order; of a go, after a look at every check."""
         if order.kind is events.OrderKind.START and self.state.phase is Phase.READY:
             self._handle(events.Tick(time_s=self.now_s))
-            if (failed := self._preflight.failed(self, at_once=True)) is not None:
-                self._handle(failed)
+            self._handle(self._preflight.failed(self, at_once=True))
         return changes.order_result(self.state, order, go=self.context.go)
 
     # --- the clock
@@ -676,12 +659,15 @@ class Session:
             self._start_scan(here)
         elif (judged := self._preflight.result(self)) is not None:
             self._handle(judged)
-        elif (failed := self._preflight.failed(self)) is not None:
-            self._handle(failed)
+        else:
+            self._handle(self._preflight.failed(self))
 
     # --- events and commands
 
-    def _handle(self, event: events.Event) -> None:
+    def _handle(self, event: events.Event | None) -> None:
+        """Let the mission decide on an event, if there is one, and do what it decides."""
+        if event is None:
+            return
         before = self.state
         if isinstance(event, VehicleStatus):
             self._status = event
@@ -701,23 +687,12 @@ class Session:
             self._due_s = -math.inf
             for moved in entries.of_change(before, after):
                 self._note(**moved)
-        ends = False
+        ends = any(type(command) is End for command in commands)
         for command in commands:
-            ends = ends or type(command) is End
-        for command in commands:
-            if type(command) is not events.Setpoint:
+            if type(command) is events.Setpoint:
+                self._lead(command)
+            else:
                 self._carry_out(command)
-            elif self.vehicle is not None and not self.context.shadow:
-                circle_m = self.state.task.limits.loiter_radius_m
-                messages = self.vehicle.autopilot.setpoint(
-                    command, self.mission.frame, self.vehicle.system_id, circle_m
-                )
-                if messages is None:
-                    self._note("setpoint refused", setpoint=repr(command))
-                    died = events.PlannerDied(time_s=self.now_s, error="setpoint out of range")
-                    self._handle(died)
-                else:
-                    self._outbox.send(messages, self.clock.now_s)
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
@@ -727,6 +702,19 @@ class Session:
             self._status = None if told else self._status
             assert self._end is not None
             self._send_end_text(self._end, told)
+
+    def _lead(self, setpoint: events.Setpoint) -> None:
+        """Send it at once, in shadow never; one that the wire has no numbers for is an error."""
+        if (vehicle := self.vehicle) is None or self.context.shadow:
+            return
+        circle_m = self.state.task.limits.loiter_radius_m
+        frame, system_id = self.mission.frame, vehicle.system_id
+        messages = vehicle.autopilot.setpoint(setpoint, frame, system_id, circle_m)
+        if messages is not None:
+            self._outbox.send(messages, self.clock.now_s)
+            return
+        self._note("setpoint refused", setpoint=repr(setpoint))
+        self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
 
     def _carry_out(self, command: events.Command) -> None:
         self._due_s = -math.inf
@@ -745,11 +733,11 @@ class Session:
             case events.RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
-            case events.Setpoint():
-                pass  # goes out at once, or in shadow never
             case SetMode() | Disarm() | events.SetSpeed() | events.Arm() | events.TakeOff():
                 if not self.context.shadow:
                     self._command(command)
+            case _:
+                pass
 
     def _command(self, command: AutopilotCommand) -> None:
         """What the autopilot is told to do."""

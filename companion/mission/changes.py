@@ -6,48 +6,25 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from companion.mission import following, ground
+from companion.mission import events, following, ground
 from companion.mission.decisions import Context, Step, fault, give_up, preceded, with_hold_reason
-from companion.mission.events import (
-    Command,
-    Event,
-    FenceBreach,
-    FenceChanged,
-    FenceReading,
-    GroundSeen,
-    Landed,
-    NearSeen,
-    Order,
-    OrderKind,
-    Prepared,
-    Rebooted,
-    StatusText,
-    TargetsChanged,
-)
+from companion.mission.events import Command, Event, Landed, say, warn
 from companion.mission.health import battery_is_short
 from companion.mission.state import (
     ON_PATH,
+    ON_SETPOINTS,
     OVER,
     Answered,
     Flight,
-    Grounded,
-    HoldMode,
-    LandOrdered,
-    OnSetpoints,
+    Hold,
     Orders,
-    Outward,
-    Paused,
     Phase,
     Planning,
     Reason,
-    ReplanHome,
-    ReturnOrdered,
-    Silent,
     State,
-    TakenOver,
-    TakeOver,
     Trigger,
     Vehicle,
+    Way,
 )
 from companion.mission.stopped import fence_breached, resumed
 from companion.planner.progress import NO_PROGRESS
@@ -69,27 +46,27 @@ class OrderResult(enum.Enum):
     NOT_NOW = "it cannot be carried out now"
 
 
-def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult:
+def order_result(state: State, order: events.Order, *, go: bool = False) -> OrderResult:
     """The result of an order, for its acknowledgement; go: it takes off without being told."""
     in_air = state.phase in (*ON_PATH, *_GOING_UP, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
-        case OrderKind.REPOSITION:
+        case events.OrderKind.REPOSITION:
             if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
                 return OrderResult.INVALID
             led = in_air and state.phase not in _GOING_UP
             return OrderResult.ACCEPTED if led else OrderResult.NOT_NOW
-        case OrderKind.START | OrderKind.CONTINUE if not go and _waits_for_go(state):
-            ready = state.phase is Phase.READY and order.kind is OrderKind.START
+        case events.OrderKind.START | events.OrderKind.CONTINUE if not go and _waits_for_go(state):
+            ready = state.phase is Phase.READY and order.kind is events.OrderKind.START
             return OrderResult.ACCEPTED if ready else OrderResult.NOT_NOW
-        case OrderKind.START | OrderKind.CONTINUE:
+        case events.OrderKind.START | events.OrderKind.CONTINUE:
             return OrderResult.NOT_NOW if state.phase in _NOT_TO_GO_ON else OrderResult.ACCEPTED
-        case OrderKind.PAUSE:
+        case events.OrderKind.PAUSE:
             return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
-        case OrderKind.RETURN:
+        case events.OrderKind.RETURN:
             held = state.hold is not None and not (_accepts_orders(state) or _stops(state))
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
-        case OrderKind.LAND:
-            held = isinstance(state.hold, TakenOver | Grounded | Silent)
+        case events.OrderKind.LAND:
+            held = state.hold in (Hold.TAKEN_OVER, Hold.GROUNDED, Hold.SILENT)
             if state.phase is not Phase.LANDING and (held or not in_air):
                 return OrderResult.NOT_NOW
             down = state.phase in _GOING_UP and state.vehicle.landed is Landed.ON_GROUND
@@ -97,17 +74,17 @@ def order_result(state: State, order: Order, *, go: bool = False) -> OrderResult
             return OrderResult.ACCEPTED if lands else OrderResult.INVALID
 
 
-def why_not(state: State, order: Order) -> str:
+def why_not(state: State, order: events.Order) -> str:
     """Why an order is refused, as text for its sender."""
     why = f"the mission is {state.phase.value}"
     if order_result(state, order) is OrderResult.INVALID:
         place = order.target_ne_m
         why = "it has no target" if place is None else target_refusal(state.task, place)
-        if order.kind is OrderKind.LAND:
+        if order.kind is events.OrderKind.LAND:
             why = f"{state.vehicle.traits.name} is not told to land: send it back"
-    elif order.kind is OrderKind.PAUSE and _is_short(state):
+    elif order.kind is events.OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
-    elif order.kind is OrderKind.START and _waits_for_go(state):
+    elif order.kind is events.OrderKind.START and _waits_for_go(state):
         why = ground.why_no_go(state)
     elif state.phase is Phase.READY:
         why = "it waits for MISSION_START"
@@ -138,90 +115,80 @@ def _may_pause(state: State) -> bool:
 
 def _accepts_orders(state: State) -> bool:
     """Whether an order takes effect immediately in this hold."""
-    return isinstance(state.hold, OnSetpoints) and state.reason is not Reason.BATTERY_LOW
+    return state.hold in ON_SETPOINTS and state.reason is not Reason.BATTERY_LOW
 
 
 def _stops(state: State) -> bool:
     """Whether it is stopped by its autopilot: an order takes effect once it is led again."""
-    return isinstance(state.hold, HoldMode | TakeOver)
+    return state.hold in (Hold.MODE, Hold.TAKE_OVER)
 
 
 # --- threats
 
 
-def _with_fence(state: State, event: FenceChanged, context: Context) -> Step:
+def _with_fence(state: State, event: events.FenceChanged, context: Context) -> Step:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
     state = state.with_fence(context.mission.task, event)
-    says: list[Command] = [StatusText(text=f"fence: {len(event.zones)} zones", warning=known)]
+    says: list[Command] = [say(f"fence: {len(event.zones)} zones", warning=known)]
     if (inside := _inside(state)) and state.phase not in ON_PATH:
-        says.append(StatusText(text=f"inside zone {inside}", warning=True))
+        says.append(warn(f"inside zone {inside}"))
     if not _is_touched(state):
-        return state, says, None  # `loiter` sees to the place where a plane waits
+        return state, says, None
     if state.phase not in ON_PATH:  # a path that was to be gone on with
         flight = following.at_rest(state.flight, state.flight.hover_nea_m)
         return replace(state, flight=flight), says, None
     return preceded(says, following.stop(state, Reason.NEW_THREAT))
 
 
-def _fence_reading(state: State, event: FenceReading, _context: Context) -> Step:
+def _fence_reading(state: State, event: events.FenceReading, _context: Context) -> Step:
     """The fence has changed: said at once; who waits for it is `decisions.waits_for_fence`."""
     if not event.items:
         return replace(state, fence_unread_s=None), [], None
     if state.fence_unread_s is None:
         state = replace(state, fence_unread_s=event.time_s)
-    if event.items <= _FEW_ITEMS:
-        return state, [], None
     text = f"the fence has changed: reading {event.items:,} items"
-    return state, [StatusText(text=text, warning=True)], None
+    return state, [warn(text)] if event.items > _FEW_ITEMS else [], None
 
 
-def _with_near_things(state: State, event: NearSeen, context: Context) -> Step:
+def _with_near_things(state: State, event: events.NearSeen, _context: Context) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    range_m, vehicle = state.task.settings.scan_range_m, state.vehicle
-    if state.airborne and event.sees_m < min(range_m, vehicle.sees_m):  # before: preflight
-        state = replace(state, vehicle=replace(vehicle, sees_m=event.sees_m))
-        text = f"sensor sees {event.sees_m:g} m of R = {range_m:g} m"
-        return preceded(
-            [StatusText(text=text, warning=True)], _with_near_things(state, event, context)
-        )
-    if event.sight is not vehicle.sight:
-        state = replace(state, vehicle=replace(vehicle, sight=event.sight))
+    range_m, sees_m, says = state.task.settings.scan_range_m, event.sees_m, list[Command]()
+    if state.airborne and sees_m < min(range_m, state.vehicle.sees_m):  # before: preflight
+        state = state.told(sees_m=sees_m)
+        says = [warn(f"sensor sees {sees_m:g} m of R = {range_m:g} m")]
+    state = state.told(sight=event.sight)
     flight = state.flight
     if state.phase not in ON_PATH or flight.leg is None:
-        return state, [], None
+        return state, says, None
     stops_for = None if flight.stop is None else flight.stop.reason
     if event.sight.is_blind:
         if flight.returning or stops_for is not None:
-            return state, [], None  # what was flown before is flown again
-        return preceded(
-            [StatusText(text=Reason.SENSOR_SILENT.text, warning=True)],
-            following.stop(state, Reason.SENSOR_SILENT),
-        )
-    if stops_for is Reason.NEW_THREAT:
-        return state, [], None
+            return state, says, None  # what was flown before is flown again
+        says.append(warn(Reason.SENSOR_SILENT.text))
+        return preceded(says, following.stop(state, Reason.SENSOR_SILENT))
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
     legs = [(flight.leg, following.vehicle_at_m(state, flight.leg)), (flight.next_leg, 0.0)]
-    if any(leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs):
-        return following.stop(state, Reason.NEW_THREAT)
-    return state, [], None
+    if stops_for is not Reason.NEW_THREAT and any(
+        leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs
+    ):
+        return preceded(says, following.stop(state, Reason.NEW_THREAT))
+    return state, says, None
 
 
-def _on_ground_seen(state: State, event: GroundSeen, _context: Context) -> Step:
+def _on_ground_seen(state: State, event: events.GroundSeen, _context: Context) -> Step:
     """The ground is nearer than the map says: stop, and wait for the two to agree.
 
-    Not on the way back: what was flown before is flown again.
+    Not on the way back: what was flown before is flown again; nor while it stops: `stopped` waits
+    for it, too.
     """
-    state = replace(state, vehicle=replace(state.vehicle, ground_above_m=event.above_m))
+    state = state.told(ground_above_m=event.above_m)
     flight = state.flight
-    goes_back = flight.returning or flight.homeward
-    if not event.above_m or state.phase is not Phase.FLYING or goes_back or flight.leg is None:
+    follows = state.phase is Phase.FLYING and flight.leg is not None and flight.stop is None
+    if not event.above_m or not follows or flight.returning or flight.homeward:
         return state, [], None
-    if flight.stop is not None:
-        return state, [], None  # `stopped` waits for it, too
-    state, commands, trigger = following.stop(state, Reason.GROUND_NEARER)
-    text = f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m"
-    return state, [StatusText(text=text, warning=True), *commands], trigger
+    says = warn(f"{Reason.GROUND_NEARER.text}: by {event.above_m:.1f} m")
+    return preceded([says], following.stop(state, Reason.GROUND_NEARER))
 
 
 def _is_touched(state: State) -> bool:
@@ -244,45 +211,46 @@ def _inside(state: State) -> str:
 # --- targets and orders
 
 
-def _with_vehicles_targets(state: State, event: TargetsChanged, _context: Context) -> Step:
+def _with_vehicles_targets(state: State, event: events.TargetsChanged, _context: Context) -> Step:
     return _with_targets(state, event.targets_ne_m, _OF_VEHICLE)
 
 
 def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
     """New targets: stop, and plan to the first of them."""
-    if targets_ne_m == state.targets_ne_m and (why == _OF_VEHICLE or _flies_there(state)):
+    flight, of_vehicle = state.flight, why == _OF_VEHICLE
+    if targets_ne_m == state.targets_ne_m and (of_vehicle or _flies_there(state)):
         return state, [], None
-    if why == _OF_VEHICLE and (state.flight.returning or state.flight.fallen_back is not None):
-        return (
-            state,
-            [StatusText(text="mission changed: returning all the same", warning=True)],
-            None,
-        )
+    if of_vehicle and (flight.returning or flight.fallen_back is not None):
+        return state, [warn("mission changed: returning all the same")], None
     if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING, Phase.READY):
-        text = "the vehicle's mission is empty: the old one is flown"
-        return state, [StatusText(text=text, warning=True)], None
+        return state, [warn("the vehicle's mission is empty: the old one is flown")], None
     for target in targets_ne_m:
         if trouble := target_refusal(state.task, target):
-            return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
-    flight = replace(
-        state.flight, target=0, route_ne_m=(), progress=NO_PROGRESS, stops=0, way=Outward()
+            return state, [warn(f"{why}: {trouble}")], None
+    orders = state.orders if of_vehicle else Orders()
+    state = replace(state, targets_ne_m=targets_ne_m, orders=orders)
+    state = state.told(battery_short_at_s=None).with_flight(  # it may reach this one
+        target=0,
+        route_ne_m=(),
+        progress=NO_PROGRESS,
+        stops=0,
+        failures=0,
+        way=Way.OUT,
+        back=(),
+        fallen_back=None,
+        search=Answered() if isinstance(flight.search, Planning) else flight.search,
+        planning_backtrack=None,
+        refusal=None,
     )
-    search = Answered() if isinstance(flight.search, Planning) else flight.search
-    flight = replace(flight, failures=0)
-    flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)
-    vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
-    state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
-    if why != _OF_VEHICLE:
-        state = replace(state, orders=Orders())
-    says: list[Command] = [StatusText(text=why)]
+    says: list[Command] = [say(why)]
     if state.phase in ON_PATH and targets_ne_m:
         return preceded(says, following.stop(state, Reason.NEW_TARGET))
     if state.phase is Phase.ARRIVED:
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
-        return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
-    if isinstance(state.hold, Paused | ReturnOrdered | LandOrdered):
-        return with_hold_reason(state, Reason.NEW_TARGET), says, None
+        return preceded(says, fault(state, Reason.TAKING_OVER))  # it may hold by now
+    if state.hold in (Hold.PAUSED, Hold.RETURN, Hold.LAND):
+        state = with_hold_reason(state, Reason.NEW_TARGET)
     return state, says, None
 
 
@@ -292,36 +260,36 @@ def _flies_there(state: State) -> bool:
     return outward and state.orders.active is None and not state.flight.homeward
 
 
-def _ordered(state: State, order: Order, context: Context) -> Step:
+def _ordered(state: State, order: events.Order, context: Context) -> Step:
     match order.kind:
-        case OrderKind.START if state.phase is Phase.READY:
-            return state, [StatusText(text=f"go: told by {order.sender}")], Trigger.GO
-        case OrderKind.START | OrderKind.CONTINUE:
+        case events.OrderKind.START if state.phase is Phase.READY:
+            return state, [say(f"go: told by {order.sender}")], Trigger.GO
+        case events.OrderKind.START | events.OrderKind.CONTINUE:
             return _go_on(state)
-        case OrderKind.PAUSE:
+        case events.OrderKind.PAUSE:
             return _pause(state)
-        case OrderKind.REPOSITION:
+        case events.OrderKind.REPOSITION:
             assert order.target_ne_m is not None
             return _with_targets(state, (order.target_ne_m,), "new target")
-        case OrderKind.RETURN:
+        case events.OrderKind.RETURN:
             waits = state.fence_unread_s is not None and not context.mission.goes_on_while_reading
             text = "it returns once the changed fence is read, or goes on being read for too long"
-            return preceded([StatusText(text=text)] if waits else [], _return(state))
-        case OrderKind.LAND:
+            return preceded([say(text)] if waits else [], _return(state))
+        case events.OrderKind.LAND:
             return _land(state)
 
 
 def _go_on(state: State) -> Step:
     """End a pause: the order suspended by it is active again."""
-    flight, stop, wanted = state.flight, state.flight.stop, state.orders.suspended
+    stop, wanted = state.flight.stop, state.orders.suspended or Reason.CONTINUED
     state = replace(state, orders=state.orders.continued())
     if state.phase in ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
-        flight = replace(flight, stop=replace(stop, reason=wanted or Reason.CONTINUED))
-        return replace(state, flight=flight), [StatusText(text="going on")], None
-    if isinstance(state.hold, Paused):
-        return preceded([StatusText(text="going on")], resumed(state))
-    if isinstance(state.hold, TakenOver):
-        return replace(state, hold=replace(state.hold, released_at_s=state.now_s)), [], None
+        return state.with_flight(stop=replace(stop, reason=wanted)), [say("going on")], None
+    if state.hold is Hold.PAUSED:
+        return preceded([say("going on")], resumed(state))
+    if state.hold is Hold.TAKEN_OVER:
+        taken_over = replace(state.taken_over, released_at_s=state.now_s)
+        return replace(state, taken_over=taken_over), [], None
     return state, [], None
 
 
@@ -333,11 +301,11 @@ def _pause(state: State) -> Step:
     if state.phase in _GOING_UP:
         return fault(state, Reason.BROKEN_OFF)
     if _stops(state):
-        return state, [StatusText(text=Reason.PAUSED.text)], None
+        return state, [say(Reason.PAUSED.text)], None
     if state.phase in ON_PATH:
         return following.stop(state, Reason.PAUSED)
-    state = replace(state, flight=replace(state.flight, planning_backtrack=None))
-    return with_hold_reason(state, Reason.PAUSED), [StatusText(text=Reason.PAUSED.text)], None
+    state = with_hold_reason(state.with_flight(planning_backtrack=None), Reason.PAUSED)
+    return state, [say(Reason.PAUSED.text)], None
 
 
 def _return(state: State) -> Step:
@@ -348,16 +316,17 @@ def _return(state: State) -> Step:
 
 def _back_again(state: State) -> Step:
     """Go on with the backtrack."""
-    flight, stop, orders = state.flight, state.flight.stop, state.orders
+    stop, orders = state.flight.stop, state.orders
     if Reason.LAND_ASKED not in (orders.active, orders.suspended):
         return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
     state = replace(state, orders=Orders())
     if stop is not None and stop.reason in (Reason.PAUSED, Reason.LAND_ASKED):
-        flight = replace(flight, stop=replace(stop, reason=Reason.CONTINUED))
-        return replace(state, flight=flight), [StatusText(text="going on")], None
-    if isinstance(state.hold, Paused | LandOrdered):
-        return with_hold_reason(state, Reason.CONTINUED), [StatusText(text="going on")], None
-    return state, [], None
+        state = state.with_flight(stop=replace(stop, reason=Reason.CONTINUED))
+    elif state.hold in (Hold.PAUSED, Hold.LAND):
+        state = with_hold_reason(state, Reason.CONTINUED)
+    else:
+        return state, [], None
+    return state, [say("going on")], None
 
 
 def _land(state: State) -> Step:
@@ -373,32 +342,31 @@ def _stop_for(state: State, order: Reason) -> Step:
     if state.phase in _GOING_UP:
         return fault(state, Reason.BROKEN_OFF)
     if state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
-        return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
+        return fault(state, Reason.TAKING_OVER)
     if state.phase in (*ON_PATH, Phase.ARRIVED):
         return following.stop(state, order)
-    if isinstance(state.hold, OnSetpoints) and state.reason is not order:
-        state = replace(state, flight=replace(state.flight, planning_backtrack=None))
-        return with_hold_reason(state, order), [], None
+    if state.hold in ON_SETPOINTS and state.reason is not order:
+        state = with_hold_reason(state.with_flight(planning_backtrack=None), order)
     return state, [], None
 
 
 # --- the vehicle itself
 
 
-def _fence_breach(state: State, event: FenceBreach, _context: Context) -> Step:
-    state = replace(state, vehicle=replace(state.vehicle, fence_breached_at_s=event.time_s))
+def _fence_breach(state: State, event: events.FenceBreach, _context: Context) -> Step:
+    state = state.told(fence_breached_at_s=event.time_s)
     return fence_breached(state) or (state, [], None)
 
 
-def _prepared(state: State, event: Prepared, _context: Context) -> Step | None:
+def _prepared(state: State, event: events.Prepared, _context: Context) -> Step | None:
     if not event.refusal or state.phase in (Phase.PREPARING, Phase.READY):
         return None
     if state.phase is Phase.ARMING:
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
-    return state, [StatusText(text=event.refusal, warning=True)], None
+    return state, [warn(event.refusal)], None
 
 
-def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
+def _rebooted(state: State, _event: events.Rebooted, _context: Context) -> Step | None:
     """The autopilot has rebooted: prepare again; the known terrain is kept."""
     if state.phase is Phase.WAITING:
         return None
@@ -409,17 +377,12 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         plan_id=flight.plan_id,
         legs_flown=flight.legs_flown,
         flown=flight.flown,
-        way=ReplanHome() if flight.homeward else Outward(),
+        way=Way.HOME if flight.homeward else Way.OUT,
         fallen_back=flight.fallen_back,
     )
-    known = state.vehicle.home_nea_m if state.airborne else None
-    armed_by_us = state.armed_by_us and state.airborne  # on the ground who arms it now is another
-    vehicle = Vehicle(
-        traits=state.vehicle.traits,
-        bad_at_s=state.now_s,
-        home_nea_m=known,
-        home_kept=known is not None,
-    )
+    home, traits = state.vehicle.home_nea_m if state.airborne else None, state.vehicle.traits
+    kept = home is not None
+    vehicle = Vehicle(traits=traits, bad_at_s=state.now_s, home_nea_m=home, home_kept=kept)
     if flight.returning:  # the way back is asked for again
         orders = Orders(Reason.RETURN_ASKED)
         paused = state.orders.active is Reason.PAUSED
@@ -430,22 +393,22 @@ def _rebooted(state: State, _event: Rebooted, _context: Context) -> Step | None:
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
-        armed_by_us=armed_by_us,
+        armed_by_us=state.armed_by_us and state.airborne,  # on the ground it is another's
         fence_unread_s=None,
         unready=Reason.REBOOTED.text if waited else "",
     )
-    return state, [StatusText(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN
+    return state, [warn(Reason.REBOOTED.text)], Trigger.PREPARE_AGAIN
 
 
 HANDLERS: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
-    NearSeen: _with_near_things,
-    GroundSeen: _on_ground_seen,
-    FenceChanged: _with_fence,
-    FenceReading: _fence_reading,
-    FenceBreach: _fence_breach,
-    TargetsChanged: _with_vehicles_targets,
-    Order: _ordered,
-    Rebooted: _rebooted,
-    Prepared: _prepared,
+    events.NearSeen: _with_near_things,
+    events.GroundSeen: _on_ground_seen,
+    events.FenceChanged: _with_fence,
+    events.FenceReading: _fence_reading,
+    events.FenceBreach: _fence_breach,
+    events.TargetsChanged: _with_vehicles_targets,
+    events.Order: _ordered,
+    events.Rebooted: _rebooted,
+    events.Prepared: _prepared,
 }
 """Handlers of events that are independent of the phase; None: also left to the phase."""

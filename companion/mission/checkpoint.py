@@ -16,16 +16,7 @@ from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.state import (
-    IN_AIR,
-    Backtracking,
-    Orders,
-    Outward,
-    Phase,
-    Reason,
-    ReplanHome,
-    State,
-)
+from companion.mission.state import IN_AIR, Orders, Phase, Reason, State, Way
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
 from companion.planner.request import FlownSegment, Refusal, control_points
@@ -44,7 +35,7 @@ DECODE_ERRORS = (
     ValueError,
 )
 """Exceptions that restoring invalid values may raise."""
-PERIOD_S, LONGEST_S = 1.0, 10.0
+_PERIOD_S, _LONGEST_S = 1.0, 10.0
 
 
 def values_of(state: State) -> Values:
@@ -75,8 +66,8 @@ def _plain(value: Any) -> Any:
                 "control_nea_m": value.subpath.control_nea_m.tolist(),
             }
         case FenceChanged():
-            limits = {name: getattr(value, name) for name in ("floor_amsl_m", "ceiling_amsl_m")}
-            return {"zones": [_of_zone(zone) for zone in value.zones], **limits}
+            zones = [_of_zone(zone) for zone in value.zones]
+            return {"zones": zones, **{name: getattr(value, name) for name in _LIMITS}}
         case FlownSegment():
             return [value.control_nea_m.tolist(), value.from_m, value.until_m, value.speed_m_s]
         case float():
@@ -153,11 +144,8 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         **_read(values, _OF_FLIGHT),
         leg=_leg(values["leg"], rules),
         next_leg=_leg(values["next_leg"], rules),
-        way=Backtracking(back)
-        if values["returning"]
-        else ReplanHome()
-        if values["homeward"]
-        else Outward(),
+        way=Way.BACK if values["returning"] else Way.HOME if values["homeward"] else Way.OUT,
+        back=back if values["returning"] else (),
     )
     time_s = float(values["t_s"])
     state = replace(
@@ -231,8 +219,7 @@ def _fence(values: Values | None) -> FenceChanged | None:
     return FenceChanged(
         time_s=0.0,
         zones=tuple(_zone(each) for each in values["zones"]),
-        floor_amsl_m=values["floor_amsl_m"],
-        ceiling_amsl_m=values["ceiling_amsl_m"],
+        **{name: values[name] for name in _LIMITS},
     )
 
 
@@ -255,6 +242,7 @@ def _zone(values: Values) -> Zone:
     return PolygonZone(name=name, vertices_ne_m=_places(values["vertices_ne_m"]), keep_in=keep_in)
 
 
+_LIMITS: Final = ("floor_amsl_m", "ceiling_amsl_m")
 _OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("airborne", "taken", "armed_by_us"), bool),
     "targets_ne_m": _places,
@@ -275,9 +263,9 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
 }
 """Fields that are stored, and their decoders from what `_plain` returns."""
 _WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
-persisted_fields: Final = attrgetter(
+_persisted: Final = attrgetter(
     *(*_OF_STATE, "orders", "phase", "obeyed"),
-    *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "leg", "next_leg")),
+    *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "back", "leg", "next_leg")),
 )
 """All fields of a state in a checkpoint, except the time."""
 
@@ -293,10 +281,10 @@ class CheckpointPolicy:
     def __init__(self, *, keeps_map: bool = True) -> None:
         """keeps_map: not one of near things, which may have moved."""
         self._keeps_map = keeps_map
-        self.kept_at_s = -math.inf
-        self.kept: tuple[Any, ...] = ()
-        """The `persisted_fields` of the last checkpoint."""
-        self.known: KnownMap | None = None
+        self._kept_at_s = -math.inf
+        self._kept: tuple[Any, ...] = ()
+        """The fields of the last checkpoint."""
+        self._known: KnownMap | None = None
 
     def due(
         self, state: State, now_s: float, *, at_once: bool = False
@@ -304,12 +292,12 @@ class CheckpointPolicy:
         """The checkpoint, if it is time for one, and the map, if it has changed since the last."""
         if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.READY, Phase.ARMING):
             return None, None
-        grown = self._keeps_map and state.flight.known is not self.known
-        since_s = now_s - self.kept_at_s
-        if 0.0 <= since_s < PERIOD_S and not (grown or at_once):
+        grown = self._keeps_map and state.flight.known is not self._known
+        since_s, must = now_s - self._kept_at_s, grown or at_once
+        if 0.0 <= since_s < _PERIOD_S and not must:
             return None, None
-        kept = persisted_fields(state)
-        if kept == self.kept and 0.0 <= since_s < LONGEST_S and not (grown or at_once):
+        kept = _persisted(state)
+        if kept == self._kept and 0.0 <= since_s < _LONGEST_S and not must:
             return None, None
-        self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept
-        return values_of(state), self.known if grown else None
+        self._kept_at_s, self._known, self._kept = now_s, state.flight.known, kept
+        return values_of(state), self._known if grown else None

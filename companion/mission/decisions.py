@@ -6,30 +6,11 @@ from typing import final
 
 from msgspec.structs import replace
 
-from companion.mission.events import (
-    Command,
-    Disarm,
-    Event,
-    Landed,
-    LinkLost,
-    Mode,
-    Position,
-    SetMode,
-)
+from companion.mission import events
+from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position, say
 from companion.mission.health import astray_m, may_differ_m
 from companion.mission.mission import Mission
-from companion.mission.state import (
-    IN_AIR,
-    Hold,
-    Phase,
-    Reason,
-    State,
-    StreamLost,
-    TakenOver,
-    TakeOver,
-    Trigger,
-    Vehicle,
-)
+from companion.mission.state import IN_AIR, Hold, Phase, Reason, State, TakenOver, Trigger, Vehicle
 from companion.mission.vehicle_traits import UNKNOWN, TakeoffSequence
 from companion.path.certificate import bounds_text
 from companion.planner.request import Refusal
@@ -99,6 +80,11 @@ def reason_text(state: State, reason: Reason) -> tuple[str, str]:
     return detail, f"{remedy[:1].upper()}{remedy[1:]}."
 
 
+def in_words(state: State, reason: Reason) -> str:
+    """A reason with its detail."""
+    return f"{reason.text}{reason_text(state, reason)[0]}"
+
+
 def _metres(length_m: float) -> str:
     """With a decimal where that tells."""
     return f"{length_m:.1f} m" if length_m < 9.95 else f"{length_m:.0f} m"
@@ -119,11 +105,6 @@ def fault(state: State, reason: Reason) -> Step:
 def in_phase_s(state: State) -> float:
     """How long this phase has lasted."""
     return state.now_s - state.since_s
-
-
-def is_gone(state: State, event: Event, context: Context) -> bool:
-    """Whether the vehicle has been silent for too long."""
-    return isinstance(event, LinkLost) and event.silent_s >= longest_silence_s(state, context)
 
 
 def longest_silence_s(state: State, context: Context) -> float:
@@ -156,7 +137,7 @@ def _is_held_by_what_it_misreads(state: State) -> bool:
 
     Where it keeps out then nobody else knows (px4.md 7); a lost stream it would have taken up.
     """
-    fence, lost = state.fence, isinstance(state.hold, StreamLost)
+    fence, lost = state.fence, state.hold is Hold.STREAM_LOST
     return fence is not None and fence.misread and lost and in_phase_s(state) > _COMES_BACK_S
 
 
@@ -199,11 +180,8 @@ def is_silent(state: State) -> bool:
 
 def _lost_stream(vehicle: Vehicle) -> bool:
     """Whether it holds because setpoints were lost on the link (PX4), not on a pilot's command."""
-    return (
-        vehicle.traits.needs_setpoints_before_offboard
-        and vehicle.failsafe
-        and vehicle.mode is Mode.HOLD
-    )
+    needs_it = vehicle.traits.needs_setpoints_before_offboard
+    return needs_it and vehicle.failsafe and vehicle.mode is Mode.HOLD
 
 
 def is_grounded(state: State) -> bool:
@@ -217,7 +195,7 @@ def is_own_takeoff(state: State) -> bool:
     """Whether the autopilot's take-off mode was requested by us."""
     return (
         state.phase in (Phase.ARMING, Phase.TAKING_OFF)
-        or isinstance(state.hold, TakeOver)
+        or state.hold is Hold.TAKE_OVER
         or _still_goes_up(state)
     )
 
@@ -250,7 +228,7 @@ def is_under_control(state: State) -> bool:
     return flies and vehicle.armed and not is_grounded(state) and (ours or waits)
 
 
-def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
+def parting(state: State, *, stopped: bool = False) -> list[events.SetMode | events.Disarm]:
     """What the vehicle is told when the companion goes: to hold; on the ground, to stay there.
 
     stopped: a person wants it; then a landing of ours is broken off, too, which goes on otherwise.
@@ -259,15 +237,16 @@ def parting(state: State, *, stopped: bool = False) -> list[SetMode | Disarm]:
     if not is_under_control(state):
         lands = state.phase is Phase.LANDING and vehicle.mode is Mode.LAND
         lands = lands and vehicle.armed and not is_grounded(state)
-        return [SetMode(mode=Mode.HOLD)] if stopped and lands else []
+        return [events.SetMode(mode=Mode.HOLD)] if stopped and lands else []
     at = state.flight.hover_nea_m if vehicle.mode is Mode.GUIDED else None
-    hold = SetMode(mode=Mode.HOLD, at_nea_m=at)
+    hold = events.SetMode(mode=Mode.HOLD, at_nea_m=at)
     goes_up = state.phase is Phase.TAKING_OFF or _still_goes_up(state)
     down = goes_up and is_grounded(state)
     if state.phase is Phase.ARMING:
         down = vehicle.landed is Landed.ON_GROUND
     if down and state.armed_by_us:
-        return [hold, Disarm()]  # in this order: the first counts should it be in the air by now
+        # in this order: the first counts should it be in the air by now
+        return [hold, events.Disarm()]
     return [hold]
 
 
@@ -279,10 +258,8 @@ def is_duplicate_suspected(state: State) -> bool:
 def is_second_companion(state: State) -> bool:
     """Whether there certainly is another companion, and this one has not had control before."""
     is_there = state.duplicate_id and 0.0 <= state.now_s - state.duplicate_id_at_s < _THERE_S
-    is_late = (
-        not has_had_control(state) or 0.0 <= state.now_s - state.in_control_since_s < _SECOND_S
-    )
-    return is_there and is_late
+    just_now = 0.0 <= state.now_s - state.in_control_since_s < _SECOND_S
+    return is_there and (just_now or not has_had_control(state))
 
 
 def has_had_control(state: State) -> bool:
@@ -292,15 +269,7 @@ def has_had_control(state: State) -> bool:
 
 def landing_order(state: State) -> Reason | None:
     """The order that a landing follows; None: it is the end of the mission, or its fallback."""
-    ordered = state.flight.fallen_back is Reason.LAND_ASKED
-    return Reason.LAND_ASKED if ordered else None
-
-
-def begin_hold(state: State, reason: Reason) -> Hold:
-    """The hold that begins for a reason."""
-    if reason is Reason.FAILSAFE:
-        return TakenOver(why=seen_cause(state))
-    return reason.hold()
+    return Reason.LAND_ASKED if state.flight.fallen_back is Reason.LAND_ASKED else None
 
 
 def seen_cause(state: State) -> Reason | None:
@@ -314,10 +283,18 @@ def seen_cause(state: State) -> Reason | None:
 
 
 def with_hold_reason(state: State, reason: Reason) -> State:
-    """The state with another reason for the hold."""
-    hold = state.hold if isinstance(state.hold, reason.hold) else begin_hold(state, reason)
-    state = replace(state, reason=reason, hold=hold, since_s=state.now_s)
-    return replace(state, asked_at_s=-1e9, asks=0, obeyed=False)
+    """Held for this reason from now on; what is known of who has it is kept as long as he has."""
+    if state.hold is not reason.hold:
+        why = seen_cause(state) if reason is Reason.FAILSAFE else None
+        state = replace(state, hold=reason.hold, taken_over=TakenOver(why=why))
+    return replace(state, reason=reason, since_s=state.now_s, asked_at_s=-1e9, asks=0, obeyed=False)
+
+
+def held(state: State, reason: Reason) -> tuple[State, events.StatusText]:
+    """The same, and the text that says so."""
+    text = in_words(state, reason)
+    text = text if reason is Reason.TAKEN_OFF else f"hold: {text}"
+    return with_hold_reason(state, reason), say(text, "phase", warning=reason.warns)
 
 
 def cannot_fly(

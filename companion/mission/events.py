@@ -1,4 +1,4 @@
-"""The events of a mission, derived from `Event`, and its commands, a closed union.
+"""The events of a mission, derived from `Event`, and its commands, from `Command`.
 
 Times are the vehicle's (seconds since its boot); positions and velocities are north, east,
 up in the local frame, altitudes AMSL.
@@ -310,13 +310,17 @@ class Outcome(enum.Enum):
     STOPPED = "stopped"
 
 
+class Command(Struct, frozen=True, kw_only=True):
+    """What is to be done: by the vehicle, the radar, the planner, or for people."""
+
+
 @final
-class RequestStreams(Struct, frozen=True, kw_only=True):
+class RequestStreams(Command, frozen=True, kw_only=True):
     """Request the message streams that the mission needs."""
 
 
 @final
-class SetMode(Struct, frozen=True, kw_only=True):
+class SetMode(Command, frozen=True, kw_only=True):
     """Ask for a flight mode."""
 
     mode: Mode
@@ -325,17 +329,17 @@ class SetMode(Struct, frozen=True, kw_only=True):
 
 
 @final
-class Arm(Struct, frozen=True, kw_only=True):
+class Arm(Command, frozen=True, kw_only=True):
     """Ask the autopilot to arm."""
 
 
 @final
-class Disarm(Struct, frozen=True, kw_only=True):
+class Disarm(Command, frozen=True, kw_only=True):
     """Ask the autopilot to disarm; in the air it refuses."""
 
 
 @final
-class TakeOff(Struct, frozen=True, kw_only=True):
+class TakeOff(Command, frozen=True, kw_only=True):
     """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
 
     above_home_m: float
@@ -343,21 +347,21 @@ class TakeOff(Struct, frozen=True, kw_only=True):
 
 
 @final
-class SetSpeed(Struct, frozen=True, kw_only=True):
+class SetSpeed(Command, frozen=True, kw_only=True):
     """Send the mission's speed to an autopilot that controls its own speed."""
 
     speed_m_s: float
 
 
 @final
-class StartScan(Struct, frozen=True, kw_only=True):
+class StartScan(Command, frozen=True, kw_only=True):
     """Ask the radar what is within range of a point."""
 
     centre_nea_m: Vector
 
 
 @final
-class Plan(Struct, frozen=True, kw_only=True):
+class Plan(Command, frozen=True, kw_only=True):
     """Compute the next subpath; the answer takes effect at due_s."""
 
     request: PlanRequest
@@ -365,7 +369,7 @@ class Plan(Struct, frozen=True, kw_only=True):
 
 
 @final
-class Setpoint(Struct, frozen=True, kw_only=True):
+class Setpoint(Command, frozen=True, kw_only=True):
     """Position and velocity for now, with this yaw."""
 
     time_s: float
@@ -377,7 +381,7 @@ class Setpoint(Struct, frozen=True, kw_only=True):
 
 
 @final
-class StatusText(Struct, frozen=True, kw_only=True):
+class StatusText(Command, frozen=True, kw_only=True):
     """A short text to ground stations and the terminal."""
 
     text: str
@@ -386,25 +390,20 @@ class StatusText(Struct, frozen=True, kw_only=True):
     """Topic: a newer text replaces a queued one of the same topic."""
 
 
+def say(text: str, about: str = "", *, warning: bool = False) -> StatusText:
+    """A text for people."""
+    return StatusText(text=text, warning=warning, about=about)
+
+
+def warn(text: str, about: str = "") -> StatusText:
+    """A text that is a warning."""
+    return say(text, about, warning=True)
+
+
 @final
-class End(Struct, frozen=True, kw_only=True):
+class End(Command, frozen=True, kw_only=True):
     """The mission is over."""
 
     outcome: Outcome
     reason: str
     remedy: str
-
-
-Command = (
-    RequestStreams
-    | SetMode
-    | Arm
-    | Disarm
-    | TakeOff
-    | SetSpeed
-    | StartScan
-    | Plan
-    | Setpoint
-    | StatusText
-    | End
-)

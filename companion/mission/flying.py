@@ -1,11 +1,15 @@
-"""What happens in the phase `flying`: follow a leg, scan, plan, go on to the next (design 6)."""
+"""The phases on a path, flying and returning (design 6 and 7).
+
+Out: follow a leg, scan, plan, go on to the next.  Back: along the flown path, each segment of it
+proven again; from where it does not lead home, home is planned to like a target.
+"""
 
 import math
 
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following
+from companion.mission import events, following, joining
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -13,42 +17,36 @@ from companion.mission.decisions import (
     cannot_fly,
     fault,
     give_up,
-    is_gone,
-    reason_text,
+    in_words,
+    preceded,
     waits_for_fence,
 )
-from companion.mission.events import (
-    Command,
-    Event,
-    Plan,
-    PlanLate,
-    PlanReady,
-    Position,
-    ScanDone,
-    StartScan,
-    StatusText,
-    Vector,
-)
+from companion.mission.events import Command, Event, PlanReady, Position, Vector, say, warn
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
+from companion.mission.home import begins_at_home, beyond_path_m, home_ne_m, is_above_home
 from companion.mission.state import (
     Answered,
     Flight,
+    Orders,
     Planning,
+    PlanningBacktrack,
     Reason,
     Scanning,
     State,
     Trigger,
+    Way,
 )
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.progress import NO_PROGRESS
-from companion.planner.request import NotPlanned, Planned, PlanRequest
+from companion.planner.request import Backtrack, NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.rules import target_refusal
 from companion.planner.settings import Task
 from companion.world.columns import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
 from companion.world.zones import nearest
 
-STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
+_STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES, _DEPARTURES_NEAR = 3, 10  # the latter where a tracking error is a few decimetres
 _MAX_STOPS = 12  # on the way to one target, for want of a successor
@@ -59,30 +57,42 @@ _CIRCLE_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
 _SHORT_SIGHTED = 0.8  # of R
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 _TOLD_FORECAST, _TOLD_SHORT = 1, 2
+_NO_WAY_OUT = frozenset({Refusal.START_NEAR_TERRAIN, Refusal.START_NEAR_UNKNOWN})
+"""From where nothing leads away nothing leads home either: only the autopilot climbs out."""
 
 
 def flying(state: State, event: Event, context: Context) -> Step:
     """Follow the leg, or wait for one; stop if that becomes unsafe."""
     reason = cannot_fly(state, event)
     if reason is not None:
-        if is_gone(state, event, context):
-            return give_up(state, Reason.LINK_LOST)
         return fault(replace(state, flight=at_rest(state.flight, None)), reason)
     match event:
         case Position():
             return _on_position(state, event, context)
-        case ScanDone():
+        case events.ScanDone():
             return on_scan(state, event, context)
         case PlanReady():
             return on_plan(state, event)
-        case PlanLate():
+        case events.PlanLate():
             return on_late_plan(state, event)
         case _:
             return state, [], None
 
 
+def returning(state: State, event: Event, context: Context) -> Step:
+    """Follow the backtrack leg by leg; stop if that becomes unsafe."""
+    reason = cannot_fly(state, event)
+    if reason is not None:
+        return fault(_stopped(state), reason)
+    if not isinstance(event, Position):
+        return state, [], None
+    state, warning = battery_warning(state, context)
+    state, trigger = _stop_for_fence(state, context)
+    return preceded(warning, (state, [], trigger) if trigger else _lead(state, event, context))
+
+
 def _on_position(state: State, event: Position, context: Context) -> Step:
-    """Advance the reference point and send it; scan at p_scan."""
+    """On the way out: hold while there is no leg, else follow it."""
     if state.flight.leg is None and (step := circling_near_zone(state, event)) is not None:
         return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
@@ -90,19 +100,22 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
-    unread = state.fence_unread_s is not None
-    if unread and state.flight.stop is None and waits_for_fence(state, context):
-        state, commands, trigger = following.stop(state, Reason.FENCE_UNREAD)
-        if trigger is not None:
-            return state, commands, trigger
+    state, trigger = _stop_for_fence(state, context)
+    if trigger is not None:
+        return state, [], trigger
     state, warning = battery_warning(state, context)
     if state.flight.leg is None:
-        state, commands, trigger = _hover(state, event, context)
-    elif state.flight.circling and following.still_loiters(state, event):
-        state, commands, trigger = circle(state, event, context)
-    else:
-        state, commands, trigger = _follow(state, event, context)
-    return state, [*warning, *commands], trigger
+        return preceded(warning, _hover(state, event, context))
+    return preceded(warning, _lead(state, event, context))
+
+
+def _stop_for_fence(state: State, context: Context) -> tuple[State, Trigger | None]:
+    """Stop on the path if a changed fence is not known for too long."""
+    unread = state.fence_unread_s is not None and state.flight.stop is None
+    if not unread or not waits_for_fence(state, context):
+        return state, None
+    state, _, trigger = following.stop(state, Reason.FENCE_UNREAD)
+    return state, trigger
 
 
 def circling_near_zone(state: State, event: Position) -> Step | None:
@@ -114,10 +127,9 @@ def circling_near_zone(state: State, event: Position) -> Step | None:
     if (task is state.task and place == hover) or cannot_fly(state, event) is not None:
         return None
     zone, gap_m = nearest(state.task.zones, hover[0], hover[1])
-    says: list[Command] = []
-    if zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M:
-        says.append(StatusText(text=f"circling too near to zone {zone.name}", warning=True))
-    return replace(state, flight=replace(flight, loiter_checked=(state.task, hover))), says, None
+    near = zone is not None and gap_m < state.task.zone_clearance_m - _CIRCLE_SLACK_M
+    says = [warn(f"circling too near to zone {zone.name}")] if zone is not None and near else []
+    return state.with_flight(loiter_checked=(state.task, hover)), [*says], None
 
 
 def max_stops(context: Context) -> int:
@@ -141,49 +153,56 @@ def battery_runs_low(state: State) -> bool:
 
 def given_up_for_battery(state: State) -> State:
     """Give up the mission for its fallback, or continue the return in progress."""
-    flight = replace(state.flight, battery_told=_TOLD_SHORT)
-    if not (flight.returning or flight.homeward):
-        flight = replace(flight, fallen_back=Reason.BATTERY_LOW)
-    return replace(state, flight=flight, orders=replace(state.orders, active=Reason.BATTERY_LOW))
+    flight, low = state.flight, Reason.BATTERY_LOW
+    fallen_back = flight.fallen_back if flight.returning or flight.homeward else low
+    state = replace(state, orders=replace(state.orders, active=low))
+    return state.with_flight(battery_told=_TOLD_SHORT, fallen_back=fallen_back)
 
 
 def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
     """Warn once that the battery will not last at the current rate, and once that it does not."""
-    flight, tells = state.flight, 0
+    told, tells = state.flight.battery_told, 0
     if state.vehicle.battery_short_at_s is not None and battery_is_short(state):
         tells = _TOLD_SHORT
-    elif flight.battery_told < _TOLD_FORECAST and not battery_forecast(state, context.mission):
+    elif told < _TOLD_FORECAST and not battery_forecast(state, context.mission):
         tells = _TOLD_FORECAST
-    if tells <= flight.battery_told:
+    if tells <= told:
         return state, []
-    state = replace(state, flight=replace(flight, battery_told=tells))
-    return state, [StatusText(text=Reason.BATTERY_LOW.text, warning=True)]
+    return state.with_flight(battery_told=tells), [warn(Reason.BATTERY_LOW.text)]
 
 
-def _follow(state: State, event: Position, context: Context) -> Step:
-    flight, task = following.advance_reference(state, event), state.task
-    if state.now_s - flight.progress_at_s > STUCK_S:
+def _lead(state: State, event: Position, context: Context) -> Step:
+    """Advance the reference point and send it; on the way out scan at p_scan."""
+    if state.flight.circling and following.still_loiters(state, event):
+        return _circle(state, event, context)
+    flight = following.advance_reference(state, event)
+    returns = flight.returning
+    if returns and flight.leg is not state.flight.leg:  # onto what was the next stretch
+        flight = _with_next(flight)
+    if state.now_s - flight.progress_at_s > _STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
-    leg = flight.leg
-    assert leg is not None
     says: list[Command] = []
     if flight.left_path_m or not following.is_on_path(state, flight, event):
-        flight, says, departs = kept_to_path(state, flight, event)
+        flight, says, departs = _kept_to_path(state, flight, event)
         if departs is not None:
-            return on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
+            if returns:
+                return _on_departure(state, _stopped(state).flight, departs)
+            return _on_departure(replace(state, flight=flight), at_rest(flight, None), departs)
     flight, commands = following.setpoint(state, flight, event, context)
-    commands = [*says, *commands]
+    commands, state = [*says, *commands], replace(state, flight=flight)
     if following.is_stopped(state, flight):
-        return _at_its_end(replace(state, flight=flight), leg, commands)
-    at_m = flight.reference.length_m
+        return preceded(commands, _end_of_way(state) if returns else _at_its_end(state))
+    leg, at_m, task = flight.leg, flight.reference.length_m, state.task
+    assert leg is not None
     speed = 0.0 if state.vehicle.traits.hovers else math.hypot(*event.velocity_nea_m_s[:2])
-    if flight.search is None and flight.stop is None and leg.wants_successor(at_m, task, speed):
+    looks = flight.search is None and flight.stop is None and not returns
+    if looks and leg.wants_successor(at_m, task, speed):
         flight, scan = start_scan(flight, leg.subpath.pose(at_m).point_nea_m)
         commands += scan
     return replace(state, flight=flight), commands, None
 
 
-def kept_to_path(
+def _kept_to_path(
     state: State, flight: Flight, event: Position
 ) -> tuple[Flight, list[Command], Reason | None]:
     """Look whether the vehicle is on its path and follows; a reason: the leg cannot go on."""
@@ -193,46 +212,46 @@ def kept_to_path(
     if departs is not None or not flight.left_path_m or state.flight.left_path_m:
         return flight, [], departs
     text = f"beside its path, {flight.left_path_m:.2g} m more than its tracking error"
-    return flight, [StatusText(text=text, warning=flight.stop is not None, about="path")], None
+    return flight, [say(text, "path", warning=flight.stop is not None)], None
 
 
-def circle(state: State, event: Position, context: Context) -> Step:
+def _circle(state: State, event: Position, context: Context) -> Step:
     """Stay on the circle until its tangent points along the path, once in each turn."""
     limits = state.task.limits
     turn_s = 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
-    if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + STUCK_S:
+    if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + _STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     flight, stay = hold_setpoint(state, event.time_s, context)
     return replace(state, flight=flight), stay, None
 
 
-def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
+def _at_its_end(state: State) -> Step:
     """At rest at the end of the leg, or at the stop before it."""
     flight = state.flight
-    if (stop := flight.stop) is not None:
-        stops = flight.stops + (stop.reason is Reason.BESIDE_PATH)
-        flight = replace(at_rest_at_end(flight), stops=stops)
-        state = replace(state, flight=flight, reason=stop.reason)
-        return state, commands, Trigger.FAULT
-    if leg.reaches_target:
-        return state, commands, Trigger.TARGET_REACHED
-    flight = replace(at_rest_at_end(flight), stops=flight.stops + 1)
-    return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
+    assert flight.leg is not None
+    if flight.stop is None and flight.leg.reaches_target:
+        return state, [], Trigger.TARGET_REACHED
+    reason = flight.shortfall if flight.stop is None else flight.stop.reason
+    counts = flight.stop is None or reason is Reason.BESIDE_PATH
+    flight = replace(at_rest_at_end(flight), stops=flight.stops + counts)
+    return fault(replace(state, flight=flight), reason)
 
 
-def on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
+def _on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
     """The vehicle is off the proven path: hold, and replan from there, a limited number of times.
 
     stopped: its flight at rest.
     """
-    is_near = state.task.settings.is_near
-    if state.flight.departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
+    departures, is_near = state.flight.departures, state.task.settings.is_near
+    if departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
         return give_up(state, Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
-    flight = replace(stopped, departures=stopped.departures + 1)
-    return fault(replace(state, flight=flight), reason)
+    return fault(replace(state, flight=replace(stopped, departures=departures + 1)), reason)
 
 
-def on_scan(state: State, event: ScanDone, context: Context) -> Step:
+# --- scans and plans
+
+
+def on_scan(state: State, event: events.ScanDone, context: Context) -> Step:
     """Ask for the next subpath on the map that the scan has completed."""
     flight, scanning = state.flight, state.flight.search
     if not isinstance(scanning, Scanning):
@@ -272,27 +291,20 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         attempt=flight.failures,
     )
     flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
-    plan = Plan(request=request, due_s=event.time_s + request.time_s)
+    plan = events.Plan(request=request, due_s=event.time_s + request.time_s)
     return replace(state, flight=flight), [*says, plan], None
 
 
-def _scan_warnings(state: State, event: ScanDone) -> list[Command]:
+def _scan_warnings(state: State, event: events.ScanDone) -> list[Command]:
     """Warnings about a scan that was worse than the mission expects."""
     says: list[Command] = []
     if event.answered < event.asked:
-        text = f"scan: {event.answered} of {event.asked} blocks answered"
-        says.append(StatusText(text=text, warning=True, about="scan"))
+        says.append(warn(f"scan: {event.answered} of {event.asked} blocks answered", "scan"))
     wanted_m = state.task.settings.scan_range_m
     seen_m = proven_range_m(state.flight.known, event.scan)
-    has_range = event.scan.range_m > 0.0
-    if (
-        has_range
-        and event.asked
-        and state.flight.plan_id == 0
-        and seen_m < _SHORT_SIGHTED * wanted_m
-    ):
-        text = f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km"
-        says.append(StatusText(text=text, warning=True))
+    is_first = event.scan.range_m > 0.0 and event.asked and state.flight.plan_id == 0
+    if is_first and seen_m < _SHORT_SIGHTED * wanted_m:
+        says.append(warn(f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km"))
     return says
 
 
@@ -302,21 +314,19 @@ def on_plan(state: State, event: PlanReady) -> Step:
     if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
         return state, [], None  # the answer to a question that is no longer asked
     if planning.rules is not state.task:  # the rules have changed: it is asked for again
-        return replace(state, flight=replace(flight, search=None)), [], None
-    state = replace(state, flight=replace(flight, search=Answered()))
+        return state.with_flight(search=None), [], None
+    state = state.with_flight(search=Answered())
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
-        refusal = None
+        says: list[Command] = []
+        state = state.with_flight(refusal=None)
         if isinstance(outcome, NotPlanned):
-            refusal, flight = outcome.refusal, replace(state.flight, broken=outcome.broken)
-            state = replace(state, flight=flight)
-        state = replace(state, flight=replace(state.flight, refusal=refusal))
+            state = state.with_flight(refusal=outcome.refusal, broken=outcome.broken)
+            says = _closed(outcome) if outcome.refusal is not flight.refusal else []
         silent = flight.shortfall is Reason.RADAR_SILENT
-        reason = Reason.RADAR_SILENT if silent else Reason.NO_PLAN
-        state, commands, trigger = _no_successor(state, reason)
-        if isinstance(outcome, NotPlanned) and refusal is not flight.refusal:
-            commands = [*_closed(outcome), *commands]
-        return state, commands, trigger
+        return preceded(
+            says, _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN)
+        )
     leg, at_m = flight.leg, flight.reference.length_m
     soonest_m = at_m + following.lead_m(state, flight.reference)
     if leg is not None and soonest_m > leg.successor_at_m(state.task):
@@ -327,7 +337,7 @@ def on_plan(state: State, event: PlanReady) -> Step:
     number = flight.legs_flown + (flight.next_leg is not None)
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
     text = f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}"
-    return replace(state, flight=flight), [StatusText(text=text, about="plan")], None
+    return replace(state, flight=flight), [say(text, "plan")], None
 
 
 def _closed(outcome: NotPlanned) -> list[Command]:
@@ -335,15 +345,13 @@ def _closed(outcome: NotPlanned) -> list[Command]:
     if outcome.place_ne_m is None:
         return []
     north, east = (each / 1000.0 for each in outcome.place_ne_m)
-    return [
-        StatusText(text=f"no way: closed {north:.1f} km N, {east:.1f} km E of origin", warning=True)
-    ]
+    return [warn(f"no way: closed {north:.1f} km N, {east:.1f} km E of origin")]
 
 
-def on_late_plan(state: State, event: PlanLate) -> Step:
+def on_late_plan(state: State, event: events.PlanLate) -> Step:
     """Note a late plan: the leg is flown to its end unless the plan comes before p_prog."""
     if event.plan_id == state.flight.plan_id:
-        state = replace(state, flight=replace(state.flight, shortfall=Reason.PLAN_LATE))
+        state = state.with_flight(shortfall=Reason.PLAN_LATE)
     return state, [], None
 
 
@@ -393,10 +401,9 @@ def _high_enough(state: State, context: Context, here: Vector) -> Vector:
 def task_ahead(state: State, context: Context) -> Task:
     """The task on the way to the target: no lower than the mission's altitude for it."""
     mission, flight = context.mission, state.flight
-    task = state.task
     if not flight.homeward and state.targets_ne_m == mission.targets_ne_m:
-        return mission.task_to(flight.target, task)
-    return task
+        return mission.task_to(flight.target, state.task)
+    return state.task
 
 
 def _is_there(state: State, event: Position, here: Vector) -> bool:
@@ -442,10 +449,10 @@ def _no_successor(state: State, reason: Reason) -> Step:
     """Without a successor a leg is flown to its end; without a leg the vehicle holds now."""
     flight = replace(state.flight, shortfall=reason)
     if flight.leg is not None:
-        text = f"{reason.text}{reason_text(state, reason)[0]}"
-        return replace(state, flight=flight), [StatusText(text=text, warning=True)], None
+        state = replace(state, flight=flight)
+        return state, [warn(in_words(state, reason))], None
     flight = replace(at_rest(flight, flight.hover_nea_m), failures=flight.failures + 1)
-    return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
+    return fault(replace(state, flight=flight), reason)
 
 
 def start_scan(
@@ -453,4 +460,140 @@ def start_scan(
 ) -> tuple[Flight, list[Command]]:
     """Start a scan around a point."""
     flight = replace(flight, search=Scanning(centre_nea_m, again))
-    return flight, [StartScan(centre_nea_m=centre_nea_m)]
+    return flight, [events.StartScan(centre_nea_m=centre_nea_m)]
+
+
+# --- the way back
+
+
+def request_backtrack(state: State, context: Context) -> Step:
+    """Request the proof of the backtrack; it takes effect as soon as it is ready."""
+    here, flight = state.vehicle.position_nea_m, state.flight
+    if here is None:
+        return give_up(state, state.reason or Reason.POSITION_STALE)
+    request = PlanRequest(
+        plan_id=flight.plan_id + 1,
+        seed=context.seed,
+        task=state.task,
+        known=flight.known,
+        scan_nea_m=here,
+        start=hover_pose(here),
+        from_rest=True,
+        target_ne_m=here[:2],
+        flown=flight.flown,
+    )
+    planning = PlanningBacktrack(state.task, since_s=state.now_s)
+    state = state.with_flight(plan_id=request.plan_id, planning_backtrack=planning)
+    return state, [events.Plan(request=request, due_s=state.now_s)], None
+
+
+def on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
+    """Take the backtrack; if it failed, plan a path home, or give up."""
+    flight, asked = state.flight, state.flight.planning_backtrack
+    if asked is None or event.outcome.plan_id != flight.plan_id:
+        return state, [], None
+    if asked.rules is not state.task:  # it was proven under other rules
+        return request_backtrack(state, context)
+    back = _way_of(event.outcome, state.task) if isinstance(event.outcome, Backtrack) else ()
+    after = state.with_flight(way=Way.BACK, back=back, planning_backtrack=None)
+    if start_backtrack(after) is not None:
+        return after, [], Trigger.BACKTRACK
+    reason = state.reason or Reason.NO_PLAN
+    text = f"{reason.text}: no way back is proven, planning one home"
+    return home_by_plan(state, text, reason, warning=True)
+
+
+def _way_of(outcome: Backtrack, rules: Task) -> tuple[Leg, ...]:
+    """The legs of a backtrack."""
+    last = len(outcome.subpaths) - 1
+    speeds_m_s = outcome.speeds_m_s or (None,) * len(outcome.subpaths)
+    stretches = zip(outcome.subpaths, outcome.through, speeds_m_s, strict=True)
+    return tuple(
+        Leg(
+            number=number + 1,
+            plan_id=outcome.plan_id,
+            subpath=subpath,
+            reaches_target=number == last and outcome.reaches_start,
+            through=through,
+            rules=rules,
+            speed_m_s=speed_m_s,
+        )
+        for number, (subpath, through, speed_m_s) in enumerate(stretches)
+    )
+
+
+def start_backtrack(state: State) -> Flight | None:
+    """Begin the first remaining leg of the backtrack; None: none is left, or it is too far off."""
+    flight = state.flight
+    if not flight.back or state.vehicle.position_nea_m is None:
+        return None
+    leg, *rest = flight.back
+    flight = replace(flight, leg=leg, next_leg=None, hover_nea_m=None, stop=None)
+    joined = joining.joined(replace(state, flight=flight))
+    if joined is None:
+        return None
+    at_rest = Reference(length_m=joined.reference.length_m)
+    return _with_next(replace(joined, back=tuple(rest), reference=at_rest))
+
+
+def _with_next(flight: Flight) -> Flight:
+    """The flight with the next backtrack leg ready, if it may be entered at full speed."""
+    if flight.leg is None or not flight.leg.through or not flight.back:
+        return flight
+    following_leg, *rest = flight.back
+    return replace(flight, next_leg=following_leg, back=tuple(rest))
+
+
+def _end_of_way(state: State) -> Step:
+    """At the end of a stretch of the way back, or at a stop before it."""
+    flight = state.flight
+    if (stop := flight.stop) is not None:
+        return fault(_stopped(state), stop.reason)
+    if flight.back and flight.leg is not None:
+        went_on = start_backtrack(state)
+        if went_on is None:
+            return _on_departure(state, _stopped(state).flight)
+        return replace(state, flight=went_on), [], None
+    there = flight.leg is not None and flight.leg.reaches_target
+    state = replace(state, flight=at_rest_at_end(flight))
+    if there and begins_at_home(state):
+        return state, [], Trigger.END_LAND if state.vehicle.traits.lands else Trigger.HAND_OVER
+    left_m = beyond_path_m(state)
+    text = f"returning: planning {left_m:.0f} m on to home" if there else "returning another way"
+    return home_by_plan(state, text, flight.fallen_back or Reason.NO_PLAN)
+
+
+def _stopped(state: State) -> State:
+    """At rest, with the current backtrack leg still to be flown."""
+    flight = state.flight
+    hover = None if flight.stop is None else at_rest_at_end(flight).hover_nea_m
+    return replace(state, flight=at_rest(following.requeue_backtrack(flight), hover))
+
+
+def home_by_plan(state: State, text: str, reason: Reason, *, warning: bool = False) -> Step:
+    """Go home by a planned path; where none can be asked for, by the autopilot's own return.
+
+    text, warning: what is said before; reason: why the flight is given up in the second case.
+    """
+    if is_above_home(state) and state.vehicle.traits.lands:
+        return state, [say("returning: above home, landing", "end")], Trigger.END_LAND
+    if state.reason is Reason.NO_PLAN and state.flight.refusal in _NO_WAY_OUT:
+        return give_up(state, reason)
+    place = home_ne_m(state)
+    if place is None:
+        return preceded([warn("home is not known")], give_up(state, reason))
+    why = target_refusal(state.task, place).replace("the target:", "home:")
+    if why or state.flight.homeward:
+        return preceded([warn(why)] if why else [], give_up(state, reason))
+    state = replace(state, targets_ne_m=(place,), orders=Orders()).with_flight(
+        way=Way.HOME,
+        back=(),
+        target=0,
+        route_ne_m=(),
+        progress=NO_PROGRESS,
+        stops=0,
+        failures=0,
+        planning_backtrack=None,
+        search=None,
+    )
+    return state, [say(text, "end", warning=warning)], Trigger.RESUME

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.mission import joining
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
-from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
+from companion.mission.state import Answered, Flight, Reason, State, Stop, Trigger
 from companion.path.envelope import slowing_m
 from companion.planner import join
 from companion.planner.loiter_search import Motion, loiter_point
@@ -332,7 +332,7 @@ def stop(state: State, reason: Reason) -> Step:
 
 def with_backtrack_legs(flight: Flight, *legs: Leg) -> Flight:
     """The flight with these legs put before the rest of its backtrack, if it is on one."""
-    return replace(flight, way=Backtracking((*legs, *flight.back))) if flight.returning else flight
+    return replace(flight, back=(*legs, *flight.back)) if flight.returning else flight
 
 
 def requeue_backtrack(flight: Flight) -> Flight:

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
-from companion.mission import following, joining
+from companion.mission import events, following, joining
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -23,29 +23,13 @@ from companion.mission.decisions import (
     in_phase_s,
     is_at_rest,
     is_duplicate_suspected,
-    is_gone,
     is_grounded,
     is_second_companion,
     is_silent,
     landing_order,
     takeover_reason,
 )
-from companion.mission.events import (
-    Arm,
-    DuplicateId,
-    Event,
-    Item,
-    Landed,
-    LinkLost,
-    Mode,
-    Position,
-    Prepared,
-    SetMode,
-    StatusText,
-    TakeOff,
-    Vector,
-    VehicleFound,
-)
+from companion.mission.events import Event, Item, Landed, LinkLost, Mode, Position, Vector, warn
 from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import TakeoffSequence
@@ -67,12 +51,10 @@ _LEVEL_M_S = 1.0
 
 def waiting(state: State, event: Event, _context: Context) -> Step:
     """Wait for a matching autopilot; the runtime decides how long."""
-    if isinstance(event, VehicleFound):
+    if isinstance(event, events.VehicleFound):
         if event.traits is None:
             return give_up(state, Reason.WRONG_VEHICLE, f": {event.name}")
         return state, [], Trigger.VEHICLE_FOUND
-    if isinstance(event, LinkLost):
-        return give_up(state, Reason.NO_VEHICLE)
     return state, [], None
 
 
@@ -82,33 +64,31 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     After a restart in the air, preparations of the previous companion are not repeated.
     """
     vehicle = state.vehicle
-    if isinstance(event, LinkLost):
-        return _silent(state, event, context)
-    if isinstance(event, Prepared) and event.refusal and not context.shadow:
+    if context.shadow:
+        return _to_watch(state)
+    if isinstance(event, events.Prepared) and event.refusal:
         if _is_flying(state):
-            return state, [StatusText(text=event.refusal, warning=True)], None
+            return state, [warn(event.refusal)], None
         if state.unready:
             return _still_unready(_without(state, event.item), event.refusal)
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
-    if state.unready and vehicle.armed and not context.shadow:
+    if state.unready and vehicle.armed:
         return give_up(state, Reason.ARMED_ALREADY)  # it is not taken over in the air unasked
     if in_phase_s(state) > _PREPARE_S and not state.unready:
         return give_up(state, Reason.NOT_READY, _missing(state))
     if is_silent(state):
         return state, [], None
-    if is_second_companion(state) and not context.shadow:
+    if is_second_companion(state):
         return give_up(state, Reason.NOT_ALONE)
-    if not (has_had_control(state) or context.shadow) and _may_not_be_alone(state):
+    if not has_had_control(state) and _may_not_be_alone(state):
         return state, [], None
-    if state.landing and not context.shadow:
+    if state.landing:
         return _landing_goes_on(state)
     if vehicle.distrust is not None:
-        unled = _is_flying(state) and vehicle.mode is Mode.GUIDED and not context.shadow
+        unled = _is_flying(state) and vehicle.mode is Mode.GUIDED
         if unled and in_phase_s(state) > _UNLED_S:
-            return ask(state, SetMode(mode=Mode.HOLD))
+            return ask(state, events.SetMode(mode=Mode.HOLD))
         return state, [], None
-    if context.shadow:
-        return state, [], Trigger.WATCH
     if _is_flying(state):
         return _in_flight(state)
     ready = state.prepared.issuperset(_ASKED_FOR) and vehicle.home_nea_m is not None
@@ -130,13 +110,21 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     return state, [], Trigger.GO if context.go else Trigger.READY
 
 
+def _to_watch(state: State) -> Step:
+    """Wait for a valid position of a vehicle that is only watched."""
+    if in_phase_s(state) > _PREPARE_S:
+        return give_up(state, Reason.NOT_READY, _missing(state))
+    waits = is_silent(state) or state.vehicle.distrust is not None
+    return state, [], None if waits else Trigger.WATCH
+
+
 def ready(state: State, event: Event, context: Context) -> Step:
     """Wait for somebody to say go, for as long as it takes; the checks have to go on passing."""
     if is_second_companion(state):
         return give_up(state, Reason.NOT_ALONE)
     if state.vehicle.armed:
         return give_up(state, Reason.ARMED_ALREADY)
-    if isinstance(event, Prepared) and event.refusal:
+    if isinstance(event, events.Prepared) and event.refusal:
         return _unready(_without(state, event.item), event.refusal)
     why = Reason.LINK_LOST.text if isinstance(event, LinkLost) else _why_unready(state, context)
     return _unready(state, why) if why else (state, [], None)
@@ -164,14 +152,14 @@ def _why_unready(state: State, context: Context) -> str:
 
 def _unready(state: State, why: str) -> Step:
     """Back to preparing; what was checked is checked again."""
-    says = StatusText(text=f"not ready any more: {why}", warning=True, about="phase")
+    says = warn(f"not ready any more: {why}", "phase")
     return replace(_without(state, Item.CHECKS), unready=why), [says], Trigger.UNREADY
 
 
 def _still_unready(state: State, why: str) -> Step:
     if why == state.unready:
         return state, [], None
-    says = StatusText(text=f"not ready: {why}", warning=True, about="phase")
+    says = warn(f"not ready: {why}", "phase")
     return replace(state, unready=why), [says], None
 
 
@@ -190,7 +178,7 @@ def _may_not_be_alone(state: State) -> bool:
     return is_duplicate_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
 
 
-def on_duplicate_id(state: State, event: DuplicateId, context: Context) -> Step:
+def on_duplicate_id(state: State, event: events.DuplicateId, context: Context) -> Step:
     """Another companion with our ids: the one that came second must not take control.
 
     Two setpoint streams would fight over the vehicle.  The companion that has had control in the
@@ -200,7 +188,7 @@ def on_duplicate_id(state: State, event: DuplicateId, context: Context) -> Step:
         begun = state.phase is not Phase.WAITING
         return give_up(state, Reason.NOT_ALONE) if begun else (state, [], None)
     if event.certain and event.news:
-        return state, [StatusText(text=f"{Reason.NOT_ALONE.text}: end it", warning=True)], None
+        return state, [warn(f"{Reason.NOT_ALONE.text}: end it")], None
     return state, [], None
 
 
@@ -213,16 +201,10 @@ def _landing_goes_on(state: State) -> Step:
         return state, [], None
     state = replace(state, landing=False)
     if state.sank and vehicle.mode is not Mode.LAND:
-        says = StatusText(text=LANDING_ABORTED, warning=True)
+        says = warn(LANDING_ABORTED)
         orders = Orders(Reason.PAUSED, landing_order(state))
         return replace(state, orders=orders), [says], None
     return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None
-
-
-def _silent(state: State, event: LinkLost, context: Context) -> Step:
-    if state.airborne and not is_gone(state, event, context):
-        return state, [], None
-    return give_up(state, Reason.LINK_LOST)
 
 
 def _is_flying(state: State) -> bool:
@@ -279,11 +261,9 @@ def _in_flight(state: State) -> Step:
     return replace(state, reason=reason), [], Trigger.IN_FLIGHT
 
 
-def arming(state: State, event: Event, _context: Context) -> Step:
+def arming(state: State, _event: Event, _context: Context) -> Step:
     """Request the first mode of the take-off sequence, then arming, once a second."""
     vehicle, traits = state.vehicle, state.vehicle.traits
-    if isinstance(event, LinkLost):
-        return give_up(state, Reason.LINK_LOST)
     if is_duplicate_suspected(state):
         return state, [], None
     first = Mode.GUIDED if traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
@@ -299,10 +279,10 @@ def arming(state: State, event: Event, _context: Context) -> Step:
     if rises:
         return state, [], None  # its next heartbeat will say that it is armed
     if vehicle.mode is first:
-        return ask(replace(state, armed_by_us=True), Arm())
+        return ask(replace(state, armed_by_us=True), events.Arm())
     if traits.take_off is TakeoffSequence.CLIMB_THEN_ARM:
         return _ask_to_take_off(state)
-    return ask(state, SetMode(mode=first))
+    return ask(state, events.SetMode(mode=first))
 
 
 def taking_off(state: State, event: Event, _context: Context) -> Step:
@@ -313,18 +293,19 @@ def taking_off(state: State, event: Event, _context: Context) -> Step:
     vehicle, traits = state.vehicle, state.vehicle.traits
     guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
-    if vehicle.landed is Landed.ON_GROUND:
-        return _still_on_ground(state, event, modes)
-    reason = cannot_fly(state, event, modes)
+    on_ground = vehicle.landed is Landed.ON_GROUND
+    reason = cannot_fly(state, event, modes, may_be_grounded=True)
     if reason is not None:
-        return fault(state, reason)
-    if isinstance(event, Position) and _has_climbed(state, event, guided=guided):
+        return give_up(state, reason) if on_ground else fault(state, reason)
+    if isinstance(event, Position) and not on_ground and _has_climbed(state, event, guided=guided):
         if guided:
             return state, [], Trigger.AIRBORNE
         return replace(state, reason=Reason.TAKEN_OFF), [], Trigger.HANDED_OVER
+    if on_ground and height_m(state) <= 0.0:
+        return give_up(state, Reason.HOME_TOO_HIGH)
     if in_phase_s(state) > _longest_climb_s(state):
         return give_up(state, Reason.NO_TAKE_OFF)
-    return state, [], None
+    return _ask_to_take_off(state) if on_ground and guided else (state, [], None)
 
 
 def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
@@ -344,25 +325,12 @@ def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
     return level and risen_m > _CLIMBED_M and state.vehicle.mode is not Mode.OTHER
 
 
-def _still_on_ground(state: State, event: Event, modes: tuple[Mode, ...]) -> Step:
-    reason = cannot_fly(state, event, modes, may_be_grounded=True)
-    if reason is not None:
-        return give_up(state, reason)
-    if height_m(state) <= 0.0:
-        return give_up(state, Reason.HOME_TOO_HIGH)
-    if in_phase_s(state) > _longest_climb_s(state):
-        return give_up(state, Reason.NO_TAKE_OFF)
-    if modes != (Mode.GUIDED,):
-        return state, [], None
-    return _ask_to_take_off(state)
-
-
 def _ask_to_take_off(state: State) -> Step:
     """Request the take-off until it is accepted, and again if it has not begun after a while."""
     if state.now_s - state.vehicle.take_off_taken_at_s < _BEGINS_S:
         return state, [], None
     above_home_m, amsl_m = height_m(state), state.task.take_off_amsl_m
-    return ask(state, TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
+    return ask(state, events.TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
 
 
 def may_take_off(state: State) -> bool:

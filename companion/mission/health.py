@@ -15,7 +15,7 @@ from companion.mission import joining
 from companion.mission.events import Battery, Landed, Position, Vector
 from companion.mission.home import beyond_path_m
 from companion.mission.mission import Mission
-from companion.mission.state import Backtracking, Reason, State, Vehicle
+from companion.mission.state import Reason, State, Vehicle
 from companion.path.limits import Limits
 
 TRUST_S = 2.0
@@ -156,11 +156,7 @@ def with_position_trust(vehicle: Vehicle, reason: Reason | None, now_s: float) -
         return replace(vehicle, distrust=None)
     doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
     return replace(
-        vehicle,
-        distrust=reason,
-        last_distrust=reason,
-        doubted_at_s=doubted_at_s,
-        bad_at_s=now_s,
+        vehicle, distrust=reason, last_distrust=reason, doubted_at_s=doubted_at_s, bad_at_s=now_s
     )
 
 
@@ -250,13 +246,13 @@ def battery_forecast(state: State, mission: Mission) -> bool:
 
 def _battery_way_m(state: State) -> float:
     """The remaining distance that the battery must last for, detours on the way out included."""
-    return way_left_m(state) * (1.0 if isinstance(state.flight.way, Backtracking) else _DETOUR)
+    return way_left_m(state) * (1.0 if state.flight.returning else _DETOUR)
 
 
 def way_left_m(state: State) -> float:
     """Remaining distance: the backtrack, or the last plan's route and on from target to target."""
     here, flight = state.vehicle.position_nea_m, state.flight
-    if isinstance(flight.way, Backtracking):
+    if flight.returning:
         ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
         flown_m = flight.reference.length_m
         if flight.leg is None and ahead and here is not None:  # it was stopped on the first of them

@@ -91,10 +91,7 @@ def flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
         return flight.flown
     control = leg.subpath.control_nea_m
     return *flight.flown, FlownSegment(
-        control_nea_m=control,
-        from_m=flight.joined_m,
-        until_m=until_m,
-        speed_m_s=leg.speed_m_s,
+        control_nea_m=control, from_m=flight.joined_m, until_m=until_m, speed_m_s=leg.speed_m_s
     )
 
 

@@ -26,7 +26,7 @@ class EndAction(enum.Enum):
 
 
 class Fallback(enum.Enum):
-    """What to do if there is no way on, or the battery will not last (see `fallback`)."""
+    """What to do if there is no way on, or the battery will not last (see `stopped`)."""
 
     HOLD = "hold"
     """Until a pilot takes over."""

@@ -9,19 +9,9 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import flying, following, joining
-from companion.mission.decisions import Context, Step, give_up, is_gone, reason_text
-from companion.mission.events import (
-    Command,
-    Event,
-    Landed,
-    PlanLate,
-    PlanReady,
-    Position,
-    ScanDone,
-    StatusText,
-    Vector,
-)
+from companion.mission import events, flying, following, joining
+from companion.mission.decisions import Context, Step, in_words
+from companion.mission.events import Command, Event, Landed, PlanReady, Position, Vector, say, warn
 from companion.mission.health import TRUST_S
 from companion.mission.state import Reason, State
 from companion.planner.procedure import Reference
@@ -32,8 +22,6 @@ _ARRIVED_M = 30.0
 
 def shadow(state: State, event: Event, context: Context) -> Step:
     """What would be done now."""
-    if is_gone(state, event, context):
-        return give_up(state, Reason.LINK_LOST)
     reason = state.vehicle.distrust
     if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
         reason = state.reason  # good again, but not for long enough to go on
@@ -44,12 +32,12 @@ def shadow(state: State, event: Event, context: Context) -> Step:
     match event:
         case Position():
             return _on_position(state, event)
-        case ScanDone():
+        case events.ScanDone():
             return flying.on_scan(state, event, context)
         case PlanReady():
             after, commands, _ = flying.on_plan(state, event)
             return after, commands, None
-        case PlanLate():
+        case events.PlanLate():
             return flying.on_late_plan(state, event)
         case _:
             return state, [], None
@@ -59,9 +47,8 @@ def _would(state: State, reason: Reason | None) -> Step:
     """Report that it would hold now, or continue."""
     state = replace(state, flight=following.at_rest(state.flight, None))
     if reason is None:
-        return state, [StatusText(text="shadow: would go on")], None
-    text = f"shadow: would hold: {reason.text}{reason_text(state, reason)[0]}"
-    return state, [StatusText(text=text, warning=True)], None
+        return state, [say("shadow: would go on")], None
+    return state, [warn(f"shadow: would hold: {in_words(state, reason)}")], None
 
 
 def _on_position(state: State, event: Position) -> Step:
@@ -70,7 +57,7 @@ def _on_position(state: State, event: Position) -> Step:
     target = state.targets_ne_m[flight.target]
     if math.dist(here[:2], target) < max(_ARRIVED_M, state.task.limits.tracking_error_m):
         last = flight.target + 1 == len(state.targets_ne_m)
-        says: list[Command] = [] if last else [StatusText(text="shadow: target reached")]
+        says: list[Command] = [] if last else [say("shadow: target reached")]
         at = flight.target if last else flight.target + 1
         flight = replace(following.at_rest(flight, None), target=at)
         return replace(state, flight=flight), says, None
@@ -80,7 +67,7 @@ def _on_position(state: State, event: Position) -> Step:
     if off_m > 3.0 * state.task.limits.tracking_error_m:
         text = f"shadow: the vehicle is {off_m:.0f} m off the path"
         flight = following.at_rest(flight, None)
-        return replace(state, flight=flight), [StatusText(text=text)], None
+        return replace(state, flight=flight), [say(text)], None
     return _follow(state, at_m)
 
 

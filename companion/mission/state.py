@@ -3,7 +3,7 @@
 import dataclasses
 import enum
 import math
-from typing import final
+from typing import Any, final
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -40,35 +40,6 @@ class Phase(enum.Enum):
     __hash__ = object.__hash__  # Enum's is slow, and asked for with every event
 
 
-class Trigger(enum.Enum):
-    """Cause of a phase change."""
-
-    VEHICLE_FOUND = "the vehicle's heartbeat was heard"
-    READY = "position, home, streams, parameters and fence are there, on the ground"
-    GO = "somebody says go: MISSION_START, a yes in the terminal, or --start beforehand"
-    UNREADY = "a check fails while it waits for that; the text says which"
-    IN_FLIGHT = "position, home and so on are there, but the vehicle is in the air: take over"
-    TAKE_OVER = "it still flies the path of the companion that was here before"
-    WATCH = "the vehicle is known, and only to be watched"
-    ARMED = "armed, in the mode that the take-off begins with"
-    AIRBORNE = "at the floor of the band, in the air, in guided mode"
-    HANDED_OVER = "at the floor of the band, where its autopilot holds it"
-    TARGET_REACHED = "the last leg was flown to its end"
-    NEXT_TARGET = "stopped at a target that is not the last"
-    END_HOLD = "stopped at the last target, in the hold mode"
-    END_LAND = "stopped at the last target, where it came back to, or where told: told to land"
-    BACKTRACK = "told to return: along the flown path"
-    HAND_OVER = "no way back of ours is left: its autopilot is told to return by itself"
-    HANDED_ON = "its autopilot returns by itself, and has it from here on"
-    LANDED = "on the ground, disarmed"
-    FAULT = "the flight cannot go on as it is; the reason says why"
-    RESUME = "the reason for holding is gone, or another try is due"
-    PREPARE_AGAIN = "the vehicle is back after a silence, or its autopilot has rebooted"
-    GIVE_UP = "no way to go on, and it is for somebody else to bring the vehicle down"
-    DIED = "a part of the companion died"
-    STOP = "a person asked for the end"
-
-
 ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.READY, Phase.ARMING)
 IN_AIR = (
     Phase.TAKING_OFF,
@@ -81,84 +52,82 @@ IN_AIR = (
 )
 ON_PATH = (Phase.FLYING, Phase.RETURNING)
 OVER = (Phase.DONE, Phase.FAULTED)
-_FAULTY = (Phase.TAKING_OFF, Phase.FLYING, Phase.RETURNING, Phase.ARRIVED, Phase.LANDING)
+_LED = tuple(phase for phase in IN_AIR if phase not in (Phase.HOLDING, Phase.HANDING_OVER))
 _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
-
-MOVES: dict[tuple[Phase, Trigger], Phase] = {
-    (Phase.WAITING, Trigger.VEHICLE_FOUND): Phase.PREPARING,
-    (Phase.PREPARING, Trigger.READY): Phase.READY,
-    (Phase.PREPARING, Trigger.GO): Phase.ARMING,
-    (Phase.READY, Trigger.GO): Phase.ARMING,
-    (Phase.READY, Trigger.UNREADY): Phase.PREPARING,
-    (Phase.PREPARING, Trigger.IN_FLIGHT): Phase.HOLDING,
-    (Phase.PREPARING, Trigger.TAKE_OVER): Phase.FLYING,
-    (Phase.PREPARING, Trigger.WATCH): Phase.SHADOW,
-    (Phase.PREPARING, Trigger.END_LAND): Phase.LANDING,
-    (Phase.PREPARING, Trigger.LANDED): Phase.DONE,
-    (Phase.ARMING, Trigger.ARMED): Phase.TAKING_OFF,
-    (Phase.ARMING, Trigger.FAULT): Phase.HOLDING,
-    (Phase.TAKING_OFF, Trigger.AIRBORNE): Phase.FLYING,
-    (Phase.TAKING_OFF, Trigger.HANDED_OVER): Phase.HOLDING,
-    (Phase.FLYING, Trigger.TARGET_REACHED): Phase.ARRIVED,
-    (Phase.ARRIVED, Trigger.NEXT_TARGET): Phase.FLYING,
-    (Phase.ARRIVED, Trigger.RESUME): Phase.FLYING,
-    (Phase.ARRIVED, Trigger.END_HOLD): Phase.DONE,
-    (Phase.ARRIVED, Trigger.END_LAND): Phase.LANDING,
-    (Phase.ARRIVED, Trigger.BACKTRACK): Phase.RETURNING,
-    (Phase.HOLDING, Trigger.RESUME): Phase.FLYING,
-    (Phase.HOLDING, Trigger.BACKTRACK): Phase.RETURNING,
-    (Phase.HOLDING, Trigger.END_LAND): Phase.LANDING,
-    (Phase.RETURNING, Trigger.RESUME): Phase.FLYING,
-    (Phase.RETURNING, Trigger.END_LAND): Phase.LANDING,
-    (Phase.TAKING_OFF, Trigger.END_LAND): Phase.LANDING,
-    (Phase.FLYING, Trigger.END_LAND): Phase.LANDING,
-    (Phase.HANDING_OVER, Trigger.END_LAND): Phase.LANDING,
-    (Phase.HANDING_OVER, Trigger.HANDED_ON): Phase.DONE,
-    (Phase.LANDING, Trigger.LANDED): Phase.DONE,
-    **{(phase, Trigger.HAND_OVER): Phase.HANDING_OVER for phase in (Phase.PREPARING, *_FAULTY)},
-    (Phase.HOLDING, Trigger.HAND_OVER): Phase.HANDING_OVER,
-    **{(phase, Trigger.FAULT): Phase.HOLDING for phase in _FAULTY},
-    **{(phase, Trigger.PREPARE_AGAIN): Phase.PREPARING for phase in _ALL[1:]},
-    **{(phase, Trigger.GIVE_UP): Phase.DONE for phase in _ALL},
-    **{(phase, Trigger.STOP): Phase.DONE for phase in _ALL},
-    **{(phase, Trigger.DIED): Phase.FAULTED for phase in _ALL},
-}
-"""The transition table.  Absent pairs change nothing."""
+_HELD = (Phase.ARRIVED, Phase.HOLDING, Phase.RETURNING)
+_LANDS_FROM = (Phase.PREPARING, Phase.TAKING_OFF, Phase.FLYING, *_HELD, Phase.HANDING_OVER)
+_HANDS_OVER = (Phase.PREPARING, *_LED, Phase.HOLDING)
 
 
-@final
-class Replan(Struct, frozen=True):
-    """Hold by setpoints; planning is retried after a pause, a limited number of times."""
+class Trigger(enum.Enum):
+    """The transition table: what has happened, in which phases it counts, and the phase after."""
+
+    VEHICLE_FOUND = ("the vehicle's heartbeat was heard", Phase.WAITING, Phase.PREPARING)
+    READY = ("all that the take-off needs is there, on the ground", Phase.PREPARING, Phase.READY)
+    GO = ("somebody says go, or has (--start)", (Phase.PREPARING, Phase.READY), Phase.ARMING)
+    UNREADY = ("a check fails while it waits for that", Phase.READY, Phase.PREPARING)
+    IN_FLIGHT = ("ready, but in the air: it is taken over", Phase.PREPARING, Phase.HOLDING)
+    TAKE_OVER = ("it still flies the path of the last companion", Phase.PREPARING, Phase.FLYING)
+    WATCH = ("the vehicle is known, and only to be watched", Phase.PREPARING, Phase.SHADOW)
+    ARMED = ("armed, in the mode its take-off begins with", Phase.ARMING, Phase.TAKING_OFF)
+    AIRBORNE = ("at the floor of the band, in guided mode", Phase.TAKING_OFF, Phase.FLYING)
+    HANDED_OVER = ("there, where its autopilot holds it", Phase.TAKING_OFF, Phase.HOLDING)
+    TARGET_REACHED = ("the last leg was flown to its end", Phase.FLYING, Phase.ARRIVED)
+    NEXT_TARGET = ("stopped at a target that is not the last", Phase.ARRIVED, Phase.FLYING)
+    END_HOLD = ("stopped at the last target, in the hold mode", Phase.ARRIVED, Phase.DONE)
+    END_LAND = (
+        "at the last target, at home or where told: told to land",
+        _LANDS_FROM,
+        Phase.LANDING,
+    )
+    BACKTRACK = (
+        "told to return on the flown path",
+        (Phase.ARRIVED, Phase.HOLDING),
+        Phase.RETURNING,
+    )
+    HAND_OVER = ("no way back of ours is left: its autopilot's", _HANDS_OVER, Phase.HANDING_OVER)
+    HANDED_ON = ("its autopilot returns by itself", Phase.HANDING_OVER, Phase.DONE)
+    LANDED = ("on the ground, disarmed", (Phase.PREPARING, Phase.LANDING), Phase.DONE)
+    FAULT = ("it cannot go on; the reason says why", (Phase.ARMING, *_LED), Phase.HOLDING)
+    RESUME = ("the reason for holding is gone, or another try is due", _HELD, Phase.FLYING)
+    PREPARE_AGAIN = ("heard again after a silence, or rebooted", _ALL[1:], Phase.PREPARING)
+    GIVE_UP = ("no way to go on: somebody else brings it down", _ALL, Phase.DONE)
+    DIED = ("a part of the companion died", _ALL, Phase.FAULTED)
+    STOP = ("a person asked for the end", _ALL, Phase.DONE)
+
+    def __init__(self, when: str, origins: Phase | tuple[Phase, ...], after: Phase) -> None:
+        self.when = when
+        """What has happened."""
+        self.origins = origins if isinstance(origins, tuple) else (origins,)
+        """The phases that it ends; in any other it changes nothing."""
+        self.after = after
+        """The phase that it begins."""
 
 
-@final
-class Paused(Struct, frozen=True):
-    """Hold by setpoints, until another order or a low battery."""
+class Hold(enum.Enum):
+    """How a vehicle is held; each reason has one of them."""
+
+    REPLAN = "by setpoints; planning is retried after a pause, a limited number of times"
+    PAUSED = "by setpoints, until another order or a low battery"
+    RETURN = "by setpoints, until the backtrack is proven"
+    LAND = "by setpoints until it is at rest, then it lands"
+    MODE = "the autopilot's hold mode, until it is at rest and its position was valid for a while"
+    TAKE_OVER = "in its current mode if that stops it; then like mode"
+    STREAM_LOST = (
+        "the autopilot holds for lack of setpoints: a new stream returns it to guided mode"
+    )
+    TAKEN_OVER = "not by us: taken over by a pilot or the autopilot, until handed back"
+    GROUNDED = "not by us: reported disarmed, or on the ground"
+    SILENT = "not by us: the vehicle is silent"
 
 
-@final
-class ReturnOrdered(Struct, frozen=True):
-    """Hold by setpoints, until the backtrack is proven."""
-
-
-@final
-class HoldMode(Struct, frozen=True):
-    """The autopilot's hold mode, until it is at rest and its position was valid for a while."""
-
-
-@final
-class TakeOver(Struct, frozen=True):
-    """Stay in the current mode if that stops the vehicle; then as `HoldMode`."""
-
-
-@final
-class StreamLost(Struct, frozen=True):
-    """The autopilot holds for lack of setpoints: a new stream returns it to guided mode."""
+ON_SETPOINTS = (Hold.REPLAN, Hold.PAUSED, Hold.RETURN, Hold.LAND)
+"""Holds with a valid position."""
 
 
 @final
 class TakenOver(Struct, frozen=True):
-    """Not in control: taken over by a pilot or the autopilot, until handed back."""
+    """What is known of a vehicle that somebody else has taken over."""
 
     released_at_s: float = -1e9
     """When the operator last ordered to continue."""
@@ -166,27 +135,6 @@ class TakenOver(Struct, frozen=True):
     """Whether the end of the failsafe was reported."""
     why: "Reason | None" = None
     """What was seen to be wrong when it was taken."""
-
-
-@final
-class Grounded(Struct, frozen=True):
-    """Not in control: reported disarmed, or on the ground."""
-
-
-@final
-class Silent(Struct, frozen=True):
-    """Not in control: the vehicle is silent."""
-
-
-@final
-class LandOrdered(Struct, frozen=True):
-    """Hold by setpoints until it is at rest, then land."""
-
-
-OnSetpoints = Replan | Paused | ReturnOrdered | LandOrdered
-"""Holds with a valid position."""
-Hold = OnSetpoints | HoldMode | TakeOver | StreamLost | TakenOver | Grounded | Silent
-"""How a vehicle is held, with the state of the hold; selected by `Reason`."""
 
 
 class Reason(enum.Enum):
@@ -208,9 +156,9 @@ class Reason(enum.Enum):
     OUTSIDE = ("the vehicle stands off the map or at a zone's edge", "Check origin and area.")
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
-    TAKING_OVER = ("taking over", "Wait: it stops first.", TakeOver, False)
-    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", TakeOver, False)
-    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", HoldMode, False)
+    TAKING_OVER = ("taking over", "Wait: it stops first.", Hold.TAKE_OVER, False)
+    TAKEN_OFF = ("taken off", "Wait: guided mode comes next.", Hold.TAKE_OVER, False)
+    BROKEN_OFF = ("the take-off is broken off", "Wait: it stops first.", Hold.MODE, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
@@ -224,20 +172,17 @@ class Reason(enum.Enum):
         "the position is less accurate than the mission allows",
         "Wait, or raise vehicle.navigation_error_m.",
     )
-    LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.", Silent)
+    LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.", Hold.SILENT)
     NOT_ALONE = (
         "another companion with our ids is on the link",
         "End one of the two; each vehicle has one, by its own system id.",
     )
     REBOOTED = ("the autopilot has rebooted", "Look at the vehicle before it flies again.")
-    ARMED_ALREADY = (
-        "somebody else has armed the vehicle",
-        "Disarm it, then start again.",
-    )
+    ARMED_ALREADY = ("somebody else has armed the vehicle", "Disarm it, then start again.")
     STREAM_LOST = (
         "the autopilot has lost the setpoints",
         "Check the link; it goes on by itself.",
-        StreamLost,
+        Hold.STREAM_LOST,
     )
     HEALTH_SILENT = (
         "no word of how good the position is",
@@ -246,24 +191,24 @@ class Reason(enum.Enum):
     MODE_TAKEN = (
         "somebody else flies the vehicle",
         "Give it back: guided mode, or the command MISSION_START to the companion.",
-        TakenOver,
+        Hold.TAKEN_OVER,
     )
     FAILSAFE = (
         "the autopilot's own failsafe took the vehicle",
         "See its messages; when that is over, give it back: guided mode, or MISSION_START.",
-        TakenOver,
+        Hold.TAKEN_OVER,
     )
     FENCE_BREACHED = (
         "the vehicle's own fence stopped it",
         "Change its fence, or give it back (guided mode, or MISSION_START) to be led out of it.",
-        TakenOver,
+        Hold.TAKEN_OVER,
     )
-    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Grounded)
-    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Grounded)
+    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Hold.GROUNDED)
+    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Hold.GROUNDED)
     BESIDE_PATH = (
         "the vehicle was beside its path",
         "Raise vehicle.tracking_error_m or fly slower.",
-        Replan,
+        Hold.REPLAN,
     )
     OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
@@ -272,35 +217,35 @@ class Reason(enum.Enum):
     SENSOR_SILENT = (
         "the sensor of near things is silent",
         "Check it, its driver and its link.",
-        Replan,
+        Hold.REPLAN,
     )
     GROUND_NEARER = (
         "the ground is nearer than the map says",
         "Check map, altitude datum and rangefinder.",
-        Replan,
+        Hold.REPLAN,
     )
-    RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
-    NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
+    RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Hold.REPLAN)
+    NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Hold.REPLAN)
     PLAN_LATE = (
         "the next subpath was not ready in time",
         "Raise planner.planning_time_s, or use a faster computer.",
-        Replan,
+        Hold.REPLAN,
     )
-    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
+    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Hold.REPLAN)
     FENCE_UNREAD = (
         "the vehicle's fence has changed and is being read",
         "Wait until it is read; from_vehicle.goes_on_while_reading lets it fly on.",
-        Replan,
+        Hold.REPLAN,
     )
-    NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
-    CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
-    PAUSED = ("paused by a person", "Send the command to continue.", Paused, False)
-    RETURN_ASKED = ("told to return", "Wait until it has landed.", ReturnOrdered)
-    LAND_ASKED = ("told to land", "Wait until it has landed.", LandOrdered, False)
+    NEW_TARGET = ("a new target was given", "Wait for the way to it.", Hold.REPLAN, False)
+    CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Hold.REPLAN, False)
+    PAUSED = ("paused by a person", "Send the command to continue.", Hold.PAUSED, False)
+    RETURN_ASKED = ("told to return", "Wait until it has landed.", Hold.RETURN)
+    LAND_ASKED = ("told to land", "Wait until it has landed.", Hold.LAND, False)
     BATTERY_LOW = (
         "the battery will not reach the target and the reserve",
         "Bring the vehicle down.",
-        ReturnOrdered,
+        Hold.RETURN,
     )
     PLANNER_DIED = (
         "a part of the companion stopped with an error",
@@ -308,9 +253,7 @@ class Reason(enum.Enum):
     )
     STOPPED = ("stopped by a person", "Start again to fly on.")
 
-    def __init__(
-        self, text: str, remedy: str, hold: "type[Hold]" = HoldMode, warns: bool = True
-    ) -> None:
+    def __init__(self, text: str, remedy: str, hold: Hold = Hold.MODE, warns: bool = True) -> None:
         self.text = text
         """What happened."""
         self.remedy = remedy
@@ -431,26 +374,12 @@ Search = Scanning | Planning | Answered
 """Progress of the search for the next leg."""
 
 
-@final
-class Outward(Struct, frozen=True):
-    """To the targets."""
+class Way(enum.Enum):
+    """Where a flight goes."""
 
-
-@final
-class Backtracking(Struct, frozen=True):
-    """Along the flown path."""
-
-    legs: tuple[Leg, ...]
-    """What is left of it."""
-
-
-@final
-class ReplanHome(Struct, frozen=True):
-    """Home, planned to like a target: the flown path does not lead there, or is too far away."""
-
-
-Direction = Outward | Backtracking | ReplanHome
-"""Direction of the flight."""
+    OUT = "to the targets"
+    BACK = "along the flown path"
+    HOME = "home, planned to like a target: the flown path does not lead there, or is too far away"
 
 
 @final
@@ -517,7 +446,9 @@ class Flight(Struct, frozen=True, kw_only=True):
     """When the reported target last agreed with the setpoint."""
     flown: tuple[FlownSegment, ...] = ()
     """The flown path, for the backtrack."""
-    way: Direction = Outward()
+    way: Way = Way.OUT
+    back: tuple[Leg, ...] = ()
+    """What is left of the backtrack, beside the legs that are flown."""
     planning_backtrack: PlanningBacktrack | None = None
     battery_told: int = 0
     """Battery warnings sent: 1, it will not last at this rate; 2, it does not last."""
@@ -529,17 +460,12 @@ class Flight(Struct, frozen=True, kw_only=True):
     @property
     def returning(self) -> bool:
         """Whether it follows the backtrack."""
-        return isinstance(self.way, Backtracking)
+        return self.way is Way.BACK
 
     @property
     def homeward(self) -> bool:
         """Whether a path home is planned."""
-        return isinstance(self.way, ReplanHome)
-
-    @property
-    def back(self) -> tuple[Leg, ...]:
-        """The remaining backtrack."""
-        return self.way.legs if isinstance(self.way, Backtracking) else ()
+        return self.way is Way.HOME
 
 
 @final
@@ -598,6 +524,8 @@ class State(Struct, frozen=True, kw_only=True):
     """Whether a pilot or the autopilot has taken over, and has not handed back yet."""
     hold: Hold | None = None
     """How it is held, in the phase `holding`."""
+    taken_over: TakenOver = TakenOver()
+    """What is known of who has it, in the hold of that name."""
     reason: Reason | None = None
     detail: str = ""
     """Detail of the reason."""
@@ -615,10 +543,16 @@ class State(Struct, frozen=True, kw_only=True):
     def of(mission: Mission, known: KnownMap) -> "State":
         """A mission that has not begun."""
         return State(
-            task=mission.task,
-            targets_ne_m=mission.targets_ne_m,
-            flight=Flight(known=known),
+            task=mission.task, targets_ne_m=mission.targets_ne_m, flight=Flight(known=known)
         )
+
+    def told(self, **reports: Any) -> "State":
+        """The state with these reports of its vehicle."""
+        return replace(self, vehicle=replace(self.vehicle, **reports))
+
+    def with_flight(self, **changes: Any) -> "State":
+        """The state with these fields of its flight changed."""
+        return replace(self, flight=replace(self.flight, **changes))
 
     def with_fence(self, task: Task, fence: FenceChanged | None) -> "State":
         """The state within another fence; task: the mission's.

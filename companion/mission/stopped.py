@@ -1,10 +1,25 @@
-"""The phases in which the vehicle holds or lands: holding, arrived, landing."""
+"""The phases in which the vehicle holds or comes down: holding, arrived, landing, handing over.
+
+What happens to a flight that cannot go on; on the ground, unless mission or pilot decide otherwise:
+
+| the vehicle | `fallback` return | land | hold |
+|---|---|---|---|
+| may still be led, and a way home is proven | flies it, and lands | lands where it is | holds |
+| does not do as it is told, or there is no way back | its autopilot's own return | lands | holds |
+| is above where it took off, or does not know where it is | lands | lands | holds |
+| cannot be told to land (ArduPlane) | its autopilot's own return | the same | holds |
+
+The first line is `_other_way`; all others come through `fall_back`.  If the vehicle rejects one of
+the two modes the other is requested; if it rejects both, hold is requested and the operator asked
+to take over.  It is left alone if a pilot has control or it is silent, and if the operator or a
+dead part of the companion has ended the mission.
+"""
 
 import math
 
 from msgspec.structs import replace
 
-from companion.mission import backtracking, fallback, flying, following
+from companion.mission import events, flying, following
 from companion.mission.decisions import (
     AT_M,
     LANDING_ABORTED,
@@ -16,53 +31,29 @@ from companion.mission.decisions import (
     fault,
     fence_is_given_up,
     give_up,
+    has_had_control,
+    held,
     in_phase_s,
+    in_words,
     is_at_rest,
-    is_gone,
     is_grounded,
     is_own_takeoff,
+    is_second_companion,
     is_silent,
     landing_order,
     longest_silence_s,
     parting,
     preceded,
-    reason_text,
     takeover_reason,
     waits_for_fence,
     with_hold_reason,
 )
-from companion.mission.events import (
-    Battery,
-    Command,
-    Event,
-    Landed,
-    LinkLost,
-    Mode,
-    PlanReady,
-    Position,
-    SetMode,
-    StatusText,
-)
+from companion.mission.events import Command, Event, Landed, Mode, Position, say, warn
 from companion.mission.health import TRUST_S
 from companion.mission.home import begins_at_home, home_ne_m, is_above_home
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import (
-    Grounded,
-    HoldMode,
-    LandOrdered,
-    OnSetpoints,
-    Orders,
-    Paused,
-    Reason,
-    Replan,
-    ReturnOrdered,
-    Silent,
-    State,
-    StreamLost,
-    TakenOver,
-    TakeOver,
-    Trigger,
-)
+from companion.mission.state import Hold, Orders, Phase, Reason, State, TakenOver, Trigger
+from companion.mission.vehicle_traits import UNKNOWN
 from companion.planner.recheck import is_touched
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
@@ -85,6 +76,7 @@ _CIRCLES = 2.5  # loiter radii: what circles its target is there
 _TOLD_TO_STAY_S = 1.0  # a setpoint may be lost: an end in guided mode is told several times
 _STAYS_DOWN_S = 10.0  # ten times asked for
 _LANDS_WITHIN = 1.5  # loiter radii
+_ASKS = 5  # in vain, once a second
 
 
 def holding(state: State, event: Event, context: Context) -> Step:
@@ -93,10 +85,7 @@ def holding(state: State, event: Event, context: Context) -> Step:
         step = fence_breached(state) or flying.circling_near_zone(state, event)
         if step is not None:
             return step
-    hold = state.hold
-    if is_gone(state, event, context):
-        return give_up(state, Reason.LINK_LOST)
-    if isinstance(event, LinkLost) or (is_silent(state) and not isinstance(hold, Silent)):
+    if isinstance(event, events.LinkLost) or (is_silent(state) and state.hold is not Hold.SILENT):
         return with_hold_reason(_replan_hover(state), Reason.LINK_LOST), [], None
     if state.reason is Reason.BROKEN_OFF and state.vehicle.landed is Landed.ON_GROUND:
         return _stay_down(state)
@@ -104,33 +93,31 @@ def holding(state: State, event: Event, context: Context) -> Step:
         return _over(state, Reason.DISARMED)
     if is_grounded(state):
         return _over(state, Reason.GROUNDED)
-    match hold:
-        case Replan() | Paused() | ReturnOrdered() | LandOrdered():
-            return _hold_on_setpoints(state, event, context, hold)
-        case HoldMode() | TakeOver() | None:
-            return _hold_in_its_own_mode(state, event, context)
-        case StreamLost():
+    match state.hold:
+        case Hold.REPLAN | Hold.PAUSED | Hold.RETURN | Hold.LAND:
+            return _hold_on_setpoints(state, event, context)
+        case Hold.STREAM_LOST:
             return _lead_back(state, event, context)
-        case TakenOver():
-            return _while_taken_over(state, event, context, hold)
-        case Grounded():
-            return _while_taken_over(state, event, context, TakenOver())
-        case Silent():
+        case Hold.TAKEN_OVER | Hold.GROUNDED:
+            return _while_taken_over(state, event, context)
+        case Hold.SILENT:
             return _heard_again(state, event, context)
+        case _:
+            return _hold_in_its_own_mode(state, event, context)
 
 
 def _over(state: State, how: Reason) -> Step:
     """End on the ground, with what was seen to lead to it."""
-    reason, hold = state.reason, state.hold
-    if reason is None or not (isinstance(hold, TakenOver) or reason.hold is HoldMode):
+    reason, taken = state.reason, state.hold is Hold.TAKEN_OVER
+    if reason is None or not (taken or reason.hold is Hold.MODE):
         return give_up(state, how)
     why = None
-    if reason is Reason.FAILSAFE and isinstance(hold, TakenOver):
+    if reason is Reason.FAILSAFE and taken:
         late = state.vehicle.bad_at_s > state.since_s
-        why = hold.why or (state.vehicle.last_distrust if late else None)
+        why = state.taken_over.why or (state.vehicle.last_distrust if late else None)
     remedy = why.remedy if why else how.remedy
     detail = f": {reason.text}" + (f": {why.text}" if why else "")
-    return give_up(state, how, detail, reason.remedy if reason.hold is HoldMode else remedy)
+    return give_up(state, how, detail, reason.remedy if reason.hold is Hold.MODE else remedy)
 
 
 def _stay_down(state: State) -> Step:
@@ -155,21 +142,20 @@ def fence_breached(state: State) -> Step | None:
     On PX4 it looks like a loss of setpoints first; and the autopilot knows a fence changed in
     flight before the companion has downloaded it.
     """
-    if not isinstance(state.hold, TakenOver | StreamLost) or state.reason is Reason.FENCE_BREACHED:
+    held = state.hold in (Hold.TAKEN_OVER, Hold.STREAM_LOST)
+    if not held or state.reason is Reason.FENCE_BREACHED:
         return None
     by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
-    if not by_itself or takeover_reason(state) is not Reason.FENCE_BREACHED:
-        return None
-    return _taken(state)
+    breached = by_itself and takeover_reason(state) is Reason.FENCE_BREACHED
+    return _taken(state) if breached else None
 
 
 def _heard_again(state: State, event: Event, context: Context) -> Step:
     """Prepare again after a silence, which may have concerned some messages only."""
     if in_phase_s(state) > longest_silence_s(state, context):
         return give_up(state, Reason.LINK_LOST)
-    if isinstance(event, Position) and not is_silent(state):
-        return state, [], Trigger.PREPARE_AGAIN
-    return state, [], None
+    heard = isinstance(event, Position) and not is_silent(state)
+    return state, [], Trigger.PREPARE_AGAIN if heard else None
 
 
 def _is_trusted(state: State) -> bool:
@@ -184,22 +170,20 @@ def _is_elsewhere(state: State) -> bool:
 
 def _elsewhere(state: State) -> Step:
     """Hold for that, with a text: the previous reason is over."""
-    reason = Reason.POSITION_ELSEWHERE
-    says = StatusText(
-        text=f"hold: {reason.text}{reason_text(state, reason)[0]}", warning=True, about="phase"
-    )
-    return replace(with_hold_reason(_replan_hover(state), reason), taken=False), [says], None
+    state, says = held(_replan_hover(state), Reason.POSITION_ELSEWHERE)
+    return replace(state, taken=False), [says], None
 
 
-def _while_taken_over(state: State, event: Event, context: Context, hold: TakenOver) -> Step:
+def _while_taken_over(state: State, event: Event, context: Context) -> Step:
     """Another controller flies: send no command until guided mode is selected, or an order comes.
 
     Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
-    if isinstance(event, Battery):
+    if isinstance(event, events.Battery):
         state, warning = flying.battery_warning(state, context)
         return state, warning, None
-    told = state.now_s - hold.released_at_s < _TOLD_S
+    known = state.taken_over if state.hold is Hold.TAKEN_OVER else TakenOver()
+    told = state.now_s - known.released_at_s < _TOLD_S
     given_back = state.vehicle.mode is Mode.GUIDED or (told and state.vehicle.mode is Mode.HOLD)
     if given_back and _is_elsewhere(state):
         return _elsewhere(state)
@@ -209,14 +193,14 @@ def _while_taken_over(state: State, event: Event, context: Context, hold: TakenO
         return resumed(_replan_hover(state))
     if told:
         return _ask_for_guided(state, event, context)
-    if hold.released_at_s > 0.0:
-        says = StatusText(text="guided mode was not taken", warning=True)
-        return replace(state, hold=replace(hold, released_at_s=-1e9)), [says], None
+    if known.released_at_s > 0.0:
+        state = replace(state, taken_over=replace(known, released_at_s=-1e9))
+        return state, [warn("guided mode was not taken")], None
     acts = state.reason is not Reason.FAILSAFE or state.vehicle.failsafe
-    if acts or hold.failsafe_over:
+    if acts or known.failsafe_over:
         return state, [], None
-    state = replace(state, hold=replace(hold, failsafe_over=True))
-    return state, [StatusText(text=FAILSAFE_OVER, warning=True)], None
+    state = replace(state, taken_over=replace(known, failsafe_over=True))
+    return state, [warn(FAILSAFE_OVER)], None
 
 
 def resumed(state: State) -> Step:
@@ -232,63 +216,69 @@ def resumed(state: State) -> Step:
     if not flight.returning:
         return state, [], Trigger.RESUME
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
-    if clear and backtracking.start_backtrack(state) is not None:
+    if clear and flying.start_backtrack(state) is not None:
         return state, [], Trigger.BACKTRACK
     reason = flight.fallen_back or state.reason or Reason.NO_PLAN
-    return backtracking.home_by_plan(state, "returning another way", reason)
+    return flying.home_by_plan(state, "returning another way", reason)
 
 
-def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSetpoints) -> Step:
+def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     """Hold at the end of the leg; retry after a pause, a limited number of times."""
     reason = cannot_fly(state, event)
-    if reason is not None and reason.hold is TakenOver:
+    if reason is not None and reason.hold is Hold.TAKEN_OVER:
         return _taken(_replan_hover(state))
     if reason is not None:
         return with_hold_reason(_replan_hover(state), reason), [], None
-    if isinstance(event, PlanReady):
-        return _on_backtrack_plan(state, event, context)
+    if isinstance(event, events.PlanReady):
+        return flying.on_backtrack_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
     if flying.battery_runs_low(state):  # a pause, too, ends before the battery does
         low = with_hold_reason(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
-        return low, [StatusText(text=f"hold: {Reason.BATTERY_LOW.text}", warning=True)], None
+        return low, [warn(f"hold: {Reason.BATTERY_LOW.text}")], None
     state, warning = flying.battery_warning(state, context)
-    flight, commands = following.hold_setpoint(state, event.time_s, context)
-    commands, state = [*warning, *commands], replace(state, flight=flight)
+    flight, stay = following.hold_setpoint(state, event.time_s, context)
+    state = replace(state, flight=flight)
     if flight.planning_backtrack is not None:
         if state.now_s - flight.planning_backtrack.since_s > _ANSWER_S:
             return give_up(state, state.reason or Reason.NO_PLAN)
-        return state, commands, None
-    moving = not _is_settled(state, event) and in_phase_s(state) < _SETTLE_S
-    near, pause_s = context.mission.near, _PAUSE_S
+        return state, [*warning, *stay], None
+    return _end_of_hold(state, event, context, [*warning, *stay])
+
+
+def _end_of_hold(state: State, event: Position, context: Context, commands: list[Command]) -> Step:
+    """What comes after a hold on setpoints, once that is due.
+
+    commands: of the hold, left out where another way is looked for in the same moment.
+    """
+    hold, near, flight = state.hold, context.mission.near, state.flight
+    held_s, settled = in_phase_s(state), _is_settled(state, event)
+    moving = not settled and held_s < _SETTLE_S
+    pause_s = _PAUSE_S
     if near is not None:  # what it sees now is on the map at once
         pause_s = _SENSOR_S if state.vehicle.sight.is_blind else state.task.settings.planning_time_s
-    if isinstance(hold, LandOrdered):
-        return (state, commands, None) if moving else _land_here(state, commands)
-    if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
+    if hold is Hold.LAND and not moving:
+        return preceded(commands, _land_here(state))
+    if hold in (Hold.PAUSED, Hold.LAND) or held_s < pause_s or moving:
         return state, commands, None
     if waits_for_fence(state, context):
         if not fence_is_given_up(state):
             return state, commands, None
         return preceded(commands, _other_way(with_hold_reason(state, Reason.FENCE_UNREAD), context))
     low_battery = state.reason is Reason.BATTERY_LOW  # which may have ended a pause
-    on_way_back = state.flight.returning or (low_battery and state.flight.homeward)
-    goes_back = on_way_back or state.flight.homeward
-    if state.vehicle.ground_above_m and not goes_back and isinstance(hold, Replan):
-        if in_phase_s(state) < _SENSOR_S * context.mission.attempts:
+    on_way_back = flight.returning or (low_battery and flight.homeward)
+    goes_back = flight.returning or flight.homeward
+    if state.vehicle.ground_above_m and not goes_back and hold is Hold.REPLAN:
+        if held_s < _SENSOR_S * context.mission.attempts:
             return state, commands, None
         return _other_way(with_hold_reason(state, Reason.GROUND_NEARER), context)
-    if isinstance(hold, ReturnOrdered) and not on_way_back:
+    tries = flight.failures < context.mission.attempts and flight.stops <= flying.max_stops(context)
+    if not on_way_back and (hold is Hold.RETURN or not tries):
         return _other_way(state, context)
-    flight = state.flight
-    may_try = flight.failures < context.mission.attempts
-    if on_way_back or (may_try and flight.stops <= flying.max_stops(context)):
-        if state.vehicle.traits.hovers and (
-            state.reason is Reason.NEW_THREAT or not _is_settled(state, event)
-        ):
-            state = _replan_hover(state)  # the band may be another one, or it does not come back
-        return preceded(commands, resumed(state))
-    return _other_way(state, context)
+    hovers = state.vehicle.traits.hovers
+    if hovers and (state.reason is Reason.NEW_THREAT or not settled):
+        state = _replan_hover(state)  # the band may be another one, or it does not come back
+    return preceded(commands, resumed(state))
 
 
 def _is_settled(state: State, event: Position) -> bool:
@@ -300,48 +290,28 @@ def _is_settled(state: State, event: Position) -> bool:
     return off_m <= _SETTLED * state.task.limits.tracking_error_m
 
 
-def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
-    """Take the backtrack; if it failed, plan a path home, or give up."""
-    flight, asked = state.flight, state.flight.planning_backtrack
-    if asked is None or event.outcome.plan_id != flight.plan_id:
-        return state, [], None
-    if asked.rules is not state.task:  # it was proven under other rules
-        return backtracking.request_backtrack(state, context)
-    back = backtracking.on_backtrack_plan(state, event)
-    if back is not None:
-        after = replace(state, flight=replace(flight, way=back, planning_backtrack=None))
-        if backtracking.start_backtrack(after) is not None:
-            return after, [], Trigger.BACKTRACK
-    reason = state.reason or Reason.NO_PLAN
-    text = f"{reason.text}: no way back is proven, planning one home"
-    return backtracking.home_by_plan(state, text, reason, warning=True)
-
-
 def _other_way(state: State, context: Context) -> Step:
-    """Backtrack if that is the fallback; else as `fallback` says.
+    """Backtrack if that is the fallback; else as `fall_back` says.
 
     Not once planning a path home has failed.
     """
     reason, flight = state.reason or Reason.NO_PLAN, state.flight
-    how = fallback.wanted_fallback(state, context)
+    how = _wanted_fallback(state, context)
     at_home = not flight.flown and is_above_home(state)
     if how is not Fallback.RETURN or flight.homeward or at_home:
         return give_up(state, reason)
-    why = f"{reason.text}{reason_text(state, reason)[0]}"
-    state = replace(state, flight=replace(flight, fallen_back=reason))
+    why = in_words(state, reason)
+    state = state.with_flight(fallen_back=reason)
     if not flight.flown:
-        text = f"{why}: planning a way home"
-        return backtracking.home_by_plan(state, text, reason, warning=True)
-    state, asking, trigger = backtracking.request_backtrack(state, context)
+        return flying.home_by_plan(state, f"{why}: planning a way home", reason, warning=True)
     how_so = "flying back and landing" if begins_at_home(state) else "flying back, then home"
-    text = f"{why}: {how_so}"
-    return state, [StatusText(text=text, warning=True, about="end"), *asking], trigger
+    return preceded([warn(f"{why}: {how_so}", "end")], flying.request_backtrack(state, context))
 
 
 def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
-    vehicle, mode = state.vehicle, state.vehicle.mode
-    taking_over = isinstance(state.hold, TakeOver)
+    vehicle, mode, hovers = state.vehicle, state.vehicle.mode, state.vehicle.traits.hovers
+    taking_over = state.hold is Hold.TAKE_OVER
     climbs = mode is Mode.TAKE_OFF and (
         taking_over or (is_own_takeoff(state) and not state.obeyed)  # it has not heard us yet
     )
@@ -351,40 +321,40 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return state, [], Trigger.GIVE_UP
     if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _elsewhere(state)
-    flies_on = vehicle.traits.hovers and mode is Mode.GUIDED  # to a target that is not known
+    flies_on = hovers and mode is Mode.GUIDED  # to a target that is not known
     if mode is Mode.HOLD or (taking_over and not flies_on):
         state = replace(state, obeyed=True)
-    doubted = vehicle.distrust is not None
-    is_stationary = not vehicle.traits.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
-    is_stationary = (
-        is_stationary or in_phase_s(state) > _SETTLE_S or state.flight.hover_nea_m is not None
+    stands = (
+        not hovers
+        or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
+        or in_phase_s(state) > _SETTLE_S
+        or state.flight.hover_nea_m is not None
     )
-    if not state.obeyed or (mode is Mode.GUIDED and (doubted or not is_stationary)):
-        return ask(replace(_replan_hover(state), obeyed=False), SetMode(mode=Mode.HOLD))
-    if is_stationary and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
-        return _land_here(state, [])
+    doubted = vehicle.distrust is not None
+    if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
+        return ask(replace(_replan_hover(state), obeyed=False), events.SetMode(mode=Mode.HOLD))
+    if stands and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
+        return _land_here(state)
     unled = state.reason is Reason.BROKEN_OFF and state.flight.plan_id == 0
     if unled and mode is Mode.HOLD and state.orders.active is Reason.RETURN_ASKED:
         return give_up(state, Reason.RETURN_ASKED)  # there is no way back but its own
-    if not is_stationary or not _is_trusted(state):
+    if not stands or not _is_trusted(state):
         return _replan_hover(state), [], None
     if mode is Mode.GUIDED:
         return resumed(_replan_hover(state))
     return _ask_for_guided(state, event, context)
 
 
-def _land_here(state: State, commands: list[Command]) -> Step:
+def _land_here(state: State) -> Step:
     """Land, as ordered."""
-    state = replace(state, flight=replace(state.flight, fallen_back=Reason.LAND_ASKED))
-    says = StatusText(text=f"{Reason.LAND_ASKED.text}: landing here", about="phase")
-    return state, [*commands, says], Trigger.END_LAND
+    says = say(f"{Reason.LAND_ASKED.text}: landing here", "phase")
+    return state.with_flight(fallen_back=Reason.LAND_ASKED), [says], Trigger.END_LAND
 
 
 def _taken(state: State) -> Step:
     """A pilot or the autopilot has taken over."""
-    reason = takeover_reason(state)
-    says = StatusText(text=f"hold: {reason.text}", warning=True, about="phase")
-    return replace(with_hold_reason(state, reason), taken=True), [says], None
+    state, says = held(state, takeover_reason(state))
+    return replace(state, taken=True), [says], None
 
 
 def _lead_back(state: State, event: Event, context: Context) -> Step:
@@ -401,9 +371,15 @@ def _lead_back(state: State, event: Event, context: Context) -> Step:
         return _replan_hover(state), [], None
     if mode is Mode.GUIDED:
         return resumed(_replan_hover(state))
+    return _stream_here(state, event, math.inf, context)
+
+
+def _stream_here(state: State, event: Event, near_m: float, context: Context) -> Step:
+    """Setpoints where it holds, or where it is by now if that is farther away."""
     if not isinstance(event, Position):
         return state, [], None
-    if state.flight.hover_nea_m is None:
+    hover = state.flight.hover_nea_m
+    if hover is None or math.dist(hover, event.position_nea_m) > near_m:
         flight = following.at_rest(state.flight, event.position_nea_m)
         state = replace(state, flight=flight)
     flight, stay = following.hold_setpoint(state, event.time_s, context)
@@ -417,81 +393,83 @@ def _replan_hover(state: State) -> State:
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
     """Request guided mode; with setpoints at the position, for autopilots that need them first."""
-    traits = state.vehicle.traits
+    traits, asking = state.vehicle.traits, events.SetMode(mode=Mode.GUIDED)
     if not (traits.hovers or traits.needs_setpoints_before_offboard):
-        return ask(state, SetMode(mode=Mode.GUIDED))  # refused before (ardupilot.md 7)
+        return ask(state, asking)  # refused before (ardupilot.md 7)
     if not isinstance(event, Position):
         return state, [], None
-    hover, limits = state.flight.hover_nea_m, state.task.limits
-    near_m = max(AT_M, _CIRCLES * limits.loiter_radius_m)
-    if hover is None or math.dist(hover, event.position_nea_m) > near_m:
-        flight = following.at_rest(state.flight, event.position_nea_m)
-        state = replace(state, flight=flight)
-    flight, stay = following.hold_setpoint(state, event.time_s, context)
-    state, asking, _ = ask(replace(state, flight=flight), SetMode(mode=Mode.GUIDED))
-    return state, [*stay, *asking], None
+    near_m = max(AT_M, _CIRCLES * state.task.limits.loiter_radius_m)
+    state, stay, _ = _stream_here(state, event, near_m, context)
+    return preceded(stay, ask(state, asking))
+
+
+# --- at the target
 
 
 def arrived(state: State, event: Event, context: Context) -> Step:
     """Stop at the target; then the next target, or the end action."""
-    vehicle, asked = state.vehicle, state.asked_at_s > state.since_s
-    if vehicle.mode is Mode.HOLD and asked:
+    asked = state.asked_at_s > state.since_s
+    if state.vehicle.mode is Mode.HOLD and asked:
         return state, [], Trigger.END_HOLD
-    if is_gone(state, event, context):
-        return give_up(state, Reason.LINK_LOST)
     reason = cannot_fly(state, event)
     if reason is not None:
-        return fault(replace(state, flight=following.at_rest(state.flight, None)), reason)
+        return fault(_replan_hover(state), reason)
     if in_phase_s(state) > _SETTLE_S + _OBEY_S:
         return give_up(state, Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
-    if isinstance(event, PlanReady):
-        return _on_backtrack_plan(state, event, context)
+    if isinstance(event, events.PlanReady):
+        return flying.on_backtrack_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
-    flight, commands = following.hold_setpoint(state, event.time_s, context)
+    flight, stay = following.hold_setpoint(state, event.time_s, context)
     state = replace(state, flight=flight)
     if not _stands_at_target(state, event):
-        return state, commands, None
-    if state.flight.target + 1 < len(state.targets_ne_m):
-        flight = replace(state.flight, target=state.flight.target + 1, stops=0)
-        return replace(state, flight=flight), commands, Trigger.NEXT_TARGET
-    return _end(state, context, commands)
+        return state, stay, None
+    if flight.target + 1 < len(state.targets_ne_m):
+        return state.with_flight(target=flight.target + 1, stops=0), stay, Trigger.NEXT_TARGET
+    return preceded(stay, _end(state, context))
 
 
-def _end(state: State, context: Context, commands: list[Command]) -> Step:
+def _end(state: State, context: Context) -> Step:
     """The mission's end action."""
-    traits, action = state.vehicle.traits, context.mission.end_action
-    if state.flight.homeward:
-        action = EndAction.LAND
-    if action is EndAction.LAND and (traits.lands or state.flight.homeward):
-        return state, commands, Trigger.END_LAND if traits.lands else Trigger.HAND_OVER
+    traits, action, flight = state.vehicle.traits, context.mission.end_action, state.flight
+    if flight.homeward or (action is EndAction.LAND and traits.lands):
+        return state, [], Trigger.END_LAND if traits.lands else Trigger.HAND_OVER
     if action is EndAction.RETURN:
-        if state.flight.planning_backtrack is not None:
-            return state, commands, None
-        if not state.flight.flown:
-            text = "returning: planning a way home"
-            step = backtracking.home_by_plan(state, text, Reason.NO_PLAN)
-            return preceded(commands, step)
-        state, asking, _ = backtracking.request_backtrack(state, context)
-        return state, [*commands, *asking], None
+        if flight.planning_backtrack is not None:
+            return state, [], None
+        if flight.flown:
+            return flying.request_backtrack(state, context)
+        return flying.home_by_plan(state, "returning: planning a way home", Reason.NO_PLAN)
     if traits.holds_in_guided:
         told = in_phase_s(state) > _TOLD_TO_STAY_S
-        return state, commands, Trigger.END_HOLD if told else None
+        return state, [], Trigger.END_HOLD if told else None
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
-    about = state.flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
-    state, asking, _ = ask(state, SetMode(mode=Mode.HOLD, at_nea_m=about))
-    return state, [*commands, *asking], None
+    about = flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
+    return ask(state, events.SetMode(mode=Mode.HOLD, at_nea_m=about))
 
 
-def reached(state: State) -> StatusText:
+def reached(state: State) -> events.StatusText:
     """Text at a target; for a plane that missed it by too much, with the distance."""
-    limits, here, there = state.task.limits, state.vehicle.position_nea_m, state.flight.hover_nea_m
+    here, there = state.vehicle.position_nea_m, state.flight.hover_nea_m
     if not state.vehicle.traits.hovers and here is not None and there is not None:
         off_m = math.dist(here[:2], there[:2])
-        if off_m > limits.tracking_error_m:
-            text = f"target reached: passed {off_m:.0f} m away"
-            return StatusText(text=text, warning=True, about="phase")
-    return StatusText(text="target reached", about="phase")
+        if off_m > state.task.limits.tracking_error_m:
+            return warn(f"target reached: passed {off_m:.0f} m away", "phase")
+    return say("target reached", "phase")
+
+
+def _stands_at_target(state: State, event: Position) -> bool:
+    """At rest at the target; after a while, as near to it and as slow as the vehicle can be."""
+    here, limits = state.flight.hover_nea_m, state.task.limits
+    off = math.inf if here is None else math.dist(event.position_nea_m, here)
+    if not state.vehicle.traits.hovers:
+        return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
+    if in_phase_s(state) > _SETTLE_S:
+        return off < max(AT_M, limits.tracking_error_m)
+    return off < _THERE_M and is_at_rest(state, event)
+
+
+# --- down
 
 
 def lands_within_m(state: State) -> float:
@@ -499,11 +477,8 @@ def lands_within_m(state: State) -> float:
 
     PX4's planes land on a circle about where the mode begins (px4.md 10).
     """
-    return (
-        math.inf
-        if state.vehicle.traits.hovers
-        else _LANDS_WITHIN * state.task.limits.loiter_radius_m
-    )
+    hovers, radius_m = state.vehicle.traits.hovers, state.task.limits.loiter_radius_m
+    return math.inf if hovers else _LANDS_WITHIN * radius_m
 
 
 def landed_off_m(state: State) -> float:
@@ -526,26 +501,13 @@ def landing_words(state: State, context: Context) -> str:
     return f"{traits.name} lands on a circle: up to {within_m:.0f} m from the target"
 
 
-def _stands_at_target(state: State, event: Position) -> bool:
-    """At rest at the target; after a while, as near to it and as slow as the vehicle can be."""
-    here, limits = state.flight.hover_nea_m, state.task.limits
-    off = math.inf if here is None else math.dist(event.position_nea_m, here)
-    if not state.vehicle.traits.hovers:
-        return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
-    if in_phase_s(state) > _SETTLE_S:
-        return off < max(AT_M, limits.tracking_error_m)
-    return off < _THERE_M and is_at_rest(state, event)
-
-
-def landing(state: State, event: Event, context: Context) -> Step:
+def landing(state: State, event: Event, _context: Context) -> Step:
     """Request the land mode until it is taken, then wait for touchdown."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return state, [], Trigger.LANDED
-    if is_gone(state, event, context):
-        return give_up(state, Reason.LINK_LOST)
     if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
-        state = replace(state, flight=replace(state.flight, progress_at_s=state.now_s))
+        state = state.with_flight(progress_at_s=state.now_s)
     if state.now_s - state.flight.progress_at_s > _OBEY_S:
         return give_up(state, Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
@@ -554,7 +516,7 @@ def landing(state: State, event: Event, context: Context) -> Step:
         if is_grounded(state):
             return state, [], None  # down, and not yet disarmed: the mode is the autopilot's
         return _broken_off(state)
-    return ask(state, SetMode(mode=Mode.LAND))
+    return ask(state, events.SetMode(mode=Mode.LAND))
 
 
 def _broken_off(state: State) -> Step:
@@ -569,6 +531,77 @@ def _broken_off(state: State) -> Step:
     state = replace(state, flight=flight)
     if reason is Reason.FENCE_BREACHED:
         return fault(state, reason)
-    orders = Orders(Reason.PAUSED, landing_order(state))
-    state, commands, trigger = fault(replace(state, orders=orders), reason)
-    return state, [*commands, StatusText(text=LANDING_ABORTED, warning=True)], trigger
+    state = replace(state, orders=Orders(Reason.PAUSED, landing_order(state)))
+    return preceded([warn(LANDING_ABORTED)], fault(state, reason))
+
+
+def handing_over(state: State, _event: Event, _context: Context) -> Step:
+    """Request RTL until the autopilot takes it; from then on the autopilot is in control."""
+    vehicle = state.vehicle
+    if is_silent(state):
+        return state, [], None
+    if vehicle.mode is Mode.RETURN:
+        return state, [], Trigger.HANDED_ON
+    if not vehicle.armed or is_grounded(state):
+        return give_up(state, Reason.GROUNDED if vehicle.armed else Reason.DISARMED)
+    if vehicle.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):
+        return give_up(state, takeover_reason(state))
+    asked = ask(state, events.SetMode(mode=Mode.RETURN))
+    return give_up(asked[0], Reason.NOT_OBEYING) if asked[0].asks > _ASKS else asked
+
+
+# --- given up
+
+
+def _wanted_fallback(state: State, context: Context) -> Fallback:
+    """The mission's fallback, or what was ordered or is in progress."""
+    flight, orders = state.flight, state.orders
+    ordered = (state.reason, orders.active, orders.suspended)
+    asked = Reason.RETURN_ASKED in (*ordered, flight.fallen_back)
+    landing = flight.fallen_back is Reason.LAND_ASKED and not asked
+    if landing or Reason.LAND_ASKED in ordered:
+        return Fallback.LAND
+    ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
+    home = asked or ends_there or flight.returning or flight.homeward
+    return Fallback.RETURN if home else context.mission.fallback
+
+
+_LADDERS = {Fallback.RETURN: (Mode.RETURN, Mode.LAND), Fallback.LAND: (Mode.LAND, Mode.RETURN)}
+"""What a vehicle is told whose mission is given up: the first that it does not refuse."""
+_ASKED_IN = {Phase.LANDING: Mode.LAND, Phase.HANDING_OVER: Mode.RETURN}
+"""The mode that a phase requests: given up in it, it was refused."""
+
+
+def fall_back(state: State, context: Context) -> Step:
+    """Bring down a vehicle whose mission is given up, if we still control it."""
+    fallback, flight, traits = _wanted_fallback(state, context), state.flight, state.vehicle.traits
+    if fallback is Fallback.HOLD or traits is UNKNOWN or not _is_left_to_us(state):
+        return state, [], Trigger.GIVE_UP
+    refused = flight.refused_modes | {mode for at, mode in _ASKED_IN.items() if at is state.phase}
+    if state.vehicle.distrust is not None or is_above_home(state):
+        fallback = Fallback.LAND
+    able = {Mode.RETURN, Mode.LAND} if traits.lands else {Mode.RETURN}
+    way = next((mode for mode in _LADDERS[fallback] if mode in able - refused), None)
+    reason = state.reason or Reason.NO_PLAN
+    follows = reason is Reason.NOT_OBEYING or flight.homeward
+    if follows and flight.fallen_back is not None:
+        reason = flight.fallen_back  # that is why it was asked
+    state = state.with_flight(fallen_back=reason, refused_modes=refused)
+    if way is None:
+        return state, [], Trigger.GIVE_UP
+    how = "landing here" if way is Mode.LAND else "its autopilot is told to return"
+    says = warn(f"{in_words(state, reason)}: {how}", "end")
+    return state, [says], Trigger.END_LAND if way is Mode.LAND else Trigger.HAND_OVER
+
+
+def _is_left_to_us(state: State) -> bool:
+    """Whether we are responsible for the vehicle: it flies or holds on our command."""
+    vehicle = state.vehicle
+    led = has_had_control(state) or state.flight.plan_id > 0
+    if not led or state.taken or is_second_companion(state) or state.reason is Reason.LINK_LOST:
+        return False
+    if not vehicle.armed or is_grounded(state) or is_silent(state):
+        return False
+    if vehicle.mode is Mode.HOLD:
+        return state.phase is not Phase.PREPARING or state.asks > 0
+    return vehicle.mode is Mode.GUIDED or (vehicle.mode is Mode.TAKE_OFF and is_own_takeoff(state))

@@ -2,10 +2,9 @@
 
 import ast
 from pathlib import Path
-from typing import get_args
 
 from companion.mission import state
-from companion.mission.state import MOVES, Hold, HoldMode, Phase, Reason, Trigger
+from companion.mission.state import Hold, Phase, Reason, Trigger
 from companion.planner.request import Refusal
 
 
@@ -20,33 +19,31 @@ def mission_states_markdown() -> str:
         "stateDiagram-v2",
         "    [*] --> waiting",
     ]
-    shared = _shared_moves()
+    shared = [trigger for trigger in Trigger if len(trigger.origins) > 3]
     lines += [
-        f"    {_id(before)} --> {_id(after)}: {trigger.name.lower()}"
-        for (before, trigger), after in MOVES.items()
+        f"    {_id(before)} --> {_id(trigger.after)}: {trigger.name.lower()}"
+        for trigger in Trigger
         if trigger not in shared
+        for before in trigger.origins
     ]
     lines += ["    done --> [*]", "    faulted --> [*]", "```", ""]
-    for trigger, (origins, after) in shared.items():
-        names = ", ".join(before.value for before in origins)
-        lines.append(f"Not drawn: `{trigger.name.lower()}` leads from {names} to {after.value}.")
-    unreached = [phase.value for phase in Phase if phase not in _reached()]
-    if unreached:
-        lines += ["", f"Reserved, not entered yet: {', '.join(unreached)}."]
+    for each in shared:  # drawn, they would hide the rest
+        names = ", ".join(before.value for before in each.origins)
+        lines.append(f"Not drawn: `{each.name.lower()}` leads from {names} to {each.after.value}.")
     lines += ["", "## Triggers", ""]
     lines += ["| trigger | when | decided in `companion/mission` by |", "|---|---|---|"]
     deciders = _deciders()
     lines += [
-        f"| `{trigger.name.lower()}` | {trigger.value} | {', '.join(deciders[trigger.name])} |"
+        f"| `{trigger.name.lower()}` | {trigger.when} | {', '.join(deciders[trigger.name])} |"
         for trigger in Trigger
     ]
     lines += ["", "## Holds", "", "How a vehicle is held, in the phase holding, by the reason:", ""]
     lines += ["| hold | how | reasons |", "|---|---|---|"]
-    for hold in get_args(Hold):
+    for hold in Hold:
         reasons = ", ".join(f"`{each.name}`" for each in Reason if each.hold is hold)
-        if hold is HoldMode:
+        if hold is Hold.MODE:
             reasons = "all others"
-        lines.append(f"| {hold.__name__} | {hold.__doc__} | {reasons} |")
+        lines.append(f"| {hold.name.lower()} | {hold.value} | {reasons} |")
     return "\n".join(lines) + "\n"
 
 
@@ -102,21 +99,6 @@ def _returned(tree: ast.AST) -> set[str]:
             case _:
                 names |= _returned(node)
     return names
-
-
-def _shared_moves() -> dict[Trigger, tuple[list[Phase], Phase]]:
-    """Triggers that lead from many phases to one: drawn, they would hide the rest."""
-    shared = {}
-    for trigger in Trigger:
-        origins = [before for before, on in MOVES if on is trigger]
-        afters = {MOVES[before, trigger] for before in origins}
-        if len(origins) > 3 and len(afters) == 1:
-            shared[trigger] = (origins, afters.pop())
-    return shared
-
-
-def _reached() -> set[Phase]:
-    return {Phase.WAITING, *MOVES.values()}
 
 
 def _id(phase: Phase) -> str:

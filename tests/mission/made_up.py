@@ -2,51 +2,21 @@
 
 import copy
 import functools
+import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ARDUCOPTER
-from companion.mission import machine
+from companion.mission import checkpoint, events, machine
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Battery,
-    Command,
-    Disarm,
-    End,
-    Estimator,
-    Event,
-    GpsFix,
-    Home,
-    Item,
-    Landed,
-    LandedState,
-    Mode,
-    Order,
-    OrderKind,
-    Plan,
-    PlanReady,
-    Position,
-    Prepared,
-    RequestStreams,
-    ScanDone,
-    SetMode,
-    Setpoint,
-    StartScan,
-    TakeOff,
-    TakeOffTaken,
-    Tick,
-    Vector,
-    VehicleFound,
-    VehicleStatus,
-)
+from companion.mission.events import Command, Event, Landed, Mode, ScanDone, Vector, VehicleStatus
 from companion.mission.mission import EndAction, Mission
 from companion.mission.state import Phase, State
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
@@ -196,8 +166,8 @@ def status(time_s: float, mode: Mode = Mode.GUIDED, *, armed: bool = True) -> Ve
 
 def position(
     time_s: float, at: Vector = (0.0, 0.0, TAKE_OFF_AMSL_M), velocity: Vector = (0.0, 0.0, 0.0)
-) -> Position:
-    return Position(time_s=time_s, position_nea_m=at, velocity_nea_m_s=velocity)
+) -> events.Position:
+    return events.Position(time_s=time_s, position_nea_m=at, velocity_nea_m_s=velocity)
 
 
 class Craft:
@@ -257,30 +227,32 @@ class Craft:
     def obey(self, commands: Sequence[Command]) -> None:
         for command in commands:
             match command:
-                case RequestStreams():
-                    self.told += [Prepared(time_s=self.now_s, item=item) for item in Item]
-                case SetMode(mode=mode) if self.obeys_modes:
+                case events.RequestStreams():
+                    self.told += [
+                        events.Prepared(time_s=self.now_s, item=item) for item in events.Item
+                    ]
+                case events.SetMode(mode=mode) if self.obeys_modes:
                     self.mode, self.climb_to_m = mode, None
                     if self.landed is Landed.TAKING_OFF:
                         on_ground = self.here[2] <= HOME_AMSL_M
                         self.landed = Landed.ON_GROUND if on_ground else Landed.IN_AIR
-                case Disarm():
+                case events.Disarm():
                     self.armed = self.armed and self.landed is not Landed.ON_GROUND
-                case Arm() if self.arms:
+                case events.Arm() if self.arms:
                     self.armed = True
-                case TakeOff() if not self.takes_off and self.accepts:
-                    self.told.append(TakeOffTaken(time_s=self.now_s))
-                case TakeOff(above_home_m=height) if self.takes_off:
-                    self.told.append(TakeOffTaken(time_s=self.now_s))
+                case events.TakeOff() if not self.takes_off and self.accepts:
+                    self.told.append(events.TakeOffTaken(time_s=self.now_s))
+                case events.TakeOff(above_home_m=height) if self.takes_off:
+                    self.told.append(events.TakeOffTaken(time_s=self.now_s))
                     self.mode = Mode.TAKE_OFF if self._by_itself else self.mode
                     self.climb_to_m = HOME_AMSL_M + height
                     self.landed = Landed.TAKING_OFF if self.armed else self.landed
-                case StartScan():
+                case events.StartScan():
                     self.scan_asked = True
-                case Plan(request=request, due_s=due_s):
+                case events.Plan(request=request, due_s=due_s):
                     outcome = self.plan(request)
                     self.pending = None if outcome is None else (due_s, outcome)
-                case Setpoint() if self.follows and self.mode is Mode.GUIDED:
+                case events.Setpoint() if self.follows and self.mode is Mode.GUIDED:
                     self._follow(command)
                 case _:
                     pass
@@ -289,7 +261,7 @@ class Craft:
     def _by_itself(self) -> bool:
         return self.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
 
-    def _follow(self, setpoint: Setpoint) -> None:
+    def _follow(self, setpoint: events.Setpoint) -> None:
         """Be there; what cannot hover flies towards it at the mission's speed."""
         there = setpoint.position_nea_m
         if self.traits.hovers:
@@ -321,37 +293,37 @@ class Craft:
         north, east, _ = self.by_hand
         self.here = (self.here[0] + TICK_S * north, self.here[1] + TICK_S * east, height)
 
-    def events(self) -> list[Event]:
+    def says(self) -> list[Event]:
         """What the vehicle says at the next tick of its clock."""
         self.now_s = now = round(self.now_s + TICK_S, 6)
         self._move()
-        said: list[Event] = [Tick(time_s=now)]
+        said: list[Event] = [events.Tick(time_s=now)]
         if round(now / TICK_S) % 10 == 0:
             said += [
                 VehicleStatus(time_s=now, mode=self.mode, armed=self.armed, failsafe=self.failsafe),
-                LandedState(time_s=now, landed=self.landed),
-                GpsFix(time_s=now, good=self.fix),
-                Estimator(time_s=now, good=self.estimator),
+                events.LandedState(time_s=now, landed=self.landed),
+                events.GpsFix(time_s=now, good=self.fix),
+                events.Estimator(time_s=now, good=self.estimator),
             ]
             if self.home_nea_m is not None:
-                said.append(Home(time_s=now, position_nea_m=self.home_nea_m))
+                said.append(events.Home(time_s=now, position_nea_m=self.home_nea_m))
             if self.battery is not None:
-                said.append(Battery(time_s=now, remaining=self.battery))
+                said.append(events.Battery(time_s=now, remaining=self.battery))
         if self.phase is Phase.WAITING:
-            found = VehicleFound(time_s=now, system_id=1, traits=self.traits, name="made up")
+            found = events.VehicleFound(time_s=now, system_id=1, traits=self.traits, name="made up")
             said.append(found)
         said, self.told = [*said, *self.told], []
         if self.scan_asked:
             self.scan_asked = False
             said.append(scan_done(now, answered=self.answered, asked=self.asked))
         if self.pending is not None and now >= self.pending[0]:
-            said.append(PlanReady(time_s=now, outcome=self.pending[1]))
+            said.append(events.PlanReady(time_s=now, outcome=self.pending[1]))
             self.pending = None
         return [*said, position(now, self.here, self.velocity)]
 
     def tick(self) -> list[Command]:
         out: list[Command] = []
-        for event in self.events():
+        for event in self.says():
             commands = self.take(event)
             self.obey(commands)
             out += commands
@@ -385,8 +357,26 @@ class Craft:
         other.steps, other.told = [*self.steps], [*self.told]
         return other
 
-    def end(self) -> End:
-        ends = self.sent(End)
+    def order(self, kind: events.OrderKind) -> "Craft":
+        """A person's order, obeyed at once."""
+        self.obey(self.take(order_of(self, kind)))
+        return self
+
+    def restart(self) -> "Craft":
+        """The companion dies and is started again from its checkpoint."""
+        values = json.loads(json.dumps(checkpoint.values_of(self.state)))
+        self.state = checkpoint.restored(self.context.mission, self.state.flight.known, values)
+        return self
+
+    def reboot(self) -> "Craft":
+        """The autopilot's clock begins again, as the session tells it."""
+        self.now_s = 1.0
+        self.state = replace(self.state, now_s=1.0, since_s=1.0)
+        self.obey(self.take(events.Rebooted(time_s=1.0)))
+        return self
+
+    def end(self) -> events.End:
+        ends = self.sent(events.End)
         assert len(ends) == 1, ends
         return ends[0]
 
@@ -472,7 +462,7 @@ def landing() -> Craft:
     return arrived(LAND).fly_to(Phase.LANDING)
 
 
-def order_of(craft: Craft, kind: OrderKind) -> Order:
+def order_of(craft: Craft, kind: events.OrderKind) -> events.Order:
     """An order by a ground station, with a place if it is one that needs it."""
-    target_ne_m = (6_000.0, 2_000.0) if kind is OrderKind.REPOSITION else None
-    return Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m, sender="255/190")
+    target_ne_m = (6_000.0, 2_000.0) if kind is events.OrderKind.REPOSITION else None
+    return events.Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m, sender="255/190")

@@ -6,7 +6,6 @@ import math
 import pytest
 from made_up import (
     MISSION,
-    TICK_S,
     Craft,
     arrived,
     flying,
@@ -15,6 +14,7 @@ from made_up import (
     holding_without_plan,
     landing,
     near_target,
+    order_of,
     preparing,
     scan_done,
     two_legs_away,
@@ -22,38 +22,17 @@ from made_up import (
 from renewed import replace
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
-from companion.mission import changes, checkpoint
+from companion.mavlink.autopilots import ALL, PX4_MULTICOPTER
+from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
-from companion.mission.events import (
-    Arm,
-    Battery,
-    Command,
-    Echo,
-    FenceChanged,
-    Landed,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    Rebooted,
-    SetMode,
-    Setpoint,
-    SetSpeed,
-    StartScan,
-    StatusText,
-    StopAsked,
-    TakeOff,
-    TargetsChanged,
-)
+from companion.mission.events import FenceChanged, Mode, Order, OrderKind, Plan, SetMode, Setpoint
 from companion.mission.flying import on_scan
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import Backtracking, Phase, Reason, Scanning
+from companion.mission.state import Phase, Reason, Scanning, Way
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
-MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
+MOVING = (events.Arm, events.TakeOff, SetMode, Setpoint, events.SetSpeed)
 AT_ONCE = {
     "preparing": preparing,
     "ready": lambda: Craft(go=False).fly_to(Phase.READY),
@@ -80,16 +59,11 @@ ON_THE_WAY_UP = (OrderKind.PAUSE, OrderKind.RETURN, OrderKind.LAND)
 """`test_machine` has what these do to a take-off."""
 
 
-def order(kind: OrderKind, craft: Craft) -> Order:
-    target_ne_m = (6_000.0, 2_000.0) if kind is OrderKind.REPOSITION else None
-    return Order(time_s=craft.now_s, kind=kind, target_ne_m=target_ne_m)
-
-
 @pytest.mark.parametrize("state", AT_ONCE)
 @pytest.mark.parametrize("kind", OrderKind, ids=lambda kind: kind.name)
 def test_an_order_is_accepted_where_it_is_carried_out(kind: OrderKind, state: str) -> None:
     craft = AT_ONCE[state]()
-    assert (changes.order_result(craft.state, order(kind, craft)) is OrderResult.ACCEPTED) == (
+    assert (changes.order_result(craft.state, order_of(craft, kind)) is OrderResult.ACCEPTED) == (
         state in TAKEN[kind]
     )
 
@@ -126,14 +100,14 @@ def carried_out(kind: OrderKind, craft: Craft) -> bool:
 )
 def test_what_is_accepted_is_done(kind: OrderKind, state: str) -> None:
     craft = AT_ONCE[state]()
-    craft.obey(craft.take(order(kind, craft)))
+    craft.order(kind)
     craft.fix = craft.fix or kind is not OrderKind.LAND  # which waits for none
     assert carried_out(kind, craft)
 
 
 def test_a_pause_stops_on_the_path_and_a_word_goes_on_from_there() -> None:
     craft = flying(two_legs_away())
-    craft.obey(craft.take(order(OrderKind.PAUSE, craft)))
+    craft.order(OrderKind.PAUSE)
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.PAUSED
     stopped_m = math.hypot(*craft.here[:2])
@@ -141,18 +115,18 @@ def test_a_pause_stops_on_the_path_and_a_word_goes_on_from_there() -> None:
     craft.run_for(400.0)  # as long as it takes
     assert craft.state.reason is Reason.PAUSED
     assert math.hypot(*craft.here[:2]) == pytest.approx(stopped_m, abs=1.0)
-    craft.obey(craft.take(order(OrderKind.CONTINUE, craft)))
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    craft.order(OrderKind.CONTINUE)
+    assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
 
 
 def test_a_start_asks_for_guided_mode_of_a_vehicle_that_somebody_had_taken() -> None:
     craft = holding_mode_taken().run_for(5.0)
     count = len(craft.commands)
     craft.obeys_modes = True
-    craft.obey(craft.take(order(OrderKind.START, craft)))
+    craft.order(OrderKind.START)
     craft.run_for(3.0)
     assert SetMode(mode=Mode.GUIDED) in craft.commands[count:]
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
 
 
 @pytest.mark.parametrize("target_ne_m", [(1e6, 0.0), (math.nan, 0.0), None], ids=str)
@@ -167,7 +141,7 @@ def test_a_target_that_cannot_be_one_is_invalid(target_ne_m: tuple[float, float]
 def test_other_targets_are_flown_to_from_where_the_vehicle_stops() -> None:
     craft = flying(two_legs_away())
     targets = ((8_000.0, 2_000.0), (2_000.0, 8_000.0))
-    craft.obey(craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=targets)))
+    craft.obey(craft.take(events.TargetsChanged(time_s=craft.now_s, targets_ne_m=targets)))
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.NEW_TARGET
     craft.fly_to(Phase.DONE)
@@ -180,7 +154,7 @@ def test_other_targets_are_flown_to_from_where_the_vehicle_stops() -> None:
 def test_a_mission_that_is_cleared_in_flight_changes_nothing(state: str) -> None:
     craft = AT_ONCE[state]()
     targets = craft.state.targets_ne_m
-    craft.obey(craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=())))
+    craft.obey(craft.take(events.TargetsChanged(time_s=craft.now_s, targets_ne_m=())))
     craft.run_for(3.0)
     assert craft.state.targets_ne_m == targets
 
@@ -198,7 +172,7 @@ def test_a_fence_that_does_not_touch_the_path_changes_the_next_plan_only() -> No
     before = craft.state.flight
     commands = craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
     assert craft.state.flight == before
-    assert [type(command) for command in commands] == [StatusText]
+    assert [type(command) for command in commands] == [events.StatusText]
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
     assert "drawn" in {zone.name for zone in craft.sent(Plan)[-1].request.task.zones}
 
@@ -231,7 +205,7 @@ def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> 
     craft.fly_to(Phase.HOLDING)
     flight = craft.state.flight
     assert flight.hover_nea_m is not None
-    craft.state = replace(craft.state, flight=replace(flight, way=Backtracking((leg,))))
+    craft.state = replace(craft.state, flight=replace(flight, way=Way.BACK, back=(leg,)))
     ahead_m = 10_000.0 * math.sqrt(0.5)
     craft.take(fence(craft, ahead_m, ahead_m, 500.0))
     assert craft.state.flight.hover_nea_m == flight.hover_nea_m
@@ -286,18 +260,11 @@ def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
 # --- the vehicle itself
 
 
-def rebooted(craft: Craft) -> None:
-    """As the session tells it: the clock begins again."""
-    craft.now_s = 1.0
-    craft.state = replace(craft.state, now_s=1.0, since_s=1.0)
-    craft.obey(craft.take(Rebooted(time_s=1.0)))
-
-
 @pytest.mark.parametrize("state", AT_ONCE)
 def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
     craft = AT_ONCE[state]()
     known = craft.state.flight.known
-    rebooted(craft)
+    craft.reboot()
     assert craft.phase is Phase.PREPARING
     assert craft.state.flight.known is known
     assert craft.state.vehicle.position_nea_m is None
@@ -306,8 +273,8 @@ def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
 
 def test_a_vehicle_that_reboots_in_flight_and_falls_is_never_armed_again() -> None:
     craft = flying()
-    rebooted(craft)
-    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, Landed.ON_GROUND
+    craft.reboot()
+    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
     count = len(craft.commands)
     craft.run_for(150.0)
     assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
@@ -316,17 +283,17 @@ def test_a_vehicle_that_reboots_in_flight_and_falls_is_never_armed_again() -> No
 
 def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over() -> None:
     craft = flying(near_target())
-    rebooted(craft)
+    craft.reboot()
     count = len(craft.commands)
-    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
-    assert not [c for c in craft.commands[count:] if isinstance(c, Arm | TakeOff)]
+    assert craft.fly_to(Phase.DONE).end().outcome is events.Outcome.ARRIVED
+    assert not [c for c in craft.commands[count:] if isinstance(c, events.Arm | events.TakeOff)]
 
 
 def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold() -> None:
     craft = flying()
     while craft.phase is Phase.FLYING and craft.now_s < 100.0:
         far = (craft.here[0] - 5_000.0, craft.here[1], craft.here[2])
-        echo = Echo(time_s=craft.now_s, position_nea_m=far)
+        echo = events.Echo(time_s=craft.now_s, position_nea_m=far)
         craft.take(echo)
         craft.tick()
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.NOT_TAKEN)
@@ -356,9 +323,9 @@ def test_a_battery_below_its_reserve_ends_the_mission_by_its_fallback(how: Fallb
 def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> None:
     craft = Craft(replace(MISSION, endurance_s=600.0))  # 141 km at 150 m/s take 950 s
     craft.fly_to(Phase.PREPARING)
-    craft.take(Battery(time_s=craft.now_s, remaining=1.0))
+    craft.take(events.Battery(time_s=craft.now_s, remaining=1.0))
     assert craft.fly_to(Phase.DONE).end().reason.startswith(Reason.BATTERY_SHORT.text)
-    assert not craft.sent(Arm)
+    assert not craft.sent(events.Arm)
 
 
 # --- restarts
@@ -386,7 +353,7 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
         was = (wild.velocity, last.velocity_nea_m_s)  # it has stopped at the last setpoint, or not
         apart = min(math.dist(first.velocity_nea_m_s, velocity) for velocity in was)
         assert first.stay or apart <= 1.0 + 2.5 * wild.tick_s
-    assert wild.fly_to(Phase.DONE).said_to[-1].outcome is Outcome.ARRIVED
+    assert wild.fly_to(Phase.DONE).said_to[-1].outcome is events.Outcome.ARRIVED
 
 
 def test_what_is_restored_is_what_was_kept() -> None:
@@ -407,12 +374,11 @@ def test_what_is_restored_is_what_was_kept() -> None:
 def test_a_companion_that_was_restarted_after_a_flight_never_arms(phase: Phase) -> None:
     craft = flying(two_legs_away())
     if phase is Phase.PREPARING:
-        rebooted(craft)
+        craft.reboot()
     elif phase is Phase.HOLDING:
         craft = holding_mode_taken()
-    values = checkpoint.values_of(craft.state)
-    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
-    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, Landed.ON_GROUND
+    craft.restart()
+    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, events.Landed.ON_GROUND
     count = len(craft.commands)
     craft.run_for(150.0)
     assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
@@ -427,15 +393,15 @@ def test_a_shadow_plans_and_says_and_never_commands(traits: VehicleTraits) -> No
     wild.run_for(60.0)
     assert wild.state.phase is Phase.SHADOW
     assert wild.sent(Plan)
-    moving: list[Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
+    moving: list[events.Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
     assert not moving
-    assert wild.state.flight.leg is not None or wild.sent(StatusText)
+    assert wild.state.flight.leg is not None or wild.sent(events.StatusText)
 
 
 def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
     wild = Wild.calmly(PX4_MULTICOPTER.traits).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
     assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
-    wild.take(StopAsked(time_s=wild.now_s))
+    wild.take(events.StopAsked(time_s=wild.now_s))
     assert [each.mode for each in wild.sent(SetMode)] == [Mode.HOLD]
 
 
@@ -446,13 +412,8 @@ def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shad
     flight = replace(wild.state.flight, leg=None, next_leg=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
     _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
-    does = [type(command) for command in commands if not isinstance(command, StatusText)]
-    assert does == [Plan if is_shadow else StartScan]
-
-
-def test_made_up_vehicles_are_driven_as_the_real_ones() -> None:
-    assert Craft().traits is ARDUCOPTER.traits
-    assert TICK_S == 0.1
+    does = [type(command) for command in commands if not isinstance(command, events.StatusText)]
+    assert does == [Plan if is_shadow else events.StartScan]
 
 
 def test_a_battery_that_runs_low_while_it_is_held_does_not_leave_it_in_guided_mode_in_silence() -> (

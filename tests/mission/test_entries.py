@@ -9,16 +9,8 @@ import numpy as np
 import pytest
 from made_up import MISSION, certificate, fresh, not_planned, planned, position, scan_done, status
 
-from companion.mission import entries, journal
-from companion.mission.events import (
-    Event,
-    LinkLost,
-    PlanLate,
-    PlannerDied,
-    PlanReady,
-    StopAsked,
-    Tick,
-)
+from companion.mission import entries, events, journal
+from companion.mission.events import Event, LinkLost, PlanLate, PlannerDied, PlanReady, StopAsked
 from companion.path.certificate import Certificate, certify
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import NotPlanned, PlanRequest, Refusal
@@ -157,7 +149,7 @@ def test_every_event_that_is_not_in_the_telemetry_log_is_told(event: Event, kind
     assert told(event)["kind"] == kind
 
 
-@pytest.mark.parametrize("event", [Tick(time_s=1.0), status(1.0), position(1.0)], ids=repr)
+@pytest.mark.parametrize("event", [events.Tick(time_s=1.0), status(1.0), position(1.0)], ids=repr)
 def test_what_the_telemetry_log_holds_is_not_told_twice(event: Event) -> None:
     assert entries.of_event(event, STATE) is None
 

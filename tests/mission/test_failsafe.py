@@ -1,24 +1,12 @@
 """The autopilot's own failsafe takes the vehicle: it is called that, and not taken back unasked."""
 
-import json
-
 import pytest
 from made_up import LAND, TICK_S, Craft, arrived, flying, status, two_legs_away
 from renewed import replace
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
-from companion.mission import checkpoint
-from companion.mission.events import (
-    Battery,
-    Command,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    SetMode,
-    Setpoint,
-    StatusText,
-)
+from companion.mission import events
+from companion.mission.events import Command, Mode, OrderKind, Outcome, SetMode, Setpoint
 from companion.mission.state import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.mission.vehicle_traits import VehicleTraits
@@ -31,7 +19,7 @@ WHERE = [Mode.HOLD, Mode.RETURN, Mode.LAND]
 
 
 def texts(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, StatusText)]
+    return [c.text for c in commands if isinstance(c, events.StatusText)]
 
 
 def under_way(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
@@ -106,7 +94,7 @@ def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(
     assert not [c for c in later if isinstance(c, SetMode | Setpoint)]
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
     craft.obeys_modes = True
-    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.START)))
+    craft.order(OrderKind.START)
     if traits.hovers:
         assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
     else:
@@ -125,7 +113,7 @@ def test_the_next_failsafe_is_told_of_again() -> None:
     for _ in range(2):
         craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.HOLD, True
         craft.run_for(10.0)
-        craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.START)))
+        craft.order(OrderKind.START)
         craft.fly_to(Phase.FLYING).run_for(10.0)
         craft.failsafe, craft.mode, craft.obeys_modes = True, Mode.RETURN, False
         craft.run_for(5.0)
@@ -134,8 +122,7 @@ def test_the_next_failsafe_is_told_of_again() -> None:
 
 def test_it_stays_let_go_for_a_companion_that_is_started_again() -> None:
     craft = taken()
-    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    craft.restart()
     count = len(craft.commands)
     craft.run_for(20.0)
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
@@ -171,7 +158,7 @@ def test_whoever_flies_it_is_warned_of_the_battery_at_this_rate_and_at_the_reser
     count = len(craft.commands)
     for second in range(200):
         left = max(0.9 - 0.005 * second, 0.0)
-        craft.take(Battery(time_s=craft.now_s, remaining=left))
+        craft.take(events.Battery(time_s=craft.now_s, remaining=left))
         craft.run_for(1.0)
     assert texts(craft.commands[count:]) == [Reason.BATTERY_LOW.text] * 2
     assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]
@@ -198,13 +185,13 @@ def given_back(craft: Craft) -> Craft:
     """By a word, to a vehicle that was told to return: it stops first, for a moment."""
     craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.HOLD, True
     craft.run_for(10.0)
-    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.START)))
+    craft.order(OrderKind.START)
     return craft.run_until(lambda craft: craft.state.reason is Reason.RETURN_ASKED)
 
 
 def told_to_return_and_taken(mode: Mode, *, failsafe: bool) -> Craft:
     craft = flying(two_legs_away())
-    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.RETURN)))
+    craft.order(OrderKind.RETURN)
     craft.fly_to(Phase.HOLDING)
     craft.failsafe, craft.mode, craft.obeys_modes = failsafe, mode, False
     return craft.run_for(3.0)

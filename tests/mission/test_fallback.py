@@ -22,20 +22,10 @@ from wild import Wild
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, Autopilot
-from companion.mission.events import (
-    Landed,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    Rebooted,
-    SetMode,
-    StatusText,
-    Vector,
-)
+from companion.mission import events
+from companion.mission.events import Landed, Mode, Order, OrderKind, Outcome, SetMode, StatusText
 from companion.mission.mission import EndAction, Fallback, Mission
-from companion.mission.state import Phase, Reason, Replan, TakeOver
+from companion.mission.state import Hold, Phase, Reason
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest, Refusal
 
 AWAY = two_legs_away()
@@ -223,7 +213,7 @@ def under_way(craft: Craft) -> Craft:
 
 
 def told(craft: Craft) -> None:
-    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.RETURN)))
+    craft.order(OrderKind.RETURN)
 
 
 def low(craft: Craft) -> None:
@@ -277,7 +267,7 @@ def test_with_nothing_flown_yet_it_plans_home_from_where_it_is(
     craft = taken_over()
     if why is no_way_on:
         why(craft)
-    craft.run_until(lambda craft: isinstance(craft.state.hold, TakeOver | Replan))
+    craft.run_until(lambda craft: craft.state.hold in (Hold.TAKE_OVER, Hold.REPLAN))
     if why is told:
         why(craft)
     craft.fly_to(Phase.DONE)
@@ -306,14 +296,11 @@ def test_from_where_nothing_leads_away_no_way_home_is_looked_for() -> None:
 
 @pytest.mark.parametrize(
     ("home_nea_m", "why"),
-    [
-        (None, "home is not known"),
-        ((0.0, 1e6, HOME_AMSL_M), "home: it lies outside the map"),
-    ],
+    [(None, "home is not known"), ((0.0, 1e6, HOME_AMSL_M), "home: it lies outside the map")],
     ids=["unknown", "off the map"],
 )
 def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_said_before(
-    home_nea_m: Vector | None, why: str
+    home_nea_m: events.Vector | None, why: str
 ) -> None:
     """The origin of the map is nobody's home."""
     craft = taken_over()
@@ -333,13 +320,13 @@ def test_where_no_way_home_can_be_asked_for_its_autopilot_returns_and_that_is_sa
 
 def requests(craft: Craft) -> list[PlanRequest]:
     """Of ways to somewhere."""
-    asked = [plan.request for plan in craft.sent(Plan)]
+    asked = [plan.request for plan in craft.sent(events.Plan)]
     return [request for request in asked if request.flown is None]
 
 
 def test_what_an_autopilot_calls_home_after_a_reboot_in_the_air_is_not_flown_to() -> None:
     craft = flying(two_legs_away(), plan=back_as_flown).run_for(20.0)
-    craft.obey(craft.take(Rebooted(time_s=craft.now_s)))
+    craft.obey(craft.take(events.Rebooted(time_s=craft.now_s)))
     craft.home_nea_m = craft.here
     craft.run_until(lambda craft: craft.phase is Phase.FLYING)
     told(craft)
@@ -349,7 +336,7 @@ def test_what_an_autopilot_calls_home_after_a_reboot_in_the_air_is_not_flown_to(
 
 def test_told_to_return_on_its_planned_way_home_it_flies_on() -> None:
     craft = taken_over()
-    craft.run_until(lambda craft: isinstance(craft.state.hold, TakeOver))
+    craft.run_until(lambda craft: craft.state.hold is Hold.TAKE_OVER)
     told(craft)
     craft.run_until(lambda craft: craft.state.flight.homeward and craft.velocity[0] != 0.0)
     told(craft)

@@ -20,16 +20,9 @@ from made_up import (
 )
 from renewed import replace
 
+from companion.mission import events
 from companion.mission.entries import of_change
-from companion.mission.events import (
-    Mode,
-    Plan,
-    PlanReady,
-    Position,
-    Setpoint,
-    StartScan,
-    StatusText,
-)
+from companion.mission.events import Mode, Plan, Position, Setpoint, StartScan, StatusText
 from companion.mission.following import is_on_path, left_path, outside_m
 from companion.mission.joining import joined
 from companion.mission.state import Answered, Flight, Phase, Reason
@@ -283,7 +276,7 @@ def test_a_datagram_that_was_overtaken_neither_stops_the_flight_nor_sends_it_bac
 
 def test_a_position_twice_moves_the_reference_once() -> None:
     craft = flying()
-    commands = craft.take(*craft.events())
+    commands = craft.take(*craft.says())
     craft.obey(commands)
     [first] = [c for c in commands if isinstance(c, Setpoint)]
     again = craft.take(position(craft.now_s, craft.here, craft.velocity))
@@ -302,7 +295,7 @@ def test_a_plan_that_comes_after_p_prog_is_not_flown() -> None:
 
     craft = Craft(plan=first_only).run_until(lambda _: len(asked) == 2)
     craft.run_until(lambda craft: craft.state.flight.reference.length_m > LEG_M - TAIL_M)
-    craft.take(PlanReady(time_s=craft.now_s, outcome=planned(asked[1])))
+    craft.take(events.PlanReady(time_s=craft.now_s, outcome=planned(asked[1])))
     assert craft.state.flight.next_leg is None
     assert craft.fly_to(Phase.HOLDING).state.reason is Reason.PLAN_LATE
 

@@ -8,30 +8,15 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER
-from companion.mission import changes, checkpoint
+from companion.mission import changes, checkpoint, events
 from companion.mission.changes import OrderResult
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Disarm,
-    FenceChanged,
-    Item,
-    LinkLost,
-    Mode,
-    OrderKind,
-    Prepared,
-    Rebooted,
-    RequestStreams,
-    SetMode,
-    StatusText,
-    TakeOff,
-    TargetsChanged,
-)
+from companion.mission.events import Arm, Disarm, Item, Mode, OrderKind, Prepared, Rebooted, TakeOff
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.zones import CircleZone
 
-UP = (SetMode, Arm, TakeOff)
+UP = (events.SetMode, Arm, TakeOff)
 EACH = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
 
 
@@ -40,7 +25,7 @@ def ready(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
 
 
 def texts(craft: Craft) -> list[str]:
-    return [said.text for said in craft.sent(StatusText)]
+    return [said.text for said in craft.sent(events.StatusText)]
 
 
 def says_go(craft: Craft) -> OrderResult:
@@ -88,7 +73,7 @@ def loses_fix(craft: Craft) -> None:
 
 
 def falls_silent(craft: Craft) -> None:
-    craft.take(LinkLost(time_s=craft.now_s, silent_s=3.0))
+    craft.take(events.LinkLost(time_s=craft.now_s, silent_s=3.0))
 
 
 def drains(craft: Craft) -> None:
@@ -102,7 +87,7 @@ def is_carried_away(craft: Craft) -> None:
 
 def is_fenced_in(craft: Craft) -> None:
     zone = CircleZone(name="z", north_m=0.0, east_m=0.0, radius_m=100.0)
-    craft.take(FenceChanged(time_s=craft.now_s, zones=(zone,)))
+    craft.take(events.FenceChanged(time_s=craft.now_s, zones=(zone,)))
 
 
 def fails_a_check(craft: Craft) -> None:
@@ -114,7 +99,7 @@ def has_a_parameter_changed(craft: Craft) -> None:
 
 
 def loses_its_targets(craft: Craft) -> None:
-    craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=()))
+    craft.take(events.TargetsChanged(time_s=craft.now_s, targets_ne_m=()))
 
 
 MISSION_WITH_BATTERY = mission(endurance_s=600.0, targets_ne_m=near_target().targets_ne_m)
@@ -144,7 +129,7 @@ def test_a_check_that_fails_while_it_waits_is_told_and_a_go_refused_with_it(
     craft.run_for(300.0)
     assert craft.phase is Phase.PREPARING, "it has ended, and nobody can mend it"
     assert not [command for command in craft.commands if isinstance(command, UP)]
-    assert len(craft.sent(RequestStreams)) == 1
+    assert len(craft.sent(events.RequestStreams)) == 1
 
 
 def test_what_is_mended_is_ready_again_and_waits_again() -> None:

@@ -5,25 +5,13 @@ from made_up import MISSION, Craft, flying, preparing, two_legs_away
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL
-from companion.mission import checkpoint
+from companion.mission import checkpoint, events
 from companion.mission.decisions import is_under_control
-from companion.mission.events import (
-    Arm,
-    Command,
-    DuplicateId,
-    End,
-    Mode,
-    Outcome,
-    SetMode,
-    Setpoint,
-    SetSpeed,
-    StatusText,
-    TakeOff,
-)
+from companion.mission.events import Arm, Command, DuplicateId, End, Mode, Outcome, SetMode, TakeOff
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 
-MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
+MOVING = (Arm, TakeOff, SetMode, events.Setpoint, events.SetSpeed)
 BOTH = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
 
 
@@ -33,7 +21,7 @@ def beat(it: Craft | Wild, number: int) -> DuplicateId:
 
 
 def warnings(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, StatusText) and c.warning]
+    return [c.text for c in commands if isinstance(c, events.StatusText) and c.warning]
 
 
 def moving(commands: list[Command]) -> list[Command]:

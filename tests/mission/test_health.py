@@ -52,10 +52,7 @@ class Track:
     def vouch(self, *, fix: bool = True, estimator: bool = True) -> "Track":
         failed_at_s = self.vehicle.estimator_failed_at_s if estimator else self.time_s
         self.vehicle = replace(
-            self.vehicle,
-            fix_good=fix,
-            estimator_good=estimator,
-            estimator_failed_at_s=failed_at_s,
+            self.vehicle, fix_good=fix, estimator_good=estimator, estimator_failed_at_s=failed_at_s
         )
         return self
 

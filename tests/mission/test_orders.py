@@ -1,8 +1,8 @@
 """What a person has ordered, and was told is done, is done: no older plan or order undoes it."""
 
-import json
 import math
 import operator
+from collections.abc import Callable
 
 import pytest
 from made_up import (
@@ -23,22 +23,9 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL
-from companion.mission import changes, checkpoint
+from companion.mission import changes, events
 from companion.mission.changes import OrderResult
-from companion.mission.events import (
-    End,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    PlanReady,
-    Rebooted,
-    SetMode,
-    Setpoint,
-    StatusText,
-    StopAsked,
-)
+from companion.mission.events import End, Mode, Order, OrderKind, Outcome, Plan, SetMode, Setpoint
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
@@ -84,12 +71,7 @@ HOLDING = Phase.HOLDING
 def answer(craft: Craft) -> None:
     """The planner answers what it was asked last."""
     request = craft.sent(Plan)[-1].request
-    craft.obey(craft.take(PlanReady(time_s=craft.now_s, outcome=home_or_on(request))))
-
-
-def restarted(craft: Craft) -> None:
-    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    craft.obey(craft.take(events.PlanReady(time_s=craft.now_s, outcome=home_or_on(request))))
 
 
 def led_towards(craft: Craft, count: int) -> list[Setpoint]:
@@ -119,7 +101,7 @@ def test_a_return_that_is_paused_is_a_return_again(pauses_s: float, continues_s:
 @pytest.mark.parametrize("found_in", [Mode.GUIDED, Mode.HOLD])
 def test_a_companion_started_again_in_flight_knows_the_whole_way_back(found_in: Mode) -> None:
     craft = under_way().run_for(30.0)
-    restarted(craft)
+    craft.restart()
     craft.mode = found_in
     craft.run_for(20.0)
     tell(craft, OrderKind.RETURN)
@@ -143,18 +125,15 @@ def test_a_pause_while_the_way_back_is_planned_waits_for_a_word() -> None:
     craft.fly_to(Phase.RETURNING)
 
 
-@pytest.mark.parametrize("again", [restarted, None], ids=["restarted", "rebooted"])
-def test_a_pause_on_a_return_outlives_the_companion_and_the_autopilot(again: object) -> None:
+@pytest.mark.parametrize("again", [Craft.restart, Craft.reboot])
+def test_a_pause_on_a_return_outlives_the_companion_and_the_autopilot(
+    again: Callable[[Craft], Craft],
+) -> None:
     craft = asking_for_the_way_back()
     tell(craft, OrderKind.PAUSE)
     craft.plan = home_or_on
     craft.run_for(5.0)
-    if again is restarted:
-        restarted(craft)
-    else:
-        craft.now_s = 1.0
-        craft.state = replace(craft.state, now_s=1.0, since_s=1.0)
-        craft.obey(craft.take(Rebooted(time_s=1.0)))
+    again(craft)
     count = len(craft.commands)
     craft.run_for(60.0)
     assert (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
@@ -226,7 +205,7 @@ def test_the_way_back_is_the_flown_one_after_a_pause_or_a_restart_on_it(
     wild.run_until(lambda wild: wild.over)
     assert len(wild.sent(Plan)) == plans
     assert wild.here == pytest.approx((0.0, 0.0, HOME_AMSL_M), abs=1.0)
-    assert f"hold: {Reason.OFF_PATH.text}" not in [say.text for say in wild.sent(StatusText)]
+    assert f"hold: {Reason.OFF_PATH.text}" not in [say.text for say in wild.sent(events.StatusText)]
 
 
 def ways_left(wild: Wild) -> list[bytes]:
@@ -361,7 +340,7 @@ def test_on_its_way_back_it_can_be_told_to_the_very_target_that_it_came_from() -
 
 def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
     over, shadow = under_way(), Craft(shadow=True)
-    over.take(StopAsked(time_s=over.now_s))
+    over.take(events.StopAsked(time_s=over.now_s))
     shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     for craft in (over, shadow):
         assert {tell(craft, kind) for kind in OrderKind} == {OrderResult.NOT_NOW}
@@ -396,7 +375,7 @@ def test_a_word_to_go_on_changes_nothing_where_nothing_was_paused() -> None:
 def test_its_own_hold_after_a_restart_is_not_taken_for_a_persons() -> None:
     """Asked for while the position was bad, and good again before the heartbeat tells of it."""
     craft = flying(two_legs_away())
-    restarted(craft)
+    craft.restart()
     frozen = craft.velocity  # it says that it flies, and where it is does not change
     craft.run_until(lambda craft: craft.mode is Mode.HOLD)
     craft.velocity = (0.0, 0.0, 0.0)
@@ -443,7 +422,7 @@ def test_a_landing_that_is_paused_is_a_landing_again(when: str) -> None:
     assert tell(craft, OrderKind.PAUSE) is OrderResult.ACCEPTED
     craft.run_for(0.5 if when == "braking" else 60.0)
     assert not lands(craft)
-    restarted(craft)
+    craft.restart()
     craft.run_for(30.0)
     assert not lands(craft)
     tell(craft, OrderKind.CONTINUE)

@@ -8,22 +8,10 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_FIXED_WING, PX4_MULTICOPTER
+from companion.mission import events
 from companion.mission.decisions import takeover_reason
-from companion.mission.events import (
-    End,
-    FenceBreach,
-    FenceChanged,
-    FenceReading,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    SetMode,
-    Setpoint,
-    StatusText,
-    VehicleStatus,
-)
-from companion.mission.state import Phase, Reason, TakenOver
+from companion.mission.events import End, FenceBreach, FenceChanged, FenceReading, Mode, StatusText
+from companion.mission.state import Phase, Reason
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.envelope import flown_on_m
 from companion.world.zones import CircleZone
@@ -42,8 +30,8 @@ def aloft(traits: VehicleTraits) -> Craft:
     return craft
 
 
-def failsafe(craft: Craft, mode: Mode = Mode.HOLD) -> VehicleStatus:
-    return VehicleStatus(time_s=craft.now_s, mode=mode, armed=True, failsafe=True)
+def failsafe(craft: Craft, mode: Mode = Mode.HOLD) -> events.VehicleStatus:
+    return events.VehicleStatus(time_s=craft.now_s, mode=mode, armed=True, failsafe=True)
 
 
 def around(craft: Craft, radius_m: float = 200.0) -> FenceChanged:
@@ -68,7 +56,7 @@ def test_what_the_autopilot_does_after_it_has_said_that_its_fence_is_breached(
     commands = craft.take(status(craft.now_s, mode))
     assert reason(craft) is Reason.FENCE_BREACHED
     assert craft.state.taken
-    assert not [c for c in commands if isinstance(c, SetMode | Setpoint)]
+    assert not [c for c in commands if isinstance(c, events.SetMode | events.Setpoint)]
     assert [c.text for c in commands if isinstance(c, StatusText)] == [
         f"hold: {Reason.FENCE_BREACHED.text}"
     ]
@@ -150,8 +138,8 @@ def test_it_is_given_back_by_a_word_as_the_remedy_says() -> None:
     craft = aloft(ARDUCOPTER.traits)
     craft.take(FenceBreach(time_s=craft.now_s))
     craft.take(status(craft.now_s, Mode.RETURN))
-    craft.take(Order(time_s=craft.now_s, kind=OrderKind.START))
-    assert craft.state.hold == TakenOver(released_at_s=craft.now_s)
+    craft.take(events.Order(time_s=craft.now_s, kind=events.OrderKind.START))
+    assert craft.state.taken_over.released_at_s == craft.now_s
 
 
 @PX4S
@@ -235,14 +223,14 @@ def test_copters_hold_and_planes_circle_while_it_is_read(traits: VehicleTraits) 
     assert (it.state.phase, it.state.reason) == (Phase.HOLDING, Reason.FENCE_UNREAD)
     it.take(FenceReading(time_s=it.now_s, items=0))
     it.fly_to(Phase.DONE)
-    assert it.sent(End)[0].outcome is Outcome.ARRIVED
+    assert it.sent(End)[0].outcome is events.Outcome.ARRIVED
 
 
 def test_a_return_that_waits_for_an_unread_fence_says_so_and_is_flown_in_the_end() -> None:
     craft = flying(two_legs_away())
     changed(craft)
     craft.run_until(lambda craft: craft.phase is Phase.HOLDING, 60.0)
-    told = craft.take(Order(time_s=craft.now_s, kind=OrderKind.RETURN))
+    told = craft.take(events.Order(time_s=craft.now_s, kind=events.OrderKind.RETURN))
     assert "it returns once the changed fence is read" in " ".join(
         command.text for command in told if isinstance(command, StatusText)
     )

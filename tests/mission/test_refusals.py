@@ -1,18 +1,10 @@
 """Why there is no plan reaches the person in the planner's own words, with its own remedy."""
 
-import json
 from dataclasses import replace
 
 import pytest
-from made_up import (
-    Craft,
-    flying,
-    mission,
-    planned,
-    two_legs_away,
-)
+from made_up import Craft, flying, mission, planned, two_legs_away
 
-from companion.mission import checkpoint
 from companion.mission.events import Order, OrderKind, Outcome, StatusText
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
@@ -55,8 +47,7 @@ def test_a_target_in_a_fence_is_said_to_be_in_it_while_the_leg_before_it_is_flow
 def test_a_landing_for_want_of_a_plan_ends_with_the_planners_remedy(restarts: bool) -> None:
     craft = Craft(mission(fallback=Fallback.LAND), plan=refused).fly_to(Phase.LANDING)
     if restarts:
-        values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-        craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+        craft.restart()
     end = craft.fly_to(Phase.DONE).end()
     assert end.outcome is Outcome.FAILED
     assert IN_ZONE in end.reason

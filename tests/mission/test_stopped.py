@@ -1,6 +1,5 @@
 """While it is paused the battery goes on; a landing that was broken off is not taken up again."""
 
-import json
 import math
 
 import pytest
@@ -17,28 +16,16 @@ from made_up import (
 )
 from renewed import replace
 
-from companion.mission import changes, checkpoint
+from companion.mission import changes, events
 from companion.mission.changes import OrderResult
-from companion.mission.events import (
-    Battery,
-    Command,
-    Landed,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    SetMode,
-    Setpoint,
-    StatusText,
-)
+from companion.mission.events import Battery, Landed, Mode, Order, OrderKind, SetMode, StatusText
 from companion.mission.health import battery_lasts
-from companion.mission.mission import EndAction, Fallback, Mission
+from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
 from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
 
 
-def warnings(commands: list[Command]) -> list[str]:
+def warnings(commands: list[events.Command]) -> list[str]:
     return [c.text for c in commands if isinstance(c, StatusText) and c.warning]
 
 
@@ -46,10 +33,6 @@ def paused(of: Mission) -> Craft:
     craft = flying(of)
     craft.take(Order(time_s=craft.now_s, kind=OrderKind.PAUSE))
     return craft.fly_to(Phase.HOLDING).run_for(5.0)
-
-
-def told(craft: Craft, kind: OrderKind) -> None:
-    craft.obey(craft.take(Order(time_s=craft.now_s, kind=kind)))
 
 
 # --- the battery
@@ -66,7 +49,7 @@ def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallbac
     if how is Fallback.HOLD:
         craft.fly_to(Phase.DONE)
         assert craft.mode is Mode.HOLD
-        assert craft.end().outcome is Outcome.FAILED
+        assert craft.end().outcome is events.Outcome.FAILED
         assert craft.end().remedy == Reason.BATTERY_LOW.remedy
     elif how is Fallback.LAND:
         craft.fly_to(Phase.LANDING)
@@ -127,8 +110,7 @@ def test_a_battery_that_is_short_is_short_for_a_companion_that_is_started_again(
     craft = flying(replace(two_legs_away(), fallback=Fallback.LAND))
     craft.battery = 0.1
     craft.run_for(after_s)
-    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    craft.restart()
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
 
 
@@ -144,7 +126,7 @@ def going_back(of: Mission) -> Craft:
         )
 
     craft = flying(of, plan=plan)
-    told(craft, OrderKind.RETURN)
+    craft.order(OrderKind.RETURN)
     return craft.fly_to(Phase.RETURNING).run_for(10.0)
 
 
@@ -152,7 +134,7 @@ def going_back(of: Mission) -> Craft:
 def test_a_pause_on_the_way_back_ends_before_the_battery_does(how: Fallback) -> None:
     """And it goes back, whatever the fallback: it was on its way there."""
     craft = going_back(replace(two_legs_away(), fallback=how))
-    told(craft, OrderKind.PAUSE)
+    craft.order(OrderKind.PAUSE)
     craft.fly_to(Phase.HOLDING).run_for(20.0)
     assert craft.state.reason is Reason.PAUSED
     count = len(craft.commands)
@@ -163,7 +145,7 @@ def test_a_pause_on_the_way_back_ends_before_the_battery_does(how: Fallback) -> 
 
 def test_what_was_flown_of_the_way_back_before_a_pause_is_not_left_to_fly() -> None:
     craft = going_back(two_legs_away())
-    told(craft, OrderKind.PAUSE)
+    craft.order(OrderKind.PAUSE)
     craft.fly_to(Phase.HOLDING).run_for(5.0)
     left_s = math.dist(craft.here[:2], (0.0, 0.0)) / craft.state.task.limits.speed_m_s
     state = replace(craft.state, vehicle=replace(craft.state.vehicle, battery=1.0))
@@ -179,9 +161,9 @@ def test_a_return_that_was_asked_for_goes_before_the_fallback_of_a_battery(how: 
         craft = going_back(replace(two_legs_away(), fallback=how))
         craft = flying(replace(two_legs_away(), fallback=how), plan=craft.plan)
         craft.battery = 0.1
-        told(craft, OrderKind.RETURN)
+        craft.order(OrderKind.RETURN)
         if pauses:
-            told(craft, OrderKind.PAUSE)
+            craft.order(OrderKind.PAUSE)
         craft.fly_to(Phase.RETURNING)
         assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
 
@@ -219,11 +201,11 @@ def test_told_to_go_on_with_a_battery_that_is_short_it_does_not_fly_to_the_targe
     craft = flying(replace(two_legs_away(), fallback=Fallback.LAND))
     craft.battery = 0.1
     craft.run_for(3.5)
-    asked = len(craft.sent(Plan))
+    asked = len(craft.sent(events.Plan))
     for _ in range(60):
-        told(craft, kind)
+        craft.order(kind)
         craft.run_for(1.0)
-    assert len(craft.sent(Plan)) == asked
+    assert len(craft.sent(events.Plan)) == asked
     assert craft.phase in (Phase.LANDING, Phase.DONE)
 
 
@@ -232,9 +214,9 @@ def test_who_goes_on_towards_a_target_has_not_fallen_back_and_minds_the_battery(
     craft = flying(replace(two_legs_away(), fallback=Fallback.RETURN))
     craft.plan = lambda request: not_planned(request) if request.flown is None else None
     craft.run_until(lambda craft: craft.state.flight.fallen_back is Reason.NO_PLAN)
-    told(craft, OrderKind.PAUSE)
+    craft.order(OrderKind.PAUSE)
     craft.plan = planned
-    told(craft, OrderKind.CONTINUE)
+    craft.order(OrderKind.CONTINUE)
     craft.fly_to(Phase.FLYING).run_for(20.0)
     craft.battery = 0.1
     craft.fly_to(Phase.HOLDING)
@@ -258,13 +240,13 @@ def test_a_landing_broken_off_into_guided_mode_is_held_where_it_is_until_told() 
     assert not [c for c in later if isinstance(c, SetMode)]
     assert craft.mode is Mode.GUIDED
     assert [text for text in warnings(later) if "MISSION_START" in text]
-    held = [c.position_nea_m for c in later if isinstance(c, Setpoint)]
+    held = [c.position_nea_m for c in later if isinstance(c, events.Setpoint)]
     assert len(held) > 100
     assert all(abs(there[2] - here[2]) < 5.0 for there in held)
-    told(craft, OrderKind.START)
+    craft.order(OrderKind.START)
     craft.fly_to(Phase.DONE)
     assert craft.landed is Landed.ON_GROUND
-    assert craft.end().outcome is Outcome.ARRIVED
+    assert craft.end().outcome is events.Outcome.ARRIVED
 
 
 def test_a_landing_broken_off_by_hand_and_given_back_is_held_too() -> None:
@@ -296,8 +278,7 @@ def test_a_landing_that_was_never_begun_is_asked_for_again(meanwhile: Mode) -> N
 @pytest.mark.parametrize("broken_off", [False, True])
 def test_a_landing_broken_off_while_the_companion_was_dead(broken_off: bool) -> None:
     craft = sinking()
-    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    craft.restart()
     count = len(craft.commands)
     craft.mode = Mode.GUIDED if broken_off else Mode.LAND
     craft.run_for(15.0)
@@ -308,7 +289,3 @@ def test_a_landing_broken_off_while_the_companion_was_dead(broken_off: bool) -> 
         assert [text for text in warnings(craft.commands[count:]) if "MISSION_START" in text]
     else:
         assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
-
-
-def test_the_missions_end_is_a_landing() -> None:
-    assert LAND.end_action is EndAction.LAND

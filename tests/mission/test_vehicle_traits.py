@@ -8,20 +8,8 @@ from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
-from companion.mission import machine, stopped
-from companion.mission.events import (
-    Arm,
-    End,
-    Item,
-    Landed,
-    Mode,
-    Outcome,
-    Position,
-    Prepared,
-    SetMode,
-    Setpoint,
-    TakeOff,
-)
+from companion.mission import events, machine, stopped
+from companion.mission.events import Arm, End, Landed, Mode, Outcome, SetMode, Setpoint, TakeOff
 from companion.mission.following import outside_m
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason
@@ -166,7 +154,7 @@ def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out
         velocity_nea_m_s=velocity,
         position_at_s=wild.now_s,
     )
-    event = Position(
+    event = events.Position(
         time_s=wild.now_s + 0.1, position_nea_m=(north, east, up), velocity_nea_m_s=velocity
     )
     before = replace(wild.state, flight=flight, vehicle=vehicle)
@@ -191,7 +179,9 @@ def test_a_plane_that_sinks_or_rises_out_of_its_tube_has_left_it(
     aside_m = 0.9 * wild.mission.task.limits.loiter_radius_m
     for share, out_m in ((0.98, 0.0), (1.02, 0.02 * tube_m)):
         here = (north + aside_m, east, up + sign * share * tube_m)
-        event = Position(time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0))
+        event = events.Position(
+            time_s=wild.now_s, position_nea_m=here, velocity_nea_m_s=(9.0, 0.0, 0.0)
+        )
         assert outside_m(state, state.flight, event)[0] == pytest.approx(out_m, abs=1e-6)
 
 
@@ -236,8 +226,8 @@ def test_without_a_way_on_the_mission_falls_back(traits: VehicleTraits, how: Fal
 @DRIVINGS
 def test_what_the_vehicle_is_refused_for_is_said_with_its_remedy(traits: VehicleTraits) -> None:
     wild = Wild.calmly(traits).fly_to(Phase.PREPARING)
-    item = Prepared(
-        time_s=wild.now_s, item=Item.PARAMETERS, refusal="GUID_TIMEOUT = 60", remedy="Set."
+    item = events.Prepared(
+        time_s=wild.now_s, item=events.Item.PARAMETERS, refusal="GUID_TIMEOUT = 60", remedy="Set."
     )
     wild.take(item)
     end = the_end(wild)

@@ -13,41 +13,20 @@ import numpy as np
 from watch_orders import WatchOrders
 
 from companion.mavlink.autopilots import Autopilot
+from companion.mission import events
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Command,
-    End,
-    Estimator,
-    Event,
-    GpsFix,
-    Landed,
-    LandedState,
-    Mode,
-    Order,
-    OrderKind,
-    Outcome,
-    Plan,
-    PlanReady,
-    Position,
-    SetMode,
-    Setpoint,
-    SetSpeed,
-    TakeOff,
-    VehicleFound,
-    VehicleStatus,
-)
+from companion.mission.events import Command, Event, Landed, Mode, OrderKind, Position, Setpoint
 from companion.mission.mission import Mission
-from companion.mission.state import MOVES, Phase, Reason, State
+from companion.mission.state import Phase, Reason, State, Trigger
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
 from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
 
 OVER = (Phase.DONE, Phase.FAULTED)
-MOVING = (SetMode, Setpoint, Arm, TakeOff, SetSpeed)
+MOVING = (events.SetMode, Setpoint, events.Arm, events.TakeOff, events.SetSpeed)
 """Commands that move a vehicle."""
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
-ARROWS = {(phase, after) for (phase, _), after in MOVES.items()}
+ARROWS = {(phase, trigger.after) for trigger in Trigger for phase in trigger.origins}
 WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""
 NOT_OURS = (
@@ -151,9 +130,9 @@ class Watch:
                 assert new, "a setpoint without a position"
                 assert command.time_s == event.time_s
                 self._setpoint(before, after, command)
-            elif isinstance(command, Arm | TakeOff):
+            elif isinstance(command, events.Arm | events.TakeOff):
                 self._up(before, command)
-            elif isinstance(command, Plan):
+            elif isinstance(command, events.Plan):
                 assert command.request.plan_id > self.newest, "an old number for a new plan"
                 self.newest = command.request.plan_id
         assert sum(isinstance(command, Setpoint) for command in commands) <= 1
@@ -166,27 +145,27 @@ class Watch:
         """What the vehicle said; whether it was a position newer than any before."""
         now = event.time_s
         match event:
-            case VehicleStatus(mode=mode, armed=armed):
+            case events.VehicleStatus(mode=mode, armed=armed):
                 self.mode, self.armed = mode, armed
-            case LandedState(landed=landed):
+            case events.LandedState(landed=landed):
                 if landed is not self.landed:
                     self.landed_at_s = now
                 self.landed = landed
-            case GpsFix(good=good):
+            case events.GpsFix(good=good):
                 self.fix = good
-            case Estimator(good=good, error_m=error_m):
+            case events.Estimator(good=good, error_m=error_m):
                 if self.estimator and not good:
                     self.estimator_failed_at_s = now
                 self.estimator, self.error_m = good, error_m
-            case Order(kind=OrderKind.START | OrderKind.CONTINUE):
+            case events.Order(kind=OrderKind.START | OrderKind.CONTINUE):
                 self.told_by_person = True
                 self.said_go = event.kind is OrderKind.START
-            case PlanReady(outcome=outcome) if outcome.plan_id == self.newest:
+            case events.PlanReady(outcome=outcome) if outcome.plan_id == self.newest:
                 self._prove(outcome)
             case Position() if self.position is None or now > self.position.time_s:
                 self._hear_position(event)
                 return True
-            case VehicleFound():
+            case events.VehicleFound():
                 pass
             case _:
                 pass
@@ -239,12 +218,14 @@ class Watch:
             assert (before.phase, after.phase) in ARROWS, f"{before.phase} -> {after.phase}"
             if after.phase in (Phase.FLYING, Phase.RETURNING, Phase.LANDING):
                 self.told_by_person = False
-        ends = [command for command in commands if isinstance(command, End)]
+        ends = [command for command in commands if isinstance(command, events.End)]
         self.ends += len(ends)
         assert len(ends) == (after.phase in OVER), "an end is said once, when it is over"
         for end in ends:
             assert end.reason
-            assert end.remedy or end.outcome is Outcome.ARRIVED, "no next action for the person"
+            assert end.remedy or end.outcome is events.Outcome.ARRIVED, (
+                "no next action for the person"
+            )
             if end.reason == Reason.NOT_ALONE.text:
                 told = [command for command in commands if isinstance(command, MOVING)]
                 assert not told, "another companion's vehicle was told something"
@@ -325,7 +306,7 @@ class Watch:
     def _legs(self, before: State, event: Event, after: State) -> None:
         flight = after.flight
         held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
-        old = isinstance(event, PlanReady) and event.outcome.plan_id != self.newest
+        old = isinstance(event, events.PlanReady) and event.outcome.plan_id != self.newest
         if old and not held:
             was = before.flight
             assert flight.leg is was.leg, "took the answer to an old question"

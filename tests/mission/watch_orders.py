@@ -7,18 +7,8 @@ a battery below its reserve it leads to no target, whatever it is told.
 
 import math
 
-from companion.mission.events import (
-    Battery,
-    Command,
-    Event,
-    Order,
-    OrderKind,
-    Plan,
-    PlanReady,
-    Rebooted,
-    Setpoint,
-    TargetsChanged,
-)
+from companion.mission import events
+from companion.mission.events import Command, Event, Order, OrderKind, Plan, PlanReady, Setpoint
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State
 
@@ -87,13 +77,13 @@ class WatchOrders:
 
     def _hear(self, before: State, event: Event) -> None:
         match event:
-            case Battery(remaining=left):
+            case events.Battery(remaining=left):
                 self.battery_at_s = event.time_s
                 since_s = min(self.short_at_s, event.time_s)
                 self.short_at_s = since_s if left < self.mission.reserve else math.inf
-            case Rebooted():
+            case events.Rebooted():
                 self.short_at_s = math.inf
-            case TargetsChanged(targets_ne_m=targets):
+            case events.TargetsChanged(targets_ne_m=targets):
                 self.goals |= set(targets)
                 self.short_at_s = math.inf
             case Order(kind=OrderKind.REPOSITION, target_ne_m=target) if target is not None:

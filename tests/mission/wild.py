@@ -15,50 +15,9 @@ from renewed import replace
 from watch import Watch
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
-from companion.mission import changes, checkpoint, machine
+from companion.mission import changes, checkpoint, events, machine
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Battery,
-    Command,
-    DuplicateId,
-    Echo,
-    Estimator,
-    Event,
-    FenceBreach,
-    FenceChanged,
-    GpsFix,
-    Home,
-    Item,
-    Landed,
-    LandedState,
-    LinkDelay,
-    LinkLost,
-    Mode,
-    Order,
-    OrderKind,
-    Origin,
-    Plan,
-    PlanLate,
-    PlannerDied,
-    PlanReady,
-    Position,
-    Prepared,
-    Rebooted,
-    RequestStreams,
-    ScanDone,
-    SetMode,
-    Setpoint,
-    StartScan,
-    StopAsked,
-    TakeOff,
-    TakeOffTaken,
-    TargetsChanged,
-    Tick,
-    Vector,
-    VehicleFound,
-    VehicleStatus,
-)
+from companion.mission.events import Command, Event, Item, Landed, Mode, OrderKind, Position, Vector
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, State
 from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
@@ -154,7 +113,7 @@ class Wild:
         self.wrong: dict[str, float] = {}
         """What is wrong now, and until when."""
         self.later: list[tuple[float, Event]] = []
-        self.old: list[PlanReady] = []
+        self.old: list[events.PlanReady] = []
         self.zones: tuple[Zone, ...] = ()
         if rng.random() < 0.25:  # it flies already
             self.mode = list(Mode)[rng.integers(len(Mode))]
@@ -249,12 +208,12 @@ class Wild:
         if self.busy and rng.random() < _ORDERS_1_S * self.tick_s:
             self._order()
         if phase is Phase.READY and rng.random() < 0.1 * self.tick_s:
-            self.take(Order(time_s=self.now_s, kind=OrderKind.START, sender="255/190"))
+            self.take(events.Order(time_s=self.now_s, kind=OrderKind.START, sender="255/190"))
         if self.is_wrong("silent"):
             for silent_s in (3.0, 30.0):
                 since_s = self.now_s - self.silent_since_s
                 if since_s - self.tick_s < silent_s <= since_s:
-                    self.take(LinkLost(time_s=self.now_s, silent_s=silent_s))
+                    self.take(events.LinkLost(time_s=self.now_s, silent_s=silent_s))
             return
         for event in self.said():
             self.take(event)
@@ -269,29 +228,33 @@ class Wild:
     # --- what it says
 
     def said(self) -> list[Event]:
-        now, said = self.now_s, [Tick(time_s=self.now_s)]
+        now, said = self.now_s, [events.Tick(time_s=self.now_s)]
         if self.state.phase is Phase.WAITING:
             name = self.traits.name
-            said.append(VehicleFound(time_s=now, system_id=1, traits=self.traits, name=name))
+            said.append(events.VehicleFound(time_s=now, system_id=1, traits=self.traits, name=name))
         beat = round(now / self.tick_s) % max(round(1.0 / self.tick_s), 1)
         if beat == 0:
             failsafe = self.is_wrong("failsafe")
             said.append(
-                VehicleStatus(time_s=now, mode=self.mode, armed=self.armed, failsafe=failsafe)
+                events.VehicleStatus(
+                    time_s=now, mode=self.mode, armed=self.armed, failsafe=failsafe
+                )
             )
-            said.append(Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)))
+            said.append(events.Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)))
             self.battery = max(self.battery - (0.02 if self.is_wrong("drain") else 0.0002), 0.0)
-            said.append(Battery(time_s=now, remaining=round(self.battery, 2)))
+            said.append(events.Battery(time_s=now, remaining=round(self.battery, 2)))
         if beat % 4 == 1:
-            said.append(LandedState(time_s=now, landed=self.landed))
-            said.append(GpsFix(time_s=now, good=not self.is_wrong("fix")))
-            said.append(Estimator(time_s=now, good=not self.is_wrong("estimator"), error_m=1.0))
+            said.append(events.LandedState(time_s=now, landed=self.landed))
+            said.append(events.GpsFix(time_s=now, good=not self.is_wrong("fix")))
+            said.append(
+                events.Estimator(time_s=now, good=not self.is_wrong("estimator"), error_m=1.0)
+            )
         if self.traits is not PX4_FIXED_WING.traits and self.mode is Mode.GUIDED and beat % 2 == 0:
             echo = self.goal or self.here
             if self.is_wrong("echo"):
                 echo = (echo[0] + 900.0, echo[1], echo[2])
             if not self.is_wrong("no echo"):
-                said.append(Echo(time_s=now, position_nea_m=echo))
+                said.append(events.Echo(time_s=now, position_nea_m=echo))
         due = [event for at_s, event in self.later if at_s <= now]
         self.later = [(at_s, event) for at_s, event in self.later if at_s > now]
         said += [replace(event, time_s=now) for event in due]
@@ -315,35 +278,37 @@ class Wild:
         if self.is_wrong("deaf"):
             return
         match command:
-            case RequestStreams():
+            case events.RequestStreams():
                 for item in Item if not self.calm else ():
                     delay_s = float(self.rng.choice([0.5, 3.0, 500.0], p=[0.6, 0.35, 0.05]))
                     refusal = "made up" if self.rng.random() < 0.02 else ""
-                    ready = Prepared(time_s=now, item=item, refusal=refusal)
+                    ready = events.Prepared(time_s=now, item=item, refusal=refusal)
                     self.later.append((now + delay_s, ready))
                 if self.calm:
-                    self.later += [(now + 0.5, Prepared(time_s=now, item=item)) for item in Item]
-            case SetMode(mode=mode):
+                    self.later += [
+                        (now + 0.5, events.Prepared(time_s=now, item=item)) for item in Item
+                    ]
+            case events.SetMode(mode=mode):
                 streams = (
                     now - self.streamed_at_s < 1.0
                     or not self.traits.needs_setpoints_before_offboard
                 )
                 if mode is not Mode.GUIDED or streams:
                     self.mode, self.goal = mode, None
-            case Arm():
+            case events.Arm():
                 self.armed = self.landed is Landed.ON_GROUND or self.armed
-            case TakeOff(altitude_amsl_m=altitude):
+            case events.TakeOff(altitude_amsl_m=altitude):
                 by_itself = self.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
                 self.mode = Mode.TAKE_OFF if by_itself else self.mode
                 self.climb_to_m = altitude
-                self.later.append((now + 0.2, TakeOffTaken(time_s=now)))
-            case StartScan():
+                self.later.append((now + 0.2, events.TakeOffTaken(time_s=now)))
+            case events.StartScan():
                 answered = 9 if self.calm else int(self.rng.choice([0, 4, 9], p=[0.1, 0.2, 0.7]))
-                done = ScanDone(time_s=now, scan=_SCAN, asked=9, answered=answered)
+                done = events.ScanDone(time_s=now, scan=_SCAN, asked=9, answered=answered)
                 self.later.append((now + float(self.rng.uniform(0.0, 1.2)), done))
-            case Plan(request=request, due_s=due_s):
+            case events.Plan(request=request, due_s=due_s):
                 self.plan(request, due_s)
-            case Setpoint(position_nea_m=there):
+            case events.Setpoint(position_nea_m=there):
                 self.streamed_at_s = now
                 if self.mode is Mode.GUIDED:
                     self.goal = there
@@ -356,9 +321,9 @@ class Wild:
         late_s = 0.0
         if draw < 0.1 * (self.bad_plans > 0) and not self.calm:
             late_s = float(self.rng.choice([0.5, 5.0, 30.0, 1e9]))
-            self.later.append((due_s, PlanLate(time_s=due_s, plan_id=request.plan_id)))
+            self.later.append((due_s, events.PlanLate(time_s=due_s, plan_id=request.plan_id)))
         outcome = self.answer(request)
-        ready = PlanReady(time_s=due_s, outcome=outcome)
+        ready = events.PlanReady(time_s=due_s, outcome=outcome)
         self.watch.answered(request, outcome)
         if self.old and self.trouble and self.rng.random() < 0.2:  # an older answer comes first
             self.later.append((self.now_s + 0.5, self.old[-1]))
@@ -471,7 +436,7 @@ class Wild:
     def _mode(self) -> None:
         """Somebody changes it: a person, or the autopilot for its fence."""
         if self.now_s % 1.0 < 0.5:
-            self.take(FenceBreach(time_s=self.now_s))
+            self.take(events.FenceBreach(time_s=self.now_s))
         self.mode, self.goal = list(Mode)[self.rng.integers(len(Mode))], None
 
     def _give_back(self) -> None:
@@ -489,21 +454,23 @@ class Wild:
         far = tuple(float(value) for value in rng.normal(0.0, 2000.0, 3))
         early_s = float(rng.choice([0.0, 0.2, 0.6, 3.0]))
         choices: list[Event] = [
-            LandedState(time_s=now, landed=landed),
-            VehicleStatus(time_s=now, mode=mode, armed=bool(rng.random() < 0.8)),
+            events.LandedState(time_s=now, landed=landed),
+            events.VehicleStatus(time_s=now, mode=mode, armed=bool(rng.random() < 0.8)),
             Position(time_s=now - early_s, position_nea_m=far, velocity_nea_m_s=self.velocity),
             Position(time_s=now - early_s, position_nea_m=self.here, velocity_nea_m_s=far),
-            GpsFix(time_s=now, good=False),
-            Estimator(time_s=now, good=bool(rng.random() < 0.5), error_m=float(rng.uniform(0, 9))),
-            Home(time_s=now, position_nea_m=(0.0, 0.0, float(rng.uniform(2900, 3040)))),
-            Origin(time_s=now, position_nea_m=far),
-            Echo(time_s=now, position_nea_m=far),
-            LinkDelay(time_s=now, round_trip_s=float(rng.choice([0.0, 0.2, 3.0]))),
-            Battery(time_s=now, remaining=float(rng.random())),
-            Prepared(time_s=now, item=Item.PLANS, refusal="made up"),
-            PlanLate(time_s=now, plan_id=int(rng.integers(0, 9))),
-            ScanDone(time_s=now, scan=_SCAN, asked=9, answered=int(rng.integers(0, 10))),
-            VehicleFound(time_s=now, system_id=1, traits=self.traits, name="again"),
+            events.GpsFix(time_s=now, good=False),
+            events.Estimator(
+                time_s=now, good=bool(rng.random() < 0.5), error_m=float(rng.uniform(0, 9))
+            ),
+            events.Home(time_s=now, position_nea_m=(0.0, 0.0, float(rng.uniform(2900, 3040)))),
+            events.Origin(time_s=now, position_nea_m=far),
+            events.Echo(time_s=now, position_nea_m=far),
+            events.LinkDelay(time_s=now, round_trip_s=float(rng.choice([0.0, 0.2, 3.0]))),
+            events.Battery(time_s=now, remaining=float(rng.random())),
+            events.Prepared(time_s=now, item=Item.PLANS, refusal="made up"),
+            events.PlanLate(time_s=now, plan_id=int(rng.integers(0, 9))),
+            events.ScanDone(time_s=now, scan=_SCAN, asked=9, answered=int(rng.integers(0, 10))),
+            events.VehicleFound(time_s=now, system_id=1, traits=self.traits, name="again"),
         ]
         self.take(choices[rng.integers(len(choices))])
 
@@ -514,14 +481,14 @@ class Wild:
     def _late_clock(self) -> None:
         late_s = float(self.rng.choice([0.0, 0.4, 0.6, 1.1, 2.5]))
         self.now_s += late_s
-        self.take(Tick(time_s=self.now_s))
+        self.take(events.Tick(time_s=self.now_s))
 
     def _order(self) -> None:
         rng = self.rng
         kind = list(OrderKind)[rng.integers(len(OrderKind))]
         at = tuple(float(value) for value in rng.uniform(-1100.0, 1100.0, 2))
         target_ne_m = (at[0], at[1]) if kind is OrderKind.REPOSITION else None
-        order = Order(time_s=self.now_s, kind=kind, target_ne_m=target_ne_m)
+        order = events.Order(time_s=self.now_s, kind=kind, target_ne_m=target_ne_m)
         if changes.order_result(self.state, order) is changes.OrderResult.ACCEPTED:
             self.take(order)
 
@@ -535,17 +502,13 @@ class Wild:
             (
                 PolygonZone(
                     name="c",
-                    vertices_ne_m=(
-                        (north, east),
-                        (north + 80.0, east),
-                        (north, east + 80.0),
-                    ),
+                    vertices_ne_m=((north, east), (north + 80.0, east), (north, east + 80.0)),
                 ),
             ),
             (CircleZone(name="d", north_m=self.here[0], east_m=self.here[1], radius_m=20.0),),
         ]
         self.take(
-            FenceChanged(
+            events.FenceChanged(
                 time_s=self.now_s,
                 zones=zones[rng.integers(len(zones))],
                 ceiling_amsl_m=[None, 3100.0][rng.integers(2)],
@@ -556,7 +519,7 @@ class Wild:
         count = int(self.rng.integers(0, 3))
         at = self.rng.uniform(-900.0, 900.0, (count, 2))
         targets = tuple((float(north), float(east)) for north, east in at)
-        self.take(TargetsChanged(time_s=self.now_s, targets_ne_m=targets))
+        self.take(events.TargetsChanged(time_s=self.now_s, targets_ne_m=targets))
 
     def _reboot(self) -> None:
         """As the session does it: the clock begins again."""
@@ -566,7 +529,7 @@ class Wild:
         self.wrong, self.later, self.streamed_at_s = {}, [], -math.inf
         self.watch.rebooted(self.now_s)
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
-        self.take(Rebooted(time_s=self.now_s))
+        self.take(events.Rebooted(time_s=self.now_s))
 
     def _restart(self) -> None:
         """The companion dies and is started again from its checkpoint."""
@@ -585,15 +548,15 @@ class Wild:
     def _namesake(self) -> None:
         """Somebody with our ids, for certain or perhaps."""
         certain = bool(self.rng.random() < 0.3)
-        self.take(DuplicateId(time_s=self.now_s, certain=certain, news=certain))
+        self.take(events.DuplicateId(time_s=self.now_s, certain=certain, news=certain))
 
     def _death(self) -> None:
         if self.rng.random() < 0.5:
-            self.take(PlannerDied(time_s=self.now_s, error="made up"))
+            self.take(events.PlannerDied(time_s=self.now_s, error="made up"))
 
     def _stop(self) -> None:
         if self.rng.random() < 0.1:
-            self.take(StopAsked(time_s=self.now_s))
+            self.take(events.StopAsked(time_s=self.now_s))
 
 
 _ORDERS_1_S = 0.1
