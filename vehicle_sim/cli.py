@@ -228,7 +228,7 @@ def _with_parameters(world: World, assignments: list[str], speedup: float) -> Wo
             rule = "must be NAME=VALUE with a finite number"
             raise InputError("--param", text, rule, "Try GUID_TIMEOUT=1.")
     longer = dict[str, float]()
-    if vehicle.autopilot == "px4" and speedup != 1.0:
+    if speedup != 1.0 and personality_of(vehicle).firmware.profile.firmware == "px4":
         # as PX4's start script does it: a client's wall time counts
         longer = {name: speedup * seconds for name, seconds in _PX4_TIME_OUTS_S.items()}
     parameters = longer | vehicle.parameters | added

@@ -126,8 +126,7 @@ def _zone(zone: Zone) -> dict[str, Any]:
 
 def _world_table(drawn: DrawnWorld, autopilot: AutopilotName) -> dict[str, Any]:
     """The truth, and a vehicle that can do what the mission asks of it."""
-    task, terrain = drawn.task, drawn.terrain
-    kind = task.limits.kind
+    task, terrain, kind = drawn.task, drawn.terrain, drawn.task.limits.kind
     strategy = named(autopilot, kind)
     start, target = np.array(drawn.start_nea_m[:2]), np.array(drawn.targets_ne_m[0])
     ahead = target - start if task.limits.hovers else start - target

@@ -209,8 +209,7 @@ def _files(run: Run, folder: Path) -> FlightFiles:
             table["terrain"] = terrain | {"file": str(file)}
     if run.vehicle is not None:
         autopilot, kind = run.vehicle.split("-")
-        was_ideal = world["vehicle"]["autopilot"] == "ideal"
-        is_ideal = was_ideal and run.vehicle == "ardupilot-copter"
+        is_ideal = (world["vehicle"]["autopilot"], run.vehicle) == ("ideal", "ardupilot-copter")
         for table, name in ((world, "ideal" if is_ideal else autopilot), (mission, autopilot)):
             table["vehicle"] = table["vehicle"] | {"autopilot": name, "kind": kind}
     planner = {"profile": run.profile, "optimiser": run.optimiser, "evaluations": run.budget}
@@ -222,10 +221,8 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     if run.script is not None:
         of = mission["vehicle"]
         autopilot = of.get("autopilot") or world["vehicle"]["autopilot"]
-        autopilot = "ardupilot" if autopilot == "ideal" else autopilot  # as which it speaks
-        subject = drawn_faults.Subject(
-            vehicle=f"{autopilot}-{of['kind']}", speed_m_s=of["speed_m_s"]
-        )
+        vehicle = f"{autopilot}-{of['kind']}".replace("ideal", "ardupilot")
+        subject = drawn_faults.Subject(vehicle=vehicle, speed_m_s=of["speed_m_s"])
         name, more = drawn_faults.drawn(run.script, subject)
         timeline = "\n".join(filter(None, (timeline, more)))
     asked = folder / "asked"  # mission.toml of a run folder is written by who flies

@@ -124,7 +124,7 @@ def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
         )
     )
     assert (code, err) == (0, "")
-    assert out.splitlines()[0].startswith("test: copter with ardupilot as system 1")
+    assert out.splitlines()[0].startswith("test: copter with ideal as system 1")
     assert "5.0 s of vehicle time" in out.splitlines()[-1]
     assert "STABILIZE, disarmed, on the ground" in out.splitlines()[-1]
     header, *rows = map(json.loads, (folder / "truth.jsonl").read_text("utf-8").splitlines())

@@ -111,6 +111,7 @@ class Rig(harness.Rig):
         vars(self).update(copy.deepcopy(_taken_off(*self._made_of)))
         plane = self.plane
         plane.stand(GROUND_AMSL_M)
+        plane.stands = False
         plane.latitude_deg, plane.longitude_deg, plane.altitude_amsl_m = self.place(
             north_m, east_m, height_m
         )
