@@ -146,6 +146,23 @@ def test_what_is_free_holds_no_point_of_any_thing_and_is_not_closed(part: int) -
     assert free > 20_000  # it says something
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_sectors_between_bearings_are_as_clear_as_the_least_of_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count, share = int(rng.choice([1, 8, 72])), float(rng.choice([0.5, 1.0]))
+    sweep = sweep_of(
+        rng.uniform(0.0, REACH_M, count),
+        width_rad=share * math.tau / count,
+        first_rad=rng.uniform(-9.0, 9.0),
+    )
+    bearing, aside = rng.uniform(-9.0, 9.0, 200), rng.uniform(0.0, 1.05 * math.pi, 200)
+    turns = bearing + aside * np.linspace(-1.0, 1.0, 4_001)[:, None]
+    sector = np.mod(turns - sweep.first_rad, math.tau) / sweep.width_rad
+    ring = np.append(sweep.clear_m, [0.0] if share < 1.0 else [])
+    least_m = ring[np.minimum(sector.astype(int), len(ring) - 1)].min(axis=0)
+    assert (sweep.clear_between_m(bearing, aside) == least_m).all()
+
+
 @pytest.mark.parametrize("sectors", [8, 72])
 @pytest.mark.parametrize("drift_m_s", [0.02, 0.05])
 def test_a_post_that_is_watched_while_the_position_drifts_is_never_in_free_cells(
@@ -254,11 +271,13 @@ def test_all_that_beams_have_passed_is_free_a_wall_is_occupied_and_behind_it_not
     assert not near.free()[row + 2 :, columns].any()
 
 
-def test_what_has_gone_leaves_free_cells_after_more_empty_sweeps_than_sensors_send_wrongly() -> (
-    None
-):
+@pytest.mark.parametrize("times", [1, 100])
+def test_what_has_gone_leaves_free_cells_after_more_empty_sweeps_than_sensors_send_wrongly(
+    times: int,
+) -> None:
     near, cell = NearMap(LATTICE), LATTICE.cell_of(5.5, 0.0)
-    looked(near, post(6.0, 0.0, 0.5), 100)
+    looked(near, NOTHING, 20, start_s=8.0 - times * PERIOD_S)  # it was free before
+    looked(near, post(6.0, 0.0, 0.5), times, start_s=10.0 - times * PERIOD_S)
     looked(near, NOTHING, 9, start_s=10.0)
     assert near.occupied()[cell]
     assert not near.free()[cell]
