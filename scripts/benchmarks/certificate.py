@@ -24,7 +24,7 @@ from companion import jit
 from companion.path.bspline import cubics_of
 from companion.path.certificate import Certificate
 from companion.path.proof import Bounds, prove
-from companion.planner import plan as planning
+from companion.planner.searches import surroundings_of
 
 
 @dataclass
@@ -146,7 +146,7 @@ def measure(case: Case, tally: Tally) -> None:
 def ms_each(prover: Callable[..., Bounds], rounds: int) -> list[float]:
     """Time of proofs of subpaths of 20 km amid the 20 obstacles of `speed`."""
     rng, asked = np.random.default_rng(5), request(0)
-    here, taken = planning._surroundings(asked, asked.task.limits.speed_m_s), []
+    here, taken = surroundings_of(asked, asked.task.limits.speed_m_s), []
     for _ in range(50):
         cubics = cubics_of(gentle(rng, asked.scan_nea_m))
         times, _ = timed(lambda c=cubics: prover(c, here, False), rounds)

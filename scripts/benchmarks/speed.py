@@ -22,9 +22,11 @@ from tapped import BIN, udp_socket
 from companion.campaign.families import mountain
 from companion.config import load_mission
 from companion.path.subpath import Pose
-from companion.planner import plan as planning
 from companion.planner.field import cost_to_go
+from companion.planner.plan import plan
+from companion.planner.price import Prices
 from companion.planner.request import Planned, PlanRequest
+from companion.planner.searches import Searches, scene_of, surroundings_of
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.radars import Radar
@@ -120,15 +122,16 @@ def measure(scenes: int, repeats: int) -> dict[str, Any]:
         field = note(
             "guidance", lambda a=asked, h=here: cost_to_go(a.known, a.task, h, a.target_ne_m)
         )
-        note("surfaces", lambda a=asked, f=field: planning._scene(a, f))
+        note("surfaces", lambda a=asked, f=field: scene_of(a, f))
         speed_m_s = asked.task.limits.speed_m_s
-        note("surface to prove against", lambda a=asked, v=speed_m_s: planning._surroundings(a, v))
-        planner = planning._Plan(asked, lambda: False)
-        found = note("plan", lambda p=planner: _one(p))
+        note("surface to prove against", lambda a=asked, v=speed_m_s: surroundings_of(a, v))
+        searches = Searches(asked, lambda: False)
+        searches.guided_by(Prices(asked.task, field))
+        found = note("plan", lambda s=searches: _one(s))
         proven += isinstance(found, Planned)
         if number % 6 == 0:
-            note("certificate alone", lambda p=planner, f=found: _certified(p, f))
-        note("whole answer", lambda a=asked: planning.plan(a), 1)
+            note("certificate alone", lambda s=searches, f=found: _certified(s, f))
+        note("whole answer", lambda a=asked: plan(a), 1)
     return {
         "times_ms": times,
         "proven": proven,
@@ -138,14 +141,15 @@ def measure(scenes: int, repeats: int) -> dict[str, Any]:
     }
 
 
-def _one(planner: Any) -> Planned | None:
-    planner._tries = 0
-    return planner._attempt(planner._scene)
+def _one(searches: Searches) -> Planned | None:
+    searches.tries = 0
+    return searches.found(searches.scene)
 
 
-def _certified(planner: Any, found: Planned | None) -> None:
+def _certified(searches: Searches, found: Planned | None) -> None:
     if found is not None:
-        planner._certified(found.subpath, planner._scene.motion.speed_m_s, from_rest=False)
+        speed_m_s = searches.scene.motion.speed_m_s
+        searches.certified(found.subpath, speed_m_s, from_rest=False)
 
 
 def _first_plan_s() -> float:
