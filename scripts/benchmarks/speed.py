@@ -148,8 +148,7 @@ def _one(searches: Searches) -> Planned | None:
 
 def _certified(searches: Searches, found: Planned | None) -> None:
     if found is not None:
-        speed_m_s = searches.scene.motion.speed_m_s
-        searches.certified(found.subpath, speed_m_s, from_rest=False)
+        searches.certified(found.subpath, searches.scene.motion.speed_m_s, from_rest=False)
 
 
 def _first_plan_s() -> float:
