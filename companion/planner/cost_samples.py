@@ -65,18 +65,12 @@ def changed(
     old_upper_m: FloatArray, old_surveyed: BoolArray, upper_m: FloatArray, surveyed: BoolArray
 ) -> Box:
     """The cells in which two maps differ lie in this box; an empty one: in none."""
-    north, south, east, west = 0, upper_m.shape[0], 0, upper_m.shape[1]
+    south, north, west, east = upper_m.shape[0], 0, upper_m.shape[1], 0
     for r in range(upper_m.shape[0]):
-        differs = False
         for c in range(upper_m.shape[1]):
-            differs |= upper_m[r, c] != old_upper_m[r, c]
-        for c in range(upper_m.shape[1]):  # apart: eight times as fast
-            differs |= surveyed[r, c] != old_surveyed[r, c]
-        if differs:
-            south, north = min(south, r), r + 1
-            for c in range(upper_m.shape[1]):
-                if upper_m[r, c] != old_upper_m[r, c] or surveyed[r, c] != old_surveyed[r, c]:
-                    west, east = min(west, c), max(east, c + 1)
+            if upper_m[r, c] != old_upper_m[r, c] or surveyed[r, c] != old_surveyed[r, c]:
+                south, north = min(south, r), r + 1
+                west, east = min(west, c), max(east, c + 1)
     return south, north, west, east
 
 
@@ -213,15 +207,11 @@ def _bar(grid: Grid, i: int, j: int, touched: BoolArray) -> None:
 def _is_steep(grid: Grid, i: int, j: int) -> bool:
     """Whether beside a sample the height for a ramp costs more than the height of the ground."""
     across = 2 * grid.columns - 1
-    at = i * across + j
-    return (
-        (i > 0 and _rises(grid, at, at - across))
-        or (i < 2 * grid.rows - 2 and _rises(grid, at, at + across))
-        or (j > 0 and _rises(grid, at, at - 1))
-        or (j < across - 1 and _rises(grid, at, at + 1))
-    )
-
-
-def _rises(grid: Grid, one: int, other: int) -> bool:
-    level_m = 0.5 * grid.step_m * (grid.height[one] + grid.height[other])
-    return bool(abs(grid.ramp_m[one] - grid.ramp_m[other]) > level_m)
+    one = i * across + j
+    for a, b in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+        if 0 <= a < 2 * grid.rows - 1 and 0 <= b < across:
+            other = a * across + b
+            level_m = 0.5 * grid.step_m * (grid.height[one] + grid.height[other])
+            if abs(grid.ramp_m[one] - grid.ramp_m[other]) > level_m:
+                return True
+    return False

@@ -7,9 +7,8 @@ are those of its loiter circle.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
-from typing import final
 
 import numpy as np
 
@@ -17,7 +16,8 @@ from companion.geodesy import FloatArray
 from companion.path.certificate import Certificate, certify
 from companion.path.proof import Surroundings
 from companion.path.subpath import Subpath, straight
-from companion.planner.request import PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.searches import straight_plan
 from companion.world.columns import distance_to_terrain_m, distances_to_terrain_m
 from companion.world.known_map import KnownMap
 from companion.world.zones import Zone, gaps_m, packed
@@ -38,33 +38,33 @@ _SAMPLES = 64  # points of a way, to find where the terrain is far enough away
 _NO_GROUND_M = -1e4  # altitude AMSL of ground that no proof meets: no ground on earth is as low
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartViolation:
-    """Why no certificate can begin at the vehicle's position."""
-
-    terrain_m: float  # distance to the known terrain, at most the required clearance
-    unknown: bool  # whether unknown ground, or the edge of the map, is too near
-    zones: tuple[Zone, ...]  # keep-outs that are too near, or around the vehicle
-
-
-def start_violation(request: PlanRequest) -> StartViolation | None:
-    """Why no subpath can start at the requested place; None if it can."""
-    required_m = request.task.required_clearance_m
-    required_m = required_m * _PROVABLE if request.from_rest else required_m - _ROUNDING_M
-    start, around = request.start.position_nea_m, request.around
-    terrain_m = distance_to_terrain_m(around, start, required_m)
-    seen_m = distance_to_terrain_m(around, start, required_m, seen_only=True)
-    zones = tuple(zone for zone in request.task.zones if _gaps_m(request, zone) < required_m)
-    if terrain_m >= required_m and not zones:
+def escape(request: PlanRequest) -> Planned | NotPlanned | None:
+    """A straight way out of where no certificate can begin, or why there is none; None: it can."""
+    task, start, around = request.task, request.start.position_nea_m, request.around
+    least_m = task.required_clearance_m
+    least_m = least_m * _PROVABLE if request.from_rest else least_m - _ROUNDING_M
+    now_m = distance_to_terrain_m(around, start, least_m)
+    zones = tuple(zone for zone in task.zones if _gaps_m(request, zone) < least_m)
+    if now_m >= least_m and not zones:
         return None
-    return StartViolation(
-        terrain_m=terrain_m, unknown=seen_m >= required_m > terrain_m, zones=zones
-    )
+    if request.from_rest and (found := _shortest(request, zones, now_m)) is not None:
+        return straight_plan(request, *found, request.route_ne_m)
+    refusal = Refusal.START_NEAR_TERRAIN
+    if zones:
+        refusal = Refusal.START_IN_KEEP_OUT
+    elif task.settings.is_near:
+        refusal = Refusal.START_NEAR_THINGS
+    elif distance_to_terrain_m(around, start, least_m, seen_only=True) >= least_m:
+        refusal = Refusal.START_NEAR_UNKNOWN
+    return NotPlanned(plan_id=request.plan_id, refusal=refusal)
 
 
-def escape_path(request: PlanRequest, found: StartViolation) -> tuple[Subpath, Certificate] | None:
+def _shortest(
+    request: PlanRequest, zones: tuple[Zone, ...], now_m: float
+) -> tuple[Subpath, Certificate] | None:
     """The shortest straight escape path and its certificate; None: there is none.
+
+    zones: that are too near, or around the vehicle; now_m: distance to the known terrain.
 
     Proven: no nearer to the terrain than the vehicle is now, and with the whole clearance from
     where it first has that; no nearer to a zone that it is clear of than now.  Out of those that
@@ -73,8 +73,8 @@ def escape_path(request: PlanRequest, found: StartViolation) -> tuple[Subpath, C
     terrain.
     """
     start, known, around = request.start.position_nea_m, request.known, request.around
-    required_m, now_m = request.task.required_clearance_m, found.terrain_m
-    inside = tuple(zone for zone in found.zones if _gaps_m(request, zone) < _TOUCHING_M)
+    required_m = request.task.required_clearance_m
+    inside = tuple(zone for zone in zones if _gaps_m(request, zone) < _TOUCHING_M)
     others = tuple(zone for zone in request.task.zones if zone not in inside)
     gap_m = float(_gaps_m(request, *others))
     air = replace(known, upper_m=np.full(known.upper_m.shape, _NO_GROUND_M))

@@ -28,7 +28,7 @@ class Prices:
     """The prices of one plan."""
 
     def __init__(self, task: Task, field: CostToGo) -> None:
-        self._task, self._field = task, field
+        self._task, self.field = task, field
         settings = task.settings
         cost_of_r = max(settings.weights.length * PER_LENGTH, _LEAST)
         self._per_cost_m = settings.scan_range_m / cost_of_r
@@ -37,15 +37,15 @@ class Prices:
         """The predicted least from a place to the target."""
         north, east, altitude = place_nea_m
         here, task = (np.array(north), np.array(east)), self._task
-        needed_m = float(self._field.needed.altitude_m(*here))
+        needed_m = float(self.field.needed.altitude_m(*here))
         down_m = max(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
         climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)
-        level_m = float((value or self._field.value).altitude_m(*here))
+        level_m = float((value or self.field.value).altitude_m(*here))
         return level_m + down_m + climb_m
 
     def left_m(self, place_nea_m: Sequence[float]) -> float:
         """The same, whichever way was preferred before: what tells whether a mission gets on."""
-        return self.promised_m(place_nea_m, self._field.undisputed)
+        return self.promised_m(place_nea_m, self.field.undisputed)
 
     def after_m(self, planned: Planned) -> float:
         """What is predicted from where the next subpath starts: p_prog, or the end."""
@@ -77,6 +77,11 @@ class Prices:
         if not planned.reaches_target and not Leg.of(planned, number=1).can_be_left(task):
             price_m += task.stop_m
         return price_m
+
+    def cheaper(self, one: Planned | None, other: Planned | None) -> Planned | None:
+        """Of two subpaths, the first one if they cost the same."""
+        found = [each for each in (one, other) if each is not None]
+        return min(found, key=self.price_m, default=None)
 
     def _straight_m(self, planned: Planned) -> float:
         """A straight piece, which no search has made, and what follows."""

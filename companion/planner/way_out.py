@@ -19,7 +19,7 @@ from companion.geodesy import BoolArray, FloatArray
 from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
 from companion.planner.cost_grid import descent_m
-from companion.planner.field import CostToGo
+from companion.planner.price import Prices
 from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import safe_surface
 from companion.world.known_map import KnownMap
@@ -38,7 +38,6 @@ _AROUND, _SHARES = 24, (0.0625, 0.125, 0.25, 0.5, 1.0)  # climbs, for each share
 
 Prove = Callable[[Subpath], Planned | None]
 """The plan of a straight subpath, at the highest speed for which it is proven."""
-Price = Callable[[Planned], float]
 Way = tuple[FloatArray, float]
 """Places (N, 2) from where the vehicle is, and what it costs to fly there and on."""
 
@@ -55,7 +54,7 @@ class _End:
 
 
 def way_out(
-    request: PlanRequest, field: CostToGo, prove: Prove, price: Price, *, looks: bool, strays: bool
+    request: PlanRequest, prices: Prices, prove: Prove, *, looks: bool, strays: bool
 ) -> tuple[Planned, float] | None:
     """The straight piece to begin with, level or climbing, and what it costs with all that follows.
 
@@ -64,10 +63,11 @@ def way_out(
     """
     found = []
     for climb in _CLIMBS:
-        for end in _Search(request, field, climb).ends(looks=looks, strays=strays):
+        for end in _Search(request, prices, climb).ends(looks=looks, strays=strays):
             planned = prove(straight(request.start.position_nea_m, end.place_nea_m))
             if planned is not None:
-                found.append((planned, max(price(planned) + end.stops_m, end.least_m)))
+                price_m = prices.price_m(planned) + end.stops_m
+                found.append((planned, max(price_m, end.least_m)))
                 break
         if found and request.task.settings.is_near:  # near things are not flown over
             break
@@ -78,16 +78,15 @@ def way_out(
 class _Search:
     """For places to fly to in a straight line, level or with a share of the climb angle."""
 
-    def __init__(self, request: PlanRequest, field: CostToGo, climb: float) -> None:
-        task = request.task
-        self._request, self._field, self._climbs = request, field, climb > 0.0
+    def __init__(self, request: PlanRequest, prices: Prices, climb: float) -> None:
+        task, range_m = request.task, request.task.settings.scan_range_m
+        self._request, self._field, self._climbs = request, prices.field, climb > 0.0
         self._start, self._cell_m = request.start.position_nea_m, request.known.cell_m
         self._steepness = math.tan(climb * task.limits.climb_angle_rad)
         self._top_m = task.band_amsl_m[1] if self._climbs else float(self._start[2])
-        range_m = task.settings.scan_range_m
         self._stop_m = max(task.stop_m, _STOP * range_m)
         self._radars = task.radars_near(request.scan_nea_m[:2], 2.0 * range_m)
-        self._left_here_m = float(self._left_m(*self._start))
+        self._left_here_m = float(self._left_m(self._start))
 
     def ends(self, *, looks: bool, strays: bool) -> list[_End]:
         """The best one first; those that no radar sees before the others."""
@@ -99,81 +98,115 @@ class _Search:
 
     def _is_seen(self, end_nea_m: FloatArray) -> bool:
         """Whether a straight piece comes into the range of a radar."""
-        start = self._start
-        points = start + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end_nea_m - start)
+        points = self._start + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end_nea_m - self._start)
         return any(bool((each.distance_m(points) < each.range_m).any()) for each in self._radars)
 
-    def _left_m(self, north: FloatArray, east: FloatArray, altitude: FloatArray) -> FloatArray:
-        """What is left to fly from places, climbing and coming down included."""
+    def _left_m(self, places_nea_m: FloatArray) -> FloatArray:
+        """What is left to fly, climbing and coming down included.  (..., 3) -> (...)."""
+        north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
         task, needed_m = self._request.task, self._field.needed.altitude_m(north, east)
         (low, high), whole_m = task.band_amsl_m, descent_m(task.limits.ceiling_amsl_m, task)
         share, least = (np.clip((at - low) / (high - low), 0.0, 1.0) for at in (altitude, needed_m))
         down_m = whole_m * np.maximum(share**2 - least**2, 0.0)
-        return self._field.at_m(north, east) + down_m + self._climb_m(north, east, altitude)
+        return self._field.at_m(north, east) + down_m + self._climb_m(places_nea_m)
 
-    def _climb_m(self, north: FloatArray, east: FloatArray, altitude: FloatArray) -> FloatArray:
+    def _climb_m(self, places_nea_m: FloatArray) -> FloatArray:
         """The way that it takes to come up to where the way on can be climbed."""
+        north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
         short_m = self._field.needed.altitude_m(north, east) - altitude
         return np.maximum(short_m, 0.0) / math.tan(self._request.task.limits.climb_angle_rad)
 
-    def _at(self, place_ne_m: FloatArray, away_m: float) -> FloatArray:
-        """A place with the altitude that is reached there."""
-        altitude_m = min(float(self._start[2]) + self._steepness * away_m, self._top_m)
-        return np.append(place_ne_m, altitude_m)
+    def _at(self, places_ne_m: FloatArray, away_m: FloatArray) -> FloatArray:
+        """Places with the altitudes that are reached there.  (..., 2), (...) -> (..., 3)."""
+        altitude_m = np.minimum(self._start[2] + self._steepness * away_m, self._top_m)
+        return np.concatenate([places_ne_m, altitude_m[..., None]], axis=-1)
 
     def _along(self, way: Way) -> list[_End]:
         """Places of a way, the farthest along it first."""
         way_ne_m, costs_m = way
         along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way_ne_m, axis=0).T)))
-        result, left = list[_End](), float(along[-1])
+        away_m = np.linalg.norm(way_ne_m - self._start[:2], axis=-1)
+        places, left = self._at(way_ne_m, away_m), float(along[-1])
+        result = list[_End]()
         while left > 0.0 and len(result) < _ENDS:
-            place = way_ne_m[int(np.searchsorted(along, left - 1e-9))]
-            if (away_m := math.dist(place, self._start[:2])) >= self._cell_m:
+            k = int(np.searchsorted(along, left - 1e-9))
+            if away_m[k] >= self._cell_m:
                 more = float(along[-1]) / left - 1.0  # such pieces
-                result.append(_End(self._at(place, away_m), more * self._stop_m, costs_m))
+                result.append(_End(places[k], more * self._stop_m, costs_m))
             left = min(_NEARER * left, left - self._cell_m)
         return result
 
     def _higher(self, reached_ne_m: FloatArray) -> list[_End]:
         """Places to climb to before it goes on: of those that are reached, rings about here."""
         away_m = np.hypot(*(reached_ne_m - self._start[:2]).T)
-        most_m = (self._top_m - float(self._start[2])) / self._steepness
+        places, most_m = self._at(reached_ne_m, away_m), self._top_m - float(self._start[2])
         rings = [
-            np.flatnonzero(np.abs(away_m - share * most_m) < 0.5 * self._cell_m)
+            np.flatnonzero(np.abs(away_m - share * most_m / self._steepness) < 0.5 * self._cell_m)
             for share in _SHARES
         ]
-        return [
-            _End(self._at(reached_ne_m[i], float(away_m[i])), 0.0)
-            for ring in rings
-            for i in ring[:: max(len(ring) // _AROUND, 1)]
-            if away_m[i] >= self._cell_m
-        ]
+        every = [i for ring in rings for i in ring[:: max(len(ring) // _AROUND, 1)].tolist()]
+        return [_End(places[i], 0.0) for i in every if away_m[i] >= self._cell_m]
 
     def _cheapest_first(self, ends: list[_End], *, strays: bool) -> list[_End]:
         """The rest of a climb takes as many more stops as it has such pieces.
 
         Last come climbs after which neither less is left than here nor, by half of them, to climb.
         """
-        place = np.array([end.place_nea_m for end in ends])
-        away_m = np.linalg.norm(place - self._start, axis=-1)
-        left_m, climb_m = self._left_m(*place.T), self._climb_m(*place.T)
-        gained_m = float(self._climb_m(*self._start)) - climb_m
+        places = np.array([end.place_nea_m for end in ends])
+        away_m = np.linalg.norm(places - self._start, axis=-1)
+        left_m, climb_m = self._left_m(places), self._climb_m(places)
+        gained_m = float(self._climb_m(self._start)) - climb_m
         gets_on = (left_m < self._left_here_m) | (gained_m > 0.5 * away_m)
         gets_on |= np.array([end.least_m > 0.0 for end in ends])
         stops_m = np.maximum(self._stop_m * climb_m / away_m, [end.stops_m for end in ends])
         order = np.lexsort((left_m + away_m + stops_m, ~gets_on)).tolist()
-        order = [i for i in order if gets_on[i] or strays]
-        return [replace(ends[i], stops_m=float(stops_m[i])) for i in order]
+        return [replace(ends[i], stops_m=float(stops_m[i])) for i in order if gets_on[i] or strays]
 
     def _ways(self, *, looks: bool) -> tuple[list[Way], FloatArray]:
         """Ways over free places to where less is left to fly, or more is seen.
 
         And all places that are reached, (M, 2).
         """
-        request, task, here = self._request, self._request.task, self._start
-        known, cell_m = request.around, self._cell_m
+        task, here, cell_m = self._request.task, self._start, self._cell_m
+        free, places_ne_m, step_m = self._free()
+        offset_m = np.linalg.norm(places_ne_m - here[:2], axis=-1)
+        begin = int(np.argmin(np.where(free, offset_m, math.inf)))
+        if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * cell_m:
+            return [], np.empty((0, 2))
+        at_top = np.insert(places_ne_m, 2, self._top_m, axis=-1)
+        seen = np.zeros(free.shape)
+        for radar in self._radars:
+            seen += radar.distance_m(at_top) < radar.range_m
+        steps, before = _flood(free, 1.0 + _SEEN * seen, begin)
+        away_m = steps.reshape(free.shape) * step_m
+        reached = np.isfinite(away_m)
+        there = self._at(places_ne_m, np.where(reached, away_m, 0.0))
+        left_m = np.where(reached, self._left_m(there), math.inf)
+        goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER].tolist()
+        if left_m.ravel()[goals[0]] > self._left_here_m - _GAIN_CELLS * cell_m:
+            goals = []
+        if looks:
+            near_m = task.required_clearance_m + _SEAM_CELLS * cell_m
+            edge = _sees_more(self._request.around, places_ne_m, self._top_m, near_m)
+            edge &= reached & (offset_m >= cell_m)
+            total = np.where(edge, left_m + away_m, math.inf)
+            more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
+            goals += more[np.isfinite(total.ravel()[more])].tolist()
+        ways = list[Way]()
+        for goal in goals:
+            index = [goal]
+            while before[index[-1]] >= 0:
+                index.append(int(before[index[-1]]))
+            way = places_ne_m.reshape(-1, 2)[index[::-1]]
+            along_m = float(np.hypot(*np.diff(way, axis=0).T).sum())
+            ways.append((way, along_m + float(left_m.ravel()[goal]) + task.stop_m))
+        return ways, places_ne_m[reached]
+
+    def _free(self) -> tuple[BoolArray, FloatArray, float]:
+        """Whether places are free up to the top, (N, M); the places, (N, M, 2); how far apart."""
+        request, task = self._request, self._request.task
         surface = safe_surface(
-            known,
+            request.around,
             centre_ne_m=request.scan_nea_m[:2],
             reach_m=task.settings.scan_range_m,
             clearance_m=task.required_clearance_m,
@@ -183,64 +216,26 @@ class _Search:
         north = surface.north_min_m + surface.cell_m * np.arange(float(free.shape[0]))
         east = surface.east_min_m + surface.cell_m * np.arange(float(free.shape[1]))
         if task.zones:
-            lattice = tuple(north), tuple(east)
             kept_m = task.zone_clearance_m + 0.5 * surface.cell_m
-            free &= ~too_near(task.zones, *lattice, kept_m)
-        offset_m = np.hypot((north - here[0])[:, None], (east - here[1])[None, :])
-        begin = int(np.argmin(np.where(free, offset_m, math.inf)))
-        if not free.ravel()[begin] or offset_m.ravel()[begin] > 2.0 * cell_m:
-            return [], np.empty((0, 2))
-        wide = np.meshgrid(north, east, indexing="ij")
-        places = np.stack([*wide, np.full(free.shape, self._top_m)], axis=-1)
-        seen = np.zeros(free.shape)
-        for radar in self._radars:
-            seen += radar.distance_m(places) < radar.range_m
-        away, before = _flood(free, 1.0 + _SEEN * seen, begin)
-        away_m = away.reshape(free.shape) * surface.cell_m
-        reached = np.isfinite(away_m)
-        there_m = here[2] + self._steepness * np.where(reached, away_m, 0.0)
-        left_m = self._left_m(*wide, np.minimum(there_m, self._top_m))
-        left_m = np.where(reached, left_m, math.inf)
-        goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER]
-        if left_m.ravel()[goals[0]] > self._left_here_m - _GAIN_CELLS * cell_m:
-            goals = np.array([], dtype=np.intp)
-        if looks:
-            edge = _sees_more(known, north, east, self._top_m, task.required_clearance_m)
-            edge &= reached & (offset_m >= cell_m)
-            total = np.where(edge, left_m + away_m, math.inf)
-            more = np.argsort(total, axis=None, kind="stable")[:_AFTER]
-            goals = np.concatenate([goals, more[np.isfinite(total.ravel()[more])]])
-        ways = list[Way]()
-        for goal in goals.tolist():
-            index = [goal]
-            while before[index[-1]] >= 0:
-                index.append(int(before[index[-1]]))
-            rows, columns = np.divmod(np.array(index[::-1]), free.shape[1])
-            way = np.stack([north[rows], east[columns]], axis=-1)
-            along_m = float(np.hypot(*np.diff(way, axis=0).T).sum())
-            ways.append((way, along_m + float(left_m.ravel()[goal]) + task.stop_m))
-        rows, columns = np.nonzero(reached)
-        return ways, np.stack([north[rows], east[columns]], axis=-1)
+            free &= ~too_near(task.zones, tuple(north), tuple(east), kept_m)
+        places_ne_m = np.stack(np.meshgrid(north, east, indexing="ij"), axis=-1)
+        return free, places_ne_m, surface.cell_m
 
 
 def _sees_more(
-    known: KnownMap, north: FloatArray, east: FloatArray, altitude_m: float, clearance_m: float
+    known: KnownMap, places_ne_m: FloatArray, altitude_m: float, near_m: float
 ) -> BoolArray:
     """Places from where unknown ground next to free ground is as near as may be.
 
-    North (rows,), east (columns,) -> (rows, columns).  What is hidden behind a wall stays hidden.
+    (..., 2) -> (...).  What is hidden behind a wall stays hidden.
     """
     free = known.upper_m < altitude_m
     seam = np.isinf(known.upper_m) & scipy.ndimage.binary_dilation(free)
-    near_m = clearance_m + _SEAM_CELLS * known.cell_m
     near = scipy.ndimage.distance_transform_edt(~seam, sampling=known.cell_m) <= near_m
-    row, column = (
-        np.clip(((at - low) / known.cell_m).astype(np.int64), 0, size - 1)
-        for at, low, size in zip(
-            (north, east), (known.north_min_m, known.east_min_m), seam.shape, strict=True
-        )
-    )
-    return np.asarray((near & seam.any())[row[:, None], column])
+    corner = known.north_min_m, known.east_min_m
+    index = ((places_ne_m - corner) / known.cell_m).astype(np.int64)
+    row, column = np.moveaxis(np.clip(index, 0, np.array(seam.shape) - 1), -1, 0)
+    return np.asarray((near & seam.any())[row, column])
 
 
 def _flood(free: BoolArray, price: FloatArray, begin: int) -> tuple[FloatArray, IndexArray]:

@@ -24,9 +24,11 @@ from tapped import BIN, udp_socket
 from companion.campaign.families import mountain
 from companion.config import load_mission
 from companion.path.subpath import Pose
-from companion.planner import plan as planning
 from companion.planner.field import cost_to_go
+from companion.planner.plan import plan
+from companion.planner.price import Prices
 from companion.planner.request import Planned, PlanRequest
+from companion.planner.searches import Searches, scene_of, surroundings_of
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.radars import Radar
@@ -121,16 +123,17 @@ def speed(scenes: int = 60, repeats: int = 5) -> Found:
         speed_m_s, here = asked.task.limits.speed_m_s, asked.scan_nea_m[:2]
         told = asked.known, asked.task, here, asked.target_ne_m
         field = note("guidance", repeats, cost_to_go, *told)
-        note("surfaces", repeats, planning._scene, asked, field)
-        note("surface to prove against", repeats, planning._surroundings, asked, speed_m_s)
-        planner = planning._Plan(asked, lambda: False)
-        found = note("plan", repeats, _one, planner)
+        note("surfaces", repeats, scene_of, asked, field)
+        note("surface to prove against", repeats, surroundings_of, asked, speed_m_s)
+        searches = Searches(asked, lambda: False)
+        searches.guided_by(Prices(asked.task, field))
+        found = note("plan", repeats, _one, searches)
         proven += isinstance(found, Planned)
         if number % 6 == 0 and isinstance(found, Planned):
-            motion_m_s = planner._scene.motion.speed_m_s
-            prove = partial(planner._certified, from_rest=False)
+            motion_m_s = searches.scene.motion.speed_m_s
+            prove = partial(searches.certified, from_rest=False)
             note("certificate alone", repeats, prove, found.subpath, motion_m_s)
-        note("whole answer", 1, planning.plan, asked)
+        note("whole answer", 1, plan, asked)
     yield "ms of the processor, which the bars are for, and by the wall"
     for name, some in times.items():
         (median, wall), (slowest, wall_most) = np.quantile(some, (0.5, 0.99), axis=0).tolist()
@@ -150,9 +153,9 @@ def speed(scenes: int = 60, repeats: int = 5) -> Found:
     yield most("companion fly to first heartbeat, s", first_s, 1.5)
 
 
-def _one(planner: Any) -> Planned | None:
-    planner._tries = 0
-    return planner._attempt(planner._scene)
+def _one(searches: Searches) -> Planned | None:
+    searches.tries = 0
+    return searches.found(searches.scene)
 
 
 def _first_plan_s() -> float:

@@ -24,9 +24,10 @@ from companion.objective import Scene
 from companion.paper import terms
 from companion.paper.plan import scene_of
 from companion.path.subpath import Pose
-from companion.planner import kernels, plan
+from companion.planner import kernels, searches
 from companion.planner.field import cost_to_go
 from companion.planner.offline import fly_offline
+from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.seeds import seeds_of, ways_of
 from companion.profiles import PAPER
@@ -108,7 +109,7 @@ def record() -> dict[str, Any]:
 
         def ask(request: PlanRequest, asked: list[PlanRequest] = asked) -> PlanOutcome:
             asked.append(request)
-            return plan.plan(request)
+            return plan(request)
 
         limits = world.task.limits
         blank = empty_map(world.task.cell_m, limits.north_m, limits.east_m)
@@ -177,7 +178,7 @@ def problems(data: dict[str, Any], objective: str) -> list[Problem]:
                 field = cost_to_go(
                     known, world.task, scan_nea_m[:2], request.target_ne_m, request.route_ne_m
                 )
-                scene = plan._scene(request, field).with_points(each["points"])
+                scene = searches.scene_of(request, field).with_points(each["points"])
                 result.append(
                     Problem(
                         name=f"{name}/{scan + 1}" + "+" * (each["points"] - 5),

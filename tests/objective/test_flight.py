@@ -142,17 +142,6 @@ def test_the_last_subpath_ends_at_the_target_and_is_no_larger_than_the_way_there
         assert np.hypot(*(control[3:-1, :2] - start[:2]).T).max() <= 500.0 + 1e-6
 
 
-def test_variables_at_their_middles_lead_straight_on() -> None:
-    scene = random_scene(np.random.default_rng(4), points=6, from_rest=True, is_final=False)
-    control = control_points(np.full((1, scene.variables), 0.5), scene)[0]
-    for k in (1, 2, 3, 4):
-        assert azimuth_from_tangent(control, control[k] - control[0]) == pytest.approx(
-            0.0, abs=1e-9
-        )
-    about_scan = control[5, :2] - scene.scan_ne_m
-    assert azimuth_from_tangent(control, about_scan) == pytest.approx(0.0, abs=1e-9)
-
-
 # --- every term, slowly
 
 
@@ -369,15 +358,3 @@ def test_beyond_a_bound_the_cost_is_infinite_and_below_it_the_cost(seed: int, sh
     cost = objective.cost(x, math.inf, scene)
     assert objective.cost(x, share * cost, scene) == (math.inf if share < 1.0 else cost)
     assert objective.cost(x, cost, scene) == cost
-
-
-@settings(max_examples=15)
-@given(seed=seeds)
-def test_a_workspace_is_good_for_many_candidates_in_any_order(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng, samples=12)
-    x = cube(rng, scene, 4)
-    there = [objective.cost(each, math.inf, scene) for each in x]
-    back = [objective.cost(each, math.inf, scene) for each in x[::-1]]
-    assert there == back[::-1]
-    assert there == [objective.cost(each, math.inf, scene.with_points(scene.points)) for each in x]

@@ -65,10 +65,6 @@ def test_a_gap_of_twice_the_clearance_and_some_cells_is_a_way() -> None:
     assert closed(all_seen(wall(gap_m=2.0 * CLEAR_M + 4.0 * CELL_M))) is None
 
 
-def test_a_gap_of_much_less_than_twice_the_clearance_is_none() -> None:
-    assert closed(all_seen(wall(gap_m=2.9 * CELL_M, at_m=30_125.0))) is not None
-
-
 def test_ground_that_was_not_seen_may_hold_a_way() -> None:
     known = all_seen(wall())
     seen = known.seen & (EAST < 30e3)
