@@ -373,3 +373,28 @@ def test_a_simplex_that_has_collapsed_is_begun_anew_and_its_best_vertex_kept() -
     assert begun > 3
     assert (np.diff(best) <= 0.0).all()
     assert best[-1] < 1e-5
+
+
+def test_members_of_the_archive_and_each_of_the_p_best_come_into_use() -> None:
+    x_best, x_3 = set(), set()
+    for seed in range(60):
+        state = started(seed=seed, a=0.4)
+        state.archive[0], state.now[names.KEPT] = 0.9, 1
+        order = np.argsort(state.costs)
+        ask(state)
+        for i in range(7):
+            for k, b in enumerate(order[:2]):
+                can_be = mutants(state, i, 0.4, [members(state)[b]])
+                if nearest(state.trial[i], can_be) < 1e-12:
+                    x_best.add(k)
+            x_3.add(bool((state.trial[i] < 0.4).any()))
+    assert x_3 == {True, False}
+    assert x_best == {0, 1}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rugged_landscape_is_searched_to_its_bottom(seed: int) -> None:
+    lattice = np.linspace(0.0, 1.0, 41)
+    grid = np.stack(np.meshgrid(lattice, lattice, lattice), axis=-1).reshape(-1, D)
+    bottom = min(rugged(x) for x in grid[:: 1 if seed == 0 else 7])
+    assert ranked(search(rugged, 1_500, seed=seed))[1][0] <= bottom + 1e-9

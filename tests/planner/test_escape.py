@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from brute_force import violations
 from planning import ask, column_distance_m, spline, zone_distance_m
 
 from companion.planner.plan import plan
@@ -179,3 +180,12 @@ def test_a_radar_that_appears_around_the_vehicle_is_flown_out_of_by_a_plan(
     assert outcome.certificate.proven
     within_m = radar.distance_m(along(outcome)) < radar.range_m
     assert within_m.mean() * outcome.subpath.length_m < 1.6 * 900.0
+
+
+def test_from_the_end_of_a_way_out_a_plan_begins(task: Task, truth: KnownMap) -> None:
+    outcome = escaped(task, truth, (2_300.0, 4_600.0, 600.0))
+    end = outcome.subpath.pose(outcome.subpath.length_m).point_nea_m
+    after = plan(ask(task, truth, end))
+    assert isinstance(after, Planned)
+    assert after.evaluations > 0
+    assert violations(after.subpath.control_nea_m, task, truth, from_rest=True) == []

@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 from planning import ask as asked
 from planning import column_distance_m, hills
 
+from companion import jit
+from companion.objective import Scene
+from companion.optimise import refined_de
+from companion.optimise.refined_de import State
 from companion.optimise.registry import OPTIMISERS
 from companion.path.envelope import ending_m_s, rising_m_s, slowing_m
 from companion.path.subpath import Pose
+from companion.planner import kernels
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
@@ -460,3 +465,91 @@ def test_a_plan_stays_in_a_fence_of_many_corners_and_goes_round_its_bight(
     points = outcome.subpath.points_nea_m(np.linspace(0.0, outcome.subpath.length_m, 2_000))
     gap = fence.distance_m(points[:, 0], points[:, 1])
     assert gap.min() >= task.required_clearance_m
+
+
+def test_from_rest_a_plan_leaves_level_about_where_the_guide_points(
+    task: Task, truth: KnownMap
+) -> None:
+    outcome = planned(ask(task, truth))
+    pose = outcome.subpath.pose(0.0)
+    guide = [math.cos(outcome.guide_rad), math.sin(outcome.guide_rad), 0.0]
+    assert pose.tangent_nea @ guide > math.cos(0.6)
+    assert pose.tangent_nea[2] == pytest.approx(0.0, abs=1e-9)
+    assert np.linalg.norm(pose.curvature_nea_1_m) <= 1e-9
+
+
+def test_the_end_is_within_the_circle_about_p_scan_and_mostly_on_it(
+    task: Task, truth: KnownMap
+) -> None:
+    outcome = planned(ask(task, truth))
+    assert not outcome.reaches_target
+    end = outcome.subpath.control_nea_m[-1]
+    assert 0.95 * task.end_radius_m < math.dist(end[:2], START[:2]) <= task.end_radius_m + 1e-6
+    assert math.dist(end[:2], FAR_TARGET) < math.dist(START[:2], FAR_TARGET) - 1_000.0
+
+
+def test_it_goes_round_a_hill_that_the_straight_way_cannot_cross(
+    task: Task, blank: KnownMap
+) -> None:
+    known = replace(blank, upper_m=np.zeros_like(blank.upper_m), seen=~blank.seen)
+    low, high = known.cell_of(2_000.0, 2_000.0)[0], known.cell_of(2_400.0, 2_400.0)[0]
+    known.upper_m[low:high, low:high] = 5_000.0  # ahead, above the ceiling
+    free = replace(task, zones=(), radars=())
+    outcome = planned(ask(free, known, target_ne_m=(3_600.0, 3_600.0)))
+    control = outcome.subpath.control_nea_m
+    assert violations(control, free, known, from_rest=True) == []
+    assert outcome.subpath.length_m < 1.5 * math.dist(control[0, :2], control[-1, :2])
+
+
+def test_evaluations_and_tries_are_those_of_the_plan_not_of_the_search_that_found_it(
+    task: Task, truth: KnownMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Counted by the kernel, of plans that search again and keep what they had, or find nothing."""
+    compiled = jit.compiled
+    for degrees in range(0, 360, 60):
+        searched: dict[int, tuple[object, int]] = {}
+
+        def search(state: State, scene: Scene, until: int) -> None:
+            compiled(kernels.search)(state, scene, until)
+            searched[id(state)] = state, refined_de.spent(state)  # noqa: B023 - called in this turn
+
+        start = Pose(position_nea_m=np.array(START), **heading_to(degrees))
+        request = ask(with_budget(task, 60), truth, start=start, from_rest=False)
+        counted = {kernels.search: search}
+        monkeypatch.setattr(jit, "compiled", lambda f, by=counted: by.get(f) or compiled(f))
+        outcome = plan(request)
+        assert outcome.evaluations == sum(spent for _, spent in searched.values())
+        if isinstance(outcome, Planned):
+            assert outcome.tries == len(searched)
+
+
+@pytest.mark.parametrize("start", [START, (3_500.0, 3_100.0, 500.0)])
+def test_with_no_time_at_all_it_still_gives_a_proven_plan_or_none(
+    task: Task, truth: KnownMap, start: tuple[float, float, float]
+) -> None:
+    request = ask(with_budget(task, 30_000), truth, scan_nea_m=start, start=hover_pose(start))
+    outcome = plan(request, stop=lambda: True)
+    assert outcome.evaluations <= 600
+    if isinstance(outcome, Planned):
+        assert outcome.certificate.proven
+        assert violations(outcome.subpath.control_nea_m, task, truth, from_rest=True) == []
+
+
+def test_the_longer_it_may_search_the_better_the_plan(task: Task, truth: KnownMap) -> None:
+    costs = []
+    for looks in (1, 10):
+        asked, request = count(1), beside_a_hill(with_budget(task, 3_000), truth)
+        outcome = plan(request, stop=lambda: next(asked) >= looks)  # noqa: B023
+        assert isinstance(outcome, Planned)
+        costs.append(outcome.cost + outcome.to_go)
+    assert costs[1] < costs[0]
+
+
+def test_what_stands_flies_less_than_l_where_no_more_is_seen(task: Task, blank: KnownMap) -> None:
+    """It will stop there, and see on."""
+    known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
+    known.upper_m[28:52, 28:52] = 100.0  # 300 m around the start
+    alone = replace(task, zones=(), radars=())
+    short = planned(ask(alone, known))
+    assert 50.0 < short.subpath.length_m < task.scan_distance_m
+    assert violations(short.subpath.control_nea_m, alone, known, from_rest=True) == []

@@ -223,3 +223,7 @@ def test_the_gap_of_a_keep_out_wall_is_flown_through() -> None:
     flight = fly(replace(task, zones=walls), np.array(0.0), start, target)
     assert flight.failure is None
     assert sum(flight.flown_m) < 1.1 * (math.dist(start, gap) + math.dist(gap, target))
+
+
+def test_a_gap_of_much_less_than_twice_the_clearance_is_none() -> None:
+    assert closed(all_seen(wall(gap_m=2.9 * CELL_M, at_m=30_125.0))) is not None
