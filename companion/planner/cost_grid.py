@@ -91,6 +91,7 @@ class CostGrid:
             costly=np.zeros((rows, columns), dtype=bool),
             beside=np.zeros((rows, columns)),
             extra=np.zeros((rows, columns)),
+            changed=np.zeros((rows, columns), dtype=bool),
         )
 
     # --- what is known
@@ -158,14 +159,9 @@ class CostGrid:
         if not (self.task.settings.is_near and self.guesses):
             return box
         far = _GOES_ON_RANGES * self.task.settings.scan_range_m / self.step_m
-        by, (rows, columns) = math.ceil(far), self.shape
+        by, (rows, across) = math.ceil(far), self.shape
         changed, looked = (
-            (
-                max(box[0] - k, 0),
-                min(box[1] + k, rows),
-                max(box[2] - k, 0),
-                min(box[3] + k, columns),
-            )
+            (max(box[0] - k, 0), min(box[1] + k, rows), max(box[2] - k, 0), min(box[3] + k, across))
             for k in (by, 2 * by)
         )
         stands = self._ground.seen_m[looked[0] : looked[1], looked[2] : looked[3]]
