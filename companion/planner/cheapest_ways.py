@@ -130,12 +130,7 @@ class Costs(NamedTuple):
     def unknown(seed: FloatArray) -> "Costs":
         """Of points about which nothing is known but the seeds."""
         count = len(seed)
-        return Costs(
-            seed,
-            np.full(count, np.inf),
-            np.full(count, np.inf),
-            np.full(count, -1),
-        )
+        return Costs(seed, np.full(count, np.inf), np.full(count, np.inf), np.full(count, -1))
 
     def copied(self) -> "Costs":
         """The same, to be changed."""
@@ -203,7 +198,7 @@ def repair(
             if dirty[row, column]:
                 _again(u, grid, costs, least_m)
             if cost[u] != ahead[u]:  # now, or left before
-                _put(heap, u, costs, columns, window, step_m)
+                heapq.heappush(heap, (_key(u, costs, columns, window, step_m), u))
     while heap[0][1] >= 0:
         if looked % _LOOKS == 0 and heap[0][0] > ahead[here].min() + beyond_m:
             break
@@ -225,14 +220,14 @@ def repair(
                 if by_u < ahead[v]:
                     ahead[v], via[v] = by_u, back
                     if by_u != cost[v]:
-                        _put(heap, v, costs, columns, window, step_m)
+                        heapq.heappush(heap, (_key(v, costs, columns, window, step_m), v))
                 elif by_u == ahead[v] and back < via[v]:
                     via[v] = back
         else:
             cost[u] = math.inf
             _again(u, grid, costs, least_m)
             if cost[u] != ahead[u]:
-                _put(heap, u, costs, columns, window, step_m)
+                heapq.heappush(heap, (_key(u, costs, columns, window, step_m), u))
             for k in range(len(DIRECTIONS)):
                 if is_within or _leads_on(row, column, rows, columns, k):
                     v = u + grid.jump[k]
@@ -242,7 +237,7 @@ def repair(
                         else:
                             _again(v, grid, costs, least_m)
                         if cost[v] != ahead[v]:
-                            _put(heap, v, costs, columns, window, step_m)
+                            heapq.heappush(heap, (_key(v, costs, columns, window, step_m), v))
     return looked
 
 
@@ -254,17 +249,6 @@ def _key(
     north = max(max(window[0] - row, row - window[1] + 1), 0)
     east = max(max(window[2] - column, column - window[3] + 1), 0)
     return min(costs.cost[u], costs.ahead[u]) + step_m * math.sqrt(north * north + east * east)
-
-
-def _put(
-    heap: list[tuple[float, int]],
-    u: int,
-    costs: Costs,
-    columns: int,
-    window: tuple[int, int, int, int],
-    step_m: float,
-) -> None:
-    heapq.heappush(heap, (_key(u, costs, columns, window, step_m), u))
 
 
 def _is_within(row: int, rows: int) -> bool:
@@ -298,13 +282,27 @@ def _again(u: int, grid: Grid, costs: Costs, least_m: FloatArray) -> None:
     costs.ahead[u], costs.via[u] = best, via
 
 
-def touch(row: int, column: int, touched: BoolArray) -> None:
-    """Mark the lattice points, (rows, columns), that have an edge over a sample."""
+def touch(changed: BoolArray, box: tuple[int, int, int, int], touched: BoolArray) -> None:
+    """Mark the lattice points, (rows, columns), that have an edge over a changed sample.
+
+    changed: all False again afterwards; box: first row, the row behind the last, first column, the
+    column behind the last, one more sample on each side may have changed.
+    """
     rows, columns = touched.shape
-    row, column = row // 2, column // 2
-    for i in range(max(row - _FARTHEST, 0), min(row + _FARTHEST + 2, rows)):
-        for j in range(max(column - _FARTHEST, 0), min(column + _FARTHEST + 2, columns)):
-            touched[i, j] = True
+    first, last = max((box[0] - 1) // 2, 0), min((box[1] + 2) // 2, rows)
+    for row in range(first, last):
+        until = 0  # the column up to which points beside this row are marked
+        for j in range(max(box[2] - 1, 0), min(box[3] + 1, changed.shape[1])):
+            is_changed = changed[2 * row, j]
+            changed[2 * row, j] = False
+            if 2 * row + 1 < changed.shape[0]:
+                is_changed |= changed[2 * row + 1, j]
+                changed[2 * row + 1, j] = False
+            if is_changed:
+                begin, end = max(j // 2 - _FARTHEST, until, 0), min(j // 2 + _FARTHEST + 2, columns)
+                for i in range(max(row - _FARTHEST, 0), min(row + _FARTHEST + 2, rows)):
+                    touched[i, begin:end] = True
+                until = max(until, end)
 
 
 def next_of(grid: Grid, costs: Costs, u: int) -> int:
@@ -474,6 +472,7 @@ def discount(
     samples; within: the rows and columns from and to where it counts.
     """
     across = 2 * grid.columns - 1
+    changed = np.zeros((2 * grid.rows - 1, across), dtype=np.bool_)
     for k in range(len(line) - 1):
         a, b = line[k], line[k + 1]
         south, west = (
@@ -488,9 +487,10 @@ def discount(
             for j in range(math.ceil(west), math.ceil(east)):
                 at = i * across + j
                 if cheaper.cost[at] == grid.cost[at] and _off2(i, j, a, b) < width * width:
-                    touch(i, j, touched)
+                    changed[i, j] = True
                     cheaper.cost[at] -= share * grid.cost[at]
                     cheaper.barring[at] -= share * grid.cost[at]
+    touch(changed, (0, 2 * grid.rows - 1, 0, across), touched)
 
 
 def smooth_edges(value: FloatArray, costly: BoolArray, one_side: float) -> None:

@@ -93,6 +93,7 @@ class CostGrid:
             costly=np.zeros((rows, columns), dtype=bool),
             beside=np.zeros((rows, columns)),
             extra=np.zeros((rows, columns)),
+            changed=np.zeros((rows, columns), dtype=bool),
         )
 
     # --- what is known
@@ -122,9 +123,9 @@ class CostGrid:
 
     def _look_at(self, known: KnownMap) -> Box:
         """Take over what is known.  -> the samples that may ask for another altitude."""
-        scale, size = self._scale, known.shape
+        scale, size, surveyed = self._scale, known.shape, known.surveyed
         cells = jit.compiled(cost_samples.changed)(
-            self._upper_m, self._surveyed, known.upper_m, known.surveyed
+            self._upper_m, self._surveyed, known.upper_m, surveyed
         )
         if known.guess_m is not None and not _same(known.guess_m, self._told_m):
             cells, self._told_m = (0, size[0], 0, size[1]), known.guess_m
@@ -136,10 +137,7 @@ class CostGrid:
         if cells[0] >= cells[1]:
             return 0, 0, 0, 0
         window = slice(*cells[:2]), slice(*cells[2:])
-        self._upper_m[window], self._surveyed[window] = (
-            known.upper_m[window],
-            known.surveyed[window],
-        )
+        self._upper_m[window], self._surveyed[window] = known.upper_m[window], surveyed[window]
         reach, box, about = len(scale.rises_m), list[int](), list[slice]()
         for part, count, cut in zip(window, self.shape, size, strict=True):
             low = max((part.start - reach) // scale.every, 0)
@@ -160,14 +158,9 @@ class CostGrid:
         if not (self.task.settings.is_near and self.guesses):
             return box
         far = _GOES_ON_RANGES * self.task.settings.scan_range_m / self.step_m
-        by, (rows, columns) = math.ceil(far), self.shape
+        by, (rows, across) = math.ceil(far), self.shape
         changed, looked = (
-            (
-                max(box[0] - k, 0),
-                min(box[1] + k, rows),
-                max(box[2] - k, 0),
-                min(box[3] + k, columns),
-            )
+            (max(box[0] - k, 0), min(box[1] + k, rows), max(box[2] - k, 0), min(box[3] + k, across))
             for k in (by, 2 * by)
         )
         stands = self._ground.seen_m[looked[0] : looked[1], looked[2] : looked[3]]

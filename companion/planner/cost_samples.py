@@ -59,6 +59,8 @@ class Ground(NamedTuple):
     """What a metre costs more, if it was not seen, for what stands near it."""
     extra: FloatArray
     """What of that is in the costs."""
+    changed: BoolArray
+    """Scratch of `fill`: all False."""
 
 
 def changed(
@@ -187,21 +189,21 @@ def fill(
             ground.extra[i, j] = extra
             if cost != grid.cost[at] or height != grid.height[at] or ramp_m != grid.ramp_m[at]:
                 grid.cost[at], grid.height[at], grid.ramp_m[at] = cost, height, ramp_m
-                touch(i, j, touched)
-                for beside in range(-1, 2):
-                    _bar(grid, i + beside, j, touched)
-                    _bar(grid, i, j + beside, touched)
+                ground.changed[i, j] = True
+    _bar(grid, box, ground.changed)
+    touch(ground.changed, box, touched)
 
 
-def _bar(grid: Grid, i: int, j: int, touched: BoolArray) -> None:
-    """Keep long edges off a sample where the ground is steep."""
-    across = 2 * grid.columns - 1
-    if 0 <= i < 2 * grid.rows - 1 and 0 <= j < across:
-        at = i * across + j
-        barring = grid.cost[at] + (_BARRING if _is_steep(grid, i, j) else 0.0)
-        if barring != grid.barring[at]:
-            grid.barring[at] = barring
-            touch(i, j, touched)
+def _bar(grid: Grid, box: Box, changed: BoolArray) -> None:
+    """Keep long edges off samples where the ground is steep."""
+    rows, across = changed.shape
+    for i in range(max(box[0] - 1, 0), min(box[1] + 1, rows)):
+        for j in range(max(box[2] - 1, 0), min(box[3] + 1, across)):
+            at = i * across + j
+            barring = grid.cost[at] + (_BARRING if _is_steep(grid, i, j) else 0.0)
+            if barring != grid.barring[at]:
+                grid.barring[at] = barring
+                changed[i, j] = True
 
 
 def _is_steep(grid: Grid, i: int, j: int) -> bool:

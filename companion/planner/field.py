@@ -149,12 +149,12 @@ class Memory:
         dirty = grid.update(known, here_ne_m)
         seed, about = np.full(dirty.size, np.inf), grid.around(target_ne_m)
         seed[about] = grid.lines_m(target_ne_m, grid.points_m(about))
-        if (
-            costs is None
-            or np.count_nonzero(dirty) > _MANY * dirty.size
-            or not np.array_equal(seed, costs.seed)
-        ):
+        many = np.count_nonzero(dirty) > _MANY * dirty.size
+        if costs is None or many or not np.isfinite(costs.seed[about]).all():  # another target
             costs, dirty = Costs.unknown(seed), np.isfinite(seed).reshape(dirty.shape)
+        elif not np.array_equal(seed, costs.seed):
+            dirty |= (seed != costs.seed).reshape(dirty.shape)
+            costs.seed[:] = seed
         self._kept[guesses] = grid, costs
         field = _Field(
             grid=grid,
