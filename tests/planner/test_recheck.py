@@ -33,10 +33,9 @@ def zones_along(rng: np.random.Generator, leg: Leg) -> tuple[Zone, ...]:
         at_m = rng.uniform(0.0, leg.subpath.length_m)
         n, e = leg.subpath.pose(at_m).position_nea_m[:2] + rng.normal(0.0, 900.0, 2)
         corners = np.array([n, e]) + rng.normal(0.0, 500.0, (5, 2))
-        zones += [
-            CircleZone(name="c", north_m=n, east_m=e, radius_m=rng.uniform(50.0, 800.0)),
-            PolygonZone(name="p", vertices_ne_m=tuple((a, b) for a, b in corners.tolist())),
-        ][rng.integers(2) :][:1]
+        circle = CircleZone(name="c", north_m=n, east_m=e, radius_m=rng.uniform(50.0, 800.0))
+        polygon = PolygonZone(name="p", vertices_ne_m=tuple((a, b) for a, b in corners.tolist()))
+        zones.append(circle if rng.random() < 0.5 else polygon)
     if rng.random() < 0.3:
         zones.append(CircleZone(name="k", north_m=0.0, east_m=0.0, radius_m=15_000.0, keep_in=True))
     return tuple(zones)
