@@ -108,7 +108,9 @@ def test_what_was_proven_stays_proven_while_the_rules_are_the_same_or_less(
     same = replace(task, zones=(*task.zones,))
     bounded = with_zones(task, ACROSS)
     less = with_limits(task, floor_amsl_m=250.0, ceiling_amsl_m=800.0)
-    for before, now in ((task, same), (bounded, bounded), (bounded, task), (task, less)):
+    above = with_limits(task, ceiling_amsl_m=350.0)
+    pairs = (task, same), (bounded, bounded), (bounded, task), (task, less), (above, above)
+    for before, now in pairs:
         assert not is_touched(low_leg(before, below_m), 0.0, now)
 
 
@@ -117,6 +119,7 @@ def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg(task: Task) ->
     assert is_touched(leg, 0.0, with_zones(task, ACROSS))
     assert not is_touched(leg, 4_000.0, with_zones(task, ACROSS))
     assert is_touched(leg, 0.0, with_limits(task, floor_amsl_m=301.0))
+    assert not is_touched(leg, 0.0, with_limits(task, floor_amsl_m=300.4))  # home moves so far
     assert not is_touched(leg, 1_000.0, with_limits(task, floor_amsl_m=301.0))
     assert is_touched(leg, 0.0, with_limits(task, ceiling_amsl_m=LOW_M + 90.0))
 
