@@ -5,7 +5,7 @@ See docs/library.md.  Deterministic: the same arguments, the same flight.
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import final
 
 import numpy as np
@@ -162,10 +162,9 @@ def _checked(task: Task, *, is_near: bool) -> Task:
         settings = replace(settings, cell_m=cell_m)
         task = replace(task, limits=limits, settings=settings)
     for where, held in (("limits", limits), ("settings", settings)):
-        told = {each.name: getattr(held, each.name) for each in fields(held)}
-        told = {key: value for key, value in told.items() if key not in _NO_NUMBERS}
+        told = {key: value for key, value in asdict(held).items() if key not in _NO_NUMBERS}
         plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in told.items()}
-        validated(keys_of(type(held), *told), plain, where)
+        validated(keys_of(type(held), *plain), plain, where)
     rules.refuse(rules.of_task(task))
     if settings.optimiser is not None:
         OPTIMISERS.chosen(settings.optimiser, "settings.optimiser")

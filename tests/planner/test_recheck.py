@@ -33,10 +33,9 @@ def zones_along(rng: np.random.Generator, leg: Leg) -> tuple[Zone, ...]:
         at_m = rng.uniform(0.0, leg.subpath.length_m)
         n, e = leg.subpath.pose(at_m).position_nea_m[:2] + rng.normal(0.0, 900.0, 2)
         corners = np.array([n, e]) + rng.normal(0.0, 500.0, (5, 2))
-        zones += [
-            CircleZone(name="c", north_m=n, east_m=e, radius_m=rng.uniform(50.0, 800.0)),
-            PolygonZone(name="p", vertices_ne_m=tuple((a, b) for a, b in corners.tolist())),
-        ][rng.integers(2) :][:1]
+        circle = CircleZone(name="c", north_m=n, east_m=e, radius_m=rng.uniform(50.0, 800.0))
+        polygon = PolygonZone(name="p", vertices_ne_m=tuple((a, b) for a, b in corners.tolist()))
+        zones.append(circle if rng.random() < 0.5 else polygon)
     if rng.random() < 0.3:
         zones.append(CircleZone(name="k", north_m=0.0, east_m=0.0, radius_m=15_000.0, keep_in=True))
     return tuple(zones)
@@ -109,7 +108,9 @@ def test_what_was_proven_stays_proven_while_the_rules_are_the_same_or_less(
     same = replace(task, zones=(*task.zones,))
     bounded = with_zones(task, ACROSS)
     less = with_limits(task, floor_amsl_m=250.0, ceiling_amsl_m=800.0)
-    for before, now in ((task, same), (bounded, bounded), (bounded, task), (task, less)):
+    above = with_limits(task, ceiling_amsl_m=350.0)
+    pairs = (task, same), (bounded, bounded), (bounded, task), (task, less), (above, above)
+    for before, now in pairs:
         assert not is_touched(low_leg(before, below_m), 0.0, now)
 
 
@@ -118,6 +119,7 @@ def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg(task: Task) ->
     assert is_touched(leg, 0.0, with_zones(task, ACROSS))
     assert not is_touched(leg, 4_000.0, with_zones(task, ACROSS))
     assert is_touched(leg, 0.0, with_limits(task, floor_amsl_m=301.0))
+    assert not is_touched(leg, 0.0, with_limits(task, floor_amsl_m=300.4))  # home moves so far
     assert not is_touched(leg, 1_000.0, with_limits(task, floor_amsl_m=301.0))
     assert is_touched(leg, 0.0, with_limits(task, ceiling_amsl_m=LOW_M + 90.0))
 
