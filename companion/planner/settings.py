@@ -4,7 +4,7 @@ import hashlib
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, final
+from typing import Annotated, TypedDict, Unpack, final
 
 from annotated_types import Ge, Le
 
@@ -56,6 +56,17 @@ class PlannerSettings:
     def is_near(self) -> bool:
         """Whether it flies among near things, whose map has cells of its own."""
         return self.cell_m is not None
+
+
+class Kept(TypedDict, total=False):
+    """What certificates are about, where it is not what a task says: as of `pack_surroundings`."""
+
+    motion: Envelope
+    clearance_m: float
+    contact_m: float
+    zones: tuple[Zone, ...]
+    radars: tuple[Radar, ...]
+    stops: bool
 
 
 @final
@@ -143,19 +154,14 @@ class Task:
         return max(self.limits.floor_amsl_m + 2.0 * self.envelope.tube_m, self.band_amsl_m[0])
 
     def surroundings(
-        self, known: KnownMap, centre_ne_m: Place, reach_m: float, **otherwise: Any
+        self, known: KnownMap, centre_ne_m: Place, reach_m: float, **otherwise: Unpack[Kept]
     ) -> Surroundings:
-        """What certificates of its paths are about, within reach of a place.
-
-        otherwise: what is not as the task says, by the parameters of `pack_surroundings`.
-        """
-        kept: dict[str, Any] = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
-        kept |= {"zones": self.zones, "radars": self.radars, **otherwise}
+        """What certificates of its paths are about, within reach of a place."""
+        kept: Kept = {"motion": self.envelope, "clearance_m": self.required_clearance_m}
+        kept |= {"zones": self.zones, "radars": self.radars}
         return pack_surroundings(
-            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **kept
+            known, self.limits, centre_ne_m=centre_ne_m, reach_m=reach_m, **(kept | otherwise)
         )
-
-    # --- what is flown meanwhile
 
     @cached_property
     def tail_m(self) -> float:
