@@ -284,7 +284,14 @@ class Session:
                 waiting.appendleft(heard)
                 self._out.awaits_plan = True
                 break
-        self._keep()
+        state, keeper = self.state, self._keeper
+        since_s = self.clock.now_s - keeper.kept_at_s
+        if (
+            not 0.0 <= since_s < checkpoint.LONGEST_S
+            or state.flight.known is not keeper.known
+            or (since_s >= checkpoint.PERIOD_S and checkpoint.persisted(state) != keeper.kept)
+        ):
+            self._keep()
         return self.take_output()
 
     def take_output(self) -> Output:
@@ -422,7 +429,7 @@ class Session:
         if (vehicle := self.vehicle) is None:
             return
         now_s, plan, shadow = self.clock.now_s, self._plan, self.context.shadow
-        if not shadow:
+        if now_s >= plan.due_s and not shadow:
             self._handle(plan.take(now_s))
         event = vehicle.on_position(heard.message, now_s)
         if self.near is not None:
@@ -430,7 +437,7 @@ class Session:
         if event is not None and self.rangefinder is not None:
             self._look_down(event)
         self._handle(event)
-        if shadow:
+        if now_s >= plan.due_s and shadow:
             self._handle(plan.take(now_s))  # the position before may be a second old
         if vehicle.is_news:
             self._look_at_news(vehicle)
@@ -687,7 +694,7 @@ class Session:
             self._due_s = -math.inf
             for moved in entries.of_change(before, after):
                 self._note(**moved)
-        ends = any(type(command) is End for command in commands)
+        ends = End in map(type, commands)
         for command in commands:
             if type(command) is events.Setpoint:
                 self._lead(command)

@@ -35,7 +35,7 @@ DECODE_ERRORS = (
     ValueError,
 )
 """Exceptions that restoring invalid values may raise."""
-_PERIOD_S, _LONGEST_S = 1.0, 10.0
+PERIOD_S, LONGEST_S = 1.0, 10.0
 
 
 def values_of(state: State) -> Values:
@@ -263,7 +263,7 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
 }
 """Fields that are stored, and their decoders from what `_plain` returns."""
 _WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
-_persisted: Final = attrgetter(
+persisted: Final = attrgetter(
     *(*_OF_STATE, "orders", "phase", "obeyed"),
     *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "back", "leg", "next_leg")),
 )
@@ -281,10 +281,10 @@ class CheckpointPolicy:
     def __init__(self, *, keeps_map: bool = True) -> None:
         """keeps_map: not one of near things, which may have moved."""
         self._keeps_map = keeps_map
-        self._kept_at_s = -math.inf
-        self._kept: tuple[Any, ...] = ()
+        self.kept_at_s = -math.inf
+        self.kept: tuple[Any, ...] = ()
         """The fields of the last checkpoint."""
-        self._known: KnownMap | None = None
+        self.known: KnownMap | None = None
 
     def due(
         self, state: State, now_s: float, *, at_once: bool = False
@@ -292,12 +292,12 @@ class CheckpointPolicy:
         """The checkpoint, if it is time for one, and the map, if it has changed since the last."""
         if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.READY, Phase.ARMING):
             return None, None
-        grown = self._keeps_map and state.flight.known is not self._known
-        since_s, must = now_s - self._kept_at_s, grown or at_once
-        if 0.0 <= since_s < _PERIOD_S and not must:
+        grown = self._keeps_map and state.flight.known is not self.known
+        since_s, must = now_s - self.kept_at_s, grown or at_once
+        if 0.0 <= since_s < PERIOD_S and not must:
             return None, None
-        kept = _persisted(state)
-        if kept == self._kept and 0.0 <= since_s < _LONGEST_S and not must:
+        kept = persisted(state)
+        if kept == self.kept and 0.0 <= since_s < LONGEST_S and not must:
             return None, None
-        self._kept_at_s, self._known, self._kept = now_s, state.flight.known, kept
-        return values_of(state), self._known if grown else None
+        self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept
+        return values_of(state), self.known if grown else None

@@ -100,13 +100,14 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
-    state, trigger = _stop_for_fence(state, context)
-    if trigger is not None:
-        return state, [], trigger
+    if state.fence_unread_s is not None:
+        state, trigger = _stop_for_fence(state, context)
+        if trigger is not None:
+            return state, [], trigger
     state, warning = battery_warning(state, context)
-    if state.flight.leg is None:
-        return preceded(warning, _hover(state, event, context))
-    return preceded(warning, _lead(state, event, context))
+    fly = _hover if state.flight.leg is None else _lead
+    step = fly(state, event, context)
+    return preceded(warning, step) if warning else step
 
 
 def _stop_for_fence(state: State, context: Context) -> tuple[State, Trigger | None]:
@@ -176,7 +177,7 @@ def _lead(state: State, event: Position, context: Context) -> Step:
     if state.flight.circling and following.still_loiters(state, event):
         return _circle(state, event, context)
     flight = following.advance_reference(state, event)
-    returns = flight.returning
+    returns = flight.way is Way.BACK
     if returns and flight.leg is not state.flight.leg:  # onto what was the next stretch
         flight = _with_next(flight)
     if state.now_s - flight.progress_at_s > _STUCK_S:

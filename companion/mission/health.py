@@ -15,7 +15,7 @@ from companion.mission import joining
 from companion.mission.events import Battery, Landed, Position, Vector
 from companion.mission.home import beyond_path_m
 from companion.mission.mission import Mission
-from companion.mission.state import Reason, State, Vehicle
+from companion.mission.state import Reason, State, Vehicle, Way
 from companion.path.limits import Limits
 
 TRUST_S = 2.0
@@ -226,9 +226,8 @@ def battery_lasts(state: State, mission: Mission) -> bool:
         return False
     if mission.endurance_s is None:
         return True
-    return (left - mission.reserve) * mission.endurance_s >= _battery_way_m(
-        state
-    ) / state.task.limits.speed_m_s
+    left_s, way_m = (left - mission.reserve) * mission.endurance_s, way_left_m(state, _DETOUR)
+    return left_s >= way_m / state.task.limits.speed_m_s
 
 
 def battery_forecast(state: State, mission: Mission) -> bool:
@@ -241,18 +240,16 @@ def battery_forecast(state: State, mission: Mission) -> bool:
     if elapsed_s < _DRAIN_S or lost < _TELLING:
         return True
     left_s = (vehicle.battery - mission.reserve) * elapsed_s / (lost - _STEP)
-    return left_s >= _battery_way_m(state) / state.task.limits.speed_m_s
+    return left_s >= way_left_m(state, _DETOUR) / state.task.limits.speed_m_s
 
 
-def _battery_way_m(state: State) -> float:
-    """The remaining distance that the battery must last for, detours on the way out included."""
-    return way_left_m(state) * (1.0 if state.flight.returning else _DETOUR)
+def way_left_m(state: State, detour: float = 1.0) -> float:
+    """Remaining distance: the backtrack, or the last plan's route and on from target to target.
 
-
-def way_left_m(state: State) -> float:
-    """Remaining distance: the backtrack, or the last plan's route and on from target to target."""
+    detour: how many times as long as that the way to the targets may become.
+    """
     here, flight = state.vehicle.position_nea_m, state.flight
-    if flight.returning:
+    if flight.way is Way.BACK:
         ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
         flown_m = flight.reference.length_m
         if flight.leg is None and ahead and here is not None:  # it was stopped on the first of them
@@ -265,4 +262,4 @@ def way_left_m(state: State) -> float:
         apart_m = list(map(math.dist, route, from_here))
         route = route[apart_m.index(min(apart_m)) :]
     places = [here[:2], *route, *state.targets_ne_m[flight.target :]]
-    return sum(map(math.dist, places, places[1:]))
+    return sum(map(math.dist, places, places[1:])) * detour

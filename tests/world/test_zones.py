@@ -1,7 +1,4 @@
-"""Distances to zones: of points (shapely) and of segments (compiled), against one another.
-
-What is inside, and both near edges, against the winding number and shapely's lines.
-"""
+"""Distances to zones, in each form they have, against shapely and the winding number."""
 
 import math
 
@@ -14,6 +11,7 @@ from numpy.typing import NDArray
 from planning import zone_distance_m
 
 from companion.objective import may_be_near
+from companion.world import zones as module
 from companion.world.zones import (
     CircleZone,
     PolygonZone,
@@ -77,7 +75,6 @@ def truth_m(zones: tuple[Zone, ...], points: FloatArray) -> FloatArray:
 def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
     seed: int, within_m: float
 ) -> None:
-    """Whether all are asked about at once, or few, or zone by zone, or point by point, compiled."""
     rng = np.random.default_rng(seed)
     zones = some_zones(rng)
     points = some_points(rng, zones, 60)
@@ -90,18 +87,33 @@ def test_the_distance_of_points_is_that_to_the_nearest_edge_negative_inside(
     each_m = rng.choice([0.0, 40.0, math.inf], len(points))
     told = gaps_m(packed(zones), north, east, each_m)
     assert told == pytest.approx(np.minimum(truth, each_m), abs=1e-6)
-    gaps = {zone: truth_m((zone,), points) for zone in zones}
-    for zone, expected in gaps.items():
-        assert zone.distance_m(north, east) == pytest.approx(expected, abs=1e-6)
-        if isinstance(zone, PolygonZone):
-            for enough, most in ((1e9, 1e9), (80.0, 5.0)):
-                at = [polygon_at(packed((zone,)), 0, n, e, enough, most) for n, e in points[::5]]
-                assert at == pytest.approx(np.clip(expected[::5], -most, enough), abs=1e-6)
-    for k in range(5):
-        zone, gap_m = nearest(zones, *points[k].tolist())
+    for zone in zones:
+        expected = pytest.approx(truth_m((zone,), points), abs=1e-6)
+        assert zone.distance_m(north, east) == expected
+
+
+@given(seed=seeds)
+def test_the_nearest_zone_is_found(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    zones = some_zones(rng)
+    for point in rng.uniform(-1_500.0, 1_500.0, (5, 2)):
+        gaps = {zone: float(truth_m((zone,), point[None])[0]) for zone in zones}
+        zone, gap_m = nearest(zones, *point.tolist())
         assert (zone is None) == (not zones)
-        assert gap_m == pytest.approx(truth[k], abs=1e-6)
-        assert zone is None or gap_m == pytest.approx(gaps[zone][k], abs=1e-6)
+        assert gap_m == pytest.approx(min(gaps.values(), default=math.inf), abs=1e-6)
+        assert zone is None or gap_m == pytest.approx(gaps[zone], abs=1e-6)
+
+
+@given(seed=seeds)
+def test_the_scalar_form_that_is_compiled_tells_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    zones = tuple(zone for zone in some_zones(rng) if isinstance(zone, PolygonZone))
+    points = some_points(rng, zones, 10)
+    for k, zone in enumerate(zones):
+        truth = truth_m((zone,), points)
+        for enough, most in ((1e9, 1e9), (80.0, 5.0)):
+            at = [polygon_at(packed(zones), k, n, e, enough, most) for n, e in points.tolist()]
+            assert at == pytest.approx(np.clip(truth, -most, enough), abs=1e-6)
 
 
 @given(seed=seeds)
@@ -145,3 +157,12 @@ def test_no_place_near_a_zone_is_left_out_of_a_lattice(seed: int, distance_m: fl
         told = np.array([may_be_near(cells, *point) for point in points])
         assert told[truth_m(zones, points) < distance_m].all()
         assert zones or not cells.near.any()
+
+
+def test_points_in_portions_are_told_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    table = packed(tuple(polygon(rng, 40, 300.0) for _ in range(9)))
+    north, east = rng.uniform(-1_200.0, 1_200.0, (2, 300))
+    whole = gaps_m(table, north, east)
+    monkeypatch.setattr(module, "_AT_ONCE", 500)
+    assert (gaps_m(table, north, east) == whole).all()
