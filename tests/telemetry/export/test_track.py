@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import all as wire
 from companion.config import load_mission
 from companion.mission import journal as noted
 from companion.mission.journal import Header
+from companion.path.subpath import Subpath
 from companion.telemetry.export import shapes
 from companion.telemetry.export.kml import write_kml
 from companion.telemetry.flight import Flight
@@ -194,3 +195,17 @@ def test_corners_are_all_that_a_broken_line_needs() -> None:
 def test_corners_of_a_point_that_does_not_move() -> None:
     assert shapes.corners(np.zeros((5, 3)), 1.0).tolist() == [0, 4]
     assert shapes.corners(np.zeros((1, 3)), 1.0).tolist() == [0]
+
+
+def test_a_place_beside_a_subpath_is_told_how_far_it_is_and_where_it_is_nearest() -> None:
+    """Against points of the curve a centimetre apart; chords of 5 m leave it by a few."""
+    corners = [(0.0, 0.0, 100.0), (20.0, 5.0, 101.0), (40.0, 5.0, 103.0), (60.0, 30.0, 103.0)]
+    subpath = Subpath(control_nea_m=np.array([*corners, (70.0, 60.0, 104.0)]))
+    chords, lengths_m = shapes.Chords(subpath), np.arange(0.0, subpath.length_m, 0.01)
+    curve = subpath.points_nea_m(lengths_m)
+    for place in np.random.default_rng(1).uniform((0, 0, 95), (75, 65, 110), (50, 3)):
+        away_m = np.linalg.norm(curve - place, axis=1)
+        off_m, at_m = chords.nearest(place)
+        assert off_m == pytest.approx(away_m.min(), abs=0.2)
+        nearest_m = np.linalg.norm(subpath.points_nea_m(np.array([at_m]))[0] - place)
+        assert nearest_m == pytest.approx(away_m.min(), abs=0.2)
