@@ -94,6 +94,15 @@ def test_every_frame_both_ways_is_recorded_in_order_with_times_that_do_not_go_ba
     assert len(flown.record) > len(flown.frames) + 100
 
 
+def test_no_setpoint_is_sent_until_the_vehicle_says_that_it_is_in_the_air(flown: Pair) -> None:
+    in_air = False
+    for _, frame in flown.record:
+        [message] = messages([frame])
+        if message.get_type() == "EXTENDED_SYS_STATE":
+            in_air = message.landed_state == 2
+        assert in_air or message.get_type() != "SET_POSITION_TARGET_GLOBAL_INT"
+
+
 def test_every_position_in_flight_is_answered_by_one_setpoint_of_its_time(flown: Pair) -> None:
     sent = [m.time_boot_ms for m in flown.sent("SET_POSITION_TARGET_GLOBAL_INT")]
     assert len(sent) > 300
