@@ -306,10 +306,13 @@ def sampled(route_ne_m: FloatArray, step_m: float, most_m: float = math.inf) -> 
     return np.stack([np.interp(at, along, route_ne_m[:, axis]) for axis in (0, 1)], axis=-1)
 
 
-def descent_m(altitude_m: float, task: Task) -> float:
-    """What it costs to come down to the floor: the height on the way, in metres of level flight."""
+def descent_m(altitude_m: FloatArray | float, task: Task) -> FloatArray:
+    """What it costs to come down to the floor: the height on the way, in metres of level flight.
+
+    (...) -> (...).
+    """
     weights, limits = task.settings.weights, task.limits
     per_height = weights.height * _TERMS / max(weights.length, 1e-3)
     band = limits.ceiling_amsl_m - limits.floor_amsl_m
-    fraction = min(max((altitude_m - limits.floor_amsl_m) / band, 0.0), 1.0)
+    fraction = np.clip((altitude_m - limits.floor_amsl_m) / band, 0.0, 1.0)
     return 0.5 * per_height * fraction**2 * band / math.tan(limits.dive_angle_rad)

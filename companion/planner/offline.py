@@ -111,8 +111,7 @@ def fly_offline(
             ask = replace(ask, plan_id=ask.plan_id + 1, known=flight.known)
             outcome = planner(ask)
         else:
-            too_many = NotPlanned(plan_id=ask.plan_id, refusal=Refusal.TOO_MANY_LEGS)
-            outcome = flight.failure or too_many
+            outcome = NotPlanned(plan_id=ask.plan_id, refusal=Refusal.TOO_MANY_LEGS)
         flight.failure = None
         if isinstance(outcome, Planned):  # to p_prog of the leg under way, then to the next p_scan
             ask = replace(ask, attempt=0, route_ne_m=outcome.route_ne_m, progress=outcome.progress)

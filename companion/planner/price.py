@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from companion.geodesy import FloatArray
 from companion.objective import PER_LENGTH, PER_SAMPLE, RADAR_SCALE
 from companion.planner.cost_grid import descent_m
 from companion.planner.field import CostToGo
@@ -35,13 +36,21 @@ class Prices:
 
     def promised_m(self, place_nea_m: Sequence[float], value: Surface | None = None) -> float:
         """The predicted least from a place to the target."""
-        north, east, altitude = place_nea_m
-        here, task = (np.array(north), np.array(east)), self._task
-        needed_m = float(self.field.needed.altitude_m(*here))
-        down_m = max(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
-        climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)
-        level_m = float((value or self.field.value).altitude_m(*here))
-        return level_m + down_m + climb_m
+        return float(self.to_go_m(np.array(place_nea_m), value))
+
+    def to_go_m(self, places_nea_m: FloatArray, value: Surface | None = None) -> FloatArray:
+        """The same from many: the way, coming down and climbing included.  (..., 3) -> (...)."""
+        north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
+        task, needed_m = self._task, self.field.needed.altitude_m(north, east)
+        down_m = np.maximum(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
+        level_m = (value or self.field.value).altitude_m(north, east)
+        return np.asarray(level_m + down_m + self.climb_m(places_nea_m))
+
+    def climb_m(self, places_nea_m: FloatArray) -> FloatArray:
+        """The way that it takes to come up to where the way on can be climbed, likewise."""
+        north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
+        short_m = self.field.needed.altitude_m(north, east) - altitude
+        return np.maximum(short_m, 0.0) / math.tan(self._task.limits.climb_angle_rad)
 
     def left_m(self, place_nea_m: Sequence[float]) -> float:
         """The same, whichever way was preferred before: what tells whether a mission gets on."""

@@ -18,7 +18,6 @@ import scipy
 from companion.geodesy import BoolArray, FloatArray
 from companion.path.subpath import Subpath, straight
 from companion.planner.cheapest_ways import IndexArray
-from companion.planner.cost_grid import descent_m
 from companion.planner.price import Prices
 from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import safe_surface
@@ -80,13 +79,13 @@ class _Search:
 
     def __init__(self, request: PlanRequest, prices: Prices, climb: float) -> None:
         task, range_m = request.task, request.task.settings.scan_range_m
-        self._request, self._field, self._climbs = request, prices.field, climb > 0.0
+        self._request, self._prices, self._climbs = request, prices, climb > 0.0
         self._start, self._cell_m = request.start.position_nea_m, request.known.cell_m
         self._steepness = math.tan(climb * task.limits.climb_angle_rad)
         self._top_m = task.band_amsl_m[1] if self._climbs else float(self._start[2])
         self._stop_m = max(task.stop_m, _STOP * range_m)
         self._radars = task.radars_near(request.scan_nea_m[:2], 2.0 * range_m)
-        self._left_here_m = float(self._left_m(self._start))
+        self._left_here_m = float(self._prices.to_go_m(self._start))
 
     def ends(self, *, looks: bool, strays: bool) -> list[_End]:
         """The best one first; those that no radar sees before the others."""
@@ -100,21 +99,6 @@ class _Search:
         """Whether a straight piece comes into the range of a radar."""
         points = self._start + np.linspace(0.0, 1.0, _LOOKS)[:, None] * (end_nea_m - self._start)
         return any(bool((each.distance_m(points) < each.range_m).any()) for each in self._radars)
-
-    def _left_m(self, places_nea_m: FloatArray) -> FloatArray:
-        """What is left to fly, climbing and coming down included.  (..., 3) -> (...)."""
-        north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
-        task, needed_m = self._request.task, self._field.needed.altitude_m(north, east)
-        (low, high), whole_m = task.band_amsl_m, descent_m(task.limits.ceiling_amsl_m, task)
-        share, least = (np.clip((at - low) / (high - low), 0.0, 1.0) for at in (altitude, needed_m))
-        down_m = whole_m * np.maximum(share**2 - least**2, 0.0)
-        return self._field.at_m(north, east) + down_m + self._climb_m(places_nea_m)
-
-    def _climb_m(self, places_nea_m: FloatArray) -> FloatArray:
-        """The way that it takes to come up to where the way on can be climbed."""
-        north, east, altitude = np.moveaxis(places_nea_m, -1, 0)
-        short_m = self._field.needed.altitude_m(north, east) - altitude
-        return np.maximum(short_m, 0.0) / math.tan(self._request.task.limits.climb_angle_rad)
 
     def _at(self, places_ne_m: FloatArray, away_m: FloatArray) -> FloatArray:
         """Places with the altitudes that are reached there.  (..., 2), (...) -> (..., 3)."""
@@ -154,8 +138,8 @@ class _Search:
         """
         places = np.array([end.place_nea_m for end in ends])
         away_m = np.linalg.norm(places - self._start, axis=-1)
-        left_m, climb_m = self._left_m(places), self._climb_m(places)
-        gained_m = float(self._climb_m(self._start)) - climb_m
+        left_m, climb_m = self._prices.to_go_m(places), self._prices.climb_m(places)
+        gained_m = float(self._prices.climb_m(self._start)) - climb_m
         gets_on = (left_m < self._left_here_m) | (gained_m > 0.5 * away_m)
         gets_on |= np.array([end.least_m > 0.0 for end in ends])
         stops_m = np.maximum(self._stop_m * climb_m / away_m, [end.stops_m for end in ends])
@@ -181,7 +165,7 @@ class _Search:
         away_m = steps.reshape(free.shape) * step_m
         reached = np.isfinite(away_m)
         there = self._at(places_ne_m, np.where(reached, away_m, 0.0))
-        left_m = np.where(reached, self._left_m(there), math.inf)
+        left_m = np.where(reached, self._prices.to_go_m(there), math.inf)
         goals = np.argsort(left_m, axis=None, kind="stable")[:_AFTER].tolist()
         if left_m.ravel()[goals[0]] > self._left_here_m - _GAIN_CELLS * cell_m:
             goals = []

@@ -8,9 +8,12 @@ from planning import fly
 
 from companion.planner.offline import OfflineFlight, usual_most_legs
 from companion.planner.plan import plan
+from companion.planner.procedure import Leg, Vector
+from companion.planner.progress import NO_PROGRESS
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
-from companion.world.known_map import KnownMap
+from companion.world.known_map import KnownMap, Scan
+from companion.world.simulated_scan import simulated_scan
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)
@@ -146,6 +149,39 @@ def test_targets_are_reached_in_their_order_with_a_stop_at_each(
     reached, stands = 0, True
     for request, leg, flown_m in zip(planner.requests, flight.legs, flight.flown_m, strict=True):
         assert (request.target_ne_m, request.from_rest) == (targets[reached], stands)
+        if stands:  # what was true of the way to the target before is no more
+            assert (request.route_ne_m, request.progress) == ((), NO_PROGRESS)
         reached, stands = reached + leg.reaches_target, leg.reaches_target
         assert flown_m == leg.subpath.length_m or not stands
     assert flight.holds == 0
+
+
+class StoppedOnce:
+    """In place of what is on board: it stops half way on the first leg to the target."""
+
+    def __init__(self, task: Task, truth: KnownMap) -> None:
+        self._truth, self._range_m = truth, task.settings.scan_range_m
+        self.stopped: Leg | None = None
+
+    def scan(self, at_nea_m: Vector, *, at_rest: bool) -> tuple[Scan, float]:
+        return simulated_scan(self._truth, at_nea_m, self._range_m), 1.0 if at_rest else 0.0
+
+    def flies(
+        self, leg: Leg, from_m: float, until_m: float, *, goes_on: bool
+    ) -> tuple[float, float]:
+        if goes_on or self.stopped is not None or not leg.reaches_target:
+            return until_m, until_m - from_m
+        self.stopped = leg
+        return 0.5 * until_m, 0.5 * until_m - from_m
+
+
+def test_a_target_is_not_reached_by_a_leg_to_it_that_is_stopped_on_the_way(
+    task: Task, truth: KnownMap
+) -> None:
+    on_board = StoppedOnce(task, truth)
+    flight = fly(task, truth, START, TARGET, seed=3, on_board=on_board)
+    stopped, last = (leg for leg in flight.legs if leg.reaches_target)
+    half_m = 0.5 * stopped.subpath.length_m
+    assert (on_board.stopped, flight.holds) == (stopped, 1)
+    assert flight.scans_nea_m[-1] == stopped.subpath.pose(half_m).point_nea_m
+    assert flight.flown_m[-2:] == [half_m, last.subpath.length_m]

@@ -12,6 +12,7 @@ from nudge import SEEDS, nudged
 from numpy.typing import NDArray
 from rough_ground import COLUMNS, RANGE_M, ROWS, blank, ground, scan_of
 
+from companion.geodesy import LEAST_RADIUS_M
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map
 from companion.world.sight_lines import sight_line_m
 from companion.world.simulated_scan import simulated_scan
@@ -170,6 +171,36 @@ def test_a_sight_line_knows_no_bound_over_unknown_ground_and_looks_no_farther_th
     assert again[1] == found[1]
     beside = np.array([[120.0, 1_350.0]])  # nothing lies between
     assert np.isneginf(sight_line_m(known, known.upper_m, radars[:1], beside, 150.0)).all()
+
+
+def line_of_slope_m(slope: float, away_m: float) -> float:
+    """Altitude above the radar of a line, so far away, over a round earth."""
+    share = (slope * away_m + away_m**2 / (2.0 * LEAST_RADIUS_M)) / LEAST_RADIUS_M
+    return LEAST_RADIUS_M * share / (1.0 - share)
+
+
+@pytest.mark.parametrize("error_m", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("turn_deg", "is_behind"), [(0, True), (-67, True), (67, True), (79, False)]
+)
+def test_a_cell_beside_the_radar_hides_what_is_behind_it_by_its_nearest_corner(
+    error_m: float, turn_deg: float, is_behind: bool
+) -> None:
+    """5 m from the radar in north and in east, 100 m above it: with errors, as much nearer.
+
+    Its circle is seen 65 (71) degrees to either side of north-east, that of the cell a line leads
+    to 4.  To the side of both only the march has it: no nearer than half a cell.
+    """
+    known = blank()
+    known.upper_m[:] = 0.0
+    known.upper_m[15, 14] = 500.0
+    bearing, slack_m = math.radians(45.0 + turn_deg), 1.5 * CELL_M + error_m
+    radar = np.array([[1_495.0, 1_395.0, 400.0]])
+    point = radar[:, :2] + 1_000.0 * np.array([[math.cos(bearing), math.sin(bearing)]])
+    found = sight_line_m(known, known.upper_m, radar, point, slack_m)
+    nearest_m = math.hypot(5.0, 5.0) - error_m if is_behind else 0.5 * CELL_M
+    line_m = 400.0 + line_of_slope_m(100.0 / nearest_m, 1_000.0 + slack_m)
+    assert found == pytest.approx(line_m, rel=1e-9)
 
 
 def brute_force_line_m(
