@@ -19,6 +19,7 @@ ways over it are flown high and in short legs, and a way round is rarely dearer.
 Among near things, what stands is taken to go on: unseen ground beside it costs three times as much.
 """
 
+import enum
 import math
 from typing import final
 
@@ -50,21 +51,26 @@ the way is believed to lead round the end of what was seen of a wall, wherever t
 there (decision 0021)."""
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _TERMS = 2.4  # f1 is 100 for a way of 2.4 R, f2 for one of R at the ceiling (eq. 6, 7)
-_RADAR = (
-    3.0  # f5 is 300 for a way of R at a radar (`objective.RADAR_SCALE` for each of ten samples)
-)
+_RADAR = 3.0  # f5 is 300 for a way of R at a radar (`objective.RADAR_SCALE` for each of ten)
+
+
+class Belief(enum.Enum):
+    """What is taken to be where nothing was seen."""
+
+    GUESSED = enum.auto()
+    """What was seen, continued (`companion.world.guess`)."""
+    BOUNDED = enum.auto()
+    """As much as sight lines leave room for; where none does, nothing."""
+    FREE = enum.auto()
+    """Nothing."""
 
 
 @final
 class CostGrid:
     """Costs at the points of a lattice and halfway between them, kept up to date."""
 
-    def __init__(self, known: KnownMap, task: Task, *, guesses: bool = True) -> None:
-        """Of a map of which nothing is known: `update` says what is.
-
-        guesses: what was seen is continued where it was not; else what a sight line bounds counts
-        as high as it may be, and the rest is free.
-        """
+    def __init__(self, known: KnownMap, task: Task, belief: Belief = Belief.GUESSED) -> None:
+        """Of a map of which nothing is known: `update` says what is."""
         most = max(known.upper_m.shape)
         every = max(
             round(task.settings.scan_range_m / (_STEPS_PER_RANGE * known.cell_m)),
@@ -72,7 +78,7 @@ class CostGrid:
             1,
         )
         rows, columns = (2 * max(size // (2 * every), 1) + 1 for size in known.upper_m.shape)
-        self.task, self.guesses = task, guesses
+        self.task, self.belief = task, belief
         self.corner_ne_m = known.north_min_m, known.east_min_m
         """Of the first sample."""
         self.samples = Grid.empty(rows, columns, every * known.cell_m)
@@ -109,7 +115,8 @@ class CostGrid:
         """
         ground = self._ground
         box = self._look_at(known)
-        guess_m = self._continued_m(known, here_ne_m) if self.guesses else None
+        is_guessed = self.belief is Belief.GUESSED
+        guess_m = self._continued_m(known, here_ne_m) if is_guessed else None
         if guess_m is not None or self._everywhere:
             ground.guess_m[:] = self._scale.floor_m if guess_m is None else guess_m
             box = 0, self.shape[0], 0, self.shape[1]
@@ -146,7 +153,7 @@ class CostGrid:
             first, last = low * scale.every - reach, high * scale.every + reach
             about.append(slice(max(first, 0), min(last, cut)))
         tops_m = believed_m(known, *about)
-        if not self.guesses:  # what is hidden is as high as it may be
+        if self.belief is Belief.BOUNDED:
             bound_m = known.upper_m[*about]
             tops_m = np.where(np.isfinite(bound_m), bound_m, tops_m)
         first = about[0].start, about[1].start
@@ -155,7 +162,7 @@ class CostGrid:
 
     def _gone_on(self, box: Box) -> Box:
         """How what stands near goes on, where samples have changed.  -> where that has."""
-        if not (self.task.settings.is_near and self.guesses):
+        if not self.task.settings.is_near or self.belief is not Belief.GUESSED:
             return box
         far = _GOES_ON_RANGES * self.task.settings.scan_range_m / self.step_m
         by, (rows, across) = math.ceil(far), self.shape

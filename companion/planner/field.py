@@ -16,7 +16,7 @@ from companion import jit
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner import cheapest_ways
 from companion.planner.cheapest_ways import Costs, Grid
-from companion.planner.cost_grid import CostGrid, Place, sampled
+from companion.planner.cost_grid import Belief, CostGrid, Place, sampled
 from companion.planner.cost_samples import BLOCKED
 from companion.planner.settings import Task
 from companion.world.clearance import Surface
@@ -88,7 +88,7 @@ def cost_to_go(
     previous_route_ne_m: tuple[Place, ...] = (),
     memory: "Memory | None" = None,
     *,
-    guesses: bool = True,
+    belief: Belief = Belief.GUESSED,
 ) -> CostToGo:
     """The cost to the target over what is known, and the way from here.
 
@@ -105,11 +105,11 @@ def cost_to_go(
         route: values are then exact, and ends of subpaths are not drawn to the corridor.
     memory
         Of the plans before: it makes this one faster.  None: what the last plan has left.
-    guesses
-        Whether what was seen is continued where it was not; else that is free.
+    belief
+        What is taken to be where nothing was seen.
     """
     mine = memory or (_idle.pop() if _idle else Memory())
-    field = mine.solve(known, task, here_ne_m, target_ne_m, guesses=guesses)
+    field = mine.solve(known, task, here_ne_m, target_ne_m, belief)
     route = field.route_ne_m()
     undisputed = None
     if _disputed(route, previous_route_ne_m, task.settings.scan_range_m):
@@ -136,16 +136,15 @@ class Memory:
     """
 
     def __init__(self) -> None:
-        self._kept: dict[bool, tuple[CostGrid, Costs | None]] = {}
-        """With and without guesses."""
+        self._kept: dict[Belief, tuple[CostGrid, Costs | None]] = {}
 
     def solve(
-        self, known: KnownMap, task: Task, here_ne_m: Place, target_ne_m: Place, *, guesses: bool
+        self, known: KnownMap, task: Task, here_ne_m: Place, target_ne_m: Place, belief: Belief
     ) -> "_Field":
         """The costs of lattice points, as they are now."""
-        grid, costs = self._kept.get(guesses, (None, None))
+        grid, costs = self._kept.get(belief, (None, None))
         if grid is None or not grid.fits(known, task):
-            grid, costs = CostGrid(known, task, guesses=guesses), None
+            grid, costs = CostGrid(known, task, belief), None
         dirty = grid.update(known, here_ne_m)
         seed, about = np.full(dirty.size, np.inf), grid.around(target_ne_m)
         seed[about] = grid.lines_m(target_ne_m, grid.points_m(about))
@@ -155,14 +154,9 @@ class Memory:
         elif not np.array_equal(seed, costs.seed):
             dirty |= (seed != costs.seed).reshape(dirty.shape)
             costs.seed[:] = seed
-        self._kept[guesses] = grid, costs
-        field = _Field(
-            grid=grid,
-            samples=grid.samples,
-            costs=costs,
-            task=task,
-            ends_ne_m=(here_ne_m, target_ne_m),
-        )
+        self._kept[belief] = grid, costs
+        ends_ne_m = here_ne_m, target_ne_m
+        field = _Field(grid=grid, samples=grid.samples, costs=costs, task=task, ends_ne_m=ends_ne_m)
         field.repair(dirty)
         return field
 

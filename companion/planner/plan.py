@@ -14,7 +14,7 @@ import numpy as np
 from companion.objective import rows_of
 from companion.planner import rules
 from companion.planner.backtrack import backtrack
-from companion.planner.cost_grid import Place
+from companion.planner.cost_grid import Belief, Place
 from companion.planner.escape import escape
 from companion.planner.field import cost_to_go
 from companion.planner.price import Prices
@@ -106,7 +106,7 @@ class _Plan:
 
     def _guide(self, before: Progress) -> None:
         """Ask guidance for the way, without guesses where they were found wrong."""
-        left_m = self._left_m(guesses=True)
+        left_m = self._left_m(Belief.GUESSED)
         believes = left_m < before.believed_below_m
         if believes:
             if before.believed_below_m < math.inf:
@@ -115,17 +115,21 @@ class _Plan:
             believes = before.doubt_m <= BELIEVED * self._range_m
             if not believes:
                 before = before.disbelieving(left_m, self._request.known.cell_m)
-        self._progress = before if believes else self._at(before, self._left_m(guesses=False))
+        if not believes:
+            left_m = self._left_m(Belief.BOUNDED)
+            if self._prices.field.is_barred:  # perhaps by what is hidden only: it is looked at
+                left_m = self._left_m(Belief.FREE)
+            before = self._at(before, left_m)
+        self._progress = before
         self._searches.guided_by(self._prices)
 
-    def _left_m(self, *, guesses: bool) -> float:
-        """Of the way to the target, by guidance with or without guesses."""
+    def _left_m(self, belief: Belief) -> float:
+        """Of the way to the target, by guidance."""
         request, scan_ne_m = self._request, self._request.scan_nea_m[:2]
         ends_ne_m = scan_ne_m, request.target_ne_m
-        field = cost_to_go(
-            request.around, request.task, *ends_ne_m, request.route_ne_m, guesses=guesses
-        )
-        self._prices = Prices(request.task, field)
+        around, task, before_ne_m = request.around, request.task, request.route_ne_m
+        field = cost_to_go(around, task, *ends_ne_m, before_ne_m, belief=belief)
+        self._prices = Prices(task, field)
         return self._prices.left_m(request.start.point_nea_m)
 
     def _at(self, before: Progress, left_m: float) -> Progress:

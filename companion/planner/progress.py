@@ -18,9 +18,10 @@ on begins.  Records are apart by no less than a leg, or a cell, leaves off.
 Guesses promise what cannot be flown where ground is hidden that is not as low as they say.  They
 are given up where the best that a standing vehicle can do costs more than was promised by more than
 may be owed, and where in all much more is left than was thought, though nothing new was seen.  What
-a sight line bounds is then taken to be as high as that, so that what is promised can be proven; and
-guesses are believed again where less is left by them than there, by a cell, so it ends (Lumelsky
-and Stepanov 1987, Bug2: leave an obstacle where the target is nearer than where it was met).
+a sight line bounds is then taken to be as high as that, so that what is promised can be proven; or
+to be free, where no way is left by such bounds: it has not been looked at.  And guesses are
+believed again where less is left by them than there, by a cell, so it ends (Lumelsky and Stepanov
+1987, Bug2: leave an obstacle where the target is nearer than where it was met).
 
 And scans show something new only as often as there are cells to see.  (Where near cells are
 forgotten this does not hold; there stops are counted, as everywhere.)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from planning import LARGE
 
 from companion.planner import cost_grid
+from companion.planner.cost_grid import Belief
 from companion.planner.field import CostToGo, Memory, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.clearance import Surface
@@ -280,9 +281,9 @@ def test_what_is_remembered_changes_no_answer(seed: int, monkeypatch: pytest.Mon
         else:
             zone = CircleZone(name="new", north_m=at[0], east_m=at[1], radius_m=2e3)
             task = replace(task, zones=(*task.zones, zone))
-        guesses = step % 4 != 1
-        anew = cost_to_go(known, task, here, target, route, Memory(), guesses=guesses)
-        repaired = cost_to_go(known, task, here, target, route, memory, guesses=guesses)
+        belief = (*Belief, Belief.GUESSED)[step % 4]
+        anew = cost_to_go(known, task, here, target, route, Memory(), belief=belief)
+        repaired = cost_to_go(known, task, here, target, route, memory, belief=belief)
         assert repaired.value.vertex_m.tobytes() == anew.value.vertex_m.tobytes()
         assert repaired.needed.vertex_m.tobytes() == anew.needed.vertex_m.tobytes()
         assert repaired.route_ne_m == anew.route_ne_m
@@ -317,18 +318,23 @@ def test_what_stands_near_is_taken_to_go_on() -> None:
     assert turns_at_m[1] > 20e3 + 0.25 * R
 
 
-def test_without_guesses_hidden_ground_is_as_high_as_its_sight_line_allows() -> None:
-    """What is promised can be proven then: a slope is climbed to its bound, where it is hidden."""
+def test_hidden_ground_is_as_high_as_its_sight_line_allows_or_free_as_is_asked() -> None:
+    """By bounds what is promised can be proven: a slope is climbed where it is hidden, too."""
     task, here, there = a_task(), (5e3, 30e3), (55e3, 30e3)
     north, _ = middles(task)
     known = seen(task, np.where(np.abs(north - 30e3) < 5e3, 3_900.0, 0.0))
     hidden = replace(known, seen=known.seen & (np.abs(north - 30e3) > 5e3))
     told, guessed = cost_to_go(known, task, here, there), cost_to_go(hidden, task, here, there)
-    bounded = cost_to_go(hidden, task, here, there, guesses=False)
+    bounded, free = (
+        cost_to_go(hidden, task, here, there, belief=belief)
+        for belief in (Belief.BOUNDED, Belief.FREE)
+    )
     assert bounded.value.vertex_m == pytest.approx(told.value.vertex_m)
     assert bounded.needed.vertex_m == pytest.approx(told.needed.vertex_m)
     foot = np.array(24.5e3), np.array(30e3)
     assert guessed.needed.altitude_m(*foot) < told.needed.altitude_m(*foot) - 500.0
+    nothing = cost_to_go(a_map(task), task, here, there)
+    assert free.value.vertex_m == pytest.approx(nothing.value.vertex_m)
 
 
 HERE, TARGET = (30e3, 5e3), (30e3, 55e3)

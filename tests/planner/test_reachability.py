@@ -159,14 +159,14 @@ def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
     assert math.dist(HERE, TARGET) < SIZE_M
 
 
-def flown_past_a_ridge(gap_m: float) -> OfflineFlight:
-    """All is known: of a ridge 6 km high from edge to edge two peaks are so far apart."""
+def flown_past_a_ridge(gap_m: float, *, is_known: bool = True) -> OfflineFlight:
+    """Of a ridge 6 km high from edge to edge two peaks are so far apart."""
     east = [40e3 + side * (0.5 * gap_m + 400.0 * i) for side in (-1, 1) for i in range(120)]
     ridge = planning.hills(*((50e3, at, 6e3, 800.0, 800.0) for at in east if -2e3 < at < 82e3))
     task = replace(TASK, limits=replace(TASK.limits, north_m=(-5e3, 105e3), east_m=(0.0, 80e3)))
-    truth = true_map(ridge, empty_map(CELL_M, task.limits.north_m, task.limits.east_m))
-    start = (0.0, 60e3, 3_100.0)
-    return planning.fly(task, truth, start, (100e3, 60e3), blank=truth)
+    blank = empty_map(CELL_M, task.limits.north_m, task.limits.east_m)
+    truth, start = true_map(ridge, blank), (0.0, 60e3, 3_100.0)
+    return planning.fly(task, truth, start, (100e3, 60e3), blank=truth if is_known else blank)
 
 
 @pytest.mark.parametrize("gap_m", [3_300.0, 2_900.0, 2_500.0, 2_350.0])
@@ -175,6 +175,11 @@ def test_a_narrow_gap_is_flown_through_and_not_past(gap_m: float) -> None:
     flight = flown_past_a_ridge(gap_m)
     assert flight.failure is None
     assert sum(flight.flown_m) < 140e3
+
+
+def test_a_gap_that_was_passed_by_is_looked_into() -> None:
+    """By what was seen of it from along the ridge, sight lines leave no way through it."""
+    assert flown_past_a_ridge(2_500.0, is_known=False).failure is None
 
 
 @pytest.mark.parametrize("gap_m", [1_800.0, 1_500.0])
