@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 
 from companion import library
 from companion.campaign import drawn_world, truth
 from companion.campaign.route_cost import curve_cost
+from companion.config import load_mission
 from companion.errors import InputError
 from companion.library import OPTIMISERS, Flown, NearScene, Task, Thing, fly
 from companion.path.certificate import Certificate
@@ -127,6 +129,40 @@ def test_the_flight_among_near_things_arrives_proven_and_keeps_its_distance(
     assert among.length_m > 1.3 * math.dist((0.0, 0.0), (42.0, 42.0))  # round the wall
     gaps_m = NearScene(page["things"]).gaps_m(among.points_nea_m[:, :2])
     assert gaps_m.min() >= among.task.required_clearance_m
+
+
+def maze(seed: int, cells: int, cell_m: float) -> NearScene:
+    """Walls between square cells, but where the least tree of drawn weights leads through."""
+    number = np.arange(cells**2).reshape(cells, cells)
+    one = np.concatenate([number[1:].ravel(), number[:, 1:].ravel()])
+    other = np.concatenate([number[:-1].ravel(), number[:, :-1].ravel()])
+    weights = np.random.default_rng(seed).uniform(1.0, 2.0, len(one))
+    graph = scipy.sparse.csr_array((weights, (other, one)), shape=(cells**2, cells**2))
+    open_ways = set(zip(*scipy.sparse.csgraph.minimum_spanning_tree(graph).nonzero(), strict=True))
+    size_m = cells * cell_m
+    ring = [(0.0, 0.0), (0.0, size_m), (size_m, size_m), (size_m, 0.0)]
+    things = [Thing(corners_ne_m=[*ring, ring[0]], half_width_m=0.15)]
+    for a, b in zip(other.tolist(), one.tolist(), strict=True):
+        if (a, b) not in open_ways:
+            row, column = divmod(b, cells)
+            along = (0, 1) if b - a == cells else (1, 0)
+            corner = cell_m * row, cell_m * column
+            end = corner[0] + cell_m * along[0], corner[1] + cell_m * along[1]
+            things.append(Thing(corners_ne_m=[corner, end], half_width_m=0.15))
+    return NearScene(things)
+
+
+def test_a_lidar_finds_the_way_out_of_a_maze() -> None:
+    """Of which it knows nothing: dead ends are left again, and nothing is touched."""
+    cells, cell_m = 4, 8.0
+    scene, task = maze(6, cells, cell_m), load_mission("forest").task
+    start_nea_m = (0.5 * cell_m, 0.5 * cell_m, task.take_off_amsl_m)
+    target = ((cells - 0.5) * cell_m,) * 2
+    flown = fly("forest", "forest", scene=scene, start_nea_m=start_nea_m, targets_ne_m=[target])
+    assert flown.arrived, flown.why
+    assert flown.details.holds > 3  # it has been in dead ends
+    nearest_m = scene.gaps_m(flown.points_nea_m[:, :2]).min()
+    assert nearest_m > task.settings.safety_distance_m
 
 
 def aboard(task: Task, things: list[Thing]) -> tuple[OnBoard, dict[str, Any]]:
