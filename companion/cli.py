@@ -36,7 +36,7 @@ from companion.live_view.command import (
     stay,
     view_command,
 )
-from companion.mavlink.preflight import CheckStatus, checks_of, flight_check, not_heard
+from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
@@ -271,9 +271,7 @@ def preflight_command(
     if key is not None and signing is not None:
         _keep_time(key, signing)
     checks = checks_of(session)
-    if not (refused := [check for check in checks if check.status is CheckStatus.REFUSED]):
-        checks.append(flight_check(session))
-        refused = [check for check in checks[-1:] if check.status is CheckStatus.REFUSED]
+    refused = [check for check in checks if check.status is CheckStatus.REFUSED]
     console.print(checks_table(checks))
     if stop_asked:
         raise typer.Exit(_INTERRUPTED)

@@ -536,7 +536,7 @@ class Session:
         """The result of an order; of a go, after a look at every check."""
         if order.kind is events.OrderKind.START and self.state.phase is Phase.READY:
             self._handle(events.Tick(time_s=self.now_s))
-            self._handle(self._preflight.failed(self, at_once=True))
+            self._handle(self._preflight.judged(self, at_once=True))
         return changes.order_result(self.state, order, go=self.context.go)
 
     # --- the clock
@@ -664,10 +664,8 @@ class Session:
         """On the ground: run the preflight checks before arming, and go on with them."""
         if (here := self._preflight.scan_position(self)) is not None:
             self._start_scan(here)
-        elif (judged := self._preflight.result(self)) is not None:
-            self._handle(judged)
         else:
-            self._handle(self._preflight.failed(self))
+            self._handle(self._preflight.judged(self))
 
     # --- events and commands
 

@@ -23,7 +23,6 @@ from companion.mission.events import (
     Disarm,
     Event,
     FenceBreach,
-    GpsFix,
     Home,
     Item,
     LinkDelay,
@@ -84,8 +83,6 @@ class AutopilotClient:
         """Of the parameters, as they were judged last."""
         self.origin_nea_m: Vector | None = None
         self.round_trip_s: float | None = None
-        self.geoid_m: float | None = None
-        """How far its mean sea level lies above the ellipsoid, as its GPS has it."""
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
@@ -200,8 +197,6 @@ class AutopilotClient:
             case _:
                 frame, origin = self._mission.frame, self.origin_nea_m
                 event = self.autopilot.event_of(message, now_s, frame, origin)
-                if isinstance(event, GpsFix) and message.alt_ellipsoid:
-                    self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
                 self._remember(event)
                 return event
         return FenceBreach(time_s=now_s) if breached else None
