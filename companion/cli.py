@@ -268,8 +268,7 @@ def preflight_command(
             stop_asked=lambda: bool(stop_asked),
             on_progress=lambda text: status.update(f"waiting for {text}"),
         )
-    if key is not None and signing is not None:
-        _keep_time(key, signing)
+    _keep_time(key, signing)
     checks = checks_of(session)
     refused = [check for check in checks if check.status is CheckStatus.REFUSED]
     console.print(checks_table(checks))
@@ -538,7 +537,7 @@ def _flown(
                 stop_asked=lambda: bool(stop_asked),
                 person=person,
                 planner=planner,
-                persist=None if key is None else partial(_keep_time, key, session.signing),
+                persist=partial(_keep_time, key, session.signing),
             )
             folder.run_json(_run_facts(flown, began, connect))
         if shows.machine is not None:
@@ -549,8 +548,8 @@ def _flown(
     return flown
 
 
-def _keep_time(key: SigningKey, signing: Signing | None) -> None:
-    if signing is not None:
+def _keep_time(key: SigningKey | None, signing: Signing | None) -> None:
+    if key is not None and signing is not None:
         key.save(signing.timestamp, _clock_s())
 
 

@@ -32,6 +32,7 @@ _REBOOT_S = 2.0  # a clock that falls by more has begun again; one that leaps by
 _BEAT_S = 1.0  # between two heartbeats of an autopilot
 _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 
+_ENTRY_BYTES = 500  # what a journal entry takes, about
 Stamped = tuple[float, bytes]
 """Vehicle time, seconds, and a frame."""
 Input = tuple[Any, ...]
@@ -251,6 +252,13 @@ class Output:
     """Set once the mission is over."""
     settled: bool = False
     """Whether the vehicle is then in the requested mode, or gone."""
+
+    @property
+    def size(self) -> int:
+        """Bytes to be recorded, about."""
+        frames = sum(len(frame) for _, frame in self.record)
+        told = sum(len(each[1]) for each in self.inputs if each[0] == "receive")
+        return frames + told + _ENTRY_BYTES * len(self.journal)
 
     def leave_out(self, numbers: Iterable[int]) -> None:
         """Remove frames that were not sent, by index in `frames`, from the record."""

@@ -17,7 +17,7 @@ from companion.mavlink.signing import strip_signature
 from companion.planner.request import Planned, PlanOutcome
 from companion.runtime.link import Link, is_setpoint
 from companion.runtime.planning import Planning
-from companion.runtime.recorder import WRITER, Batch, NoWriter, Writer
+from companion.runtime.recorder import WRITER, NoWriter, Writer
 from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog, Worker
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -35,7 +35,6 @@ _TRACK_S: Final = 0.5
 _MAX_TRACK: Final = 20_000  # points; of a longer flight every second one, and so on
 _MAX_PLANS: Final = 2_000
 _RESERVE_S: Final = 10.0
-_BUSY_AGAIN_S: Final = 10.0  # between two texts that the computer is busy
 _OBLIGES: Final = frozenset({"phase", "set mode", "arm", "take off"})
 """Journal entries after which the vehicle has to be told something else at the end."""
 
@@ -81,7 +80,6 @@ class ControlLoop:
             final_text=session.final_text,
             on_failure=self._on_failure,
             on_loss=self.lost,
-            on_delay=lambda part, waited_s: self.post(partial(self._delayed, part, waited_s)),
             watches_time=not lockstep,
         )
         self._lockstep, self._stop_asked, self._person = lockstep, stop_asked, person
@@ -94,7 +92,7 @@ class ControlLoop:
         self._since_s = math.nan
         """What is answered now arrived no earlier."""
         self._track_at_s, self._track_every_s = -math.inf, _TRACK_S
-        self._reserve_at_s = self._busy_at_s = -math.inf
+        self._reserve_at_s = -math.inf
         self._ended_s: float | None = None
 
     def post(self, call: Callable[[], None]) -> None:
@@ -147,7 +145,7 @@ class ControlLoop:
             if frame.f_locals.get("self") is self.session
         ]
         out.inputs.append(("raised", calls[0] if calls else "", f"{type(error).__name__}: {error}"))
-        self.writer.put(Batch(record=out.record, journal=out.journal, inputs=out.inputs))
+        self.writer.put(out)
 
     def _turn(self) -> None:
         self._beat()
@@ -228,11 +226,6 @@ class ControlLoop:
             del grown[:-_MAX_PLANS]  # memory is bounded in long flights; the journal has it all
         self.session.deliver(outcome)
 
-    def _delayed(self, part: str, waited_s: float) -> None:
-        if (now_s := self.clock()) - self._busy_at_s >= _BUSY_AGAIN_S:
-            self._busy_at_s = now_s
-            self.session.complain(f"computer busy: the {part} waited for {waited_s:.1f} s")
-
     def _on_loss(self, failure: Failure) -> None:
         if failure.part == WRITER:
             self.session.recording_stopped(failure.error)
@@ -250,7 +243,7 @@ class ControlLoop:
             "hold_frames": len(hold),
         }
         record = [(now_s, strip_signature(frame)) for frame in hold]
-        self.writer.put(Batch(record=record, journal=[noted], inputs=[("held", len(hold))]))
+        self.writer.put(Output(record=record, journal=[noted], inputs=[("held", len(hold))]))
         self.post(lambda: self.session.part_died(failure.part, failure.error))
 
     # --- out
@@ -259,15 +252,7 @@ class ControlLoop:
         try:
             self._send(out)
         finally:
-            self.writer.put(
-                Batch(
-                    record=out.record,
-                    journal=out.journal,
-                    inputs=out.inputs,
-                    checkpoint=out.checkpoint,
-                    known=out.known,
-                )
-            )
+            self.writer.put(out)
         if out.plan is not None:
             self.flown.scans_nea_m.append(out.plan.scan_nea_m)
             self.planning.ask(out.plan)

@@ -15,13 +15,14 @@ from typing import Protocol, final
 
 from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link, datagrams
-from companion.runtime.planning import AtOnce, PlanFunction
-from companion.runtime.recorder import InlineWriter, Recorder, Writer
+from companion.runtime.planner_process import PlanFunction
+from companion.runtime.planning import AtOnce
+from companion.runtime.recorder import Recorder, Writer
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
-_PORTION = 20_000  # frames, 2 MB: what is cut short here is flown again, not resumed
+_PORTION = 2_000  # outputs, a minute: what is cut short here is flown again, not resumed
 
 
 class SimulatedVehicle(Protocol):
@@ -124,8 +125,7 @@ def fly_in_process(
         session, vehicle, planner=planner, writer=writer, stop_asked=stop_asked, on_step=on_step
     )
     if folder is not None:
-        recorder = Recorder(folder, loop.clock, persist=None)
-        loop.writer = InlineWriter(recorder, loop.lost, _PORTION)
+        loop.writer = Recorder(folder, loop.clock, loop.lost, portion=_PORTION)
     try:
         loop.run()
     finally:

@@ -25,6 +25,7 @@ from stub_session import (
     request_of,
 )
 
+from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
 from companion.planner.request import PlanRequest
 from companion.runtime import loop, planning, recorder, watchdog
@@ -463,16 +464,16 @@ def test_an_entry_that_cannot_be_written_ends_the_recording_and_not_the_flight(
 def test_what_waits_for_a_slow_disk_has_an_end(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorder, "_MAX_UNWRITTEN", 100_000)
+    monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
     monkeypatch.setattr(recorder, "_LEAVE_S", 0.1)
     released = threading.Event()
-    writes = recorder.Recorder(folder, time.monotonic, None)
+    writes = recorder.Recorder(folder, time.monotonic, lambda _failure: None)
     monkeypatch.setattr(folder, "frames", lambda _stamped: released.wait())
-    writer = recorder.WriterThread(writes, lambda _failure: None)
+    writer = recorder.WriterThread(writes)
     thread = threading.Thread(target=writer.run)
     thread.start()
     for _ in range(1000):
-        writer.put(recorder.Batch(record=[(0.0, bytes(1000))]))
+        writer.put(Output(record=[(0.0, bytes(1000))]))
     assert folder.failure == "the disk is too slow"
     assert writer._put_bytes <= 101_000
     released.set()
