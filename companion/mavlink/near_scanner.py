@@ -73,11 +73,6 @@ class NearScanner:
         self._sight = Sight.NEVER_HEARD
 
     @property
-    def refused(self) -> dict[str, int]:
-        """How often something was not believed, by the reason."""
-        return dict(self._sensing.refused)
-
-    @property
     def limits_m(self) -> tuple[float, float] | None:
         """Least and greatest distance that the sensor says it measures; None: it told of none."""
         return self._sensing.limits_m

@@ -71,10 +71,15 @@ def ring(command: int, *corners: tuple[float, float]) -> list[PlanItem]:
 
 @st.composite
 def shapes(draw: st.DrawFn) -> list[PlanItem]:
-    """One circle or polygon; the polygon may cross itself."""
+    """One circle or polygon; the polygon may cross itself, or be a star with deep inlets."""
     command = draw(st.sampled_from([CIRCLE_IN, CIRCLE_OUT, IN, OUT]))
     if command in (CIRCLE_IN, CIRCLE_OUT):
         return [item(command, *draw(places), draw(st.floats(30.0, 900.0)))]
+    if draw(st.booleans()):
+        reach_m = draw(st.lists(st.floats(5.0, 900.0), min_size=3, max_size=10))
+        turn = draw(st.sampled_from([1.0, -1.0])) * math.tau / len(reach_m)
+        star = [(r * math.cos(turn * k), r * math.sin(turn * k)) for k, r in enumerate(reach_m)]
+        return ring(command, *star)
     return ring(command, *draw(st.lists(places, min_size=3, max_size=7, unique=True)))
 
 
@@ -194,6 +199,15 @@ def test_a_fence_of_a_continent_is_where_its_sides_are(
         assert (float(zone.distance_m(*map(np.asarray, place))) < 0.0) is inside
 
 
+def test_a_fold_crosses_itself_and_a_corner_given_twice_counts_once() -> None:
+    fold = ((0.0, 0.0), (0.0, 100.0), (0.0, 50.0), (50.0, 50.0))
+    assert "crosses itself" in zones_of(ring(OUT, *fold), FRAME, ON).notes[0]
+    twice = ring(OUT, SQUARE[0], *SQUARE, SQUARE[3], SQUARE[0])
+    (zone,) = zones_of(twice, FRAME, ON).zones
+    assert isinstance(zone, PolygonZone)
+    assert len(zone.vertices_ne_m) == 4
+
+
 def test_out_of_a_polygon_that_crosses_itself_means_out_of_its_hull() -> None:
     bow = ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 100.0))
     fence = zones_of(ring(OUT, *bow), FRAME, ON)
@@ -224,7 +238,7 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
     ("items", "words"),
     [
         (ring(IN, *SQUARE)[:3], "incomplete"),
-        (ring(IN, *SQUARE[:2]), "2 corners"),
+        (ring(IN, *SQUARE[:2]), "three corners"),
         (
             [PlanItem(frame=0, command=OUT, parameters=(3.0, 0, 0, 0), x=2_000_000_000)] * 3,
             "nowhere",
@@ -236,8 +250,8 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
             for radius_m in (math.inf, -math.inf, math.nan, 0.0, -20.0, 3e38)
         ],
         (ring(OUT, *SQUARE)[:3], "incomplete"),
-        ([*ring(OUT, *SQUARE), item(OUT, 0.0, 0.0, 4.0)], "1 corners"),
-        ([item(OUT, *SQUARE[0], math.nan), *ring(OUT, *SQUARE[:3])], "1 corners"),
+        ([*ring(OUT, *SQUARE), item(OUT, 0.0, 0.0, 4.0)], "three corners"),
+        ([item(OUT, *SQUARE[0], math.nan), *ring(OUT, *SQUARE[:3])], "three corners"),
         ([*ring(OUT, *SQUARE)[:3], item(OUT, *SQUARE[3], 5.0)], "incomplete"),
         ([item(OUT, *corner, 3.5) for corner in SQUARE], "incomplete"),
         ([replace(each, frame=1) for each in ring(OUT, *SQUARE)], "frame 1"),

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.near_sensing import NearSensing, Sight, in_words
+from companion.mavlink.near_sensing import NearSensing, Sight
 from companion.mavlink.poses import Poses
 from companion.world.near_map import NearSensor, Sweep
 
@@ -54,7 +54,6 @@ def read(message: Any, poses: Poses | None = None, sensor: NearSensor = LIDAR) -
     sensing = NearSensing(sensor, poses or standing())
     sensing.on_obstacle_distance(message, NOW_S)
     (sweep,) = sensing.sweeps()
-    assert not sensing.refused
     return sweep
 
 
@@ -143,13 +142,11 @@ def test_what_a_distance_means(told: int, clear_m: float) -> None:
         {"min_distance": 2000},
     ],
 )
-def test_a_message_that_cannot_be_understood_is_counted_and_says_nothing(
-    fields: dict[str, Any],
-) -> None:
+def test_a_message_that_cannot_be_understood_says_nothing(fields: dict[str, Any]) -> None:
     sensing = NearSensing(LIDAR, standing())
     sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
     assert sensing.sweeps() == []
-    assert sensing.refused.total() == 1
+    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
 
 
 @pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
@@ -169,12 +166,6 @@ def test_a_stamp_of_another_clock_counts_as_now() -> None:
     for stamp_us, now_s in zip(stamps_us, times_s, strict=True):
         sensing.on_obstacle_distance(obstacle_distance([500], time_usec=stamp_us), now_s)
     assert [sweep.time_s for sweep in sensing.sweeps()] == times_s
-    assert sensing.refused == {"a stamp of another clock": 3}
-    assert list(in_words(sensing.refused)) == [
-        "used all the same: a stamp of another clock, taken as of now (3 times)"
-    ]
-    both = {"an angle is not finite": 2, **sensing.refused}
-    assert next(in_words(both)) == "not believed: an angle is not finite (2 times)"
 
 
 def test_what_is_told_again_at_once_is_one_sweep_and_proves_no_more() -> None:
@@ -185,7 +176,6 @@ def test_what_is_told_again_at_once_is_one_sweep_and_proves_no_more() -> None:
         sensing.on_obstacle_distance(obstacle_distance(time_usec=round(now_s * 1e6)), now_s)
     taken_s = [sweep.time_s - NOW_S for sweep in sensing.sweeps()]
     assert taken_s == pytest.approx([0.0, 0.032, 0.064, 0.096, 0.128])
-    assert sensing.refused == {"more than 30 sweeps a second": 15}
 
 
 def test_a_measurement_waits_until_the_pose_of_its_time_is_known() -> None:
@@ -262,7 +252,6 @@ def test_one_beam_does_not_speak_for_a_sector(
     message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=component))
     sensing.on_distance_sensor(message, NOW_S)
     assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
-    assert sensing.refused.total() == (not is_taken)
 
 
 def test_sectors_whose_stamp_stands_still_go_on_to_be_taken() -> None:
@@ -279,7 +268,6 @@ def test_a_flood_of_sectors_in_one_moment_is_worked_off_in_parts() -> None:
         beam = wire.MAVLink_distance_sensor_message(9950, 20, 1600, 700, 0, 10, 0, 0)
         sensing.on_distance_sensor(beam, NOW_S)
     assert len(sensing.sweeps()) == 1
-    assert sensing.refused == {"more than 30 sweeps a second": 1}
 
 
 def sectors_over(
@@ -336,21 +324,6 @@ def test_a_set_that_a_link_leaves_out_altogether_is_missed(first: int) -> None:
     for told in (lambda _: (first,), slower):
         clear_m = sectors_over(7.0, told)
         assert clear_m == pytest.approx([7.0 if each == first else 16.0 for each in range(8)])
-
-
-def test_a_sweep_from_which_a_link_left_something_out_is_not_called_unbelieved() -> None:
-    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    for k, sector in enumerate((0, 5, 0, 0)):
-        beam = wire.MAVLink_distance_sensor_message(
-            10_000 + 50 * (k // 2), 20, 1600, 700, 0, 10, sector, 0
-        )
-        sensing.on_distance_sensor(beam, NOW_S + 0.05 * (k // 2))
-    late = wire.MAVLink_distance_sensor_message(10_100, 20, 1600, 700, 0, 10, 0, 0)
-    sensing.on_distance_sensor(late, NOW_S + 0.1)
-    assert list(in_words(sensing.refused)) == [
-        "used all the same: a link had no room for all sectors, those left out say nothing "
-        "(1 times)"
-    ]
 
 
 def test_one_that_is_left_out_now_and_was_told_before_is_unknown() -> None:
