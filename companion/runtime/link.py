@@ -22,9 +22,9 @@ import sys
 import termios
 import threading
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Final, Self, final
+from typing import Final, Protocol, Self, final
 
 import serial
 
@@ -88,7 +88,7 @@ def _says(frame: bytes) -> object:
     return is_setpoint(frame) or frame[:2] + frame[5 : 10 + frame[1]]
 
 
-class Link(ABC):
+class Link(Protocol):
     """A pipe of bytes to one vehicle; a context manager that closes it."""
 
     is_stream: bool = False
@@ -96,7 +96,6 @@ class Link(ABC):
     sender: object = None
     """Sender of the last data, an argument of answer_to; None: there is only one peer."""
 
-    @abstractmethod
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram or piece of a stream, or None if none came in time."""
 
@@ -104,11 +103,9 @@ class Link(ABC):
         """From now on send to this sender: the vehicle."""
         del sender
 
-    @abstractmethod
     def send(self, frames: list[bytes]) -> None:
         """Send frames, whole and in order, or drop them; never blocks."""
 
-    @abstractmethod
     def close(self) -> None:
         """Close the port, the device or the connection for good."""
 

@@ -27,7 +27,6 @@ class Planning(Protocol):
 
     def ask(self, request: PlanRequest) -> None:
         """Compute a request, now or soon."""
-        ...
 
 
 @final

@@ -23,11 +23,9 @@ class Writer(Protocol):
 
     def put(self, out: Output) -> None:
         """Record it, now or soon."""
-        ...
 
     def close(self) -> None:
         """Write everything that can be written."""
-        ...
 
 
 @final
