@@ -421,7 +421,6 @@ NO_CHANGE: Change = lambda _: None  # noqa: E731
 OTHERS = ("vehicle", "refused", ("PX4", "vehicle.kind"))
 _CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 SETUPS = {
-    "as it comes": Setup({}),
     "nothing heard": Setup({}, hides("HEARTBEAT"), "vehicle", "refused", ("none was heard",)),
     "another kind": Setup({"task": load_mission(NAMES["px4", "plane"]).task}, NO_CHANGE, *OTHERS),
     "another autopilot": Setup({"autopilot": "ardupilot"}, NO_CHANGE, *OTHERS),
@@ -435,12 +434,9 @@ SETUPS = {
     "no plans": Setup(
         {}, hides("MISSION_COUNT", "MISSION_ACK"), "fence", "refused", ("not read: ",)
     ),
-    "no home": Setup({}, hides("HOME_POSITION")),
     "no landed state": Setup(
         {}, hides("EXTENDED_SYS_STATE"), "messages", "refused", ("EXTENDED_SYS_STATE",)
     ),
-    "no fix told": Setup({}, hides("GPS_RAW_INT")),
-    "no estimator": Setup({}, hides("ESTIMATOR_STATUS")),
     "no position": Setup({}, hides("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")),
     "no GPS": Setup({"faults": "at 0 s: gps_off"}, NO_CHANGE, "position", "refused"),
     "fence on a target": Setup(
@@ -449,7 +445,6 @@ SETUPS = {
         *("fence", "refused", ("target 1: ", "Move the target, or change the fence.")),
     ),
     "fence left out": Setup({"fence_from_vehicle": False}, ON_TARGET, "fence", "note"),
-    "fence elsewhere": Setup({}, draws((5004, 60.0, 300.0, -300.0))),
     "fence with no end": Setup(
         {},
         draws((5004, float("inf"), 300.0, 500.0)),
@@ -463,43 +458,28 @@ SETUPS = {
         ),
         *("fence", "note", ("exclusion 2 after exclusion 1", "Upload polygons before circles.")),
     ),
-    "fence around the vehicle": Setup({}, draws((5004, 60.0, 0.0, 0.0))),
-    "fence too small": Setup({}, draws((5003, 100.0, 0.0, 0.0))),
     "no targets": Setup(NO_TARGETS, NO_CHANGE, "targets", "refused"),
     "targets of its own": Setup(
         NO_TARGETS,
         draws((16, 0.0, 300.0, 100.0), (16, 0.0, 500.0, 300.0), kind=0),
         *("targets", "ok", ("2 targets",)),
     ),
-    "battery reserve": Setup({"reserve": 1.01}),
     "battery too short": Setup({"endurance_s": 30.0}),
     "armed already": Setup({}, armed, "armed", "refused", ("somebody else",)),
     "no radar": Setup(
         {"scanner_component_id": 77}, NO_CHANGE, "radar", "refused", ("component 77",)
     ),
-    "a message that is not sent": Setup({}, hides("SYS_STATUS")),
     "signed, and no key": Setup(
         {"name": "sitl-arducopter"}, signs, "signing", "refused", ("--signing-key",)
     ),
 }
 
 
-NIGHTLY = (
-    *("no home", "no fix told", "no estimator", "a message that is not sent"),  # as "no position"
-    *("fence elsewhere", "fence around the vehicle", "fence too small"),  # as "fence on a target"
-    *("as it comes", "battery reserve"),
-)
-"""Each night: only that both say the same, of which there are others enough."""
-
-
 def climbs(it: Pair) -> bool:
     return it.session.state.phase in (Phase.ARMING, Phase.TAKING_OFF)
 
 
-@pytest.mark.parametrize(
-    "setup",
-    [pytest.param(x, marks=[pytest.mark.nightly] if x in NIGHTLY else []) for x in SETUPS],
-)
+@pytest.mark.parametrize("setup", SETUPS)
 def test_what_fly_refuses_is_refused_here_and_the_other_way_round(setup: str) -> None:
     keywords, change, check, verdict, words = SETUPS[setup]
     looked = Pair(**keywords)
