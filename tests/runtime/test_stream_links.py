@@ -121,6 +121,17 @@ def test_a_tcp_peer_that_is_not_there_yet_is_no_error() -> None:
             assert heard(link, 4) == b"here"
 
 
+def test_an_order_that_was_given_before_anybody_answered_is_not_kept_for_later(
+    server: Server,
+) -> None:
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link:
+        assert link.receive(0.0) is None  # it calls
+        link.send([HOLD])
+        with server.accept(link) as peer:
+            link.send([b"after"])
+            assert peer.recv(100) == b"after"
+
+
 def test_a_tcp_link_that_was_closed_calls_nobody(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -419,6 +430,28 @@ def test_after_a_stall_of_a_serial_port_the_newest_setpoint_comes_and_not_those_
         stalled(link)
         data = arriving(link, terminal.far, lambda data: NEWEST in data, NEWEST)
     assert_nothing_stale(data, 5 * 4096)
+
+
+def requests(first: int, count: int) -> list[bytes]:
+    """So many frames of which none makes another needless."""
+    names = (b"%d" % number for number in range(first, first + count))
+    return [packed(wire.MAVLink_param_request_read_message(1, 1, name, -1)) for name in names]
+
+
+def test_an_order_is_given_to_the_computer_at_once_and_never_dropped(
+    server: Server, terminal: Terminal
+) -> None:
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link, server.accept(link) as peer:
+        link.send(requests(0, 100))  # more than is to be under way
+        link.send([HOLD])
+        got = b""
+        while HOLD not in got:  # nobody pushes any more
+            got += peer.recv(4096)
+    with open_link(str(terminal.name)) as link:
+        link.send(requests(0, 200))
+        link.send([HOLD])  # this port takes no more
+        link.send(requests(200, 300))
+        arriving(link, terminal.far, lambda data: HOLD in data)
 
 
 def test_a_device_is_opened_by_one_program_only(terminal: Terminal) -> None:
