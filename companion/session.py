@@ -487,7 +487,7 @@ class Session:
 
     def _look_at_news(self, vehicle: AutopilotClient) -> None:
         """Handle new events of the autopilot client; its next requests may be due."""
-        for event in vehicle.events(self.now_s):
+        for event in vehicle.news(self.now_s):
             self._handle(event)
         self._due_s = -math.inf
 

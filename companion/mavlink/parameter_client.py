@@ -99,8 +99,6 @@ class ParameterClient:
         self._bytewise = bytewise
         self.values: dict[str, float] = {}
         """By the name that this autopilot has it under, in the autopilot's own unit."""
-        self.missing: set[str] = set()
-        """Usual names of what it does not have under any."""
         self.failed_sets: dict[str, str] = {}
         """What could not be set, and why, in words."""
         self.version = 0
@@ -124,7 +122,7 @@ class ParameterClient:
 
     def restart(self) -> None:
         """Request everything again: the autopilot has rebooted."""
-        for known in (self.values, self.missing, self.failed_sets, self._types):
+        for known in (self.values, self.failed_sets, self._types):
             known.clear()
         self._open = {name: _Request() for name in self._group_of}
         self.version += 1
@@ -175,9 +173,7 @@ class ParameterClient:
         self._types[name] = message.param_type
         self.version += not _same(self.values.get(name), value)
         self.values[name] = value
-        group = self._group_of.get(name, (name,))
-        self.missing.discard(group[0])
-        for other in group:
+        for other in self._group_of.get(name, ()):
             if other != name and other in self._open and self._open[other].echoes is None:
                 del self._open[other]
         request = self._open.pop(name, None)
@@ -265,9 +261,6 @@ class ParameterClient:
             self._fail(name, f"it was told {request.value:g} and says {self.values[name]:g}")
             return
         del self._open[name]
-        group = self._group_of.get(name, (name,))
-        if not any(each in self._open or each in self.values for each in group):
-            self.missing.add(group[0])
         if request.value is not None:
             self._fail(name, "the autopilot does not have it")
 

@@ -70,7 +70,7 @@ class Side:
             return []
         replies = self.side.on_message(message, now_s)
         self.side.event_of(message, now_s)
-        self.events += self.side.events(now_s)
+        self.events += self.side.news(now_s)
         return replies
 
     def on_time(self, now_s: float) -> list[Any]:

@@ -11,18 +11,11 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink import rules
+from companion.mavlink import fence, rules
 from companion.mavlink.autopilots import messages
 from companion.mavlink.autopilots.common import Firmware, Modes
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.fence import (
-    CIRCLE_IN,
-    CIRCLE_OUT,
-    POLYGON_IN,
-    POLYGON_OUT,
-    FenceSettings,
-    shapes_of,
-)
+from companion.mavlink.fence import FenceSettings
 from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.rules import Case, Finding, Rule, only_read
 from companion.mission.events import Echo, Estimator, Mode, Vector
@@ -208,11 +201,11 @@ def _misread(items: Sequence[PlanItem], who: str) -> str:
     another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
     """
     circle, after = "", list[str]()
-    for number, (first, *_) in enumerate(shapes_of(items), start=1):
-        side = "inclusion" if first.command in (POLYGON_IN, CIRCLE_IN) else "exclusion"
-        if first.command in (CIRCLE_IN, CIRCLE_OUT):
+    for number, (first, *_) in enumerate(fence.shapes_of(items), start=1):
+        side = "inclusion" if first.command in (fence.POLYGON_IN, fence.CIRCLE_IN) else "exclusion"
+        if first.command in (fence.CIRCLE_IN, fence.CIRCLE_OUT):
             circle = circle or f"{side} {number}"
-        elif first.command in (POLYGON_IN, POLYGON_OUT) and circle:
+        elif first.command in (fence.POLYGON_IN, fence.POLYGON_OUT) and circle:
             after.append(f"{side} {number}")
     if not after:
         return ""
