@@ -54,25 +54,12 @@ def _is_sector(message: Message) -> bool:
     return message.orientation in _HORIZONTAL and not one_beam
 
 
-class _Told(NamedTuple):
-    """What one message, or one set of messages, tells of its sectors; distances in centimetres."""
-
-    told_cm: FloatArray
-    least_cm: FloatArray
-    most_cm: FloatArray
-    empty_cm: float
-    """From this on a sector is empty."""
-    first_rad: float
-    """Where the first sector begins, from the nose or from true north."""
-    width_rad: float
-    from_nose: bool
-
-
 class _Look(NamedTuple):
-    """What it says of them, before the pose is known."""
+    """What it says of its sectors, before the pose is known."""
 
     time_s: float
     first_rad: float
+    """Where the first sector begins, from the nose or from true north."""
     width_rad: float
     from_nose: bool
     clear_m: FloatArray
@@ -180,10 +167,9 @@ class NearSensing:
         self._limits_cm[0] = least, most
         width_rad = math.radians(abs(width_deg))
         first_rad = math.radians(offset_deg) - 0.5 * width_rad
-        limits = np.full(count, float(least)), np.full(count, float(most))
-        from_nose = message.frame in _BODY
-        told = _Told(told_cm, *limits, most + 1, first_rad, width_rad, from_nose)
-        self._take(told, message.time_usec * 1e-6, now_s)
+        limits_cm = float(least), float(most), most + 1.0
+        where = first_rad, width_rad, message.frame in _BODY
+        self._take(told_cm, limits_cm, where, message.time_usec * 1e-6, now_s)
 
     def on_distance_sensor(self, message: Message, now_s: float) -> None:
         """One of ArduPilot's eight sectors; those of one stamp belong together."""
@@ -228,10 +214,8 @@ class NearSensing:
             end = _SECTORS if whole_s >= _WHOLE_S else max(told)
             silent = [k for k in range(end) if k not in self._sectors]
             told_cm[silent] = most_cm[silent]
-        sectors = _Told(
-            told_cm, least_cm, most_cm, math.inf, -0.5 * _SECTOR_RAD, _SECTOR_RAD, from_nose=True
-        )
-        self._take(sectors, stamp_s, self._set_s)
+        where = -0.5 * _SECTOR_RAD, _SECTOR_RAD, True
+        self._take(told_cm, (least_cm, most_cm, math.inf), where, stamp_s, self._set_s)
 
     def _whole_for_s(self, told: set[int], stamp_s: float) -> float:
         """For how long all sectors that were ever told have come, at even intervals."""
@@ -270,31 +254,39 @@ class NearSensing:
 
     # --- what it says
 
-    def _take(self, told: _Told, stamp_s: float, now_s: float) -> None:
-        """Distances of sectors: empty from empty_cm on, or where "max" has stood for long enough.
+    def _take(
+        self,
+        cm: FloatArray,
+        limits_cm: tuple[FloatArray | float, FloatArray | float, float],
+        where: tuple[float, float, bool],
+        stamp_s: float,
+        now_s: float,
+    ) -> None:
+        """Distances of sectors: empty where "max" has stood for long enough, or at the last limit.
 
-        Any other value outside the limits says nothing.  A stamp of another clock counts as now;
-        one that stands still is taken all the same.
+        limits_cm: least, greatest, and from which on a sector is empty at once.  Any other value
+        outside says nothing.  where: as in `_Look`.  A stamp of another clock counts as now; one
+        that stands still is taken all the same.
         """
+        least_cm, most_cm, empty_cm = limits_cm
         if abs(stamp_s - now_s) > _OTHER_CLOCK_S:
             stamp_s = now_s
         before_s, came_s = self._taken_s
         if 0.0 <= stamp_s - before_s < _APART_S and 0.0 <= now_s - came_s < _SET_S:
             return
         self._taken_s = stamp_s, now_s
-        time_s, cm = stamp_s - self._sensor.latency_s, told.told_cm
-        beyond = (cm >= told.empty_cm) & (cm != _UNKNOWN_CM)
-        full = (cm == told.most_cm) | beyond
+        time_s = stamp_s - self._sensor.latency_s
+        beyond = (cm >= empty_cm) & (cm != _UNKNOWN_CM)
+        full = (cm == most_cm) | beyond
         if len(self._full_since_s) != len(full):
             self._full_since_s = np.full(len(full), np.inf)
         since_s = np.where(full, np.minimum(self._full_since_s, time_s), np.inf)
         self._full_since_s = since_s
         empty = full & (time_s - since_s >= _EMPTY_AFTER_S) | beyond
-        met = (cm >= np.maximum(told.least_cm, 1.0)) & (cm < told.most_cm)
-        range_m = np.minimum(told.most_cm * 0.01, self._sensor.range_m)
+        met = (cm >= np.maximum(least_cm, 1.0)) & (cm < most_cm)
+        range_m = np.minimum(np.multiply(most_cm, 0.01), self._sensor.range_m)
         echo_m = np.where(met, cm * 0.01, np.inf)
         clear_m = np.where(met, echo_m, np.where(empty, range_m, 0.0))
-        where = told.first_rad, told.width_rad, told.from_nose
         self._looks.append(_Look(time_s, *where, clear_m, echo_m))
 
 
