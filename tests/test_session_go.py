@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import MISSION, Pair, Vehicle, messages, straight_plan
 from test_loop import ScriptedLink
 
+from companion.mavlink import preflight
 from companion.mavlink.link import Output
 from companion.mission.state import Phase
 from companion.replay.feed import Feeder, start_of
@@ -71,6 +72,20 @@ def test_a_go_is_refused_with_the_check_that_fails_at_that_moment(by_wire: bool)
     assert it.session.say_go() == ""
     it.take(it.session.run())
     it.run_until(lambda it: it.vehicle.armed, 30.0)
+
+
+@pytest.mark.parametrize(("fails_s", "stays"), [(4.0, True), (7.0, False)])
+def test_a_check_that_fails_for_a_few_seconds_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, fails_s: float, stays: bool
+) -> None:
+    it = waiting()
+    with monkeypatch.context() as patched:
+        refused = preflight.Check("battery", preflight.CheckStatus.REFUSED, "made up")
+        patched.setattr(preflight, "_battery", lambda _session: refused)
+        for _ in range(round(10.0 * fails_s)):
+            it.tick()
+    assert (it.session.state.phase is Phase.READY) is stays
+    assert any("battery: made up" in text for text in said(it)) is not stays
 
 
 def test_a_terrain_radar_that_is_switched_off_meanwhile_is_told_before_the_flight() -> None:

@@ -226,6 +226,9 @@ def not_heard(session: PreflightInputs) -> tuple[str, str]:
     if session.senders:
         what = f"none was heard: {ids_in_words(session.senders)} without an autopilot's HEARTBEAT"
         return what, "Connect to where the autopilot sends it."
+    if session.signing is not None and session.signing.refused:
+        what = "none was heard; what comes in is not signed with this key"
+        return what, "Set the same key up on the vehicle."
     if session.receiver.passed.total():
         what = "none was heard; what comes in is no MAVLink"
         return what, "Check the baud rate, and that --connect names the autopilot's port."
@@ -427,8 +430,7 @@ def _signing(session: PreflightInputs) -> Iterator[Check]:
     """A link on which one of the two signs."""
     signed = session.receiver.signed
     if session.signing is not None:
-        what = f"{signed} signed frames heard"
-        yield _check("signing", signed > 0, what, "Set the same key up on the vehicle.")
+        yield _check("signing", True, f"{signed} signed frames heard")  # else no vehicle is
     elif signed:
         what = "the vehicle signs, and no key was given"
         yield _check("signing", False, what, "Give the key with --signing-key.")

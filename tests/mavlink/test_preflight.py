@@ -373,7 +373,8 @@ KEY = bytes(range(32))
 def test_a_key_and_a_vehicle_that_does_not_sign() -> None:
     it = Pair(signing=Signing(key=KEY, timestamp=10**13, link_id=0))
     it.run(10.0)
-    assert it.refused
+    assert it.refused == ["vehicle"]
+    assert "not signed with this key. Set the same key up" in it.words("vehicle")
 
 
 # --- what `fly` refuses is refused here, and the other way round

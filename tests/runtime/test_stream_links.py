@@ -426,11 +426,12 @@ def test_an_order_is_given_to_the_computer_at_once_and_never_dropped(
         got = b""
         while HOLD not in got:  # nobody pushes any more
             got += peer.recv(4096)
+    orders = [packed(wire.MAVLink_command_long_message(1, 1, 176, 0, *[k] * 7)) for k in range(20)]
     with open_link(str(terminal.name)) as link:
-        link.send(requests(0, 200))
-        link.send([HOLD])  # this port takes no more
-        link.send(requests(200, 300))
-        arriving(link, terminal.far, lambda data: HOLD in data)
+        for number, order in enumerate(orders):  # this port takes no more after a while
+            link.send([*requests(200 * number, 200), order])
+        got = arriving(link, terminal.far, lambda data: orders[-1] in data)
+        assert all(order in got for order in orders)
 
 
 def test_a_device_is_opened_by_one_program_only(terminal: Terminal) -> None:

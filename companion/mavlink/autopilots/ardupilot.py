@@ -72,7 +72,7 @@ def estimator(message: Message, now_s: float, *_: object) -> Estimator:
     flags = message.flags
     sure = flags & _NEEDED == _NEEDED and not flags & _BAD
     variances = (message.pos_horiz_variance, message.velocity_variance)
-    fits = all(math.isfinite(v) and v < _REJECTED for v in variances)
+    fits = all(0.0 <= v < _REJECTED for v in variances)
     return Estimator(time_s=now_s, good=sure and fits)
 
 
