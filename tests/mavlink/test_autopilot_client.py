@@ -223,31 +223,42 @@ def told_of(message: Any, autopilot: Autopilot) -> Any:
     return side.event_of(message, 7.0)
 
 
+def px4_event(name: str) -> Any:
+    """As PX4 sends it to everybody: EVENT, the id of its component in the last byte."""
+    number = px4.event_id(name) | 1 << 24
+    payload = EventMessage.unpacker.pack(number, 5, 1, 0, 0, 0x33, *[0] * 40)
+    sent = EventMessage(0, 0, number, 5, 1, 0x33, [0] * 40)
+    [heard] = Receiver().feed(sent._pack(codec(1), EventMessage.crc_extra, payload))
+    return heard
+
+
+def text(said: str) -> Any:
+    return wire.MAVLink_statustext_message(4, said.encode())
+
+
 @pytest.mark.parametrize(
-    ("text", "breach"),
+    ("autopilot", "message", "breach"),
     [
-        ("Polygon fence breached", True),
-        ("Max Alt and Circle fences breached", True),
-        ("Geofence: approaching or outside geofence\t", True),
-        ("Reposition is outside geofence\t", False),
-        ("Geofence requires valid home", False),
-        ("Fence upload timeout", False),
+        (ARDUCOPTER, text("Polygon fence breached"), True),
+        (ARDUCOPTER, text("Max Alt and Circle fences breached"), True),
+        (ARDUCOPTER, text("Fence upload timeout"), False),
+        (PX4_MULTICOPTER, text("Geofence: approaching or outside geofence\t"), True),
+        (PX4_MULTICOPTER, text("Reposition is outside geofence\t"), False),
+        (PX4_MULTICOPTER, text("Geofence requires valid home"), False),
+        (PX4_MULTICOPTER, px4_event("check_gf_violation"), True),
+        (PX4_MULTICOPTER, px4_event("check_gf_violation_custom_gf"), True),
+        (PX4_MULTICOPTER, px4_event("check_modes_offboard_signal"), False),
+        (ARDUCOPTER, px4_event("check_gf_violation"), False),
     ],
 )
-def test_what_autopilots_write_of_a_breach(text: str, breach: bool) -> None:
-    message = wire.MAVLink_statustext_message(4, text.encode())
-    autopilot = PX4_MULTICOPTER if "Geofence" in text or "Reposition" in text else ARDUCOPTER
+def test_what_autopilots_say_of_a_breach(autopilot: Autopilot, message: Any, breach: bool) -> None:
     assert told_of(message, autopilot) == (FenceBreach(time_s=7.0) if breach else None)
+    assert px4.event_id("check_modes_offboard_signal") == 3087815  # as recorded (px4.md 6)
 
 
 def test_fence_status_tells_of_each_breach_once() -> None:
-    side = AutopilotClient(
-        load_mission("sitl-arducopter"),
-        1,
-        ALL[0],
-        lockstep=True,
-        sets_parameters=False,
-    )
+    mission = load_mission("sitl-arducopter")
+    side = AutopilotClient(mission, 1, ALL[0], lockstep=True, sets_parameters=False)
     states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
     told = [
         side.event_of(wire.MAVLink_fence_status_message(status, count, 3, 0, 0), 1.0) is not None
@@ -396,24 +407,3 @@ def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> No
     client = Side(held, mission)
     held.run(60.0, client, until=lambda: bool(prepared_plans(client)))
     assert client.said == ["its mission ends with return; what counts is end.action: land"]
-
-
-@pytest.mark.parametrize(
-    ("name", "breach"),
-    [
-        ("check_gf_violation", True),
-        ("check_gf_violation_custom_gf", True),
-        ("check_modes_offboard_signal", False),
-    ],
-)
-def test_px4_says_to_a_companion_that_its_fence_is_crossed(name: str, breach: bool) -> None:
-    """By EVENT, which it sends to everybody; the third is of a recording: 3087815 (px4.md 6)."""
-    number = px4.event_id(name) | 1 << 24
-    sent = EventMessage(0, 0, number, 5, 1, 0x33, [0] * 40)
-    payload = EventMessage.unpacker.pack(number, 5, 1, 0, 0, 0x33, *[0] * 40)
-    frame = sent._pack(codec(1), EventMessage.crc_extra, payload)
-    [heard] = Receiver().feed(frame)
-    event = told_of(heard, PX4_MULTICOPTER)
-    assert isinstance(event, FenceBreach) == breach
-    assert told_of(heard, ARDUCOPTER) is None
-    assert px4.event_id("check_modes_offboard_signal") == 3087815
