@@ -10,6 +10,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import pyproj
+
 from companion.geodesy import LocalFrame
 from companion.mavlink import fence, rules
 from companion.mavlink.autopilots import messages
@@ -62,8 +64,8 @@ _BAD = wire.ESTIMATOR_GPS_GLITCH | wire.ESTIMATOR_ACCEL_ERROR
 _REJECTED = 1.0
 """Innovation over its gate, where EKF2 throws the measurement away; healthy: below 0.4.  NaN of one
 that it does not use."""
-EARTH_M = 6_371_000.0
-"""Of the sphere that PX4 projects with."""
+_SPHERE: Final = pyproj.Geod(a=6_371_000.0, f=0.0)
+"""On which PX4 projects, metres: its local frame is the azimuthal equidistant map of it."""
 KEEP_YAW = math.nan
 """Yaw of a command: MAVLink's "not given".  PX4 takes for radians what the message definition of
 NAV_TAKEOFF has in degrees.  The one place where something not finite is sent, and never in a
@@ -129,24 +131,10 @@ def local_echo(
     if not (math.isfinite(message.x) and math.isfinite(message.y)):
         return None
     latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
-    place = _unprojected_deg((latitude, longitude), message.x, message.y)
-    return messages.echo_at(place, origin_nea_m[2] - message.z, now_s, frame)
-
-
-def _unprojected_deg(
-    origin_deg: tuple[float, float], north_m: float, east_m: float
-) -> tuple[float, float]:
-    """Latitude and longitude of a point of the azimuthal equidistant map about an origin."""
-    latitude, longitude = map(math.radians, origin_deg)
-    north, east = north_m / EARTH_M, east_m / EARTH_M
-    arc = math.hypot(north, east)
-    if arc == 0.0:
-        return origin_deg
-    sin_arc, cos_arc = math.sin(arc), math.cos(arc)
-    sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
-    sine = cos_arc * sin_lat + north * sin_arc * cos_lat / arc
-    turn = math.atan2(east * sin_arc, arc * cos_lat * cos_arc - north * sin_lat * sin_arc)
-    return math.degrees(math.asin(max(-1.0, min(1.0, sine)))), math.degrees(longitude + turn)
+    azimuth_deg = math.degrees(math.atan2(message.y, message.x))
+    far_m = math.hypot(message.x, message.y)
+    longitude, latitude, _ = _SPHERE.fwd(longitude, latitude, azimuth_deg, far_m)
+    return messages.echo_at((latitude, longitude), origin_nea_m[2] - message.z, now_s, frame)
 
 
 _WITHOUT_STREAM: Final = {
