@@ -228,6 +228,7 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
     [
         (ring(IN, *SQUARE)[:3], "incomplete"),
         (ring(IN, *SQUARE[:2]), "three corners"),
+        (ring(OUT, *[SQUARE[0]] * 5), "three corners"),
         (
             [PlanItem(frame=0, command=OUT, parameters=(3.0, 0, 0, 0), x=2_000_000_000)] * 3,
             "nowhere",
