@@ -9,6 +9,7 @@ interpreter lock for 15 ms.
 
 import contextlib
 import multiprocessing
+import os
 import pickle
 import signal
 from collections.abc import Callable
@@ -133,6 +134,7 @@ def _main(
     """In the child: answer requests until the parent has ended."""
     for number in (signal.SIGINT, signal.SIGTERM):  # it ends with its parent, who says farewell
         signal.signal(number, signal.SIG_IGN)
+    os.dup2(2, 1)  # what is printed must not mix with what the parent says to machines
     end_with_parent()
     load_libraries()
     prepare()

@@ -103,8 +103,8 @@ def test_a_process_that_is_killed_is_an_error_that_says_so(planner: PlannerProce
         planner.check()
 
 
-def test_a_plan_that_raises_is_an_error_with_its_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_output_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     text = """
 def plan(request, stop):
@@ -115,6 +115,7 @@ def prepare():
     print("noise on the standard output")
 """
     planner = odd(tmp_path, monkeypatch, text)
+    capfd.readouterr()
     try:
         with pytest.raises(PlannerEndedError, match="ZeroDivisionError: made up"):
             planner(request_of(1), never)
@@ -125,6 +126,7 @@ def prepare():
             return len(asked) > 3
 
         assert str(planner(request_of(2), stop)) == "stopped"
+        assert capfd.readouterr().out == ""
     finally:
         planner.close()
 
