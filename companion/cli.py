@@ -36,7 +36,7 @@ from companion.live_view.command import (
     stay,
     view_command,
 )
-from companion.mavlink.preflight import CheckStatus, checks_of, flight_check, not_heard
+from companion.mavlink.preflight import CheckStatus, checks_of, not_heard
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
@@ -268,12 +268,9 @@ def preflight_command(
             stop_asked=lambda: bool(stop_asked),
             on_progress=lambda text: status.update(f"waiting for {text}"),
         )
-    if key is not None and signing is not None:
-        _keep_time(key, signing)
+    _keep_time(key, signing)
     checks = checks_of(session)
-    if not (refused := [check for check in checks if check.status is CheckStatus.REFUSED]):
-        checks.append(flight_check(session))
-        refused = [check for check in checks[-1:] if check.status is CheckStatus.REFUSED]
+    refused = [check for check in checks if check.status is CheckStatus.REFUSED]
     console.print(checks_table(checks))
     if stop_asked:
         raise typer.Exit(_INTERRUPTED)
@@ -540,7 +537,7 @@ def _flown(
                 stop_asked=lambda: bool(stop_asked),
                 person=person,
                 planner=planner,
-                persist=None if key is None else partial(_keep_time, key, session.signing),
+                persist=partial(_keep_time, key, session.signing),
             )
             folder.run_json(_run_facts(flown, began, connect))
         if shows.machine is not None:
@@ -551,8 +548,8 @@ def _flown(
     return flown
 
 
-def _keep_time(key: SigningKey, signing: Signing | None) -> None:
-    if signing is not None:
+def _keep_time(key: SigningKey | None, signing: Signing | None) -> None:
+    if key is not None and signing is not None:
         key.save(signing.timestamp, _clock_s())
 
 
@@ -591,7 +588,8 @@ def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
 
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
-    if not session.senders and not session.receiver.passed.total():
+    refused = 0 if session.signing is None else session.signing.refused
+    if not session.senders and not session.receiver.passed.total() + refused:
         reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
         return reason, "Start the vehicle, or give the address that it sends to."
     reason, remedy = not_heard(session)

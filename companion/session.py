@@ -16,6 +16,7 @@ that position until the plan is delivered (Output.awaits_plan), otherwise the pl
 
 import enum
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, Final, final
@@ -25,15 +26,14 @@ from msgspec.structs import replace
 from companion.mavlink import near_scanner, near_sensing
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
-from companion.mavlink.commands import MESSAGES as COMMANDS
-from companion.mavlink.component import Component, heartbeat
+from companion.mavlink.component import COMMANDS, Component, heartbeat
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
-from companion.mavlink.frames import Incoming, boot_ms_of
+from companion.mavlink.frames import Incoming, Receiver, boot_ms_of
 from companion.mavlink.link import (
     TIME_ONLY_MESSAGES,
+    UNDECODED_MESSAGES,
     ClockReading,
     FrameEncoder,
-    Inbox,
     Output,
     VehicleClock,
     VehicleSelector,
@@ -57,6 +57,7 @@ from companion.planner.request import PlanOutcome, values_of
 _HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
 _POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
+_MOST_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
 _LOCKSTEP = 50  # TIMESYNC in 10 s, of a simulator that waits; an autopilot's own come every 10 s
 _EARLY_S = 10.0
 _ROUNDING_S = 1e-6  # a deadline that is looked at too early costs nothing
@@ -135,8 +136,11 @@ class Session:
         """When a person was last warned, and of what."""
         self.vehicle: AutopilotClient | None = None
         """The autopilot, once it is known."""
-        self._inbox = Inbox(signing, near_scanner.messages_of(mission))
-        self.receiver = self._inbox.receiver
+        self.receiver = Receiver(signing, UNDECODED_MESSAGES - near_scanner.messages_of(mission))
+        self._waiting: deque[Incoming] = deque(maxlen=_MOST_WAITING)
+        """Received messages that have not been handled yet, in order."""
+        self._dropped = 0
+        """How many of them were too many."""
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
@@ -186,12 +190,12 @@ class Session:
     def frames_heard(self) -> tuple[int, int]:
         """Frames of our autopilot so far, and how many are missing between them."""
         sender = (self.selector.system_id or 0, AUTOPILOT_COMPONENT)
-        return self._inbox.counted.get(sender, (0, 0, 0))[1:]
+        return self.receiver.counted.get(sender, (0, 0, 0))[1:]
 
     @property
     def senders(self) -> list[tuple[int, int]]:
         """System and component of all that were heard."""
-        return sorted(self._inbox.counted)
+        return sorted(self.receiver.counted)
 
     # --- what the runtime calls
 
@@ -203,7 +207,9 @@ class Session:
         self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
-        messages = self._inbox.feed(data, at_s)
+        messages = self.receiver.read(data, at_s)
+        self._dropped += max(len(self._waiting) + len(messages) - _MOST_WAITING, 0)
+        self._waiting.extend(messages)
         self._out.inputs.append(("receive", b"".join(map(_frame_of, messages)), at_s))
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
             self.complain(complaint)
@@ -274,10 +280,10 @@ class Session:
         """Handle the received messages, as far as possible."""
         if self._out.inputs:  # else it changes nothing
             self._out.inputs.append(("run",))
-        if dropped := self._inbox.dropped:
-            self._inbox.dropped = 0
-            self._note("messages dropped", count=dropped)
-        waiting = self._inbox.waiting
+        if self._dropped:
+            self._note("messages dropped", count=self._dropped)
+            self._dropped = 0
+        waiting = self._waiting
         while waiting:
             heard = waiting.popleft()
             if not self._on_message(heard):
@@ -481,7 +487,7 @@ class Session:
 
     def _look_at_news(self, vehicle: AutopilotClient) -> None:
         """Handle new events of the autopilot client; its next requests may be due."""
-        for event in vehicle.events(self.now_s):
+        for event in vehicle.news(self.now_s):
             self._handle(event)
         self._due_s = -math.inf
 
@@ -536,7 +542,7 @@ class Session:
         """The result of an order; of a go, after a look at every check."""
         if order.kind is events.OrderKind.START and self.state.phase is Phase.READY:
             self._handle(events.Tick(time_s=self.now_s))
-            self._handle(self._preflight.failed(self, at_once=True))
+            self._handle(self._preflight.judged(self, at_once=True))
         return changes.order_result(self.state, order, go=self.context.go)
 
     # --- the clock
@@ -664,10 +670,8 @@ class Session:
         """On the ground: run the preflight checks before arming, and go on with them."""
         if (here := self._preflight.scan_position(self)) is not None:
             self._start_scan(here)
-        elif (judged := self._preflight.result(self)) is not None:
-            self._handle(judged)
         else:
-            self._handle(self._preflight.failed(self))
+            self._handle(self._preflight.judged(self))
 
     # --- events and commands
 

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Output
-from companion.mavlink.signing import Refusal, Signing, key_of, timestamp_of
+from companion.mavlink.signing import Signing, key_of, timestamp_of
 from companion.mission.events import Outcome
 from companion.mission.state import Phase
 from companion.runtime.link import Link
@@ -131,10 +131,8 @@ def test_a_mission_over_a_signed_link_arrives_and_its_log_holds_no_signature(
     assert (log.signed, log.passed.total()) == (0, 0)
 
 
-@pytest.mark.parametrize(
-    ("ours", "why"), [(None, None), (signing(key=WRONG_KEY), Refusal.WRONG)], ids=["none", "wrong"]
-)
-def test_without_the_right_key_it_never_arms(ours: Signing | None, why: Refusal | None) -> None:
+@pytest.mark.parametrize("ours", [None, signing(key=WRONG_KEY)], ids=["none", "wrong"])
+def test_without_the_right_key_it_never_arms(ours: Signing | None) -> None:
     vehicle = vehicle_with_key()
     flight = Flight(vehicle, ours)
     with pytest.raises(AssertionError, match="not within"):
@@ -142,7 +140,7 @@ def test_without_the_right_key_it_never_arms(ours: Signing | None, why: Refusal 
     if ours is None:
         assert flight.session.receiver.signed > 0  # so preflight can say what is missing
     else:
-        assert set(ours.refused) == {why}
+        assert ours.refused > 0
         assert flight.session.state.phase is Phase.WAITING
 
 
@@ -165,7 +163,7 @@ def test_in_flight_only_signed_and_new_orders_are_obeyed(on_its_way: Flight) -> 
     assert not obeyed(order)  # replayed
     ours = flight.session.signing
     assert ours is not None
-    assert ours.refused == {Refusal.UNSIGNED: 1, Refusal.WRONG: 1, Refusal.REPLAYED: 1}
+    assert ours.refused == 3
 
 
 def test_a_hold_that_was_kept_in_reserve_is_obeyed_whenever_and_however_often_it_is_sent(

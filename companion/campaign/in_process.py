@@ -12,9 +12,10 @@ from companion.campaign.flight import Flight, FlightFiles, truth_of
 from companion.config import load_mission, mission_text
 from companion.entry_points import Parts
 from companion.errors import InputError
+from companion.mavlink.link import Output
 from companion.planning import plan
 from companion.runtime.in_process import SimulatedVehicle, loop_in_process
-from companion.runtime.recorder import Batch, InlineWriter, Recorder
+from companion.runtime.recorder import Recorder
 from companion.session import Session
 from companion.telemetry.resume import load_resume_data
 from companion.telemetry.run_folder import RunFolder, journal_line
@@ -37,12 +38,12 @@ class _Listener:
 
     def __init__(self) -> None:
         self.journal: list[dict[str, Any]] = []
-        self.inner: InlineWriter | None = None
+        self.inner: Recorder | None = None
 
-    def put(self, batch: Batch) -> None:
-        self.journal += [json.loads(journal_line(entry)) for entry in batch.journal]
+    def put(self, out: Output) -> None:
+        self.journal += [json.loads(journal_line(entry)) for entry in out.journal]
         if self.inner is not None:
-            self.inner.put(batch)
+            self.inner.put(out)
 
     def heir(self) -> "_Listener":
         """One that goes on with the journal; this one hears nothing more that counts."""
@@ -117,8 +118,8 @@ class Flying:
                 "profile": self._mission.task.settings.profile.name,
             }
             folder.header(facts | {"lockstep": True})
-            recorder = Recorder(folder, self.loop.clock, persist=None)
-            self._listener.inner, self._folder = InlineWriter(recorder, lambda _: None), folder
+            self._listener.inner = Recorder(folder, self.loop.clock, lambda _: None)
+            self._folder = folder
         self._turns = self.loop.turns()
 
     def die(self, away_s: float) -> None:

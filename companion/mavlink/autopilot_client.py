@@ -17,28 +17,8 @@ from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.plan_client import MISSION, PlanClient
 from companion.mavlink.rules import Finding, findings_of, names_of
 from companion.mavlink.streams import StreamRequests
+from companion.mission import events
 from companion.mission.decisions import Context
-from companion.mission.events import (
-    Arm,
-    Disarm,
-    Event,
-    FenceBreach,
-    GpsFix,
-    Home,
-    Item,
-    LinkDelay,
-    Mode,
-    Origin,
-    Position,
-    Prepared,
-    SetMode,
-    SetSpeed,
-    TakeOff,
-    TakeOffTaken,
-    TargetsChanged,
-    Vector,
-    VehicleStatus,
-)
 from companion.mission.mission import Mission
 from companion.mission.state import State
 
@@ -53,7 +33,7 @@ _NEWS_S = 0.005  # a change of less moves no setpoint by much
 _HOME_MOVED_M = 5.0
 
 
-AutopilotCommand = SetMode | SetSpeed | Arm | Disarm | TakeOff
+AutopilotCommand = events.SetMode | events.SetSpeed | events.Arm | events.Disarm | events.TakeOff
 """Commands to an autopilot, besides setpoints."""
 
 
@@ -82,10 +62,8 @@ class AutopilotClient:
         """Whether something was read since the parameters and lists were last looked at."""
         self.findings: list[Finding] = []
         """Of the parameters, as they were judged last."""
-        self.origin_nea_m: Vector | None = None
+        self.origin_nea_m: events.Vector | None = None
         self.round_trip_s: float | None = None
-        self.geoid_m: float | None = None
-        """How far its mean sea level lies above the ellipsoid, as its GPS has it."""
         self.said: tuple[float, str] = (-math.inf, "")
         """When it last sent a text, and what."""
         self.here_ne_m: tuple[float, float] | None = None
@@ -95,7 +73,7 @@ class AutopilotClient:
         fence says what it has to say into the same lists."""
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
-        self._home_nea_m: Vector | None = None
+        self._home_nea_m: events.Vector | None = None
         self._heading_cdeg = self._breaches = self._targets_version = 0
         self._judged = -1
         self._sets: dict[str, int] = {}
@@ -171,7 +149,7 @@ class AutopilotClient:
         count[number] = count.get(number, 0) + 1
         self.parameters.heard_s = now_s
 
-    def on_position(self, message: Message, now_s: float) -> Position | None:
+    def on_position(self, message: Message, now_s: float) -> events.Position | None:
         """Decode GLOBAL_POSITION_INT: a fast path of `on_message` and `event_of`."""
         self.count(_POSITION, now_s)
         if message.hdg != NO_HEADING:
@@ -181,7 +159,7 @@ class AutopilotClient:
             self.here_ne_m = event.position_nea_m[:2]
         return event
 
-    def event_of(self, message: Message, now_s: float) -> Event | None:
+    def event_of(self, message: Message, now_s: float) -> events.Event | None:
         """The mission event of one of its messages; None if there is none."""
         firmware, breached = self.autopilot.firmware, False
         match message.get_msgId():
@@ -200,13 +178,11 @@ class AutopilotClient:
             case _:
                 frame, origin = self._mission.frame, self.origin_nea_m
                 event = self.autopilot.event_of(message, now_s, frame, origin)
-                if isinstance(event, GpsFix) and message.alt_ellipsoid:
-                    self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
                 self._remember(event)
                 return event
-        return FenceBreach(time_s=now_s) if breached else None
+        return events.FenceBreach(time_s=now_s) if breached else None
 
-    def _on_command_ack(self, command: int, result: int, now_s: float) -> Event | None:
+    def _on_command_ack(self, command: int, result: int, now_s: float) -> events.Event | None:
         """ACK of a speed change: turns and stopping distance are proven for that speed."""
         asked = any(command == each.command for each in self._speed)
         if asked and result not in _NOT_YET:
@@ -214,16 +190,16 @@ class AutopilotClient:
             if result != wire.MAV_RESULT_ACCEPTED:
                 self.notes.append("the autopilot does not take the mission's speed")
         if (command, result) == (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_RESULT_ACCEPTED):
-            return TakeOffTaken(time_s=now_s)
+            return events.TakeOffTaken(time_s=now_s)
         return None
 
-    def _remember(self, event: Event | None) -> None:
+    def _remember(self, event: events.Event | None) -> None:
         match event:
-            case VehicleStatus(mode=mode) if mode is not Mode.GUIDED:
+            case events.VehicleStatus(mode=mode) if mode is not events.Mode.GUIDED:
                 self._speed = []  # it, or another controller, decides now
-            case Home(position_nea_m=home) if _moved(self._home_nea_m, home):
+            case events.Home(position_nea_m=home) if _moved(self._home_nea_m, home):
                 self._home_nea_m, self.is_news = home, True
-            case Origin(position_nea_m=origin):
+            case events.Origin(position_nea_m=origin):
                 if self.origin_nea_m is not None and _moved(self.origin_nea_m, origin):
                     self.notes.append("the autopilot's origin has moved")
                 self.origin_nea_m = origin
@@ -242,7 +218,7 @@ class AutopilotClient:
             return None
         return {"kind": "acknowledged", "command": message.command, "result": message.result}
 
-    def on_timesync(self, message: Message, now_s: float, at_s: float) -> LinkDelay | None:
+    def on_timesync(self, message: Message, now_s: float, at_s: float) -> events.LinkDelay | None:
         """The link delay by the answer to our TIMESYNC, if it has changed.
 
         at_s: when it arrived, by the clock that asked.
@@ -256,7 +232,7 @@ class AutopilotClient:
         if abs(self.round_trip_s - self._told_round_trip_s) < _NEWS_S:
             return None
         self._told_round_trip_s = self.round_trip_s
-        return LinkDelay(time_s=now_s, round_trip_s=self.round_trip_s)
+        return events.LinkDelay(time_s=now_s, round_trip_s=self.round_trip_s)
 
     # --- out
 
@@ -264,17 +240,17 @@ class AutopilotClient:
         """The messages of a command."""
         autopilot, system, frame = self.autopilot, self.system_id, self._mission.frame
         match command:
-            case SetMode():
+            case events.SetMode():
                 return autopilot.set_mode(command, frame, system)
-            case SetSpeed(speed_m_s=speed):
+            case events.SetSpeed(speed_m_s=speed):
                 self._speed = autopilot.set_speed(speed, system)
                 self._speed_told_s = state.now_s
                 return self._speed
-            case Arm():
+            case events.Arm():
                 return autopilot.arm(system)
-            case Disarm():
+            case events.Disarm():
                 return autopilot.disarm(system)
-            case TakeOff():
+            case events.TakeOff():
                 here = state.vehicle.position_nea_m
                 if here is None:
                     return []
@@ -323,17 +299,17 @@ class AutopilotClient:
             del self._outstanding[next(iter(self._outstanding))]
         return [wire.MAVLink_timesync_message(0, ts1)]
 
-    def events(self, now_s: float) -> list[Event]:
+    def news(self, now_s: float) -> list[events.Event]:
         """New events since the last call."""
         if not (self._began and self.is_news):
             return []
-        events = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
+        told = [*self._checked_parameters(now_s), *self._read_plans(now_s)]
         if self._mission.fence_from_vehicle and self._plans_told:
-            events += self._own_fence.reading(now_s)
+            told += self._own_fence.reading(now_s)
         self.is_news = self._own_fence.is_drawing  # some of a fence with each message
-        return events
+        return told
 
-    def _checked_parameters(self, now_s: float) -> list[Event]:
+    def _checked_parameters(self, now_s: float) -> list[events.Event]:
         client = self.parameters
         if not client.is_done or client.version == self._judged:
             return []
@@ -345,7 +321,11 @@ class AutopilotClient:
         refused = [each for each in self.findings if each.set_to is None or self._sets_parameters]
         refusal = self._in_words(refused[0]) if refused else ""
         again, self._refusal_told = refusal == self._refusal_told != "", refusal
-        return [] if again else [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
+        return (
+            []
+            if again
+            else [events.Prepared(time_s=now_s, item=events.Item.PARAMETERS, refusal=refusal)]
+        )
 
     def _set(self, findings: list[Finding]) -> bool:
         """Set parameters as the checks demand, with a text for each; whether there was any.
@@ -370,11 +350,11 @@ class AutopilotClient:
             return f"{what}. End that: {finding.rule}"
         return str(finding)
 
-    def _read_plans(self, now_s: float) -> list[Event]:
+    def _read_plans(self, now_s: float) -> list[events.Event]:
         plans, mission, own = self.plans, self._mission, self._own_fence
         if not plans.is_done or not self.parameters.is_done:
             return []
-        told, refusal = list[Event](), ""
+        told, refusal = list[events.Event](), ""
         if mission.fence_from_vehicle:
             values, home, here = self.parameters.values, self._home_nea_m, self.here_ne_m
             news = own.update(values, home, here, now_s)
@@ -391,13 +371,13 @@ class AutopilotClient:
             if route.end_action not in (None, mission.end_action):
                 words = f"its mission ends with {route.end_action.value}"
                 self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
-            told.append(TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
+            told.append(events.TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
         if refusal or not (self._plans_told or (mission.fence_from_vehicle and own.needs_home)):
             self._plans_told = True
-            told.append(Prepared(time_s=now_s, item=Item.PLANS, refusal=refusal))
+            told.append(events.Prepared(time_s=now_s, item=events.Item.PLANS, refusal=refusal))
         return told
 
 
-def _moved(one: Vector | None, other: Vector) -> bool:
+def _moved(one: events.Vector | None, other: events.Vector) -> bool:
     """Whether a place is not yet known, or not where it was."""
     return one is None or max(abs(a - b) for a, b in zip(one, other, strict=True)) > _HOME_MOVED_M

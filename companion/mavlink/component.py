@@ -3,25 +3,51 @@
 It identifies as an onboard controller, never as autopilot or ground station, and its heartbeat
 stops when it is faulted (mavlink.md 2.1, C11).  Each command addressed to us, by system and
 component, is answered once (mavlink.md 2.5).  Of broadcasts only questions are answered: a
-broadcast MISSION_START or RETURN_TO_LAUNCH is meant for the autopilot.  Sans-IO.
+broadcast MISSION_START or RETURN_TO_LAUNCH is meant for the autopilot.
+
+No order takes long, so COMMAND_CANCEL is not supported.  Parameters that an order does not use are
+ignored; those that it uses must be finite and in range, else it is denied with a text.  Sans-IO.
 """
 
+import enum
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from companion.mavlink.commands import HEARTBEAT, ORDERS, VERSION, Meaning, Result, meaning_of
+from companion.geodesy import LocalFrame, deg
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mission.changes import OrderResult
-from companion.mission.events import Order
+from companion.mission.events import Order, OrderKind
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, State
+from companion.path.limits import Limits
 
+COMMANDS: Final = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
+_HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
+_VERSION: Final = wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 _BEAT_S: Final = 1.0
 _SAME_S: Final = 5.0  # a command that comes again within this time may be the same one
 _MAX_SENDERS: Final = 64
+_NOT_GIVEN_E7 = 2**31 - 1
+_AMSL_OR_HOME = (
+    wire.MAV_FRAME_GLOBAL,
+    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    wire.MAV_FRAME_GLOBAL_INT,
+    wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
+"""Frames of a place whose height the companion may ignore."""
+_ORDERS: Final = frozenset(
+    {
+        wire.MAV_CMD_MISSION_START,
+        wire.MAV_CMD_DO_PAUSE_CONTINUE,
+        wire.MAV_CMD_DO_REPOSITION,
+        wire.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+        wire.MAV_CMD_NAV_LAND,
+    }
+)
+"""Accepted from commanders only; questions are answered to anybody."""
 _CAPABILITIES: Final = (
     wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
 )
@@ -32,13 +58,41 @@ _RELEASES: Final = {
     "rc": wire.FIRMWARE_VERSION_TYPE_RC,
     "": wire.FIRMWARE_VERSION_TYPE_OFFICIAL,
 }
-_RESULTS: Final = {
-    OrderResult.ACCEPTED: Result.ACCEPTED,
-    OrderResult.INVALID: Result.DENIED,
-    OrderResult.NOT_NOW: Result.TEMPORARILY_REJECTED,
-}
 _Ids = tuple[int, int]
 """System and component id; 0 stands for any."""
+
+
+class _Result(enum.IntEnum):
+    """MAV_RESULT, as far as the companion uses it."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    IN_PROGRESS = 5
+    UNSUPPORTED_MAV_FRAME = 9
+    """Newer than the dialect."""
+
+
+_RESULTS: Final = {
+    OrderResult.ACCEPTED: _Result.ACCEPTED,
+    OrderResult.INVALID: _Result.DENIED,
+    OrderResult.NOT_NOW: _Result.TEMPORARILY_REJECTED,
+}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Meaning:
+    """What a command asks for, or why it is refused."""
+
+    result: _Result = _Result.ACCEPTED
+    text: str = ""
+    """Why not, for the operator."""
+    asks_for: int | None = None
+    """The number of the message of ours that is wanted."""
+    order: OrderKind | None = None
+    target_ne_m: tuple[float, float] | None = None
 
 
 @final
@@ -63,7 +117,20 @@ class _Given:
 
     message: Message
     order: Order
-    result: Result = Result.IN_PROGRESS
+    result: _Result = _Result.IN_PROGRESS
+
+    def is_repeated_by(self, message: Message, now_s: float) -> bool:
+        """Whether a command repeats this order because its ACK was lost.
+
+        COMMAND_LONG has a confirmation field.  COMMAND_INT has none: it counts as a repetition if
+        the same order was accepted just before; a refused one may be retried.
+        """
+        same = _values(message) == _values(self.message)
+        if not same or not 0.0 <= now_s - self.order.time_s <= _SAME_S:
+            return False
+        if not _is_int(message):
+            return bool(message.confirmation > 0)
+        return self.result in (_Result.ACCEPTED, _Result.IN_PROGRESS)
 
 
 @final
@@ -79,20 +146,19 @@ class Component:
         self._given: dict[_Ids, _Given] = {}
         """By sender, the newest at the end."""
 
-    # --- commands
-
     def on_message(self, message: Message, now_s: float) -> Reply:
         """Handle a command of any sender; it may be addressed to another component."""
         sender = message.get_srcSystem(), message.get_srcComponent()
         target = message.target_system, message.target_component
         if sender == self._ours or not _matches(target, self._ours):
             return Reply()  # of a router that sends things back, or for others
-        if target != self._ours:
-            return self._on_broadcast(message)
         before = self._given.get(sender)
-        if before is not None and _is_repeated(message, before, now_s):
+        if target == self._ours and before is not None and before.is_repeated_by(message, now_s):
             return Reply(replies=(_ack(message, before.result),))
-        meaning, name = self._meaning(message, sender), f"{sender[0]}/{sender[1]}"
+        meaning = self._meaning(message, sender)
+        if target != self._ours:  # of broadcasts no order is carried out
+            return Reply() if meaning.asks_for is None else Reply(replies=(_ack(message, 0),))
+        name = f"{sender[0]}/{sender[1]}"
         note = {"kind": "command", "sender": name, "command": message.command}
         if meaning.order is None:
             note |= {"result": meaning.result.name.lower(), "why": meaning.text}
@@ -109,26 +175,20 @@ class Component:
     def order_done(self, order: Order, verdict: OrderResult) -> Sequence[Message]:
         """The ACK of an order that the mission machine has decided; empty if none is waited for."""
         for given in self._given.values():
-            if given.order is order and given.result is Result.IN_PROGRESS:
+            if given.order is order and given.result is _Result.IN_PROGRESS:
                 given.result = _RESULTS[verdict]
                 return (_ack(given.message, given.result),)
         return ()
 
-    def _meaning(self, message: Message, sender: _Ids) -> Meaning:
+    def _meaning(self, message: Message, sender: _Ids) -> _Meaning:
         may = any(_matches(allowed, sender) for allowed in self._mission.commanders)
-        if message.command in ORDERS and not may:
+        if message.command in _ORDERS and not may:
             who = f"{sender[0]}/{sender[1]} may not command: see link.commanders"
-            return Meaning(Result.DENIED, who)
-        meaning = meaning_of(message, self._mission.frame, self._mission.task.limits)
+            return _denied(who)
+        meaning = _meaning_of(message, self._mission.frame, self._mission.task.limits)
         if meaning.asks_for is not None:
             self._asked.add(meaning.asks_for)
         return meaning
-
-    def _on_broadcast(self, message: Message) -> Reply:
-        """Answer a question for us; never carry out an order."""
-        if message.command in ORDERS or self._meaning(message, self._ours).asks_for is None:
-            return Reply()
-        return Reply(replies=(_ack(message, Result.ACCEPTED),))
 
     # --- its own messages
 
@@ -141,13 +201,91 @@ class Component:
         """The messages that are due; no heartbeat while faulted or done."""
         messages, asked = list[Message](), self._asked
         is_due = not 0.0 <= now_s - self._beat_at_s < _BEAT_S  # also when a clock begins again
-        if not faulted and (is_due or HEARTBEAT in asked):
+        if not faulted and (is_due or _HEARTBEAT in asked):
             self._beat_at_s = now_s
             messages.append(heartbeat(system_status(state)))
-        if VERSION in asked:
-            messages.append(_version_message(self._version))
-        self._asked = asked & {HEARTBEAT} if faulted else set()
+        if _VERSION in asked:
+            number, none = version_number(self._version), [0] * 8  # no firmware, no board
+            values = (_CAPABILITIES, number, 0, 0, 0, none, none, none, 0, 0, 0)
+            messages.append(wire.MAVLink_autopilot_version_message(*values))
+        self._asked = set()
         return messages
+
+
+def _meaning_of(message: Message, frame: LocalFrame, limits: Limits) -> _Meaning:
+    """The meaning of a command; frame, limits: those of the mission, for a place."""
+    first = message.param1
+    match message.command:
+        case wire.MAV_CMD_REQUEST_MESSAGE if first in (_HEARTBEAT, _VERSION):
+            return _Meaning(asks_for=int(first))
+        case wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES if first == 1.0:
+            return _Meaning(asks_for=_VERSION)
+        case wire.MAV_CMD_REQUEST_MESSAGE | wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+            return _denied("")
+        case wire.MAV_CMD_MISSION_START:
+            if math.isnan(first) or first == 0.0:
+                return _Meaning(order=OrderKind.START)
+            return _denied("start: only from the first item, param1 = 0")
+        case wire.MAV_CMD_DO_PAUSE_CONTINUE:
+            if first in (0.0, 1.0):
+                return _Meaning(order=OrderKind.CONTINUE if first else OrderKind.PAUSE)
+            return _denied("pause: param1 must be 0 (pause) or 1 (continue)")
+        case wire.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            return _Meaning(order=OrderKind.RETURN)
+        case wire.MAV_CMD_NAV_LAND:
+            if any(value not in (0.0, _NOT_GIVEN_E7) and value == value for value in _xy(message)):
+                return _denied("land: it lands where it is; first DO_REPOSITION there")
+            return _Meaning(order=OrderKind.LAND)
+        case wire.MAV_CMD_DO_REPOSITION:
+            return _reposition(message, frame, limits)
+        case _:
+            return _Meaning(_Result.UNSUPPORTED)
+
+
+def _reposition(message: Message, frame: LocalFrame, limits: Limits) -> _Meaning:
+    """A new target; altitude and speed are the mission's, so those given are ignored."""
+    latitude, longitude = _xy(message)
+    if _is_int(message):
+        if message.frame not in _AMSL_OR_HOME:
+            text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
+            return _Meaning(_Result.UNSUPPORTED_MAV_FRAME, text)
+        latitude, longitude = deg(message.x), deg(message.y)
+    on_earth = abs(latitude) <= 90.0 and abs(longitude) <= 180.0  # not NaN, nor what is not given
+    if on_earth and not latitude == longitude == 0.0:
+        north_m, east_m = frame.to_local_m(latitude, longitude)
+        (south, north), (west, east) = limits.north_m, limits.east_m
+        if south <= north_m <= north and west <= east_m <= east:
+            return _Meaning(order=OrderKind.REPOSITION, target_ne_m=(north_m, east_m))
+    return _denied("reposition: give a place on the mission's map")
+
+
+def _denied(text: str) -> _Meaning:
+    return _Meaning(_Result.DENIED, text)
+
+
+def _is_int(message: Message) -> bool:
+    return bool(message.get_msgId() == wire.MAVLINK_MSG_ID_COMMAND_INT)
+
+
+def _xy(message: Message) -> tuple[float, float]:
+    """Latitude and longitude of a command, in its own units: degrees, or 1e-7 of them."""
+    return (message.x, message.y) if _is_int(message) else (message.param5, message.param6)
+
+
+def _matches(pattern: _Ids, ids: _Ids) -> bool:
+    """Whether ids fit a pattern, in which 0 stands for any."""
+    return all(asked in (own, 0) for asked, own in zip(pattern, ids, strict=True))
+
+
+def _values(message: Message) -> str:
+    """All parameters but the confirmation, as text, since NaN does not equal itself."""
+    return repr({**message.to_dict(), "confirmation": None})
+
+
+def _ack(message: Message, result: int) -> Message:
+    """The ACK of a command, for who gave it."""
+    to = message.get_srcSystem(), message.get_srcComponent()
+    return wire.MAVLink_command_ack_message(message.command, int(result), 0, 0, *to)
 
 
 def heartbeat(status: int) -> Message:
@@ -168,14 +306,6 @@ def system_status(state: State) -> int:
     return int(wire.MAV_STATE_STANDBY if on_ground else wire.MAV_STATE_ACTIVE)
 
 
-def _version_message(version: str) -> Message:
-    """AUTOPILOT_VERSION: capabilities and version; what belongs to firmware and board is zero."""
-    nothing = [0] * 8
-    return wire.MAVLink_autopilot_version_message(
-        _CAPABILITIES, version_number(version), 0, 0, 0, nothing, nothing, nothing, 0, 0, 0
-    )
-
-
 def version_number(version: str) -> int:
     """Major << 24 | minor << 16 | patch << 8 | kind of release (FIRMWARE_VERSION_TYPE).
 
@@ -188,33 +318,3 @@ def version_number(version: str) -> int:
     release = _RELEASES.get(re.sub(r"\d*$", "", rest), wire.FIRMWARE_VERSION_TYPE_DEV)
     major, minor, patch = (min(int(number or 0), 255) for number in numbers)
     return int(major << 24 | minor << 16 | patch << 8 | release)
-
-
-def _matches(pattern: _Ids, ids: _Ids) -> bool:
-    """Whether ids fit a pattern, in which 0 stands for any."""
-    return all(asked in (own, 0) for asked, own in zip(pattern, ids, strict=True))
-
-
-def _is_repeated(message: Message, before: _Given, now_s: float) -> bool:
-    """Whether a command repeats the sender's last order because its ACK was lost.
-
-    COMMAND_LONG has a confirmation field.  COMMAND_INT has none: it counts as a repetition if the
-    same order was accepted just before; a refused one may be retried.
-    """
-    age_s = now_s - before.order.time_s
-    if _values(message) != _values(before.message) or not 0.0 <= age_s <= _SAME_S:
-        return False
-    if message.get_msgId() == wire.MAVLINK_MSG_ID_COMMAND_LONG:
-        return bool(message.confirmation > 0)
-    return before.result in (Result.ACCEPTED, Result.IN_PROGRESS)
-
-
-def _values(message: Message) -> str:
-    """All parameters but the confirmation, as text, since NaN does not equal itself."""
-    return repr({**message.to_dict(), "confirmation": None})
-
-
-def _ack(message: Message, result: Result) -> Message:
-    """The ACK of a command, for who gave it."""
-    to = message.get_srcSystem(), message.get_srcComponent()
-    return wire.MAVLink_command_ack_message(message.command, int(result), 0, 0, *to)

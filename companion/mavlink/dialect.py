@@ -44,12 +44,4 @@ class EventMessage(wire.MAVLink_message):  # type: ignore[misc]
 KINDS: Final[dict[int, Any]] = {**wire.mavlink_map, EventMessage.id: EventMessage}
 """The class of each kind of message that is understood, by its number."""
 
-__all__ = [
-    "AUTOPILOT_COMPONENT",
-    "COMPANION_COMPONENT",
-    "KINDS",
-    "EventMessage",
-    "Message",
-    "codec",
-    "wire",
-]
+__all__ = ["wire"]  # of what is imported here, what others import from here

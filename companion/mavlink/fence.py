@@ -8,20 +8,22 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
+import shapely
 
 from companion.geodesy import LocalFrame, deg, parts_within, short_way
 from companion.mavlink.dialect import wire
 from companion.mavlink.mission_items import not_done
 from companion.mavlink.plan_client import PlanItem
-from companion.mavlink.polygons import Point, cleaned, crosses_itself, hull, offset
 from companion.mission.events import FenceChanged, Vector
 from companion.mission.mission import EndAction
 from companion.planner.settings import Task
 from companion.world.zones import CircleZone, PolygonZone, Zone, gaps_m, packed
 
+Point = tuple[float, float]
+"""North and east, metres."""
 RETURN_POINT: Final = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 POLYGON_OUT: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
@@ -47,6 +49,8 @@ _AROUND_M = (-5e5, 5e5)
 _STRAIGHT_M = 0.5
 """Allowed distance between an edge straight in degrees and one straight in the local frame."""
 _MOST_PARTS = 512
+_SAME_M = 1e-3
+"""Corners nearer than that in a row are one."""
 
 
 @final
@@ -218,29 +222,39 @@ def _polygon(
     Out of one that crosses itself they keep by the even-odd rule, so it has holes: its hull has
     none.  Inside of one they keep by the same rule as the zone.
     """
-    vertices, note, wrong = cleaned(places), "", ""
+    pairs = zip(places, (places[-1], *places), strict=False)
+    vertices = tuple(one for one, before in pairs if math.dist(one, before) > _SAME_M)
+    note = wrong = ""
     if len(vertices) < 3:
-        return _unfit(f"{name} has {len(vertices)} corners, it needs 3")
+        return _unfit(f"{name} needs three corners")
     if not whole:
         wrong = f"{name} is incomplete: its corners are not as many as it says"
         if keep_in:
             return _unfit(wrong)
         wrong += ", the vehicle keeps out of their hull. Draw it again"
-    elif crosses_itself(vertices):
+    elif not shapely.is_simple(shapely.LinearRing(vertices)):
         if keep_in:
             note = f"{name} crosses itself: it is kept by the even-odd rule, without FENCE_MARGIN"
             return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=True), note)
         note = f"{name} crosses itself: the vehicle keeps out of its hull"
     if note or wrong:
-        vertices = hull(vertices)
+        vertices = _corners(shapely.MultiPoint(vertices).convex_hull)
         if len(vertices) < 3:
             return _unfit(f"{name} has no area")
     if margin_m != 0.0:
-        moved = offset(vertices, -margin_m if keep_in else margin_m)
-        if moved is None:
+        outwards_m = -margin_m if keep_in else margin_m
+        moved = _corners(shapely.Polygon(vertices).buffer(outwards_m, join_style="mitre"))
+        if not moved:  # nothing is left, or parts that hang apart
             note = f"{name} is too jagged for FENCE_MARGIN: it is kept without"
         vertices = moved or vertices
     return _One(PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in), note, wrong)
+
+
+def _corners(shape: Any) -> tuple[Point, ...]:
+    """Of the outline of a polygon; of anything else none."""
+    if shape.is_empty or shape.geom_type != "Polygon":
+        return ()
+    return tuple((north, east) for north, east in shape.exterior.coords[:-1])
 
 
 def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> list[Point] | None:

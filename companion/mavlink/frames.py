@@ -30,10 +30,8 @@ LONGEST: Final = 10 + 255 + 2 + 13
 _HEADER_1, _HEADER_2 = 6, 10
 _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED: Final = 0x01
+_BEGUN_AGAIN = 128
 _CRC: Final = Struct("<H")
-_PLAIN: Final = Struct("<BBBxxBBHB")
-"""A MAVLink 2 header: marker, length, flags, system, component, message number."""
-_EXTRA: Final = [bytes((extra,)) for extra in range(256)]
 _BOOT_MS_AT: Final = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
     wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0,
@@ -77,13 +75,9 @@ def intact_end(data: bytes, at: int) -> int:
         return 0
     if data[at] == V1 and data[at + 1] > kind.unpacker.size:
         return 0
-    return end if _is_right(data[at:end], kind.crc_extra) else 0
-
-
-def _is_right(frame: bytes, extra: int) -> bool:
-    """Whether the checksum of a whole frame is right; extra: the CRC_EXTRA of the message."""
-    end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
-    return bool(mcrf4xx(frame[1:end] + bytes((extra,))) == frame[end] | frame[end + 1] << 8)
+    last = at + (_HEADER_2 if data[at] == V2 else _HEADER_1) + data[at + 1]
+    covered = data[at + 1 : last] + bytes((kind.crc_extra,))
+    return end if mcrf4xx(covered) == data[last] | data[last + 1] << 8 else 0
 
 
 def number_of(frame: bytes) -> int:
@@ -245,6 +239,8 @@ class Receiver:
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
+        self.counted: dict[tuple[int, int], tuple[int, int, int]] = {}
+        """System and component -> last sequence number, frames, gaps."""
         self._signing = signing
         self._ignored = ignored
         self._rest = b""
@@ -255,25 +251,27 @@ class Receiver:
 
     def read(self, data: bytes, at_s: float | None) -> list[Incoming]:
         """The same with the source of each; at_s: when these bytes arrived."""
-        portion_at = len(self._rest)
-        data = self._rest + data
+        portion_at, data = len(self._rest), self._rest + data
         heard: list[Incoming] = []
-        at, size, passed = self._read_plain(data, 0, at_s, heard), len(data), 0
+        at, size, passed = 0, len(data), 0
         while (found := find_marker(data, at)) is not None:
             passed += found.start() - at
             at = found.start()
             end, number = frame_extent(data, at)
             kind = None if number is None else KINDS.get(number)
-            doubtful = number is not None and (kind is None or data[at] == V1)
-            if doubtful and not _is_plausible(data, at, end, kind):
-                end = 0
-            elif end > size and not (at < portion_at < size and intact_end(data, portion_at)):
-                break
-            if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
-                at = self._read_plain(data, end, at_s, heard)
-            else:
-                passed += 1
-                at += 1
+            if kind is None and number is not None:  # no checksum: believed if a frame follows
+                may_be = data[at] == V2 and (end >= size or data[end] in (V1, V2))
+            else:  # the first protocol knows no fields beyond these: more is noise
+                may_be = kind is None or data[at] == V2 or data[at + 1] <= kind.unpacker.size
+            if may_be and end > size:
+                may_be = at < portion_at < size and bool(intact_end(data, portion_at))
+                if not may_be:
+                    break
+            elif may_be and self._take(data[at:end], kind, at_s, heard):
+                at = end
+                continue
+            passed += 1
+            at += 1
         else:
             passed += size - at
             at = size
@@ -282,37 +280,14 @@ class Receiver:
             self.passed[Skipped.GARBAGE] += passed
         return heard
 
-    def _read_plain(self, data: bytes, at: int, at_s: float | None, heard: list[Incoming]) -> int:
-        """Fast path, at half the price: the messages of whole, intact, unsigned frames in a row.
-
-        Where they end; what follows is looked at in every respect.
-        """
-        last = len(data) - _HEADER_2 - _CHECKSUM if self._signing is None else -1
-        while at <= last:
-            marker, length, flags, system, component, low, high = _PLAIN.unpack_from(data, at)
-            number, end = low | high << 16, at + _HEADER_2 + length
-            kind = KINDS.get(number)
-            if marker != V2 or flags or kind is None or end + _CHECKSUM > len(data):
-                break
-            covered = data[at + 1 : end] + _EXTRA[kind.crc_extra]
-            if mcrf4xx(covered) != data[end] | data[end + 1] << 8 or number in SECRETS:
-                break
-            frame, message = data[at : end + _CHECKSUM], None
-            if number not in self._ignored:
-                try:
-                    message = decoded(frame, kind)
-                except wire.MAVError:
-                    break
-            heard.append(Incoming(frame, number, system, component, message, at_s))
-            at = end + _CHECKSUM
-        return at
-
     def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
         """Add the message of a frame unless it is rejected; returns whether the frame is intact."""
         if kind is None:
             self.passed[Skipped.UNKNOWN] += 1
             return True
-        if not _is_right(frame, kind.crc_extra):
+        end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
+        covered = frame[1:end] + bytes((kind.crc_extra,))
+        if mcrf4xx(covered) != frame[end] | frame[end + 1] << 8:
             self.passed[Skipped.CHECKSUM] += 1
             return False
         signed = frame[0] == V2 and frame[2] & _SIGNED
@@ -330,14 +305,11 @@ class Receiver:
                 self.passed[Skipped.CHECKSUM] += 1
                 return True
             message._signed = bool(signed) and self._signing is not None
-        system, component = plain[5:7] if plain[0] == V2 else plain[3:5]
+        sequence, system, component = plain[4:7] if plain[0] == V2 else plain[2:5]
+        before, frames, lost = self.counted.get((system, component), (sequence - 1, 0, 0))
+        gap = (sequence - before - 1) & 0xFF
+        # more than half of all numbers: it is late, came twice, or its sender began again
+        lost += gap if gap < _BEGUN_AGAIN else 0
+        self.counted[system, component] = sequence, frames + 1, lost
         heard.append(Incoming(plain, kind.id, system, component, message, at_s))
         return True
-
-
-def _is_plausible(data: bytes, at: int, end: int, kind: Any) -> bool:
-    """Whether this may be the header of a frame that ends there, of a known kind or of none."""
-    if data[at] == V1:  # the first protocol knows no fields beyond these: more is noise
-        return kind is not None and data[at + 1] <= kind.unpacker.size
-    # What is unknown has no checksum: its length is believed if a frame follows.
-    return kind is not None or end >= len(data) or data[end] in (V1, V2)

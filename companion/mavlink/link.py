@@ -1,13 +1,12 @@
 """A session's link: what was received, which vehicle it is of, its time, and what is sent."""
 
 import enum
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, codec, wire
-from companion.mavlink.frames import IGNORED_MESSAGES, V2, Incoming, Receiver
+from companion.mavlink.frames import IGNORED_MESSAGES, Incoming
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mavlink.who import DuplicateIdDetector
 from companion.mission.checkpoint import Values
@@ -20,9 +19,7 @@ TIME_ONLY_MESSAGES: Final = frozenset(
     {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 )
 """Messages of which only time_boot_ms is used: not decoded."""
-_UNDECODED: Final = IGNORED_MESSAGES | TIME_ONLY_MESSAGES
-_BEGUN_AGAIN = 128
-_MAX_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
+UNDECODED_MESSAGES: Final = IGNORED_MESSAGES | TIME_ONLY_MESSAGES
 
 _HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
 _ENOUGH = 10  # of any: then it will not become clear by itself
@@ -32,39 +29,11 @@ _REBOOT_S = 2.0  # a clock that falls by more has begun again; one that leaps by
 _BEAT_S = 1.0  # between two heartbeats of an autopilot
 _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 
+_ENTRY_BYTES = 500  # what a journal entry takes, about
 Stamped = tuple[float, bytes]
 """Vehicle time, seconds, and a frame."""
 Input = tuple[Any, ...]
 """A recorded call of the session: its name, and its arguments as plain values."""
-
-
-@final
-class Inbox:
-    """Received messages that have not been handled yet, in order."""
-
-    def __init__(self, signing: Signing | None, wanted: frozenset[int] = frozenset()) -> None:
-        """wanted: numbers of messages to decode that are not by default."""
-        self.receiver = Receiver(signing, _UNDECODED - wanted)
-        self.waiting: deque[Incoming] = deque(maxlen=_MAX_WAITING)
-        self.dropped = 0
-        """How many were too many."""
-        self.counted: dict[tuple[int, int], tuple[int, int, int]] = {}
-        """System and component -> last sequence number, frames, gaps."""
-
-    def feed(self, data: bytes, at_s: float | None) -> list[Incoming]:
-        """Parse these bytes and queue the messages that are complete."""
-        heard = self.receiver.read(data, at_s)
-        self.dropped += max(len(self.waiting) + len(heard) - _MAX_WAITING, 0)
-        self.waiting.extend(heard)
-        for each in heard:
-            sender, frame = (each.system, each.component), each.frame
-            number = frame[4] if frame[0] == V2 else frame[2]
-            before, frames, lost = self.counted.get(sender, (number - 1, 0, 0))
-            gap = (number - before - 1) & 0xFF
-            # more than half of all numbers: it is late, came twice, or its sender began again
-            lost += gap if gap < _BEGUN_AGAIN else 0
-            self.counted[sender] = number, frames + 1, lost
-        return heard
 
 
 @final
@@ -251,6 +220,13 @@ class Output:
     """Set once the mission is over."""
     settled: bool = False
     """Whether the vehicle is then in the requested mode, or gone."""
+
+    @property
+    def size(self) -> int:
+        """Bytes to be recorded, about."""
+        frames = sum(len(frame) for _, frame in self.record)
+        told = sum(len(each[1]) for each in self.inputs if each[0] == "receive")
+        return frames + told + _ENTRY_BYTES * len(self.journal)
 
     def leave_out(self, numbers: Iterable[int]) -> None:
         """Remove frames that were not sent, by index in `frames`, from the record."""

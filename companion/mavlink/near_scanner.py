@@ -25,10 +25,8 @@ _RATE_HZ: Final = 20.0
 
 def messages_of(mission: Mission) -> frozenset[int]:
     """What is read of the autopilot and of the sensor."""
-    wanted = set() if mission.near is None else {ATTITUDE, MESSAGES[mission.near.kind]}
-    if mission.rangefinder_error_m is not None:
-        wanted |= {ATTITUDE, SECTORS}
-    return frozenset(wanted)
+    sensor = () if mission.near is None else (MESSAGES[mission.near.kind],)
+    return frozenset({*streams_hz(mission), *sensor})
 
 
 def streams_hz(mission: Mission) -> dict[int, float]:
@@ -36,11 +34,10 @@ def streams_hz(mission: Mission) -> dict[int, float]:
     sensor, wanted = mission.near, dict[int, float]()
     if mission.rangefinder_error_m is not None:
         wanted = {ATTITUDE: _RATE_HZ, SECTORS: rangefinder.RATE_HZ}
-    if sensor is None:
-        return wanted
-    wanted[ATTITUDE] = _RATE_HZ
-    if sensor.kind == "distance_sensor" and sensor.component_id == AUTOPILOT_COMPONENT:
-        wanted[MESSAGES[sensor.kind]] = _RATE_HZ
+    if sensor is not None:
+        wanted[ATTITUDE] = _RATE_HZ
+        if (sensor.kind, sensor.component_id) == ("distance_sensor", AUTOPILOT_COMPONENT):
+            wanted[SECTORS] = _RATE_HZ
     return wanted
 
 
@@ -73,13 +70,8 @@ class NearScanner:
         self._sight = Sight.NEVER_HEARD
 
     @property
-    def refused(self) -> dict[str, int]:
-        """How often something was not believed, by the reason."""
-        return dict(self._sensing.refused)
-
-    @property
     def limits_m(self) -> tuple[float, float] | None:
-        """Least and greatest distance that the sensor says it measures; None: it told of none."""
+        """As the sensor says (`NearSensing.limits_m`)."""
         return self._sensing.limits_m
 
     def _ground_at_m(self, north_m: float, east_m: float) -> float:

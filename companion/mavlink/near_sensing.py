@@ -6,8 +6,8 @@ does not mean empty; a value is repeated for up to 1.75 s; what we send comes ba
 """
 
 import math
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -38,31 +38,9 @@ _SILENT_S = 0.6  # several messages at 10 Hz
 _SET_S = 0.1  # in which the messages of one stamp come: a stamp may stand still
 _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
-_OTHER_CLOCK: Final = "a stamp of another clock"
-_NO_LIMITS: Final = "max_distance is no more than min_distance"
-_STRANGE: Final = "a distance is outside its limits"
-_NO_ROOM: Final = "a link had no room for all sectors"
-_USED: Final = {
-    _OTHER_CLOCK: ", taken as of now",
-    _STRANGE: ", that sector says nothing",
-    _NO_ROOM: ", those left out say nothing",
-}
-"""Reasons for which a sweep is used all the same, and how."""
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
 _EVEN = 1.5  # times the least time between two sets: more, and one is missing (4 % in flights)
 _WHOLE_S = 2.5  # in it HEARTBEAT and SYS_STATUS come twice: one fewer sector fits beside them
-
-
-def in_words(refused: Mapping[str, int]) -> Iterator[str]:
-    """What was not believed, and what of it was used all the same."""
-    for heading, used in (("not believed", False), ("used all the same", True)):
-        told = [
-            f"{why}{_USED.get(why, '')} ({count:,} times)"
-            for why, count in refused.items()
-            if (why in _USED) is used
-        ]
-        if told:
-            yield f"{heading}: {', '.join(told)}"
 
 
 def _is_sector(message: Message) -> bool:
@@ -76,25 +54,12 @@ def _is_sector(message: Message) -> bool:
     return message.orientation in _HORIZONTAL and not one_beam
 
 
-class _Told(NamedTuple):
-    """What one message, or one set of messages, tells of its sectors; distances in centimetres."""
-
-    told_cm: FloatArray
-    least_cm: FloatArray
-    most_cm: FloatArray
-    empty_cm: float
-    """From this on a sector is empty."""
-    first_rad: float
-    """Where the first sector begins, from the nose or from true north."""
-    width_rad: float
-    from_nose: bool
-
-
 class _Look(NamedTuple):
-    """What it says of them, before the pose is known."""
+    """What it says of its sectors, before the pose is known."""
 
     time_s: float
     first_rad: float
+    """Where the first sector begins, from the nose or from true north."""
     width_rad: float
     from_nose: bool
     clear_m: FloatArray
@@ -113,8 +78,6 @@ class NearSensing:
     ) -> None:
         """ground_amsl_m: how high the ground is at a place, north and east, where that is known."""
         self._sensor, self._poses, self._ground_amsl_m = sensor, poses, ground_amsl_m
-        self.refused: Counter[str] = Counter()
-        """How often something was not believed, or only in part (`in_words`), by the reason."""
         self._looks: deque[_Look] = deque(maxlen=20)
         self._set: list[Message] = []
         """Messages of one stamp,"""
@@ -161,9 +124,7 @@ class NearSensing:
         while self._looks and self._poses.is_over(self._looks[0].time_s):
             look = self._looks.popleft()
             pose = self._poses.at(look.time_s)
-            if pose is None:
-                self.refused["where the vehicle was is not known"] += 1
-            else:
+            if pose is not None:
                 north, east, altitude = pose.position_nea_m
                 height_m = max(altitude - self._ground_amsl_m(north, east), 0.0)
                 result.append(_sweep(look, pose, self._sensor, height_m))
@@ -190,14 +151,12 @@ class NearSensing:
             message.angle_offset,
         )
         least, most = message.min_distance, message.max_distance
-        wrong = (
-            (not math.isfinite(width_deg + offset_deg), "an angle is not finite"),
-            (not 0.0 < abs(width_deg) <= 360.0, "increment is 0 or more than a turn"),
-            (message.frame not in (*_BODY, *_NORTH), "frame is neither the body's nor north's"),
-            (not 0 <= least < most, _NO_LIMITS),
-        )
-        if why := next((why for is_so, why in wrong if is_so), ""):
-            self.refused[why] += 1
+        if not (
+            math.isfinite(width_deg + offset_deg)
+            and 0.0 < abs(width_deg) <= 360.0
+            and message.frame in (*_BODY, *_NORTH)
+            and 0 <= least < most
+        ):
             return
         count = min(len(message.distances), math.floor(360.0 / abs(width_deg) + 1e-6))
         told_cm = np.array(message.distances[:count], dtype=np.float64)
@@ -208,16 +167,13 @@ class NearSensing:
         self._limits_cm[0] = least, most
         width_rad = math.radians(abs(width_deg))
         first_rad = math.radians(offset_deg) - 0.5 * width_rad
-        limits = np.full(count, float(least)), np.full(count, float(most))
-        from_nose = message.frame in _BODY
-        told = _Told(told_cm, *limits, most + 1, first_rad, width_rad, from_nose)
-        self._take(told, message.time_usec * 1e-6, now_s)
+        limits_cm = float(least), float(most), most + 1.0
+        where = first_rad, width_rad, message.frame in _BODY
+        self._take(told_cm, limits_cm, where, message.time_usec * 1e-6, now_s)
 
     def on_distance_sensor(self, message: Message, now_s: float) -> None:
         """One of ArduPilot's eight sectors; those of one stamp belong together."""
         if not _is_sector(message):
-            if message.orientation in _HORIZONTAL:
-                self.refused["one beam does not speak for a sector"] += 1
             return
         if self._set and (
             message.time_boot_ms != self._set[0].time_boot_ms
@@ -241,7 +197,6 @@ class NearSensing:
         messages = [m for m in self._set if 0 <= m.min_distance < m.max_distance]
         self._set = []
         if not messages:
-            self.refused[_NO_LIMITS] += 1
             return
         for each in messages:
             self._limits_cm[each.orientation] = each.min_distance, each.max_distance
@@ -259,10 +214,8 @@ class NearSensing:
             end = _SECTORS if whole_s >= _WHOLE_S else max(told)
             silent = [k for k in range(end) if k not in self._sectors]
             told_cm[silent] = most_cm[silent]
-        sectors = _Told(
-            told_cm, least_cm, most_cm, math.inf, -0.5 * _SECTOR_RAD, _SECTOR_RAD, from_nose=True
-        )
-        self._take(sectors, stamp_s, self._set_s)
+        where = -0.5 * _SECTOR_RAD, _SECTOR_RAD, True
+        self._take(told_cm, (least_cm, most_cm, math.inf), where, stamp_s, self._set_s)
 
     def _whole_for_s(self, told: set[int], stamp_s: float) -> float:
         """For how long all sectors that were ever told have come, at even intervals."""
@@ -274,8 +227,6 @@ class NearSensing:
             self._period_s = gap_s
         if is_cut or is_late or not 0.0 <= self._set_s - until_s <= _SILENT_S:
             since_s = self._set_s
-        if is_cut:
-            self.refused[_NO_ROOM] += 1
         if self._set_s < until_s:  # the autopilot has begun anew, and what it has told
             self._sectors.clear()
         self._whole_s = since_s, self._set_s
@@ -303,35 +254,39 @@ class NearSensing:
 
     # --- what it says
 
-    def _take(self, told: _Told, stamp_s: float, now_s: float) -> None:
-        """Distances of sectors: empty from empty_cm on, or where "max" has stood for long enough.
+    def _take(
+        self,
+        cm: FloatArray,
+        limits_cm: tuple[FloatArray | float, FloatArray | float, float],
+        where: tuple[float, float, bool],
+        stamp_s: float,
+        now_s: float,
+    ) -> None:
+        """Distances of sectors: empty where "max" has stood for long enough, or at the last limit.
 
-        Any other value outside the limits says nothing.  A stamp of another clock counts as now;
-        one that stands still is taken all the same.
+        limits_cm: least, greatest, and from which on a sector is empty at once.  Any other value
+        outside says nothing.  where: as in `_Look`.  A stamp of another clock counts as now; one
+        that stands still is taken all the same.
         """
+        least_cm, most_cm, empty_cm = limits_cm
         if abs(stamp_s - now_s) > _OTHER_CLOCK_S:
-            self.refused[_OTHER_CLOCK] += 1
             stamp_s = now_s
         before_s, came_s = self._taken_s
         if 0.0 <= stamp_s - before_s < _APART_S and 0.0 <= now_s - came_s < _SET_S:
-            self.refused["more than 30 sweeps a second"] += 1
             return
         self._taken_s = stamp_s, now_s
-        time_s, cm = stamp_s - self._sensor.latency_s, told.told_cm
-        beyond = (cm >= told.empty_cm) & (cm != _UNKNOWN_CM)
-        full = (cm == told.most_cm) | beyond
+        time_s = stamp_s - self._sensor.latency_s
+        beyond = (cm >= empty_cm) & (cm != _UNKNOWN_CM)
+        full = (cm == most_cm) | beyond
         if len(self._full_since_s) != len(full):
             self._full_since_s = np.full(len(full), np.inf)
         since_s = np.where(full, np.minimum(self._full_since_s, time_s), np.inf)
         self._full_since_s = since_s
         empty = full & (time_s - since_s >= _EMPTY_AFTER_S) | beyond
-        met = (cm >= np.maximum(told.least_cm, 1.0)) & (cm < told.most_cm)
-        if np.any(~(met | full) & (cm != _UNKNOWN_CM)):
-            self.refused[_STRANGE] += 1
-        range_m = np.minimum(told.most_cm * 0.01, self._sensor.range_m)
+        met = (cm >= np.maximum(least_cm, 1.0)) & (cm < most_cm)
+        range_m = np.minimum(np.multiply(most_cm, 0.01), self._sensor.range_m)
         echo_m = np.where(met, cm * 0.01, np.inf)
         clear_m = np.where(met, echo_m, np.where(empty, range_m, 0.0))
-        where = told.first_rad, told.width_rad, told.from_nose
         self._looks.append(_Look(time_s, *where, clear_m, echo_m))
 
 

@@ -5,7 +5,6 @@ its names at once; after an answer the other names are dropped.  A request for a
 not exist gets no answer, or PARAM_ERROR from autopilots that send it.
 """
 
-import enum
 import math
 import struct
 from collections.abc import Iterable, Sequence
@@ -44,22 +43,15 @@ _ERRORS: Final = {
 }
 
 
-class _Stage(enum.Enum):
-    """What is waited for."""
-
-    READ = "the value, and with it the type"
-    SET = "the echo of the value that was set"
-    READ_BACK = "the same value, when it is asked for again"
-
-
 @final
 @dataclass(slots=True)
 class _Request:
-    """A request without an answer yet."""
+    """A request without an answer yet: of the value, and of what it is to be set to."""
 
-    stage: _Stage = _Stage.READ
     value: float | None = None
     """To be set, once it has been read."""
+    echoes: int | None = None
+    """How often it has said that it keeps what it was told; None: it has not been told yet."""
     tries: int = 0
     """Without those during which the whole autopilot was silent."""
     asked_s: float = -math.inf
@@ -107,8 +99,6 @@ class ParameterClient:
         self._bytewise = bytewise
         self.values: dict[str, float] = {}
         """By the name that this autopilot has it under, in the autopilot's own unit."""
-        self.missing: set[str] = set()
-        """Usual names of what it does not have under any."""
         self.failed_sets: dict[str, str] = {}
         """What could not be set, and why, in words."""
         self.version = 0
@@ -132,7 +122,7 @@ class ParameterClient:
 
     def restart(self) -> None:
         """Request everything again: the autopilot has rebooted."""
-        for known in (self.values, self.missing, self.failed_sets, self._types):
+        for known in (self.values, self.failed_sets, self._types):
             known.clear()
         self._open = {name: _Request() for name in self._group_of}
         self.version += 1
@@ -151,11 +141,10 @@ class ParameterClient:
         self.failed_sets.pop(name, None)
         if not (math.isfinite(value) and abs(value) <= _LARGEST_FLOAT):
             self.failed_sets[name] = f"{value} is no number that a parameter can have"
-        elif name in self._open and self._open[name].stage is _Stage.READ:
+        elif name in self._open and self._open[name].echoes is None:
             self._open[name].value = value
-        else:
-            stage = _Stage.SET if name in self._types else _Stage.READ
-            self._open[name] = _Request(stage, value)
+        else:  # one that was read has a type
+            self._open[name] = _Request(value, 0 if name in self._types else None)
 
     # --- in -----------------------------------------------------------------------------------
 
@@ -184,26 +173,22 @@ class ParameterClient:
         self._types[name] = message.param_type
         self.version += not _same(self.values.get(name), value)
         self.values[name] = value
-        group = self._group_of.get(name, (name,))
-        self.missing.discard(group[0])
-        for other in group:
-            if other != name and other in self._open and self._open[other].stage is _Stage.READ:
+        for other in self._group_of.get(name, ()):
+            if other != name and other in self._open and self._open[other].echoes is None:
                 del self._open[other]
-        request = self._open.get(name)
+        request = self._open.pop(name, None)
         if request is None:
             return
-        if request.stage is _Stage.READ:
+        if request.echoes is None:
             self._lossy = self._lossy or request.tries > 1
-            self._go_on(name, request, None if request.value is None else _Stage.SET)
-        elif request.tries and request.value is not None and self._is_kept(name, request.value):
-            self._go_on(name, request, _Stage.READ_BACK if request.stage is _Stage.SET else None)
-
-    def _go_on(self, name: str, request: _Request, stage: _Stage | None) -> None:
-        """On to the next stage of a request; None: it is over."""
-        if stage is None:
-            del self._open[name]
-        else:
-            self._open[name] = _Request(stage, request.value)
+            if request.value is not None:
+                self._open[name] = _Request(request.value, 0)
+        elif not (
+            request.tries and request.value is not None and self._is_kept(name, request.value)
+        ):
+            self._open[name] = request
+        elif request.echoes == 0:  # it says so, but does it keep it?
+            self._open[name] = _Request(request.value, 1)
 
     def _is_kept(self, name: str, asked: float) -> bool:
         asked = float(round(asked)) if self._types[name] in _FORMATS else asked
@@ -214,7 +199,7 @@ class ParameterClient:
         if request is None:
             return
         if error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST:
-            if request.stage is _Stage.READ:
+            if request.echoes is None:
                 self._give_up(name, request)
         elif request.value is not None and error in _ERRORS:
             self._fail(name, _ERRORS[error])
@@ -245,7 +230,7 @@ class ParameterClient:
         for name, request in list(self._open.items()):
             if now_s - request.asked_s < ANSWER_S:
                 continue
-            may_end = bool(self._types) or request.stage is not _Stage.READ
+            may_end = bool(self._types) or request.echoes is not None
             if may_end and request.tries >= most and self.heard_s > request.asked_s:
                 self._give_up(name, request)
             else:
@@ -261,7 +246,7 @@ class ParameterClient:
 
     def _messages(self, name: str, request: _Request) -> list[Message]:
         key = name.encode("ascii", "replace")
-        if request.stage is not _Stage.SET or request.value is None:
+        if request.echoes != 0 or request.value is None:
             return [wire.MAVLink_param_request_read_message(*self._to, key, -1)]
         kind = self._types[name]
         try:
@@ -272,13 +257,10 @@ class ParameterClient:
         return [wire.MAVLink_param_set_message(*self._to, key, value, kind)]
 
     def _give_up(self, name: str, request: _Request) -> None:
-        if request.stage is not _Stage.READ:
+        if request.echoes is not None:
             self._fail(name, f"it was told {request.value:g} and says {self.values[name]:g}")
             return
         del self._open[name]
-        group = self._group_of.get(name, (name,))
-        if not any(each in self._open or each in self.values for each in group):
-            self.missing.add(group[0])
         if request.value is not None:
             self._fail(name, "the autopilot does not have it")
 

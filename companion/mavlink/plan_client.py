@@ -207,13 +207,13 @@ class PlanClient:
             transfer.item_s = min(max(2.0 * waited_s, _ITEM_S), _LIST_S)
             self._list_s = min(max(4.0 * waited_s, 2.0 * _ITEM_S), _LIST_S)
         if message.count > _LONGEST:
-            return self._fail(transfer, f"{message.count} items are too many", now_s)
+            why = f"{message.count} items are too many"
+            return self._end(transfer, now_s, _LATER_S, why=why)
         plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
         known, as_many = plan.version > 0 and plan.supported, message.count == len(plan.items)
         if known and as_many and opaque_id == watch.opaque_id and transfer.only_look:
             self.changing.pop(transfer.kind, None)  # no change, and no items are requested
-            self._done(transfer, now_s)
-            return self._end(transfer, wire.MAV_MISSION_OPERATION_CANCELLED, now_s)
+            return self._end(transfer, now_s, LOOK_S, wire.MAV_MISSION_OPERATION_CANCELLED)
         transfer.count, transfer.opaque_id = message.count, opaque_id
         if known and message.count and not (as_many and watch.opaque_id in (0, opaque_id)):
             self.changing[transfer.kind] = message.count
@@ -248,24 +248,22 @@ class PlanClient:
 
     def _on_ack(self, transfer: _Transfer, result: int, now_s: float) -> list[Message]:
         """Instead of an answer: refused."""
-        if result == wire.MAV_MISSION_UNSUPPORTED:
-            plan = self.plans[transfer.kind]
-            self._done(transfer, now_s, READ_ALL_S)
-            if plan.supported:
-                self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
-                self._watches[transfer.kind].key = b""
-            return self.on_time(now_s)
         if result == wire.MAV_MISSION_ACCEPTED:
             return []  # of something that we did not ask for
-        why = _REFUSED.get(result, f"refused with MAV_MISSION_RESULT {result}")
-        return self._fail(transfer, why, now_s)
+        if result != wire.MAV_MISSION_UNSUPPORTED:
+            why = _REFUSED.get(result, f"refused with MAV_MISSION_RESULT {result}")
+            return self._end(transfer, now_s, _LATER_S, why=why)
+        plan = self.plans[transfer.kind]
+        if plan.supported:
+            self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
+            self._watches[transfer.kind].key = b""
+        return self._end(transfer, now_s, READ_ALL_S)
 
     # --- how a transfer ends ------------------------------------------------------------------
 
     def _complete(self, transfer: _Transfer, now_s: float) -> list[Message]:
         plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
-        self._done(transfer, now_s)
-        watch.read_s, watch.opaque_id = now_s, transfer.opaque_id
+        watch.read_s, watch.opaque_id, pause_s = now_s, transfer.opaque_id, LOOK_S
         # An autopilot may answer before it has loaded its lists: then they look empty.
         early = watch.rebooted and not transfer.items and bool(plan.items)
         sure = transfer.key == watch.candidate or (transfer.smooth and not early)
@@ -276,28 +274,34 @@ class PlanClient:
             watch.key = transfer.key
         if new and not sure:  # in the gaps it may have become half of one and half of another
             watch.candidate, watch.read_s = transfer.key, -math.inf
-            watch.due_s = now_s + LOOK_S if early else now_s
+            pause_s = LOOK_S if early else 0.0
         else:
             watch.candidate, watch.rebooted = None, False
             self.changing.pop(transfer.kind, None)
-        return self._end(transfer, wire.MAV_MISSION_ACCEPTED, now_s)
+        return self._end(transfer, now_s, pause_s, wire.MAV_MISSION_ACCEPTED)
 
-    def _done(self, transfer: _Transfer, now_s: float, pause_s: float = LOOK_S) -> None:
+    def _end(
+        self,
+        transfer: _Transfer,
+        now_s: float,
+        pause_s: float,
+        ack: int | None = None,
+        why: str = "",
+    ) -> list[Message]:
+        """Look at this list again after a pause; returns what is due now.
+
+        ack: what ends the transfer for the autopilot, too.  why: it has failed; the known list is
+        kept.
+        """
         self._transfer = None
         self.trouble.pop(transfer.kind, None)
+        if why:
+            self.trouble[transfer.kind] = why
         self._watches[transfer.kind].due_s = now_s + pause_s
-
-    def _fail(self, transfer: _Transfer, why: str, now_s: float) -> list[Message]:
-        """Keep the known list; retry later."""
-        self._transfer = None
-        self.trouble[transfer.kind] = why
-        self._watches[transfer.kind].due_s = now_s + _LATER_S
-        return self.on_time(now_s)
-
-    def _end(self, transfer: _Transfer, result: int, now_s: float) -> list[Message]:
-        """The ACK that ends it for the autopilot, and what is due then."""
-        ack = wire.MAVLink_mission_ack_message(*self._to, result, transfer.kind)
-        return [ack, *self.on_time(now_s)]
+        asked = self.on_time(now_s)
+        if ack is None:
+            return asked
+        return [wire.MAVLink_mission_ack_message(*self._to, ack, transfer.kind), *asked]
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -313,8 +317,7 @@ class PlanClient:
         if transfer.tries < (_MAX_ITEM_TRIES if transfer.reads else _MAX_LIST_TRIES):
             return [self._ask(transfer, now_s)]
         over = wire.MAV_MISSION_OPERATION_CANCELLED
-        ack = wire.MAVLink_mission_ack_message(*self._to, over, transfer.kind)
-        return [ack, *self._fail(transfer, "no answer", now_s)]
+        return self._end(transfer, now_s, _LATER_S, over, "no answer")
 
     @property
     def due_s(self) -> float:

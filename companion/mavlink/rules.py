@@ -128,18 +128,13 @@ def findings_of(
     values: by name, in the autopilot's units, when everything was asked for.  A mission that does
     not set parameters (`sets_parameters`) refuses what otherwise would be set.
     """
-    rules = [rule for rule in rules if rule.matters(mission)]
-    found = {rule.name: rule.found(values) for rule in rules}
+    found = {rule: rule.found(values) for rule in rules if rule.matters(mission)}
     if found and not any(found.values()):
         rule = "the autopilot has answered no request for a parameter"
         return [Finding(rule, "Check that the link carries both ways", name="parameters")]
-
-    def read(name: str) -> float | None:
-        known = found.get(name)
-        return None if known is None else known[1]
-
-    case = Case(mission=mission, home_amsl_m=home_amsl_m, read=read)
-    findings = [_judged(rule, found[rule.name], values, case) for rule in rules]
+    in_si = {rule.name: known[1] for rule, known in found.items() if known is not None}
+    case = Case(mission=mission, home_amsl_m=home_amsl_m, read=in_si.get)
+    findings = [_judged(rule, known, values, case) for rule, known in found.items()]
     return sorted(
         (each for each in findings if each is not None), key=lambda each: each.set_to is not None
     )
@@ -149,10 +144,9 @@ def _judged(
     rule: Rule, found: tuple[str, float, float] | None, values: Mapping[str, float], case: Case
 ) -> Finding | None:
     if found is None:
-        if not rule.essential:
-            return None
         missing = f"the autopilot does not tell it; {rule.essential}"
-        return Finding(missing, "Fly a firmware that has it", name=rule.name)
+        unknown = Finding(missing, "Fly a firmware that has it", name=rule.name)
+        return unknown if rule.essential else None
     name, value, scale = found
     verdict = None if rule.check is None else rule.check(value, case)
     if verdict is None:
@@ -165,20 +159,33 @@ def _judged(
     return replace(verdict, name=name, value=values[name])
 
 
-def up_to_tenths(value: float) -> float:
-    """Rounded up to tenths, with a tolerance for rounding errors."""
-    return math.ceil(value * 10.0 - EQUAL_WITHIN) / 10.0
-
-
-def enough(value: float, needed: float, rule: str, remedy: str) -> Finding | None:
-    """Refuse what is less than needed."""
-    return None if value >= needed - EQUAL_WITHIN else Finding(rule, remedy)
-
-
 def when(wrong: Callable[[float, Case], object], rule: str, remedy: str) -> Check:
     """Refuses if the condition is true."""
     refusal = Finding(rule, remedy)
     return lambda value, case: refusal if wrong(value, case) else None
+
+
+def at_least(
+    bound: Callable[[Limits], float], rule: str, remedy: str, *, most: bool = False
+) -> Check:
+    """Refuses less than a mission needs; most: more than it allows.
+
+    In the texts stand {value}, {needed}, and {up}, that rounded up to tenths.
+    """
+
+    def check(value: float, case: Case) -> Finding | None:
+        needed = bound(case.limits)
+        if (needed - value if most else value - needed) >= -EQUAL_WITHIN:
+            return None
+        told = {"value": value, "needed": needed, "up": up_to_tenths(needed)}
+        return Finding(rule.format(**told), remedy.format(**told))
+
+    return check
+
+
+def up_to_tenths(value: float) -> float:
+    """Rounded up to tenths, with a tolerance for rounding errors."""
+    return math.ceil(value * 10.0 - EQUAL_WITHIN) / 10.0
 
 
 # --- when the setpoints end: what several autopilots have -----------------------------------------
@@ -278,52 +285,44 @@ def circles(wider_m: float, bank: str) -> Check:
 # --- what the mission plans with ------------------------------------------------------------------
 
 
-def copter_climbs(value: float, case: Case) -> Finding | None:
-    """How fast it climbs; no climb is steeper than its speed."""
-    needed = min(case.limits.climb_rate_m_s, case.limits.speed_m_s)
-    return _rate("climbs", value, needed, f"vehicle.climb_rate_m_s to {value:g}")
+def _rate(verb: str, needed: Callable[[Limits], float], otherwise: str) -> Check:
+    rule = f"it {verb} with {{value:g}} m/s at most, and the mission asks for {{needed:.1f}}"
+    return at_least(needed, rule, f"Raise it to {{up:g}}, or set {otherwise}")
 
 
-def copter_sinks(value: float, case: Case) -> Finding | None:
-    """How fast it sinks, and a descent is no steeper than the mission's dive."""
-    limits = case.limits
-    needed = min(limits.climb_rate_m_s, limits.speed_m_s * math.sin(limits.dive_angle_rad))
-    return _rate("sinks", value, needed, f"vehicle.climb_rate_m_s to {value:g}")
+def _copter_rate(limits: Limits) -> float:
+    """No climb is steeper than the speed."""
+    return min(limits.climb_rate_m_s, limits.speed_m_s)
 
 
-def plane_climbs(value: float, case: Case) -> Finding | None:
-    """How fast it climbs: a plane flies every climb at its speed."""
-    needed = case.limits.speed_m_s * math.sin(case.limits.climb_angle_rad)
-    return _rate("climbs", value, needed, "a smaller vehicle.climb_angle_deg")
+def _dive_m_s(limits: Limits) -> float:
+    return limits.speed_m_s * math.sin(limits.dive_angle_rad)
 
 
-def plane_sinks(value: float, case: Case) -> Finding | None:
-    """How fast it sinks, likewise."""
-    needed = case.limits.speed_m_s * math.sin(case.limits.dive_angle_rad)
-    return _rate("sinks", value, needed, "a smaller vehicle.dive_angle_deg")
+def _climb_m_s(limits: Limits) -> float:
+    """A plane flies every climb at its speed."""
+    return limits.speed_m_s * math.sin(limits.climb_angle_rad)
 
 
-def _rate(verb: str, value: float, needed: float, otherwise: str) -> Finding | None:
-    rule = f"it {verb} with {value:g} m/s at most, and the mission asks for {needed:.1f}"
-    remedy = f"Raise it to {up_to_tenths(needed):g}, or set {otherwise}"
-    return enough(value, needed, rule, remedy)
-
-
-def brakes(value: float, case: Case) -> Finding | None:
-    """How hard it brakes."""
-    needed = case.limits.acceleration_m_s2
-    rule = f"it brakes with {value:g} m/s2, and the mission counts on {needed:g}"
-    remedy = f"Raise it, or set vehicle.acceleration_m_s2 to {value:g} or less"
-    return enough(value, needed, rule, remedy)
-
-
-def slowest(value: float, case: Case) -> Finding | None:
-    """How slowly it may fly."""
-    rule = f"vehicle.speed_m_s = {case.limits.speed_m_s:g} is slower than it may fly"
-    return enough(case.limits.speed_m_s, value, rule, f"Fly {value:g} m/s or faster")
-
-
-def fastest(value: float, case: Case) -> Finding | None:
-    """How fast it may fly."""
-    rule = f"vehicle.speed_m_s = {case.limits.speed_m_s:g} is faster than it may fly"
-    return enough(value, case.limits.speed_m_s, rule, f"Fly {value:g} m/s or slower")
+_LESS = "vehicle.climb_rate_m_s to {value:g}"
+copter_climbs = _rate("climbs", _copter_rate, _LESS)
+copter_sinks = _rate("sinks", lambda limits: min(limits.climb_rate_m_s, _dive_m_s(limits)), _LESS)
+plane_climbs = _rate("climbs", _climb_m_s, "a smaller vehicle.climb_angle_deg")
+plane_sinks = _rate("sinks", _dive_m_s, "a smaller vehicle.dive_angle_deg")
+brakes = at_least(
+    lambda limits: limits.acceleration_m_s2,
+    "it brakes with {value:g} m/s2, and the mission counts on {needed:g}",
+    "Raise it, or set vehicle.acceleration_m_s2 to {value:g} or less",
+)
+_SPEED = "vehicle.speed_m_s = {needed:g} is"
+slowest = at_least(
+    lambda limits: limits.speed_m_s,
+    f"{_SPEED} slower than it may fly",
+    "Fly {value:g} m/s or faster",
+    most=True,
+)
+fastest = at_least(
+    lambda limits: limits.speed_m_s,
+    f"{_SPEED} faster than it may fly",
+    "Fly {value:g} m/s or slower",
+)

@@ -10,11 +10,9 @@ unchecked, and lets a forged frame move a stream's time before its signature has
 which locks out the real sender.  Nor can it sign a frame that was packed before.
 """
 
-import enum
 import hashlib
 import hmac
 import math
-from collections import Counter
 from typing import Final, final
 
 from fastcrc.crc16 import mcrf4xx
@@ -46,16 +44,6 @@ SECRETS: Final = frozenset(
     }
 )
 """Messages that carry a key or a password: never logged, forwarded or answered."""
-
-
-class Refusal(enum.Enum):
-    """Why a frame was rejected."""
-
-    UNSIGNED = "unsigned"
-    WRONG = "wrongly signed"
-    REPLAYED = "replayed"
-    OLD = "too old"
-    """A new stream that is more than a minute behind, or one too many."""
 
 
 def key_of(text: str) -> bytes:
@@ -103,9 +91,9 @@ class Signing:
         """timestamp: of the first frame; higher than any that was ever used with this key."""
         if len(key) != KEY_BYTES:
             raise ValueError(f"a key has {KEY_BYTES} bytes")
-        self.refused: Counter[Refusal] = Counter()
-        self._told: Counter[Refusal] = Counter()
-        self._told_at_s = -math.inf
+        self.refused = 0
+        """Frames that were not believed: unsigned, wrongly signed, replayed, or too old."""
+        self._told, self._told_at_s = 0, -math.inf
         self._streams: dict[tuple[int, int, int], int] = {}
         """The newest time stamp of each link id, system and component."""
         self._link_id, self._next = link_id, timestamp
@@ -141,34 +129,34 @@ class Signing:
         """
         if not is_signed(frame):
             number = frame[7] | frame[8] << 8 | frame[9] << 16 if frame[0] == _MARKER else frame[5]
-            return number in ACCEPTED_UNSIGNED or self._refuse(Refusal.UNSIGNED)
-        if not hmac.compare_digest(self._signature(frame[:-_HASH]), frame[-_HASH:]):
-            return self._refuse(Refusal.WRONG)
+            believed = number in ACCEPTED_UNSIGNED
+        else:
+            signature = self._signature(frame[:-_HASH])
+            believed = hmac.compare_digest(signature, frame[-_HASH:]) and self._is_news(frame)
+        self.refused += not believed
+        return believed
+
+    def _is_news(self, frame: bytes) -> bool:
+        """Whether a frame with the right signature is newer than all of its stream."""
         timestamp = int.from_bytes(frame[1 - _TAIL : -_HASH], "little")
         stream = (frame[-_TAIL], frame[5], frame[6])
-        newest = self._streams.get(stream)
-        if newest is None:
-            if timestamp + _BEHIND < self.timestamp or len(self._streams) >= _MAX_STREAMS:
-                return self._refuse(Refusal.OLD)
-        elif timestamp <= newest:
-            return self._refuse(Refusal.REPLAYED)
-        self._streams[stream] = timestamp
-        self._raise_to(timestamp)
-        return True
+        if (newest := self._streams.get(stream)) is None:  # one too many is refused as well
+            oldest = self.timestamp - _BEHIND
+            is_news = timestamp >= oldest and len(self._streams) < _MAX_STREAMS
+        else:
+            is_news = timestamp > newest
+        if is_news:
+            self._streams[stream] = timestamp
+            self._raise_to(timestamp)
+        return is_news
 
     def complaint(self, now_s: float) -> str | None:
         """Rejections since the last text: at most once a minute, short enough for a STATUSTEXT."""
         new = self.refused - self._told
         if not new or 0.0 <= now_s - self._told_at_s < _COMPLAIN_S:  # a clock may begin again
             return None
-        self._told, self._told_at_s = self.refused.copy(), now_s
-        [(why, count)] = new.most_common(1)
-        others = f", {new.total() - count} others" if len(new) > 1 else ""
-        return f"refused: {count} {why.value}{others}"
-
-    def _refuse(self, why: Refusal) -> bool:
-        self.refused[why] += 1
-        return False
+        self._told, self._told_at_s = self.refused, now_s
+        return f"refused: {new} frames unsigned or wrongly signed"
 
     def _raise_to(self, timestamp: int) -> None:
         self._next = max(self._next, timestamp)

@@ -7,6 +7,7 @@ first; of one kind only the newest is sent.
 
 import math
 import unicodedata
+from itertools import chain
 from typing import NamedTuple, final
 
 from companion.mavlink.dialect import Message, wire
@@ -27,7 +28,6 @@ _ASCII = str.maketrans(
 class _Text(NamedTuple):
     text: str
     warning: bool
-    kind: str
     queued_at_s: float
 
 
@@ -36,7 +36,8 @@ class StatusTexts:
     """Queue of texts to send.  Pure: time is an argument."""
 
     def __init__(self) -> None:
-        self._waiting: list[_Text] = []
+        self._waiting: dict[str, _Text] = {}
+        """By kind, in the order in which they were said."""
         self._sent: dict[str, tuple[str, float]] = {}
         """Of each kind, the text that was sent last, and when."""
         self._free_at_s = -math.inf
@@ -45,14 +46,12 @@ class StatusTexts:
 
     def add(self, text: str, now_s: float, *, warning: bool = False, kind: str = "") -> None:
         """Queue a text; it replaces a queued one of the same kind, without a kind its equal."""
-        if self._over:
-            return
-        new = _Text(to_ascii(text), warning, kind or to_ascii(text), now_s)
-        self._waiting = [each for each in self._waiting if each.kind != new.kind]
-        before, at_s = self._sent.get(new.kind, ("", -math.inf))
-        if new.text != before or not 0.0 <= now_s - at_s < _REPEAT_S:
-            in_order = sorted([*self._waiting, new], key=lambda each: not each.warning)
-            self._waiting = in_order[:_MAX_WAITING]
+        said = to_ascii(text)
+        self._waiting.pop(kind or said, None)
+        before, at_s = self._sent.get(kind or said, ("", -math.inf))
+        is_new = said != before or not 0.0 <= now_s - at_s < _REPEAT_S
+        if is_new and not self._over and (warning or len(self._waiting) < _MAX_WAITING):
+            self._waiting[kind or said] = _Text(said, warning, now_s)
 
     @property
     def is_waiting(self) -> bool:
@@ -63,16 +62,15 @@ class StatusTexts:
         """The messages to send now: the first queued text, if it is time for one."""
         if now_s < self._free_at_s - _MAX_CHUNKS * _PERIOD_S:  # the clock began again
             self._free_at_s = now_s
-        self._waiting = [
-            each
-            for each in self._waiting
-            if each.warning or abs(now_s - each.queued_at_s) <= _STALE_S
-        ]
+        for kind, (_, warning, at_s) in tuple(self._waiting.items()):
+            if not warning and abs(now_s - at_s) > _STALE_S:
+                del self._waiting[kind]
         if not self._waiting or now_s < self._free_at_s:
             return []
-        first = self._waiting.pop(0)
+        kind = min(self._waiting, key=lambda each: not self._waiting[each].warning)
+        first = self._waiting.pop(kind)
         lately = {k: v for k, v in self._sent.items() if 0.0 <= now_s - v[1] < _REPEAT_S}
-        self._sent = {**lately, first.kind: (first.text, now_s)}
+        self._sent = {**lately, kind: (first.text, now_s)}
         messages = self._messages(first)
         self._free_at_s = now_s + _PERIOD_S * len(messages)
         return messages
@@ -85,11 +83,9 @@ class StatusTexts:
 
     def last(self, text: str, *, warning: bool = True) -> list[Message]:
         """The final text, to be sent at once, after any queued warnings."""
-        before = [
-            message for each in self._waiting if each.warning for message in self._messages(each)
-        ]
-        self._waiting, self._over = [], True
-        return [*before, *final_text(text, warning=warning)]
+        left = [each for each in self._waiting.values() if each.warning]
+        self._waiting, self._over = {}, True
+        return [*chain(*map(self._messages, left)), *final_text(text, warning=warning)]
 
     def _messages(self, text: _Text) -> list[Message]:
         if text.warning and len(text.text) > _LONGEST:

@@ -13,11 +13,10 @@ from functools import partial
 from typing import Final, Protocol, final
 
 from companion.mavlink.link import Output
-from companion.mavlink.signing import strip_signature
 from companion.planner.request import Planned, PlanOutcome
 from companion.runtime.link import Link, is_setpoint
 from companion.runtime.planning import Planning
-from companion.runtime.recorder import WRITER, Batch, NoWriter, Writer
+from companion.runtime.recorder import WRITER, NoWriter, Writer
 from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog, Worker
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -35,9 +34,6 @@ _TRACK_S: Final = 0.5
 _MAX_TRACK: Final = 20_000  # points; of a longer flight every second one, and so on
 _MAX_PLANS: Final = 2_000
 _RESERVE_S: Final = 10.0
-_BUSY_AGAIN_S: Final = 10.0  # between two texts that the computer is busy
-_OBLIGES: Final = frozenset({"phase", "set mode", "arm", "take off"})
-"""Journal entries after which the vehicle has to be told something else at the end."""
 
 
 class Person(Protocol):
@@ -45,11 +41,9 @@ class Person(Protocol):
 
     def says_go(self) -> bool:
         """Whether somebody has said it since this was asked last."""
-        ...
 
     def hears(self, answer: str) -> None:
         """What became of it."""
-        ...
 
 
 @final
@@ -81,7 +75,6 @@ class ControlLoop:
             final_text=session.final_text,
             on_failure=self._on_failure,
             on_loss=self.lost,
-            on_delay=lambda part, waited_s: self.post(partial(self._delayed, part, waited_s)),
             watches_time=not lockstep,
         )
         self._lockstep, self._stop_asked, self._person = lockstep, stop_asked, person
@@ -94,7 +87,7 @@ class ControlLoop:
         self._since_s = math.nan
         """What is answered now arrived no earlier."""
         self._track_at_s, self._track_every_s = -math.inf, _TRACK_S
-        self._reserve_at_s = self._busy_at_s = -math.inf
+        self._reserve_at_s = -math.inf
         self._ended_s: float | None = None
 
     def post(self, call: Callable[[], None]) -> None:
@@ -141,13 +134,10 @@ class ControlLoop:
         """Record the inputs before an error, to reproduce it."""
         out = self.session.take_output()
         _without_unsent(out, [])
-        calls = [
-            frame.f_code.co_name
-            for frame, _ in traceback.walk_tb(error.__traceback__)
-            if frame.f_locals.get("self") is self.session
-        ]
-        out.inputs.append(("raised", calls[0] if calls else "", f"{type(error).__name__}: {error}"))
-        self.writer.put(Batch(record=out.record, journal=out.journal, inputs=out.inputs))
+        frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
+        calls = (f.f_code.co_name for f in frames if f.f_locals.get("self") is self.session)
+        out.inputs.append(("raised", next(calls, ""), f"{type(error).__name__}: {error}"))
+        self.writer.put(out)
 
     def _turn(self) -> None:
         self._beat()
@@ -176,17 +166,17 @@ class ControlLoop:
         After the loop was held up, what had waited meanwhile tells of the past: it is dropped.
         """
         asked_s, self._since_s = self.clock(), self._read_s
-        late = not self._lockstep and asked_s - self._read_s >= _STALE_S
+        most = 1 if self._lockstep or self.link.is_stream else _MOST
         arrived: list[tuple[bytes, object, float]] = []
-        at_once = 1 if self._lockstep or self.link.is_stream else _MOST
-        while len(arrived) < at_once:
+        while len(arrived) < most:
             data = self.link.receive(0.0 if arrived else _POLL_S)
             if data is None:
                 break
             arrived.append((data, self.link.sender, self.clock()))
-        if len(arrived) < at_once or at_once == 1:  # else there may be more, which is as old
+        if len(arrived) < _MOST:  # else there may be more, which is as old
             self._read_s = self.clock()
-        if late and arrived and arrived[0][2] - asked_s < _AT_ONCE_S:
+        waited = arrived and arrived[0][2] - asked_s < _AT_ONCE_S
+        if waited and not self._lockstep and asked_s - self._since_s >= _STALE_S:
             return
         for data, sender, at_s in arrived:
             if self.session.receive(data, at_s):
@@ -201,20 +191,16 @@ class ControlLoop:
             self._calls.get(block=timeout_s > 0.0, timeout=timeout_s or None)()
             while True:
                 self._calls.get_nowait()()
-        silent_s = self.clock() - self._heard_s
-        if silent_s >= self._quiet_s():
+        silent_s, quiet_s = self.clock() - self._heard_s, _SILENCE_S
+        if self._lockstep:
+            quiet_s = _LOCKSTEP_SILENCE_S if self.flown.heard else _LOCKSTEP_NOBODY_S
+        if silent_s >= quiet_s:
             self.session.silence(silent_s)
         if not self._stopping and self._stop_asked():
             self._stopping = True
             self.session.stop()
         if self._person is not None and self._person.says_go():
             self._person.hears(self.session.say_go() or "go: it takes off")
-
-    def _quiet_s(self) -> float:
-        """The shortest time that counts as a silence."""
-        if not self._lockstep:
-            return _SILENCE_S
-        return _LOCKSTEP_SILENCE_S if self.flown.heard else _LOCKSTEP_NOBODY_S
 
     def _on_plan(self, number: int, outcome: PlanOutcome, took_s: float) -> None:
         if number < self.planning.newest:
@@ -228,11 +214,6 @@ class ControlLoop:
             del grown[:-_MAX_PLANS]  # memory is bounded in long flights; the journal has it all
         self.session.deliver(outcome)
 
-    def _delayed(self, part: str, waited_s: float) -> None:
-        if (now_s := self.clock()) - self._busy_at_s >= _BUSY_AGAIN_S:
-            self._busy_at_s = now_s
-            self.session.complain(f"computer busy: the {part} waited for {waited_s:.1f} s")
-
     def _on_loss(self, failure: Failure) -> None:
         if failure.part == WRITER:
             self.session.recording_stopped(failure.error)
@@ -242,15 +223,10 @@ class ControlLoop:
     def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
         """A vital part has died, and the watchdog sends these frames: told in its thread."""
         now_s = self.session.now_s
-        noted = {
-            "t_s": round(now_s, 6),
-            "kind": "part died",
-            "part": failure.part,
-            "error": failure.error,
-            "hold_frames": len(hold),
-        }
-        record = [(now_s, strip_signature(frame)) for frame in hold]
-        self.writer.put(Batch(record=record, journal=[noted], inputs=[("held", len(hold))]))
+        noted = {"t_s": round(now_s, 6), "kind": "part died", "part": failure.part}
+        noted |= {"error": failure.error, "hold_frames": len(hold)}
+        record = [(now_s, frame) for frame in hold]
+        self.writer.put(Output(record=record, journal=[noted], inputs=[("held", len(hold))]))
         self.post(lambda: self.session.part_died(failure.part, failure.error))
 
     # --- out
@@ -259,15 +235,7 @@ class ControlLoop:
         try:
             self._send(out)
         finally:
-            self.writer.put(
-                Batch(
-                    record=out.record,
-                    journal=out.journal,
-                    inputs=out.inputs,
-                    checkpoint=out.checkpoint,
-                    known=out.known,
-                )
-            )
+            self.writer.put(out)
         if out.plan is not None:
             self.flown.scans_nea_m.append(out.plan.scan_nea_m)
             self.planning.ask(out.plan)
@@ -285,10 +253,7 @@ class ControlLoop:
             sent = self.gate.send(sent, None if self._lockstep else self._since_s)
         _without_unsent(out, sent)
         now_s = self.clock()
-        if (
-            any(entry["kind"] in _OBLIGES for entry in out.journal)
-            or now_s - self._reserve_at_s >= _RESERVE_S
-        ):
+        if out.journal or now_s - self._reserve_at_s >= _RESERVE_S:
             self._reserve_at_s = now_s
             self.watchdog.reserve(self.session.hold_frames())
 

@@ -15,13 +15,14 @@ from typing import Protocol, final
 
 from companion.runtime.control_loop import ControlLoop
 from companion.runtime.link import Link, datagrams
-from companion.runtime.planning import AtOnce, PlanFunction
-from companion.runtime.recorder import InlineWriter, Recorder, Writer
+from companion.runtime.planner_process import PlanFunction
+from companion.runtime.planning import AtOnce
+from companion.runtime.recorder import Recorder
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
-_PORTION = 20_000  # frames, 2 MB: what is cut short here is flown again, not resumed
+_PORTION = 2_000  # outputs, a minute: what is cut short here is flown again, not resumed
 
 
 class SimulatedVehicle(Protocol):
@@ -30,36 +31,28 @@ class SimulatedVehicle(Protocol):
     @property
     def now_us(self) -> int:
         """Its time since the start."""
-        ...
 
     @property
     def companion(self) -> object | None:
         """Whose heartbeat it has heard; None: nobody's yet."""
-        ...
 
     def send_heartbeat(self) -> None:
         """Queue its heartbeats; its time stands still."""
-        ...
 
     def begin(self) -> None:
         """The flight begins: frames are counted from here."""
-        ...
 
     def step(self) -> bool:
         """Fly one step; whether it ends a tick, which has to be answered."""
-        ...
 
     def ask_for_sync(self) -> int:
         """Queue the TIMESYNC request that ends a tick."""
-        ...
 
     def take_frames(self) -> list[tuple[int, bytes]]:
         """What it says by now: link and frame."""
-        ...
 
     def receive(self, link: int, data: bytes) -> None:
         """Tell it something by a link."""
-        ...
 
 
 @final
@@ -72,9 +65,8 @@ class VehicleLink(Link):
         self._waiting: deque[bytes] = deque()
         self._began = False
 
-    def receive(self, timeout_s: float) -> bytes | None:
+    def receive(self, timeout_s: float) -> bytes | None:  # noqa: ARG002 - nothing waits here
         """The next datagram; None if the vehicle said nothing in this tick."""
-        del timeout_s
         if not self._waiting:
             self._fly_on()
         return self._waiting.popleft() if self._waiting else None
@@ -104,46 +96,19 @@ class VehicleLink(Link):
         self._waiting.extend(datagrams([frame for _, frame in vehicle.take_frames()]))
 
 
-def fly_in_process(
-    session: Session,
-    vehicle: SimulatedVehicle,
-    *,
-    planner: PlanFunction,
-    folder: RunFolder | None = None,
-    writer: Writer | None = None,
-    stop_asked: Callable[[], bool] = lambda: False,
-    on_step: Callable[[], None] | None = None,
-) -> FlightSummary:
-    """Fly a session in lockstep until its mission ends; errors of session and planner are raised.
-
-    folder: where it is recorded; or any writer in its place.  stop_asked: ends the mission, as
-    Ctrl-C does.  on_step: called after each step of the vehicle, to look at it or to change it.
-    """
-    began_s = time.perf_counter()
-    loop = loop_in_process(
-        session, vehicle, planner=planner, writer=writer, stop_asked=stop_asked, on_step=on_step
-    )
-    if folder is not None:
-        recorder = Recorder(folder, loop.clock, persist=None)
-        loop.writer = InlineWriter(recorder, loop.lost, _PORTION)
-    try:
-        loop.run()
-    finally:
-        loop.writer.close()
-    loop.flown.elapsed_s = time.perf_counter() - began_s
-    return loop.flown
-
-
 def loop_in_process(
     session: Session,
     vehicle: SimulatedVehicle,
     *,
     planner: PlanFunction,
-    writer: Writer | None = None,
     stop_asked: Callable[[], bool] = lambda: False,
     on_step: Callable[[], None] | None = None,
 ) -> ControlLoop:
-    """The loop of such a flight, for callers that fly it turn by turn and close the writer."""
+    """The loop of a flight in lockstep, for callers that fly it turn by turn.
+
+    They set its `writer`, if it is recorded, and close that.  stop_asked: ends the mission, as
+    Ctrl-C does.  on_step: called after each step of the vehicle, to look at it or to change it.
+    """
     loop = ControlLoop(
         session,
         VehicleLink(vehicle, on_step),
@@ -152,5 +117,31 @@ def loop_in_process(
         stop_asked=stop_asked,
     )
     loop.planning = AtOnce(planner, loop.answered)
-    loop.writer = writer or loop.writer
     return loop
+
+
+def fly_in_process(
+    session: Session,
+    vehicle: SimulatedVehicle,
+    *,
+    planner: PlanFunction,
+    folder: RunFolder | None = None,
+    stop_asked: Callable[[], bool] = lambda: False,
+    on_step: Callable[[], None] | None = None,
+) -> FlightSummary:
+    """Fly a session until its mission ends; errors of session and planner are raised.
+
+    folder: where it is recorded.
+    """
+    began_s = time.perf_counter()
+    loop = loop_in_process(
+        session, vehicle, planner=planner, stop_asked=stop_asked, on_step=on_step
+    )
+    if folder is not None:
+        loop.writer = Recorder(folder, loop.clock, loop.lost, portion=_PORTION)
+    try:
+        loop.run()
+    finally:
+        loop.writer.close()
+    loop.flown.elapsed_s = time.perf_counter() - began_s
+    return loop.flown

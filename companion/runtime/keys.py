@@ -7,9 +7,8 @@ FILE.time   the newest time stamp, and the clock (microseconds since 1970) when 
 import math
 import os
 import stat
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 from companion.errors import InputError
 from companion.mavlink.signing import TICKS_PER_S, Signing, key_of, timestamp_of
@@ -21,11 +20,10 @@ _LONGEST_S: Final = 60.0
 _MARGIN_S: Final = 1.0
 _LARGEST: Final = 4096
 _LAST: Final = (1 << 48) - 1
+_ONE_LINE: Final = "Give a file that holds a phrase, or 64 hexadecimal digits, on one line."
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StoredTimestamp:
+class StoredTimestamp(NamedTuple):
     """What FILE.time holds."""
 
     timestamp: int
@@ -49,18 +47,17 @@ class SigningKey:
 
         InputError if the time stamp cannot be kept.
         """
-        signing = Signing(
-            key=self._key, timestamp=first_timestamp(clock_s, self._kept), link_id=link_id
-        )
-        self.save(signing.timestamp, clock_s)
+        first = first_timestamp(clock_s, self._kept)
+        self.save(first, clock_s)
         if self.failure is not None:
             rule = f"the time stamp cannot be kept beside it ({self.failure})"
-            raise InputError("signing key", str(self._kept_in), rule, "Let the folder be written.")
-        return signing
+            raise _wrong(self._kept_in, rule, "Let the folder be written.")
+        return Signing(key=self._key, timestamp=first, link_id=link_id)
 
     def save(self, timestamp: int, clock_s: float) -> None:
         """Save the time stamp atomically; never raises."""
         new = self._kept_in.with_name(f"{self._kept_in.name}.{os.getpid()}")
+        self.failure = None
         try:
             with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
                 file.write(f"{timestamp} {round(clock_s * 1e6)}\n")
@@ -69,8 +66,6 @@ class SigningKey:
             new.replace(self._kept_in)
         except OSError as error:
             self.failure = error.strerror
-        else:
-            self.failure = None
 
 
 def first_timestamp(clock_s: float, kept: StoredTimestamp | None) -> int:
@@ -89,41 +84,40 @@ def first_timestamp(clock_s: float, kept: StoredTimestamp | None) -> int:
 
 def _phrase(path: Path) -> str:
     """The key file's one line."""
-    remedy = "Give a file that holds a phrase, or 64 hexadecimal digits, on one line."
     try:
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             content = file.read(_LARGEST + 1)
     except OSError as error:
-        rule = f"it cannot be read ({error.strerror})"
-        raise InputError("signing key", str(path), rule, remedy) from None
-    if os.name == "posix" and mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise _wrong(path, f"it cannot be read ({error.strerror})", _ONE_LINE) from None
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
         rule = f"others may read or change it (mode {stat.S_IMODE(mode):04o})"
-        raise InputError("signing key", str(path), rule, f"Run: chmod 600 {path}")
+        raise _wrong(path, rule, f"Run: chmod 600 {path}")
     try:
         text = content.decode().removesuffix("\n").removesuffix("\r")
     except UnicodeDecodeError:
-        raise InputError("signing key", str(path), "it is not text", remedy) from None
+        text = ""
     if not text.strip() or len(content) > _LARGEST or "\n" in text:
-        raise InputError("signing key", str(path), "a key is one line of text", remedy)
+        raise _wrong(path, "a key is one line of text", _ONE_LINE)
     return text
 
 
 def _kept(path: Path) -> StoredTimestamp | None:
     """What was kept; None if nothing was yet."""
     try:
-        content = path.read_bytes()
+        timestamp, clock_us = (int(word) for word in path.read_bytes()[:_LARGEST].split())
     except FileNotFoundError:
         return None
     except OSError as error:
         rule = f"it cannot be read ({error.strerror})"
-        raise InputError("signing key", str(path), rule, "Make it readable for you.") from None
-    try:
-        timestamp, clock_us = (int(word) for word in content[:_LARGEST].split())
+        raise _wrong(path, rule, "Make it readable for you.") from None
     except ValueError:
         timestamp = clock_us = -1
     if not (0 <= timestamp <= _LAST and 0 <= clock_us <= 1 << 62):
         rule = "it does not hold a time stamp and a clock"
-        remedy = "Delete it if this computer's clock is right."
-        raise InputError("signing key", str(path), rule, remedy)
+        raise _wrong(path, rule, "Delete it if this computer's clock is right.")
     return StoredTimestamp(timestamp=timestamp, clock_s=clock_us * 1e-6)
+
+
+def _wrong(path: Path, rule: str, remedy: str) -> InputError:
+    return InputError("signing key", str(path), rule, remedy)

@@ -3,7 +3,7 @@
     udpin:HOST:PORT, udp:HOST:PORT   wait for the vehicle here, and answer where it is heard
     udpout:HOST:PORT                 call it there (a vehicle, or a router's server port)
     tcp:HOST:PORT                    connect to it there; connected again after a loss
-    /dev/ttyACM0, COM3,57600, serial:/dev/ttyUSB0:921600   a serial port; 57600 baud if not said
+    /dev/ttyACM0,57600, serial:/dev/ttyUSB0:921600   a serial port; 57600 baud if not said
 
 A link drops what it cannot send at once, as a radio does, and never raises for temporary failures:
 an absent peer, an unplugged device.  One thread receives, another may send.  Bytes of a stream
@@ -13,28 +13,22 @@ and of equal messages the last.  With the loss of a stream all of it goes.
 """
 
 import contextlib
+import fcntl
 import math
 import os
 import select
 import socket
 import sys
+import termios
 import threading
 import time
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from types import TracebackType
-from typing import Generic, Protocol, Self, TypeVar, final
+from typing import Final, Protocol, Self, final
 
 import serial
 
 from companion.runtime.connection import Address, Device, parsed, refused
-
-try:
-    from fcntl import ioctl as _ioctl
-    from termios import TIOCOUTQ as _UNSENT
-    from termios import error as _TerminalError
-except ImportError:  # Windows has no terminals of this kind
-    _UNSENT, _TerminalError = 0, OSError  # type: ignore[assignment,misc]
 
 LARGEST_DATAGRAM = 1400  # stays below the usual MTU
 _AGAIN_S = 0.5
@@ -50,15 +44,14 @@ _PUSH_S = 0.01
 """Between two looks whether there is room again: 1 kB in each is the fastest serial port."""
 _STALE_S = 0.5
 """A setpoint that has waited for longer is not sent: a newer one, or an order, comes."""
+_UNANSWERED_MS = 5000  # a TCP peer that is gone without a word
+_PIECE_BYTES = 65536
 _SETPOINTS, _COMMAND_INT = (84, 86), 75
 _ORDERS = (11, _COMMAND_INT, 76)
 """SET_MODE, COMMAND_INT, COMMAND_LONG."""
 _REPOSITION, _NO_SWITCH = (192).to_bytes(2, "little"), bytes(4)
-_PIECE_BYTES = 65536
-_UNANSWERED_MS = 5000  # a TCP peer that is gone without a word
-_LOST = (OSError, _TerminalError, TypeError, ValueError)
-"""Exceptions of a lost stream; the last two if it was just closed."""
-_Stream = TypeVar("_Stream", socket.socket, serial.Serial)
+_LOST: Final = (OSError, ValueError, termios.error)
+"""What a stream that is lost raises; ValueError if it was just closed."""
 
 
 def is_setpoint(frame: bytes) -> bool:
@@ -95,28 +88,16 @@ def _says(frame: bytes) -> object:
     return is_setpoint(frame) or frame[:2] + frame[5 : 10 + frame[1]]
 
 
-def _readable(sockets: list[socket.socket], timeout_s: float) -> list[socket.socket]:
-    """Those with something to read, as soon as there is one; none if one was closed just now."""
-    try:
-        return select.select(sockets, (), (), timeout_s)[0]
-    except _LOST:
-        return []
-
-
 class Link(Protocol):
-    """A pipe of bytes to one vehicle."""
+    """A pipe of bytes to one vehicle; a context manager that closes it."""
 
     is_stream: bool = False
     """Whether all that has arrived is received in one piece."""
-
-    @property
-    def sender(self) -> object:
-        """Sender of the last data, an argument of answer_to; None: there is only one peer."""
-        return None
+    sender: object = None
+    """Sender of the last data, an argument of answer_to; None: there is only one peer."""
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram or piece of a stream, or None if none came in time."""
-        ...
 
     def answer_to(self, sender: object) -> None:
         """From now on send to this sender: the vehicle."""
@@ -124,21 +105,14 @@ class Link(Protocol):
 
     def send(self, frames: list[bytes]) -> None:
         """Send frames, whole and in order, or drop them; never blocks."""
-        ...
 
     def close(self) -> None:
         """Close the port, the device or the connection for good."""
-        ...
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -147,7 +121,7 @@ def open_link(connection: str) -> Link:
     place = parsed(connection)
     if isinstance(place, Device):
         return SerialLink(place)
-    return TcpClient(place) if place.kind == "tcp" else UdpLink(place)
+    return TcpLink(place) if place.kind == "tcp" else UdpLink(place)
 
 
 def datagrams(frames: Sequence[bytes]) -> Iterator[bytes]:
@@ -172,7 +146,6 @@ class UdpLink(Link):
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
         self._peer: tuple[str, int] | None = None
-        self._sender: object = None
         try:
             if place.kind == "udpin":
                 self._socket.bind(address)
@@ -182,18 +155,13 @@ class UdpLink(Link):
             self._socket.close()
             raise refused(place, error) from error
 
-    @property
-    def sender(self) -> object:
-        """Host and port of the last datagram."""
-        return self._sender
-
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram, or None if none came in time."""
-        if not _readable([self._socket], timeout_s):
-            return None
         try:
-            data, self._sender = self._socket.recvfrom(65536)
-        except OSError:  # what the network says of a datagram sent before, or closed just now
+            if not select.select([self._socket], (), (), timeout_s)[0]:
+                return None
+            data, self.sender = self._socket.recvfrom(_PIECE_BYTES)
+        except _LOST:  # what the network says of a datagram sent before, or closed just now
             return None
         return data
 
@@ -215,13 +183,15 @@ class UdpLink(Link):
         self._socket.close()
 
 
-class _StreamLink(Link, Generic[_Stream]):
-    """A link over a stream; while there is none, receive() tries to open it."""
+class _StreamLink(Link):
+    """A link over a stream, as a file descriptor; while there is none, receive() opens it."""
 
     is_stream = True
 
-    def __init__(self) -> None:
-        self._stream: _Stream | None = None
+    def __init__(self, stream: socket.socket | serial.Serial | None = None) -> None:
+        self._stream = stream
+        self._is_answered = stream is not None
+        """Whether it carries what is sent: of TCP, once the call was answered."""
         self._begun = b""
         """The rest of a frame of which a part is sent."""
         self._waiting: dict[object, tuple[bytes, float]] = {}
@@ -229,72 +199,58 @@ class _StreamLink(Link, Generic[_Stream]):
         self._lock = threading.Lock()
         """Held while bytes are written: a stream that is closed under it is not written to."""
         self._next_s = -math.inf
-        self._over = threading.Event()
+        self._is_closed = False
+
+    @abstractmethod
+    def _open(self) -> socket.socket | serial.Serial:
+        """A new stream, that does not block; one of _LOST if there is none."""
 
     def receive(self, timeout_s: float) -> bytes | None:
         """What has arrived, as soon as anything has; None if nothing came in time."""
         stream = self._stream
         if stream is None:
-            self._open(timeout_s)
-            if self._over.is_set():  # it was closed meanwhile
-                self._drop()
+            self._reopen(timeout_s)
             return None
         if self._begun or self._waiting:
             with self._lock:
                 self._flush(stream)
-            if self._begun or self._waiting:
-                timeout_s = min(timeout_s, _PUSH_S)
+            timeout_s = min(timeout_s, _PUSH_S) if self._begun or self._waiting else timeout_s
         try:
-            data = self._read(stream, timeout_s)
-        except (BlockingIOError, InterruptedError):
+            if not self._is_answered:  # a call that is refused can be written to as well
+                self._is_answered = bool(select.select((), [stream], (), timeout_s)[1])
+                return None
+            if not select.select([stream], (), (), timeout_s)[0]:
+                return None
+            data = os.read(stream.fileno(), _PIECE_BYTES)
+        except BlockingIOError:
             return None
         except _LOST:
             data = b""
-        if data == b"":
+        if not data:
             self._drop()
         return data or None
 
     def send(self, frames: list[bytes]) -> None:
         """Frames in order, each in the place of one that says the same; dropped without a stream.
 
-        Where there is no room, the computer is first given all that it takes.
+        Of what finds no room the oldest goes, but for orders.
         """
         stream = self._stream
-        if stream is None:
+        if stream is None or not self._is_answered:
             return
         with self._lock:
-            tried = False
             for frame in frames:
                 self._waiting.pop(says := _says(frame), None)
-                if not (tried or self._has_room(frame)):
-                    self._flush(stream, all_of_it=True)
-                    tried = True
-                if self._has_room(frame):
-                    self._waiting[says] = frame, time.monotonic()
+                self._waiting[says] = frame, time.monotonic()
             self._flush(stream)
+            size = sum(len(frame) for frame, _ in self._waiting.values())
+            for says, (frame, _) in tuple(self._waiting.items()):
+                if size > _WAITING_BYTES and not _is_order(frame):
+                    del self._waiting[says]
+                    size -= len(frame)
 
-    def _has_room(self, frame: bytes) -> bool:
-        size = sum(len(each) for each, _ in self._waiting.values())
-        return _is_order(frame) or size + len(frame) <= _WAITING_BYTES
-
-    def _flush(self, stream: _Stream, *, all_of_it: bool = False) -> None:
-        """Write what waits, as far as there is room; a lost stream clears it."""
-        try:
-            while data := self._next(stream, all_of_it=all_of_it):
-                taken = self._write(stream, data)
-                rest, self._begun = taken - len(self._begun), self._begun[taken:]
-                while rest > 0:
-                    frame, _ = self._waiting.pop(next(iter(self._waiting)))
-                    rest, self._begun = rest - len(frame), frame[rest:]
-                if taken < len(data):
-                    return
-        except BlockingIOError:
-            return
-        except _LOST:  # the receiving side notices, too
-            self._clear()
-
-    def _next(self, stream: _Stream, *, all_of_it: bool) -> bytes:
-        """What is to be written now, in front of which nothing waits.
+    def _flush(self, stream: socket.socket | serial.Serial, *, all_of_it: bool = False) -> None:
+        """Write what waits, in order, as far as the computer is to hold it.
 
         A setpoint that has waited for too long goes.  An order has to get out: with all that waits
         it is given to the computer as far as that takes it.
@@ -302,26 +258,24 @@ class _StreamLink(Link, Generic[_Stream]):
         setpoint = self._waiting.get(True)
         if setpoint is not None and time.monotonic() - setpoint[1] > _STALE_S:
             del self._waiting[True]
-        frames = [frame for frame, _ in self._waiting.values()]
-        if all_of_it or any(map(_is_order, frames)):
-            room = sys.maxsize
-        else:
-            room = _UNDER_WAY_BYTES - self._under_way(stream)
-        data = self._begun if room > 0 else b""
-        for frame in frames:
-            if len(data) >= room:
-                break
-            data += frame
-        return data
-
-    def _clear(self) -> None:
-        self._begun = b""
-        self._waiting.clear()
+        urgent = all_of_it or any(_is_order(frame) for frame, _ in self._waiting.values())
+        try:
+            room = math.inf if urgent else _UNDER_WAY_BYTES - _under_way(stream)
+            while room > 0 and (self._begun or self._waiting):
+                if not self._begun:
+                    self._begun, _ = self._waiting.pop(next(iter(self._waiting)))
+                taken = os.write(stream.fileno(), self._begun)
+                self._begun = self._begun[taken:]
+                room -= taken
+        except BlockingIOError:
+            return
+        except _LOST:  # the receiving side notices, too
+            self._begun = b""
+            self._waiting.clear()
 
     def close(self) -> None:
-        """Close the stream for good, after what waits; a thread waiting for one returns."""
-        self._over.set()
-        stream = self._stream
+        """Close the stream for good, after what waits."""
+        self._is_closed, stream = True, self._stream
         if stream is not None:
             with self._lock:
                 self._flush(stream, all_of_it=True)
@@ -329,136 +283,69 @@ class _StreamLink(Link, Generic[_Stream]):
 
     def _drop(self) -> None:
         """The stream is lost: a new one begins with a whole frame."""
-        stream, self._stream = self._stream, None
+        stream, self._stream, self._is_answered = self._stream, None, False
         with self._lock, contextlib.suppress(OSError):
-            self._clear()
+            self._begun = b""
+            self._waiting.clear()
             if stream is not None:
                 stream.close()
 
-    def _is_due(self, timeout_s: float) -> bool:
-        """Whether to try to open the stream now: at once, then every _AGAIN_S; never once closed.
-
-        If it is too early, waits until it is due, at most timeout_s.
-        """
+    def _reopen(self, timeout_s: float) -> None:
+        """Open the stream: at once, then every _AGAIN_S; never once closed."""
         wait_s = self._next_s - time.monotonic()
-        if wait_s > 0.0:
-            self._over.wait(min(wait_s, timeout_s))
-            return False
+        if wait_s > 0.0 or self._is_closed:
+            time.sleep(max(min(wait_s, timeout_s), 0.0))
+            return
         self._next_s = time.monotonic() + _AGAIN_S
-        return not self._over.is_set()
+        with contextlib.suppress(*_LOST):
+            self._stream = self._open()
+        if self._is_closed:  # meanwhile
+            self._drop()
 
-    def _open(self, timeout_s: float) -> None:
-        """Try to open the stream, for up to a time."""
 
-    @abstractmethod
-    def _read(self, stream: _Stream, timeout_s: float) -> bytes | None:
-        """Received bytes; None: time-out; b"" or one of _LOST: the stream is lost."""
-
-    @abstractmethod
-    def _write(self, stream: _Stream, data: bytes) -> int:
-        """Write what there is room for; how many bytes that was."""
-
-    @abstractmethod
-    def _under_way(self, stream: _Stream) -> int:
-        """How many bytes this computer still holds of what was written; 0 if it does not tell."""
+def _under_way(stream: socket.socket | serial.Serial) -> int:
+    """How many bytes this computer still holds of what was written; 0 if it does not tell."""
+    try:
+        held = fcntl.ioctl(stream.fileno(), termios.TIOCOUTQ, bytes(4))
+    except BlockingIOError:
+        return 0
+    return int.from_bytes(held, sys.byteorder)
 
 
 @final
-class TcpClient(_StreamLink[socket.socket]):
+class TcpLink(_StreamLink):
     """tcp:HOST:PORT.  Connects again and again while the peer is absent."""
 
     def __init__(self, place: Address) -> None:
         super().__init__()
         self._family, self._address = place.resolved()
-        self._calling: socket.socket | None = None
 
-    def _open(self, timeout_s: float) -> None:
-        calling = self._calling
-        with contextlib.suppress(*_LOST):  # it was closed just now
-            if calling is None:
-                if not self._is_due(timeout_s):
-                    return
-                calling = self._calling = socket.socket(self._family, socket.SOCK_STREAM)
-                calling.setblocking(False)
-                calling.connect_ex(self._address)
-            answered = select.select((), [calling], [calling], timeout_s)
-            if not (answered[1] or answered[2]):
-                return
-            self._calling = None
-            if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-                calling.close()
-            else:
-                self._adopt(calling)
-
-    def _adopt(self, stream: socket.socket) -> None:
+    def _open(self) -> socket.socket:
+        stream = socket.socket(self._family, socket.SOCK_STREAM)
         stream.setblocking(False)
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
-        if not sys.platform.startswith("linux"):  # it would not tell how much it holds
-            stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 * _UNDER_WAY_BYTES)
-        self._drop()
-        self._stream = stream
-
-    def _read(self, stream: socket.socket, timeout_s: float) -> bytes | None:
-        return stream.recv(_PIECE_BYTES) if _readable([stream], timeout_s) else None
-
-    def _write(self, stream: socket.socket, data: bytes) -> int:
-        return stream.send(data)
-
-    def _under_way(self, stream: socket.socket) -> int:
-        if not sys.platform.startswith("linux"):
-            return 0
-        return int.from_bytes(_ioctl(stream.fileno(), _UNSENT, bytes(4)), sys.byteorder)
-
-    def close(self) -> None:
-        """Close the stream, or stop connecting, for good."""
-        calling, self._calling = self._calling, None
-        if calling is not None:
-            calling.close()
-        super().close()
+        stream.connect_ex(self._address)
+        return stream
 
 
 @final
-class SerialLink(_StreamLink[serial.Serial]):
+class SerialLink(_StreamLink):
     """A serial port.  Reopened after it vanished (a cable, a rebooting autopilot)."""
 
     def __init__(self, place: Device) -> None:
-        super().__init__()
+        """InputError if it cannot be opened."""
         self._place = place
         try:
-            self._stream = self._opened()
-        except OSError as error:  # SerialException is one
+            super().__init__(self._open())
+        except _LOST as error:  # SerialException is an OSError
             inner = error.__context__  # the words of the operating system, not pyserial's
             plain = inner if isinstance(inner, OSError) and inner.strerror else error
-            raise refused(place, plain) from error
-        except ValueError as error:
-            raise refused(place, OSError(0, str(error))) from error
+            numbered = plain if isinstance(plain, OSError) else OSError(*plain.args[-2:])
+            raise refused(place, numbered) from error
 
-    def _opened(self) -> serial.Serial:
-        """The port, with nothing left in it from before; OSError or ValueError if there is none."""
+    def _open(self) -> serial.Serial:
+        """The port, with nothing left in it from before."""
         name, baud = self._place.name, self._place.baud
-        try:
-            return serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
-        except _TerminalError as error:  # it vanished while it was being opened: no OSError
-            raise serial.SerialException(*error.args) from error
-
-    def _open(self, timeout_s: float) -> None:
-        if self._is_due(timeout_s):
-            with contextlib.suppress(OSError, ValueError):
-                self._stream = self._opened()
-
-    def _read(self, stream: serial.Serial, timeout_s: float) -> bytes | None:
-        if stream.timeout != timeout_s:
-            stream.timeout = timeout_s
-        data = stream.read(1)
-        return data + stream.read(stream.in_waiting) if data else None
-
-    def _write(self, stream: serial.Serial, data: bytes) -> int:
-        """Pyserial's own write would block until there is room for all."""
-        if os.name == "posix":
-            return os.write(stream.fileno(), data)
-        return stream.write(data) or 0
-
-    def _under_way(self, stream: serial.Serial) -> int:
-        return int(stream.out_waiting)
+        return serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)

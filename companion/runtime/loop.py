@@ -21,9 +21,9 @@ from companion.planning import plan
 from companion.runtime.compiler import load_libraries
 from companion.runtime.control_loop import ControlLoop, Person
 from companion.runtime.link import Link
-from companion.runtime.planner_process import PlannerProcess
-from companion.runtime.planning import PlanFunction, PlannerWorker
-from companion.runtime.recorder import InlineWriter, Recorder, WriterThread
+from companion.runtime.planner_process import PlanFunction, PlannerProcess
+from companion.runtime.planning import PlannerWorker
+from companion.runtime.recorder import Recorder, WriterThread
 from companion.runtime.watchdog import Clock, Failure
 from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
@@ -44,7 +44,7 @@ def fly(
     on_progress: Callable[[FlightSummary], None],
     stop_asked: Callable[[], bool],
     planner: PlanFunction | None = None,
-    persist: Callable[[], None] | None = None,
+    persist: Callable[[], None] = lambda: None,
     person: Person | None = None,
     clock: Clock = time.monotonic,
 ) -> FlightSummary:
@@ -68,9 +68,8 @@ def fly(
     )
     loop.flown.asks_here = person is not None
     loop.planning = planning = PlannerWorker(planner, loop.answered, lockstep=lockstep)
-    recorder = Recorder(folder, clock, persist)
-    kind = InlineWriter if lockstep else WriterThread
-    loop.writer = writer = kind(recorder, loop.lost)
+    recorder = Recorder(folder, clock, loop.lost, persist)
+    loop.writer = writer = recorder if lockstep else WriterThread(recorder)
     with prompt_threads():
         loop.watchdog.start()
         loop.watchdog.watch(planning.part, planning.run)

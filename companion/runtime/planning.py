@@ -1,4 +1,4 @@
-"""Who computes the plans of a flight: a thread of its own, or the caller at once."""
+"""Who computes the plans that are asked for: a thread of its own, or the caller at once."""
 
 import queue
 import time
@@ -7,17 +7,16 @@ from typing import Final, Protocol, final
 
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import plan
-from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
+from companion.runtime.planner_process import PlanFunction, PlannerProcess
 from companion.runtime.watchdog import Worker
 
-PlanFunction = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
-"""Computes a plan; the second argument tells it when to stop searching."""
 OnAnswer = Callable[[int, PlanOutcome, float], None]
 """Told of the answer to a request, counted from 1, and how long it took, in seconds."""
 
 _SEARCHING: Final = 0.8  # of T: the rest is for the proof
 _STARTS_S: Final = 300.0  # a slow computer may compile it first
 _SLACK_S: Final = 5.0  # on top of T: the plan is late long before, and dead only now
+_LOOK_S: Final = 0.05  # between two looks whether the process is alive
 
 
 class Planning(Protocol):
@@ -28,7 +27,6 @@ class Planning(Protocol):
 
     def ask(self, request: PlanRequest) -> None:
         """Compute a request, now or soon."""
-        ...
 
 
 @final
@@ -55,9 +53,7 @@ class PlannerWorker(Planning):
         self.part = Worker("planner")
         self.newest = 0
         self._planner, self._on_answer, self._lockstep = planner, on_answer, lockstep
-        self._requests: queue.SimpleQueue[PlanRequest | PlannerEndedError | None] = (
-            queue.SimpleQueue()
-        )
+        self._requests: queue.SimpleQueue[PlanRequest] = queue.SimpleQueue()
         self._left = False
 
     def ask(self, request: PlanRequest) -> None:
@@ -67,18 +63,22 @@ class PlannerWorker(Planning):
 
     def run(self) -> None:
         """Answer requests until stopped; an exception of the planner ends it."""
-        if isinstance(self._planner, PlannerProcess):
+        process = self._planner if isinstance(self._planner, PlannerProcess) else None
+        if process is not None:
             self.part.beat(_STARTS_S)
-            self._planner.on_end = self._requests.put
             try:
-                self._planner.start()
+                process.start()
             except OSError:  # no room for another process
-                self._planner = plan
+                self._planner, process = plan, None
         self.part.idle()
         asked = 0
-        while (request := self._requests.get()) is not None:
-            if isinstance(request, PlannerEndedError):
-                raise request
+        while not self._left:
+            try:
+                request = self._requests.get(timeout=_LOOK_S)
+            except queue.Empty:
+                if process is not None:
+                    process.check()
+                continue
             asked += 1
             self.part.beat(request.time_s + _SLACK_S)
             began_s = time.perf_counter()
@@ -89,7 +89,6 @@ class PlannerWorker(Planning):
     def leave(self) -> None:
         """Stop, in the middle of a plan if the planner supports it."""
         self._left = True
-        self._requests.put(None)
         if isinstance(self._planner, PlannerProcess):
             self._planner.close()
 

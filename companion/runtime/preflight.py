@@ -1,8 +1,9 @@
 """Runs the preflight checks on a vehicle, which is never armed."""
 
+import math
 import time
 from collections.abc import Callable
-from typing import Final, final
+from typing import Final
 
 from companion.mavlink.preflight import waiting_for
 from companion.mission.state import Phase
@@ -24,12 +25,12 @@ def run_preflight(
     stop_asked: Callable[[], bool],
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Run a session in shadow mode until everything was answered, or timed out.
+    """Run a session in shadow mode, with one radar scan, until all is answered, or timed out.
 
     on_progress: called with what is waited for, as text, when that changes.
     """
     began_s = heard_s = time.monotonic()
-    looker = _PreflightRun(session)
+    scanned_s = answered_s = math.inf
     said = ""
     while not stop_asked():
         data, now_s = link.receive(_POLL_S), time.monotonic()
@@ -39,38 +40,20 @@ def run_preflight(
         else:
             session.silence(now_s - heard_s)
         link.send(session.run().frames)
-        if now_s - heard_s > _SILENT_S or now_s - began_s > _DEADLINE_S:
+        state, vehicle = session.state, session.vehicle
+        is_over = now_s - heard_s > _SILENT_S or now_s - began_s > _DEADLINE_S
+        if is_over or state.phase is Phase.DONE:
             return
-        if session.state.phase is Phase.DONE or looker.is_done(now_s):
-            return
+        if scanned_s == math.inf and state.vehicle.position_nea_m and state.targets_ne_m:
+            scanned_s = now_s
+            session.scan_now()
         waiting = waiting_for(session)
+        if vehicle is not None and not waiting:
+            answered_s = min(answered_s, now_s)
+            settled = not vehicle.streams.missing and vehicle.round_trip_s is not None
+            scans = session.last_scan is None and 0.0 <= now_s - scanned_s < _SCAN_S
+            if not scans and now_s - answered_s > (_MIN_S if settled else _MAX_S):
+                return
         if waiting != said:
             said = waiting
             on_progress(said)
-
-
-@final
-class _PreflightRun:
-    """Decides when the preflight is complete; starts one radar scan."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._looked_s: float | None = None
-        self._ready_s: float | None = None
-
-    def is_done(self, now_s: float) -> bool:
-        session = self._session
-        state, vehicle = session.state, session.vehicle
-        if self._looked_s is None and state.vehicle.position_nea_m and state.targets_ne_m:
-            self._looked_s = now_s
-            session.scan_now()
-        if vehicle is None or waiting_for(session):
-            return False
-        if self._ready_s is None:
-            self._ready_s = now_s
-        waited_s = now_s - self._ready_s
-        looks = self._looked_s is not None and session.last_scan is None
-        if looks and self._looked_s is not None and now_s - self._looked_s < _SCAN_S:
-            return False
-        settled = not vehicle.streams.missing and vehicle.round_trip_s is not None
-        return waited_s > (_MIN_S if settled else _MAX_S)

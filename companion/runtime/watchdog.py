@@ -8,12 +8,10 @@ C1, C2).  The writer is not vital: a flight goes on without its recording.
 
 import contextlib
 import math
-import sys
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import final
 
 from companion.runtime.link import Link, is_setpoint
@@ -33,15 +31,6 @@ _TICK_S = 0.025
 _HOLD_AGAIN_S = (0.0, 0.3, 0.7)
 """Waits before each time that the hold is sent: a datagram may get lost."""
 _LOCK_S = 0.05
-_COMPUTES = 0.5
-"""What has run for so much of its limit without a beat does not wait: it does not come to an end.
-
-A turn of the decider takes a twentieth.
-"""
-_SERVED = 0.2
-"""What has a processor for so much of the time comes to the end of a turn within its limit."""
-_POLL = 1.5
-"""CPython looks for its lock once per switch interval; at most so many pass between two looks."""
 
 
 @final
@@ -60,20 +49,10 @@ class Worker:
     def __init__(self, name: str, *, vital: bool = True) -> None:
         self.name, self.vital = name, vital
         self.limit_s = math.inf
-        self.beats = 0
+        self.beats = self.seen = 0
+        """Beats, and how many of them the watchdog has seen."""
         self.still_s = 0.0
         """For how long the watchdog has seen no beat."""
-        self.seen = 0
-        self.excused_s = 0.0
-        """For how much longer there was none because it wanted to run and could not."""
-        self.thread_id: int | None = None
-        """As the operating system knows it, once it runs."""
-        self.looked: tuple[float, int, int, int] | None = None
-        """When the watchdog last looked, and what the operating system said: see `unserved_s`."""
-        self.ran_s = 0.0
-        """How long it has run since its last beat, as far as is known."""
-        self.ahead_s = 0.0
-        """Of a wait for the processor that is not over, what was counted already."""
 
     def beat(self, limit_s: float) -> None:
         """Alive; the next beat comes within limit_s."""
@@ -83,35 +62,6 @@ class Worker:
     def idle(self) -> None:
         """Alive and idle."""
         self.beat(math.inf)
-
-
-def unserved_s(part: Worker) -> float:
-    """For how long since the last call a worker wanted to run and could not: busy, not dead.
-
-    Linux counts how long a thread has run and how long it has waited for a processor, ns, and how
-    often it got one.  A thread that waits for the interpreter's lock runs for some microseconds
-    once per switch interval, one that sleeps does not.  0 where nobody counts.
-    """
-    try:
-        task = Path(f"/proc/self/task/{part.thread_id}")
-        ran_ns, waited_ns, times = map(int, (task / "schedstat").read_text().split())
-        state = (task / "stat").read_text().rpartition(")")[2].split()[0]
-    except (OSError, ValueError, IndexError):
-        return 0.0
-    before, part.looked = part.looked, (time.monotonic(), ran_ns, waited_ns, times)
-    if before is None:
-        return 0.0
-    passed_s, ran_s = part.looked[0] - before[0], (ran_ns - before[1]) * 1e-9
-    part.ran_s += ran_s
-    if state == "R" and ran_ns == before[1]:  # the wait is counted once it is over
-        part.ahead_s += passed_s
-        return passed_s
-    if ran_s > _SERVED * passed_s:
-        return 0.0
-    waited_s = max((waited_ns - before[2]) * 1e-9 - part.ahead_s, 0.0)
-    part.ahead_s = 0.0
-    polled_s = (times - before[3]) * _POLL * sys.getswitchinterval()
-    return waited_s + max(min(passed_s - ran_s - waited_s, polled_s), 0.0)
 
 
 @final
@@ -185,24 +135,20 @@ class Watchdog:
         final_text: Callable[[str], list[bytes]] = lambda _: [],
         on_failure: Callable[[Failure, list[bytes]], None],
         on_loss: Callable[[Failure], None],
-        on_delay: Callable[[str, float], None] = lambda _part, _waited_s: None,
         watches_time: bool = True,
-        waits: Callable[[Worker], float] = unserved_s,
     ) -> None:
         """A watchdog that is started by start().
 
         hold_frames: makes the frames that put the autopilot on hold; final_text: those with the
         reason as text.  on_failure: told of a vital worker's end, and of the frames that are sent
-        on it; on_loss: of the end of a worker that is not vital; on_delay: of one that is busy
-        again after it was excused for so many seconds.  watches_time: False in lockstep, where
-        nothing depends on wall time: workers are only checked for death.  waits: for how much of
-        the time since it was last asked a worker could not run, which is tolerated for 5 s.
+        on it; on_loss: of the end of a worker that is not vital.  watches_time: False in lockstep,
+        where nothing depends on wall time: workers are only checked for death.
         """
         self.failure: Failure | None = None
         self._gate, self._clock = gate, clock
         self._hold_frames, self._final_text = hold_frames, final_text
-        self._on_failure, self._on_loss, self._on_delay = on_failure, on_loss, on_delay
-        self._watches_time, self._waits = watches_time, waits
+        self._on_failure, self._on_loss = on_failure, on_loss
+        self._watches_time = watches_time
         self._parts: list[Worker] = []
         self._reserve: list[bytes] = []
         self._first = threading.Lock()
@@ -257,7 +203,6 @@ class Watchdog:
     # --- its thread
 
     def _guarded(self, part: Worker, work: Callable[[], None]) -> None:
-        part.thread_id = threading.get_native_id()
         try:
             work()
         except BaseException as error:  # noqa: BLE001 - whatever it was, the worker is dead
@@ -280,44 +225,26 @@ class Watchdog:
             self._hold()
 
     def _look(self, elapsed_s: float) -> None:
-        for part in tuple(self._parts):
-            if not self._watches_time:
-                continue
-            unserved_s = min(self._waits(part), elapsed_s) if part.limit_s < math.inf else 0.0
-            if part.beats != part.seen:
-                if part.excused_s > STALL_S:
-                    self._on_delay(part.name, part.excused_s)
-                part.seen, part.still_s, part.excused_s, part.ran_s = part.beats, 0.0, 0.0, 0.0
-            elif part.limit_s < math.inf:
-                unserved_s = min(unserved_s, IDLE_STALL_S - part.excused_s)
-                part.excused_s += unserved_s
-                part.still_s += elapsed_s - unserved_s
-                computes = part.ran_s > _COMPUTES * part.limit_s
-                if part.still_s + (part.excused_s if computes else 0.0) > part.limit_s:
-                    self.died(part, _stood_still(part))
+        for part in tuple(self._parts) if self._watches_time else ():
+            part.still_s = 0.0 if part.beats != part.seen else part.still_s + elapsed_s
+            part.seen = part.beats
+            if part.still_s > part.limit_s:
+                self.died(part, f"it has stood still for {part.still_s:.1f} s")
 
     def _hold(self) -> None:
         """Put the vehicle on hold; the session is notified after its hold frames were made."""
+        assert self.failure is not None
         try:
             frames = self._hold_frames()
         except Exception:  # noqa: BLE001 - the session is what may have died
             frames = self._reserve
-        assert self.failure is not None
         words: list[bytes] = []
         with contextlib.suppress(Exception):  # that it holds is what counts
             words = self._final_text(f"the {self.failure.part} has died ({self.failure.error})")
         self._on_failure(self.failure, [*frames, *words])
         for wait_s in _HOLD_AGAIN_S:
-            threading.Event().wait(wait_s)
+            time.sleep(wait_s)
             if frames or words:
                 with contextlib.suppress(Exception):  # the next attempt is not given up for it
                     self._gate.send_last([*frames, *words])
             words = []  # once
-
-
-def _stood_still(part: Worker) -> str:
-    """For how long, and for how much longer it could not run."""
-    text = f"it has stood still for {part.still_s:.1f} s"
-    if part.excused_s < 0.1:
-        return text
-    return f"{text}, after {part.excused_s:.1f} s in which the computer did not let it run"

@@ -27,7 +27,7 @@ def worker_pool(jobs: int) -> Iterator[Callable[..., "Future[Any]"]]:
     """
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")  # threads and fork do not mix
-    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=end_with_parent)
 
     def submit(work: Callable[..., Any], *arguments: Any) -> "Future[Any]":
         # what starts meanwhile never hears of it, from the beginning
@@ -47,7 +47,7 @@ def worker_pool(jobs: int) -> Iterator[Callable[..., "Future[Any]"]]:
         pool.shutdown(cancel_futures=True)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """In a worker process: end at once when its parent has, however it has."""
     parent = multiprocessing.parent_process()
     assert parent is not None

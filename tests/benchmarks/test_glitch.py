@@ -16,9 +16,10 @@ from companion.campaign import drawn_files, families
 from companion.campaign.flight import FlightFiles
 from companion.campaign.in_process import Flying
 from companion.mavlink.frames import number_of
+from companion.mavlink.link import Output
 from companion.mission.mission import AutopilotName
 from companion.mission.state import Phase, Reason
-from companion.runtime.recorder import Batch, Writer
+from companion.runtime.recorder import Writer
 
 BEGINS_S, GLITCH_S, WRONG_M = 75.0, 30.0, 12.0
 GIVES_IN_S = 11.0
@@ -43,9 +44,9 @@ class Setpoints:
     def __init__(self, writer: Writer) -> None:
         self.writer, self.sent = writer, 0
 
-    def put(self, batch: Batch) -> None:
-        self.sent += sum(number_of(frame) == SETPOINT for _, frame in batch.record)
-        self.writer.put(batch)
+    def put(self, out: Output) -> None:
+        self.sent += sum(number_of(frame) == SETPOINT for _, frame in out.record)
+        self.writer.put(out)
 
     def close(self) -> None:
         self.writer.close()

@@ -36,10 +36,6 @@ each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 each_px4 = pytest.mark.parametrize("autopilot", PX4, ids=lambda a: a.name)
 
 
-def heartbeat(autopilot: int, kind: int) -> Any:
-    return over_the_wire(wire.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3))
-
-
 # --- who it is
 
 
@@ -59,153 +55,101 @@ def test_code_beside_the_strategies_names_no_autopilot_but_in_logs_and_campaigns
 
 
 @pytest.mark.parametrize(
-    ("autopilot", "kind", "expected"),
+    ("autopilot", "kind", "expected", "words"),
     [
-        (3, 2, ARDUCOPTER),
-        (3, 13, ARDUCOPTER),
-        (3, 4, ARDUCOPTER),
-        (3, 1, ARDUPLANE),
-        (12, 2, PX4_MULTICOPTER),
-        (12, 14, PX4_MULTICOPTER),
-        (12, 1, PX4_FIXED_WING),
+        *((3, kind, ARDUCOPTER, "ArduCopter") for kind in (2, 13, 4)),
+        (3, 1, ARDUPLANE, "ArduPlane"),
+        *((12, kind, PX4_MULTICOPTER, "PX4 multicopter") for kind in (2, 14)),
+        (12, 1, PX4_FIXED_WING, "PX4 fixed wing"),
+        (12, 21, None, "px4, vtol_tiltrotor"),
+        (3, 10, None, "ardupilotmega, ground_rover"),
+        (8, 6, None, "invalid, gcs"),
+        (0, 2, None, "generic, quadrotor"),
+        (200, 201, None, "MAV_AUTOPILOT 200, MAV_TYPE 201"),
     ],
 )
 def test_a_heartbeat_tells_which_autopilot_it_is(
-    autopilot: int, kind: int, expected: Autopilot
+    autopilot: int, kind: int, expected: Autopilot | None, words: str
 ) -> None:
-    assert autopilot_of(heartbeat(autopilot, kind)) is expected
-    assert described(heartbeat(autopilot, kind)) == expected.name == expected.traits.name
-
-
-@pytest.mark.parametrize(
-    ("autopilot", "kind", "words"),
-    [
-        (12, 21, "px4, vtol_tiltrotor"),
-        (3, 10, "ardupilotmega, ground_rover"),
-        (8, 6, "invalid, gcs"),
-        (0, 2, "generic, quadrotor"),
-        (200, 201, "MAV_AUTOPILOT 200, MAV_TYPE 201"),
-    ],
-)
-def test_what_the_companion_does_not_fly_is_nobody_and_named(
-    autopilot: int, kind: int, words: str
-) -> None:
-    assert autopilot_of(heartbeat(autopilot, kind)) is None
-    assert described(heartbeat(autopilot, kind)) == words
-
-
-def test_there_are_four_and_each_has_its_name() -> None:
-    assert NAMES == ("ArduCopter", "ArduPlane", "PX4 multicopter", "PX4 fixed wing")
+    beat = over_the_wire(wire.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3))
+    assert autopilot_of(beat) is expected
+    assert described(beat) == words
+    assert expected is None or words == expected.traits.name
+    assert expected is None or words in NAMES
 
 
 # --- modes
 
-
-def mode_number(autopilot: Autopilot, mode: Mode) -> int:
-    """custom_mode of the mode that is asked for."""
-    [message] = autopilot.set_mode(SetMode(mode=mode), FRAME, SYSTEM)
-    sent = over_the_wire(message)
-    assert (sent.get_type(), sent.command) == ("COMMAND_LONG", 176)
-    assert (sent.target_system, sent.target_component) == (SYSTEM, 1)
-    assert sent.param1 == 1.0
-    main, sub = int(sent.param2), int(sent.param3)
-    return main << 16 | sub << 24 if autopilot in PX4 else main
-
-
-@pytest.mark.parametrize(
-    ("autopilot", "mode", "number"),
-    [
-        (ARDUCOPTER, Mode.GUIDED, wire.COPTER_MODE_GUIDED),
-        (ARDUCOPTER, Mode.HOLD, wire.COPTER_MODE_BRAKE),
-        (ARDUCOPTER, Mode.LAND, wire.COPTER_MODE_LAND),
-        (ARDUCOPTER, Mode.RETURN, wire.COPTER_MODE_RTL),
-        (ARDUPLANE, Mode.GUIDED, wire.PLANE_MODE_GUIDED),
-        (ARDUPLANE, Mode.HOLD, wire.PLANE_MODE_LOITER),
-        (ARDUPLANE, Mode.RETURN, wire.PLANE_MODE_RTL),
-        (ARDUPLANE, Mode.TAKE_OFF, wire.PLANE_MODE_TAKEOFF),
-        *[
-            (autopilot, mode, number)
-            for autopilot in PX4
-            for mode, number in (  # px4.md 3
-                (Mode.GUIDED, 0x00060000),
-                (Mode.TAKE_OFF, 0x02040000),
-                (Mode.HOLD, 0x03040000),
-                (Mode.RETURN, 0x05040000),
-                (Mode.LAND, 0x06040000),
-            )
-        ],
-    ],
+PX4_MODES = (  # px4.md 3
+    *((0x00060000, "Offboard", Mode.GUIDED), (0x02040000, "Takeoff", Mode.TAKE_OFF)),
+    *((0x03040000, "Hold", Mode.HOLD), (0x05040000, "Return", Mode.RETURN)),
+    (0x06040000, "Land", Mode.LAND),
 )
-def test_a_mode_is_asked_for_and_recognised_by_the_autopilots_number(
-    autopilot: Autopilot, mode: Mode, number: int
+ASKED = [
+    (ARDUCOPTER, wire.COPTER_MODE_GUIDED, "GUIDED", Mode.GUIDED),
+    (ARDUCOPTER, wire.COPTER_MODE_BRAKE, "BRAKE", Mode.HOLD),
+    (ARDUCOPTER, wire.COPTER_MODE_LAND, "LAND", Mode.LAND),
+    (ARDUCOPTER, wire.COPTER_MODE_RTL, "RTL", Mode.RETURN),
+    (ARDUPLANE, wire.PLANE_MODE_GUIDED, "GUIDED", Mode.GUIDED),
+    (ARDUPLANE, wire.PLANE_MODE_LOITER, "LOITER", Mode.HOLD),
+    (ARDUPLANE, wire.PLANE_MODE_RTL, "RTL", Mode.RETURN),
+    (ARDUPLANE, wire.PLANE_MODE_TAKEOFF, "TAKEOFF", Mode.TAKE_OFF),
+    *((autopilot, *each) for autopilot in PX4 for each in PX4_MODES),
+]
+TOLD = [
+    (ARDUCOPTER, 0, "STABILIZE", Mode.OTHER),
+    (ARDUCOPTER, 5, "LOITER", Mode.OTHER),
+    (ARDUCOPTER, 21, "SMART RTL", Mode.RETURN),
+    (ARDUCOPTER, 4_294_967_295, "mode 4294967295", Mode.OTHER),
+    (ARDUPLANE, 5, "FLY BY WIRE A", Mode.OTHER),
+    (ARDUPLANE, 10, "AUTO", Mode.OTHER),
+    (PX4_MULTICOPTER, 0x00030000, "Position", Mode.OTHER),
+    (PX4_MULTICOPTER, 0x04040000, "Mission", Mode.OTHER),
+    (PX4_MULTICOPTER, 0x09040000, "Precision Land", Mode.LAND),
+    (PX4_FIXED_WING, 0, "mode 0.0", Mode.OTHER),
+    (PX4_FIXED_WING, 0xFFFFFFFF, "mode 255.0", Mode.OTHER),
+]
+
+
+@pytest.mark.parametrize(("autopilot", "number", "name", "mode"), [*ASKED, *TOLD])
+def test_a_mode_is_recognised_by_the_autopilots_number_and_has_its_name(
+    autopilot: Autopilot, number: int, name: str, mode: Mode
 ) -> None:
-    assert mode_number(autopilot, mode) == number
     assert autopilot.modes.mode_of(number) is mode
-
-
-@pytest.mark.parametrize(
-    ("autopilot", "mode"),
-    [
-        (ARDUCOPTER, Mode.TAKE_OFF),
-        (ARDUPLANE, Mode.LAND),
-        *[(autopilot, Mode.OTHER) for autopilot in ALL],
-    ],
-)
-def test_a_mode_that_there_is_not_is_not_asked_for(autopilot: Autopilot, mode: Mode) -> None:
-    assert autopilot.set_mode(SetMode(mode=mode), FRAME, SYSTEM) == []
+    assert autopilot.modes.name_of(number) == name
 
 
 @each
-def test_what_lands_has_a_mode_for_it(autopilot: Autopilot) -> None:
-    lands = bool(autopilot.set_mode(SetMode(mode=Mode.LAND), FRAME, SYSTEM))
-    assert lands == autopilot.traits.lands
+@pytest.mark.parametrize("mode", Mode)
+def test_a_mode_is_asked_for_by_number_or_not_at_all(autopilot: Autopilot, mode: Mode) -> None:
+    numbers = [number for one, number, _, asked in ASKED if one is autopilot and asked is mode]
+    messages = [over_the_wire(m) for m in autopilot.set_mode(SetMode(mode=mode), FRAME, SYSTEM)]
+    assert len(messages) == len(numbers)
+    for sent, number in zip(messages, numbers, strict=True):
+        assert (sent.get_type(), sent.command) == ("COMMAND_LONG", 176)
+        assert (sent.target_system, sent.target_component) == (SYSTEM, 1)
+        main, sub = int(sent.param2), int(sent.param3)
+        assert sent.param1 == 1.0
+        assert number == (main << 16 | sub << 24 if autopilot in PX4 else main)
+    assert mode is not Mode.LAND or bool(numbers) == autopilot.traits.lands
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "number", "name", "mode"),
-    [
-        (ARDUCOPTER, 0, "STABILIZE", Mode.OTHER),
-        (ARDUCOPTER, 5, "LOITER", Mode.OTHER),
-        (ARDUCOPTER, 21, "SMART RTL", Mode.RETURN),
-        (ARDUCOPTER, 4_294_967_295, "mode 4294967295", Mode.OTHER),
-        (ARDUPLANE, 5, "FLY BY WIRE A", Mode.OTHER),
-        (ARDUPLANE, 10, "AUTO", Mode.OTHER),
-        (PX4_MULTICOPTER, 0x00030000, "Position", Mode.OTHER),
-        (PX4_MULTICOPTER, 0x04040000, "Mission", Mode.OTHER),
-        (PX4_MULTICOPTER, 0x09040000, "Precision Land", Mode.LAND),
-        (PX4_FIXED_WING, 0, "mode 0.0", Mode.OTHER),
-        (PX4_FIXED_WING, 0xFFFFFFFF, "mode 255.0", Mode.OTHER),
-    ],
-)
-def test_every_other_number_is_another_mode_and_has_a_name(
-    autopilot: Autopilot, number: int, name: str, mode: Mode
-) -> None:
-    assert autopilot.modes.name_of(number) == name
-    assert autopilot.modes.mode_of(number) is mode
-
-
-def test_px4s_plane_holds_about_a_point_if_there_is_one() -> None:
-    [message] = PX4_FIXED_WING.set_mode(SetMode(mode=Mode.HOLD, at_nea_m=CORNER), FRAME, SYSTEM)
-    sent = over_the_wire(message)
+@each
+def test_only_px4s_plane_holds_about_a_point(autopilot: Autopilot) -> None:
+    here = autopilot.set_mode(SetMode(mode=Mode.HOLD), FRAME, SYSTEM)
+    nowhere = SetMode(mode=Mode.HOLD, at_nea_m=(math.nan, 0.0, 100.0))
+    there = autopilot.set_mode(SetMode(mode=Mode.HOLD, at_nea_m=CORNER), FRAME, SYSTEM)
+    told = [[m.to_dict() for m in each] for each in (here, there)]
+    assert [m.to_dict() for m in autopilot.set_mode(nowhere, FRAME, SYSTEM)] == told[0]
+    if autopilot is not PX4_FIXED_WING:
+        assert told[0] == told[1]
+        return
+    [sent] = map(over_the_wire, there)
     assert (sent.get_type(), sent.command, sent.frame) == ("COMMAND_INT", 192, 5)
     assert sent.param2 == 1.0  # bit 0 switches to Hold
     latitude, longitude = geodetic(*CORNER[:2])
-    assert sent.x == pytest.approx(latitude * 1e7, abs=1)
-    assert sent.y == pytest.approx(longitude * 1e7, abs=1)
+    assert (sent.x, sent.y) == pytest.approx((latitude * 1e7, longitude * 1e7), abs=1)
     assert sent.z == CORNER[2]
-
-
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER])
-def test_the_others_hold_where_they_are(autopilot: Autopilot) -> None:
-    there = autopilot.set_mode(SetMode(mode=Mode.HOLD, at_nea_m=CORNER), FRAME, SYSTEM)
-    here = autopilot.set_mode(SetMode(mode=Mode.HOLD), FRAME, SYSTEM)
-    assert [m.to_dict() for m in there] == [m.to_dict() for m in here]
-
-
-def test_px4s_plane_holds_where_it_is_if_the_point_is_no_place() -> None:
-    nowhere = SetMode(mode=Mode.HOLD, at_nea_m=(math.nan, 0.0, 100.0))
-    [message] = PX4_FIXED_WING.set_mode(nowhere, FRAME, SYSTEM)
-    assert message.command == 176
 
 
 # --- arming and take-off
@@ -266,36 +210,25 @@ def test_a_take_off_along_no_direction_is_refused(bad: float) -> None:
     assert take_off(PX4_FIXED_WING, bad) is None
 
 
-# --- speed
+# --- speed, and whether setpoints are taken
 
 
-def test_arduplane_is_told_its_airspeed() -> None:
-    [message] = ARDUPLANE.set_speed(18.0, SYSTEM)
-    sent = over_the_wire(message)
-    assert (sent.get_type(), sent.command) == ("COMMAND_INT", 43000)
-    assert (sent.param1, sent.param2, sent.param3) == (wire.SPEED_TYPE_AIRSPEED, 18.0, 0.0)
-
-
-@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf, 1e6])
-def test_a_speed_that_is_none_is_refused(speed: float) -> None:
-    assert ARDUPLANE.set_speed(speed, SYSTEM) == []
-
-
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, *PX4], ids=lambda a: a.name)
-def test_the_others_fly_at_the_speed_of_their_setpoints_or_their_own(autopilot: Autopilot) -> None:
-    assert autopilot.set_speed(18.0, SYSTEM) == []
-
-
-# --- whether setpoints are taken
+@each
+def test_arduplane_alone_is_told_its_airspeed(autopilot: Autopilot) -> None:
+    sent = [over_the_wire(message) for message in autopilot.set_speed(18.0, SYSTEM)]
+    told = [(m.get_type(), m.command, m.param1, m.param2, m.param3) for m in sent]
+    airspeed = ("COMMAND_INT", 43000, wire.SPEED_TYPE_AIRSPEED, 18.0, 0.0)
+    assert told == ([airspeed] if autopilot is ARDUPLANE else [])
+    for speed in (0.0, -1.0, math.nan, math.inf, 1e6):
+        assert autopilot.set_speed(speed, SYSTEM) == []
 
 
 @pytest.mark.parametrize("result", range(10))
 def test_only_arduplane_refuses_a_setpoint_in_words(result: int) -> None:
-    ack = over_the_wire(wire.MAVLink_command_ack_message(192, result))
-    assert ARDUPLANE.refuses_setpoint(ack) == (result != wire.MAV_RESULT_ACCEPTED)
-    other = over_the_wire(wire.MAVLink_command_ack_message(176, result))
-    assert not ARDUPLANE.refuses_setpoint(other)
-    assert not any(a.refuses_setpoint(ack) for a in (ARDUCOPTER, *PX4))
+    for command in (192, 176):
+        ack = over_the_wire(wire.MAVLink_command_ack_message(command, result))
+        refuses = command == 192 and result != wire.MAV_RESULT_ACCEPTED
+        assert [a.refuses_setpoint(ack) for a in ALL] == [a is ARDUPLANE and refuses for a in ALL]
 
 
 # --- streams
@@ -306,11 +239,7 @@ def test_streams_have_rates_and_what_may_be_silent_is_one_of_them(autopilot: Aut
     assert all(rate_hz > 0 for rate_hz in autopilot.streams_hz.values())
     assert autopilot.intermittent <= set(autopilot.streams_hz)
     assert wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT not in autopilot.streams_hz
-
-
-@pytest.mark.parametrize("autopilot", [ARDUCOPTER, ARDUPLANE], ids=lambda a: a.name)
-def test_nothing_is_asked_for_that_ardupilot_denies(autopilot: Autopilot) -> None:
-    assert not set(DENIED) & set(autopilot.streams_hz)
+    assert autopilot in PX4 or not set(DENIED) & set(autopilot.streams_hz)
 
 
 # --- estimators
@@ -351,35 +280,26 @@ def estimator_status(
 
 @each_px4
 @pytest.mark.parametrize(
-    ("flags", "good"),
+    ("flags", "ratios", "good"),
     [
-        (0x37F, True),  # flying
-        (0x33F, True),
-        (0x3FF, True),  # on the ground
-        (0x365, False),  # 5 s after the loss of GPS
-        (0x65, False),
-        (0xE5, False),  # booting
-        (0x37F | 0x400, False),  # glitch
-        (0x37F | 0x800, False),  # accelerometers
-        (0x37F & ~0x20, False),
+        (0x37F, (0.2, 0.36), True),  # flying
+        (0x33F, (0.05, 0.05), True),
+        (0x3FF, (0.05, 0.05), True),  # on the ground
+        (0x365, (0.05, 0.05), False),  # 5 s after the loss of GPS
+        (0x65, (0.05, 0.05), False),
+        (0xE5, (0.05, 0.05), False),  # booting
+        (0x37F | 0x400, (0.05, 0.05), False),  # glitch
+        (0x37F | 0x800, (0.05, 0.05), False),  # accelerometers
+        (0x37F & ~0x20, (0.05, 0.05), False),
+        (0x37F, (1.0, 0.1), False),  # it throws measurements away
+        (0x37F, (0.1, 7.0), False),
+        (0x37F, (0.1, math.nan), True),
     ],
 )
-def test_px4s_estimator_is_good_while_it_says_so(
-    autopilot: Autopilot, flags: int, good: bool
+def test_px4s_estimator_is_good_while_it_says_so_and_takes_its_measurements(
+    autopilot: Autopilot, flags: int, ratios: tuple[float, float], good: bool
 ) -> None:
-    read = autopilot.event_of(over_the_wire(estimator_status(flags, 0.25)), 1.5, FRAME)
-    assert read == Estimator(time_s=1.5, good=good, error_m=0.25)
-
-
-@each_px4
-@pytest.mark.parametrize(
-    ("position", "velocity", "good"),
-    [(0.2, 0.36, True), (1.0, 0.1, False), (0.1, 7.0, False), (0.1, math.nan, True)],
-)
-def test_px4s_estimator_is_not_good_while_it_throws_measurements_away(
-    autopilot: Autopilot, position: float, velocity: float, good: bool
-) -> None:
-    message = over_the_wire(estimator_status(0x37F, 0.25, position, velocity))
+    message = over_the_wire(estimator_status(flags, 0.25, *ratios))
     read = autopilot.event_of(message, 1.5, FRAME)
     assert read == Estimator(time_s=1.5, good=good, error_m=0.25)
 

@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 import pyproj
 import pytest
-from by_hand import (
-    OURS,
-    PERSON,
-    Ack,
-    ack,
-    command_int,
-    command_long,
-)
+from by_hand import OURS, PERSON, Ack, ack, command_int, command_long
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
@@ -33,34 +26,38 @@ from companion.mission.state import Phase
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, RETURN, LAND = 300, 193, 192, 20, 21
 REQUEST, CAPABILITIES = 512, 520
-LATITUDE_DEG, LONGITUDE_DEG = ORIGIN_DEG = 47.0, 8.0
 GEOD = pyproj.Geod(ellps="WGS84")
 MISSION = load_mission("valley")  # 10 km x 7.5 km, 8 m/s
 STRANGER = (42, 1)
 READY = structs.replace(initial_state(MISSION, None), phase=Phase.READY)
+NAN = math.nan
 
 
-def made(*, origin_deg: tuple[float, float] = ORIGIN_DEG, version: str = "1.2.3") -> Component:
+def made(*, origin_deg: tuple[float, float] = (47.0, 8.0)) -> Component:
     frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
     mission = replace(MISSION, frame=frame, commanders=((255, 0), (1, 191)))
-    return Component(mission, OURS[0], version)
+    return Component(mission, OURS[0], "1.2.3")
 
 
-def answered(server: Component, message: Any, now_s: float = 10.0) -> tuple[Reply, list[Ack]]:
-    """What comes back if the machine takes every order."""
+def answered(
+    server: Component,
+    message: Any,
+    now_s: float = 10.0,
+    verdict: OrderResult = OrderResult.ACCEPTED,
+) -> tuple[Reply, list[Ack]]:
+    """What comes back if the machine decides so on every order."""
     answer = server.on_message(message, now_s)
     replies = [*answer.replies]
     if answer.order is not None:
-        replies += server.order_done(answer.order, OrderResult.ACCEPTED)
+        replies += server.order_done(answer.order, verdict)
+        assert server.order_done(answer.order, verdict) == ()  # once
     return answer, [ack(reply) for reply in replies if reply.get_type() == "COMMAND_ACK"]
 
 
 def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
     """The point at a distance and azimuth of the origin, by the geodesic."""
     azimuth = math.degrees(math.atan2(east_m, north_m))
-    longitude, latitude, _ = GEOD.fwd(
-        LONGITUDE_DEG, LATITUDE_DEG, azimuth, math.hypot(north_m, east_m)
-    )
+    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth, math.hypot(north_m, east_m))
     return round(latitude * 1e7), round(longitude * 1e7)
 
 
@@ -69,62 +66,70 @@ def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
     [
         (START, (), OrderKind.START),
         (START, (0.0, 5.0), OrderKind.START),
-        (START, (math.nan, math.nan), OrderKind.START),
+        (START, (NAN, NAN), OrderKind.START),
         (PAUSE, (0.0,), OrderKind.PAUSE),
         (PAUSE, (1.0,), OrderKind.CONTINUE),
-        (RETURN, (), OrderKind.RETURN),
-        (RETURN, tuple([math.nan] * 7), OrderKind.RETURN),
-        (LAND, (), OrderKind.LAND),
-        (LAND, (0.0, 0.0, 0.0, math.nan), OrderKind.LAND),
+        (RETURN, (NAN,) * 7, OrderKind.RETURN),
+        (LAND, (0.0, 0.0, 0.0, NAN), OrderKind.LAND),
     ],
 )
-def test_an_order_is_passed_on_and_acknowledged_when_it_was_taken(
+def test_an_order_is_passed_on_and_acknowledged_by_what_the_machine_makes_of_it(
     command: int, parameters: tuple[float, ...], kind: OrderKind
 ) -> None:
     for message in (command_long(command, *parameters), command_int(command, *parameters[:4])):
-        server = made()
-        answer = server.on_message(message, 12.5)
-        assert answer.order == Order(time_s=12.5, kind=kind, sender="255/190")
-        assert answer.replies == ()
-        assert answer.note is not None
-        [done] = server.order_done(answer.order, OrderResult.ACCEPTED)
-        assert ack(done) == Ack(command, ACCEPTED, PERSON)
-        assert server.order_done(answer.order, OrderResult.ACCEPTED) == ()
+        for verdict, result in (
+            (OrderResult.ACCEPTED, ACCEPTED),
+            (OrderResult.NOT_NOW, REJECTED),
+            (OrderResult.INVALID, DENIED),
+        ):
+            answer, acks = answered(made(), message, 12.5, verdict)
+            assert answer.order == Order(time_s=12.5, kind=kind, sender="255/190")
+            assert acks == [Ack(command, result, PERSON)]
+            assert answer.note is not None
 
 
-def test_an_order_that_the_machine_refuses_is_refused() -> None:
-    server = made()
-    for verdict, result in ((OrderResult.NOT_NOW, REJECTED), (OrderResult.INVALID, DENIED)):
-        answer = server.on_message(command_long(START), 1.0)
-        assert answer.order is not None
-        [done] = server.order_done(answer.order, verdict)
-        assert ack(done).result == result
+_NOWHERE = 0x7FFFFFFF
 
 
 @pytest.mark.parametrize(
-    ("command", "parameters"),
+    ("message", "result"),
     [
-        (START, (3.0,)),
-        (START, (math.inf,)),
-        (PAUSE, (2.0,)),
-        (PAUSE, (math.nan,)),
-        (REPOSITION, (-1.0, 0.0, 0.0, math.nan, math.nan, 8.0, 100.0)),
-        (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 47.0, math.nan, 100.0)),
-        (REPOSITION, (-1.0, 0.0, 0.0, math.nan, math.inf, 8.0, 100.0)),
-        (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 0.0, 0.0, 100.0)),
-        (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 95.0, 8.0, 100.0)),
-        (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 48.0, 8.0, 100.0)),
-        (REPOSITION, (-1.0, 0.0, 0.0, math.nan, -47.0, -172.0, 100.0)),
-        (LAND, (0.0, 0.0, 0.0, math.nan, 47.0, 8.0, 0.0)),
+        (command_long(START, 3.0), DENIED),
+        (command_long(START, math.inf), DENIED),
+        (command_long(PAUSE, 2.0), DENIED),
+        (command_long(PAUSE, NAN), DENIED),
+        *(
+            (command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, latitude, longitude, 100.0), DENIED)
+            for latitude, longitude in (
+                (NAN, 8.0), (47.0, NAN), (math.inf, 8.0), (0.0, 0.0), (95.0, 8.0), (48.0, 8.0),
+                (-47.0, -172.0),
+            )
+        ),
+        (command_int(REPOSITION, x=_NOWHERE, y=80_000_000, frame_id=5), DENIED),
+        (command_int(REPOSITION, x=470_000_000, y=_NOWHERE, frame_id=5), DENIED),
+        (command_int(REPOSITION, frame_id=5), DENIED),
+        *(
+            (command_int(REPOSITION, x=470_000_000, y=80_000_000, frame_id=frame), WRONG_FRAME)
+            for frame in (1, 2, 4, 7, 8, 10, 11, 12, 20, 255)
+        ),
+        (command_long(LAND, 0.0, 0.0, 0.0, NAN, 47.0, 8.0, 0.0), DENIED),
+        (command_int(LAND, x=1, y=1), DENIED),
     ],
-)
-def test_values_that_cannot_be_are_denied_with_words(
-    command: int, parameters: tuple[float, ...]
-) -> None:
-    answer, acks = answered(made(), command_long(command, *parameters))
-    assert acks == [Ack(command, DENIED, PERSON)]
+)  # fmt: skip
+def test_values_that_cannot_be_are_denied_with_words(message: Any, result: int) -> None:
+    answer, acks = answered(made(), message)
+    assert acks == [Ack(message.command, result, PERSON)]
     assert answer.order is None
     assert 0 < len(answer.text) <= 60
+
+
+def test_what_needs_no_place_takes_none_and_any_frame() -> None:
+    for message in (
+        command_int(PAUSE, frame_id=12),
+        command_int(LAND, x=_NOWHERE, y=_NOWHERE),
+        command_int(LAND),
+    ):
+        assert [each.result for each in answered(made(), message)[1]] == [ACCEPTED]
 
 
 @given(st.floats(-4_900.0, 4_900.0), st.floats(-3_900.0, 3_400.0), st.sampled_from([0, 3, 5, 6]))
@@ -132,80 +137,58 @@ def test_a_new_target_lies_where_the_geodesic_says(
     north_m: float, east_m: float, frame_id: int
 ) -> None:
     x, y = place_e7(north_m, east_m)
-    message = command_int(REPOSITION, -1.0, x=x, y=y, z=math.nan, frame_id=frame_id)
-    answer, acks = answered(made(), message)
-    assert acks == [Ack(REPOSITION, ACCEPTED, PERSON)]
-    assert answer.order is not None
-    assert answer.order.kind is OrderKind.REPOSITION
-    assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=0.02)
-    in_floats = command_long(REPOSITION, -1.0, 0.0, 0.0, math.nan, x * 1e-7, y * 1e-7, 50.0)
-    answer, acks = answered(made(), in_floats)
-    assert answer.order is not None
-    assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=0.5)
+    message = command_int(REPOSITION, -1.0, x=x, y=y, z=NAN, frame_id=frame_id)
+    in_floats = command_long(REPOSITION, -1.0, 0.0, 0.0, NAN, x * 1e-7, y * 1e-7, 50.0)
+    for each, off_m in ((message, 0.02), (in_floats, 0.5)):
+        answer, acks = answered(made(), each)
+        assert acks == [Ack(REPOSITION, ACCEPTED, PERSON)]
+        assert answer.order is not None
+        assert answer.order.kind is OrderKind.REPOSITION
+        assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=off_m)
 
 
-@pytest.mark.parametrize("frame_id", [1, 2, 4, 7, 8, 9, 10, 11, 12, 20, 21, 255])
-def test_another_frame_is_refused_as_such(frame_id: int) -> None:
-    x, y = place_e7(100.0, 100.0)
-    _, acks = answered(made(), command_int(REPOSITION, x=x, y=y, frame_id=frame_id))
-    assert acks == [Ack(REPOSITION, WRONG_FRAME, PERSON)]
-    _, acks = answered(made(), command_int(PAUSE, frame_id=frame_id))  # it has no place
-    assert acks == [Ack(PAUSE, ACCEPTED, PERSON)]
-
-
-@pytest.mark.parametrize(("x", "y"), [(0x7FFFFFFF, 80_000_000), (470_000_000, 0x7FFFFFFF), (0, 0)])
-def test_a_place_that_is_not_given_is_denied(x: int, y: int) -> None:
-    _, acks = answered(made(), command_int(REPOSITION, x=x, y=y, frame_id=5))
-    assert acks == [Ack(REPOSITION, DENIED, PERSON)]
-
-
-def test_to_land_no_place_is_given() -> None:
-    for nowhere in (command_int(LAND, x=0x7FFFFFFF, y=0x7FFFFFFF), command_int(LAND)):
-        assert answered(made(), nowhere)[1] == [Ack(LAND, ACCEPTED, PERSON)]
-    assert answered(made(), command_int(LAND, x=1, y=1))[1] == [Ack(LAND, DENIED, PERSON)]
-
-
-def test_nor_is_0_0_even_if_it_lies_on_the_map() -> None:
+def test_0_0_is_no_place_even_if_it_lies_on_the_map() -> None:
     server = made(origin_deg=(0.001, 0.001))
-    _, acks = answered(server, command_int(REPOSITION, x=1, y=1, frame_id=5))
-    assert acks == [Ack(REPOSITION, ACCEPTED, PERSON)]
-    for nowhere in (command_int(REPOSITION, frame_id=5), command_long(REPOSITION)):
-        _, acks = answered(server, nowhere)
-        assert acks == [Ack(REPOSITION, DENIED, PERSON)]
+    for message, result in (
+        (command_int(REPOSITION, x=1, y=1, frame_id=5), ACCEPTED),
+        (command_int(REPOSITION, frame_id=5), DENIED),
+        (command_long(REPOSITION), DENIED),
+    ):
+        assert [each.result for each in answered(server, message)[1]] == [result]
 
 
 # --- who may, and who is meant
 
 
-@pytest.mark.parametrize("command", [START, PAUSE, RETURN])
-def test_strangers_are_denied_and_noted(command: int) -> None:
-    answer, acks = answered(made(), command_long(command, 1.0, 5.0, sender=STRANGER))
-    assert acks == [Ack(command, DENIED, STRANGER)]
-    assert answer.order is None
-    assert answer.note is not None
-    assert answer.note["sender"] == "42/1"
-    assert "42/1" in answer.text
+@pytest.mark.parametrize(
+    ("sender", "may"),
+    [((255, 1), True), ((255, 0), True), ((1, 191), True)]
+    + [(sender, False) for sender in (STRANGER, (1, 190), (254, 191), (1, 1))],
+)
+def test_only_commanders_may_order_matched_with_0_as_any(
+    sender: tuple[int, int], may: bool
+) -> None:
+    name = f"{sender[0]}/{sender[1]}"
+    for command in (START, PAUSE, RETURN):
+        answer, acks = answered(made(), command_long(command, sender=sender))
+        assert acks == [Ack(command, ACCEPTED if may else DENIED, sender)]
+        assert (answer.order is not None) is may
+        assert answer.note is not None
+        assert answer.note["sender"] == name
+        assert may or name in answer.text
 
 
-@pytest.mark.parametrize("sender", [(255, 1), (255, 0), (1, 191)])
-def test_commanders_are_matched_with_0_as_any(sender: tuple[int, int]) -> None:
-    answer, _ = answered(made(), command_long(PAUSE, sender=sender))
-    assert answer.order is not None
-    assert answer.order.sender == f"{sender[0]}/{sender[1]}"
-
-
-@pytest.mark.parametrize("sender", [(1, 190), (254, 191), (1, 1)])
-def test_nobody_else_is(sender: tuple[int, int]) -> None:
-    answer, _ = answered(made(), command_long(PAUSE, sender=sender))
-    assert answer.order is None
-
-
-@pytest.mark.parametrize("target", [(7, 1), (8, 195), (8, 0), (1, 195), (0, 1), (255, 190)])
+@pytest.mark.parametrize(
+    ("target", "sender"),
+    [(target, PERSON) for target in ((7, 1), (8, 195), (8, 0), (1, 195), (0, 1), (255, 190))]
+    + [(OURS, OURS)],  # our own, sent back by a router
+)
 @pytest.mark.parametrize("command", [START, REQUEST, 400, 60_000])
 def test_what_is_for_others_is_neither_answered_nor_obeyed(
-    target: tuple[int, int], command: int
+    target: tuple[int, int], sender: tuple[int, int], command: int
 ) -> None:
-    assert made().on_message(command_long(command, 148.0, target=target), 1.0) == Reply()
+    message = command_long(command, 148.0, target=target, sender=sender)
+    assert made().on_message(message, 1.0) == Reply()
 
 
 @pytest.mark.parametrize("target", [(7, 0), (0, 195), (0, 0)])
@@ -213,14 +196,8 @@ def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int])
     for command in (START, PAUSE, RETURN, REPOSITION, 400, 22):
         answer = made().on_message(command_long(command, 0.0, 5.0, target=target), 1.0)
         assert answer == Reply()
-    _, acks = answered(made(), command_long(REQUEST, 148.0, target=target))
-    assert acks == [Ack(REQUEST, ACCEPTED, PERSON)]
-    _, acks = answered(made(), command_long(REQUEST, 30.0, target=target))  # an autopilot's
-    assert acks == []
-
-
-def test_our_own_messages_sent_back_by_a_router_are_ignored() -> None:
-    assert made().on_message(command_long(START, sender=OURS), 1.0) == Reply()
+    for number, acks in ((148.0, [Ack(REQUEST, ACCEPTED, PERSON)]), (30.0, [])):
+        assert answered(made(), command_long(REQUEST, number, target=target))[1] == acks
 
 
 @pytest.mark.parametrize("command", [22, 176, 178, 400, 246, 510, 511, 2000, 5004, 0, 65_535])
@@ -233,81 +210,56 @@ def test_what_we_cannot_do_is_unsupported(command: int) -> None:
 # --- the same again
 
 
-def test_a_command_sent_again_is_acknowledged_again_and_not_obeyed_again() -> None:
+def orders(*given: tuple[Any, float]) -> list[bool]:
+    """Which of these messages, with their times, are orders to carry out."""
     server = made()
-    first, acks = answered(server, command_long(PAUSE), 10.0)
+    return [answered(server, message, at_s)[0].order is not None for message, at_s in given]
+
+
+_X, _Y = place_e7(50.0, 60.0)
+_THERE = command_int(REPOSITION, -1.0, x=_X, y=_Y, frame_id=5)
+_BESIDE = command_int(REPOSITION, -1.0, x=_X + 1, y=_Y, frame_id=5)
+
+
+@pytest.mark.parametrize(
+    ("given_", "are_orders"),
+    [
+        # a repeated one is marked by its confirmation; later, or by somebody else, it is a new one
+        ([(PAUSE, 0, 10.0), (PAUSE, 1, 11.0), (PAUSE, 2, 11.0)], [True, False, False]),
+        ([(PAUSE, 0, 10.0), (PAUSE, 1, 60.0)], [True, True]),
+        ([(PAUSE, 1, 1.0)], [True]),  # got through at the second attempt only
+        ([(PAUSE, 0, 1.0), (PAUSE, 0, 1.0), (PAUSE, 0, 1.0)], [True, True, True]),
+        # a question in between does not make it a new order
+        ([(PAUSE, 0, 1.0), (REQUEST, 0, 1.1), (22, 0, 1.2), (PAUSE, 1, 1.6)], [True] + 3 * [False]),
+    ],
+)
+def test_a_command_sent_again_is_not_obeyed_again(
+    given_: list[tuple[int, int, float]], are_orders: list[bool]
+) -> None:
+    told = [(command_long(c, confirmation=n), at_s) for c, n, at_s in given_]
+    assert orders(*told) == are_orders
+
+
+def test_other_parameters_and_other_senders_make_another_order() -> None:
+    steps = [command_long(PAUSE, parameter, confirmation=1) for parameter in (0.0, 1.0, 0.0)]
+    assert orders(*((each, 1.0) for each in steps)) == [True] * 3
+    other = command_long(PAUSE, confirmation=1, sender=(1, 191))
+    assert orders((command_long(PAUSE), 1.0), (other, 1.0)) == [True, True]
+    assert orders((_THERE, 1.0), (_THERE, 1.5), (_BESIDE, 1.6)) == [True, False, True]
+
+
+def test_a_repeated_command_has_the_ack_of_the_first() -> None:
+    server = made()
+    first = server.on_message(command_long(PAUSE), 1.0)
     assert first.order is not None
-    for confirmation in (1, 2):
-        again, repeated = answered(server, command_long(PAUSE, confirmation=confirmation), 11.0)
-        assert again.order is None
-        assert repeated == acks
-    later, _ = answered(server, command_long(PAUSE, confirmation=1), 60.0)
-    assert later.order is not None
-
-
-def test_one_that_gets_through_at_the_second_attempt_only_is_obeyed() -> None:
-    answer, _ = answered(made(), command_long(PAUSE, confirmation=1))
-    assert answer.order is not None
-
-
-def test_while_the_machine_has_not_answered_it_is_in_progress() -> None:
-    server = made()
-    assert server.on_message(command_long(PAUSE), 1.0).order is not None
-    again = server.on_message(command_long(PAUSE, confirmation=1), 1.5)
-    assert [ack(reply).result for reply in again.replies] == [IN_PROGRESS]
-
-
-def test_pause_go_on_and_pause_are_three_orders() -> None:
-    server = made()
-    kinds = [
-        answered(server, command_long(PAUSE, parameter, confirmation=1), 1.0)[0].order
-        for parameter in (0.0, 1.0, 0.0)
-    ]
-    assert None not in kinds
-
-
-def test_a_question_in_between_does_not_make_it_a_new_order() -> None:
-    server = made()
-    answered(server, command_long(PAUSE), 1.0)
-    answered(server, command_long(REQUEST, 148.0), 1.1)
-    answered(server, command_long(22), 1.2)
-    again, acks = answered(server, command_long(PAUSE, confirmation=1), 1.6)
-    assert again.order is None
-    assert acks == [Ack(PAUSE, ACCEPTED, PERSON)]
-
-
-def test_what_another_ground_station_orders_is_not_the_same() -> None:
-    server = made()
-    answered(server, command_long(PAUSE), 1.0)
-    other, _ = answered(server, command_long(PAUSE, confirmation=1, sender=(1, 191)), 1.0)
-    assert other.order is not None
-
-
-def test_without_confirmation_the_same_place_again_is_the_same_order() -> None:
-    x, y = place_e7(50.0, 60.0)
-    server, there = made(), {"x": x, "y": y, "frame_id": 5}
-    first, acks = answered(server, command_int(REPOSITION, -1.0, **there), 1.0)
-    assert first.order is not None
-    again, repeated = answered(server, command_int(REPOSITION, -1.0, **there), 1.5)
-    assert again.order is None
-    assert repeated == acks
-    nearby, _ = answered(server, command_int(REPOSITION, -1.0, x=x + 1, y=y, frame_id=5), 1.6)
-    assert nearby.order is not None
-
-
-def test_a_refused_one_may_be_tried_again() -> None:
-    server = made()
-    message = command_int(START)
-    first = server.on_message(message, 1.0)
-    assert first.order is not None
-    server.order_done(first.order, OrderResult.NOT_NOW)
-    assert server.on_message(message, 1.5).order is not None
-
-
-def test_a_command_in_long_form_without_confirmation_is_a_new_one() -> None:
-    server = made()
-    for _ in range(3):
-        assert answered(server, command_long(PAUSE), 1.0)[0].order is not None
+    again = command_long(PAUSE, confirmation=1)
+    for result in (IN_PROGRESS, REJECTED):
+        assert [ack(each).result for each in server.on_message(again, 1.5).replies] == [result]
+        server.order_done(first.order, OrderResult.NOT_NOW)
+    refused = server.on_message(command_int(START), 2.0)
+    assert refused.order is not None
+    server.order_done(refused.order, OrderResult.NOT_NOW)
+    assert server.on_message(command_int(START), 2.5).order is not None  # it may be tried again
 
 
 def test_many_senders_do_not_fill_the_memory() -> None:
@@ -317,29 +269,6 @@ def test_many_senders_do_not_fill_the_memory() -> None:
     assert len(server._given) <= 64
 
 
-# --- questions
-
-
-def test_messages_of_ours_can_be_asked_for_by_everybody() -> None:
-    for sender in (PERSON, STRANGER):
-        for message in (
-            command_long(REQUEST, 148.0, sender=sender),
-            command_int(REQUEST, 148.0, sender=sender),
-            command_long(CAPABILITIES, 1.0, sender=sender),
-        ):
-            server = made()
-            _, acks = answered(server, message)
-            assert [(one.result, one.target) for one in acks] == [(ACCEPTED, sender)]
-            [version] = server.on_time(1.0, READY, faulted=True)
-            assert version.get_type() == "AUTOPILOT_VERSION"
-
-
-@pytest.mark.parametrize("number", [30.0, 330.0, 148.5, -1.0, math.nan, math.inf, 1e30])
-def test_messages_that_are_not_ours_are_denied(number: float) -> None:
-    _, acks = answered(made(), command_long(REQUEST, number))
-    assert acks == [Ack(REQUEST, DENIED, PERSON)]
-
-
 # --- whatever comes
 
 IDS = st.tuples(st.sampled_from([0, 1, 7, 8, 255]), st.sampled_from([0, 1, 190, 195]))
@@ -347,40 +276,26 @@ COMMANDS = st.sampled_from([START, PAUSE, REPOSITION, RETURN, REQUEST, CAPABILIT
     0, 65_535
 )
 FLOATS = st.floats(width=32) | st.sampled_from([0.0, 1.0, -1.0, 148.0, 330.0, 47.0, 8.0])
+_WHOLE = st.integers(-(2**31), 2**31 - 1)
+LONG = st.tuples(st.just(command_long), st.lists(FLOATS, min_size=7, max_size=7), st.just({}))
+INT = st.tuples(
+    st.just(command_int),
+    st.lists(FLOATS, min_size=4, max_size=4),
+    st.fixed_dictionaries({"x": _WHOLE, "y": _WHOLE, "z": FLOATS, "frame_id": st.integers(0, 255)}),
+)
 
 
-@given(st.data())
-def test_one_ack_answers_each_command_for_us_and_none_any_other(data: st.DataObject) -> None:
+@given(
+    st.lists(st.tuples(COMMANDS, LONG | INT, IDS, IDS, st.sampled_from(OrderResult)), max_size=6)
+)
+def test_one_ack_answers_each_command_for_us_and_none_any_other(given_: list[Any]) -> None:
     server = made()
-    for _ in range(data.draw(st.integers(1, 6))):
-        target, sender = data.draw(IDS), data.draw(IDS)
-        command = data.draw(COMMANDS)
-        if data.draw(st.booleans()):
-            parameters = data.draw(st.lists(FLOATS, min_size=7, max_size=7))
-            confirmation = data.draw(st.integers(0, 3))
-            message = command_long(
-                command, *parameters, target=target, sender=sender, confirmation=confirmation
-            )
-        else:
-            message = command_int(
-                command,
-                *data.draw(st.lists(FLOATS, min_size=4, max_size=4)),
-                x=data.draw(st.integers(-(2**31), 2**31 - 1)),
-                y=data.draw(st.integers(-(2**31), 2**31 - 1)),
-                z=data.draw(FLOATS),
-                frame_id=data.draw(st.integers(0, 255)),
-                target=target,
-                sender=sender,
-            )
-        answer = server.on_message(message, data.draw(st.floats(0.0, 100.0)))
-        replies = list(answer.replies)
+    for now_s, (command, (pack, parameters, more), target, sender, verdict) in enumerate(given_):
+        message = pack(command, *parameters, target=target, sender=sender, **more)
+        answer, acks = answered(server, message, float(now_s), verdict)
         if answer.order is not None:
             assert target == OURS
             assert sender[0] == 255
-            done = server.order_done(answer.order, data.draw(st.sampled_from(OrderResult)))
-            assert len(done) == 1
-            replies += done
-        acks = [ack(reply) for reply in replies if reply.get_type() == "COMMAND_ACK"]
         if target == OURS and sender != OURS:
             assert [(one.command, one.target) for one in acks] == [(command, sender)]
         else:
@@ -399,9 +314,9 @@ def over_the_wire(message: Any) -> Any:
     return parsed
 
 
-def counted(component: Component, begin_s: float = 0.0, seconds: float = 10.0) -> Counter[str]:
-    """What is sent in a time, asked at 20 Hz."""
-    times = begin_s + np.arange(0.0, seconds, 0.05)
+def counted(component: Component, begin_s: float) -> Counter[str]:
+    """What is sent in 10 s, asked at 20 Hz."""
+    times = begin_s + np.arange(0.0, 10.0, 0.05)
     sent = [component.on_time(float(t), READY, faulted=False) for t in times]
     return Counter(message.get_type() for messages in sent for message in messages)
 
@@ -421,36 +336,42 @@ def test_it_beats_once_a_second_also_when_the_clock_begins_again_and_not_while_f
         assert component.on_time(0.1 * tenth, READY, faulted=True) == []
     for begin_s in (1000.0, 0.0):
         assert counted(component, begin_s) == {"HEARTBEAT": 10}
+    answered(component, command_long(REQUEST, 0.0))  # one that is asked for comes, and counts
+    assert component.due_s < 0.0
+    assert len(component.on_time(10.4, READY, faulted=False)) == 1
+    assert component.due_s == 11.4
 
 
-def test_the_version_is_told_when_it_is_asked_for() -> None:
-    component = made()
-    answered(component, command_long(REQUEST, 148.0))
-    _, version = component.on_time(0.0, READY, faulted=False)
-    read = over_the_wire(version)
-    assert read.flight_sw_version == 1 << 24 | 2 << 16 | 3 << 8 | 255
-    can = read.capabilities
-    assert can & wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-    assert can & wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
-    assert not can & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-    assert not can & wire.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
-    assert counted(component, begin_s=1.0) == {"HEARTBEAT": 10}
+@pytest.mark.parametrize("sender", [PERSON, STRANGER])
+def test_the_version_is_told_to_everybody_who_asks_for_it(sender: tuple[int, int]) -> None:
+    for message in (
+        command_long(REQUEST, 148.0, sender=sender),
+        command_int(REQUEST, 148.0, sender=sender),
+        command_long(CAPABILITIES, 1.0, sender=sender),
+    ):
+        server = made()
+        assert [each.result for each in answered(server, message)[1]] == [ACCEPTED]
+        [version] = server.on_time(1.0, READY, faulted=True)
+        read = over_the_wire(version)
+        assert read.flight_sw_version == 1 << 24 | 2 << 16 | 3 << 8 | 255
+        assert read.capabilities == (
+            wire.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | wire.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        )
+        assert counted(server, 1.0) == {"HEARTBEAT": 10}
+
+
+@pytest.mark.parametrize("number", [30.0, 330.0, 148.5, -1.0, NAN, math.inf, 1e30])
+def test_messages_that_are_not_ours_are_denied(number: float) -> None:
+    _, acks = answered(made(), command_long(REQUEST, number))
+    assert acks == [Ack(REQUEST, DENIED, PERSON)]
 
 
 @pytest.mark.parametrize(
     ("version", "number"),
     [
-        ("0.1.0", 0x000100FF),
-        ("1.2", 0x010200FF),
-        ("3.4.5rc2", 0x030405C0),
-        ("3.4.5b1", 0x03040580),
-        ("3.4.5a1", 0x03040540),
-        ("3.4.5.dev7", 0x03040500),
-        ("3.4.5+local", 0x03040500),
-        ("300.1.1", 0xFF0101FF),
-        ("", 0),
-        ("unknown", 0),
+        *(("0.1.0", 0x000100FF), ("1.2", 0x010200FF), ("3.4.5rc2", 0x030405C0)),
+        *(("3.4.5b1", 0x03040580), ("3.4.5a1", 0x03040540), ("3.4.5.dev7", 0x03040500)),
+        *(("3.4.5+local", 0x03040500), ("300.1.1", 0xFF0101FF), ("", 0), ("unknown", 0)),
     ],
 )
 def test_versions(version: str, number: int) -> None:
@@ -460,13 +381,3 @@ def test_versions(version: str, number: int) -> None:
 @given(st.text("0123456789.+-_abcdevr \u0663\u00b2\n", max_size=30))
 def test_whatever_the_version_is_it_fits(version: str) -> None:
     assert 0 <= version_number(version) < 2**32
-
-
-def test_a_heartbeat_that_is_asked_for_comes_at_once_and_counts() -> None:
-    component = made()
-    assert len(component.on_time(0.0, READY, faulted=False)) == 1
-    answered(component, command_long(REQUEST, 0.0))
-    assert component.due_s < 0.0
-    assert len(component.on_time(0.4, READY, faulted=False)) == 1
-    assert component.due_s == 1.4
-    assert component.on_time(1.3, READY, faulted=False) == []

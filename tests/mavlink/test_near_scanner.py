@@ -218,11 +218,7 @@ def test_a_flood_a_jump_of_clocks_and_junk_cost_no_more_than_what_is_kept() -> N
         distances(it.now_s, max_distance=10),
         distances(it.now_s, increment=0, increment_f=0.0),
     )
-    was = it.scanner.refused
     assert it.tick(*junk) is None
-    refused = it.scanner.refused
-    assert sum(refused.values()) - sum(was.values()) == len(junk)
-    assert refused["a stamp of another clock"] == 4
     it.scan()
     assert it.upper_m(22.0, 20.0) == GROUND_AMSL_M
     assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.near_sensing import NearSensing, Sight, in_words
+from companion.mavlink.near_sensing import NearSensing, Sight
 from companion.mavlink.poses import Poses
 from companion.world.near_map import NearSensor, Sweep
 
@@ -54,7 +54,6 @@ def read(message: Any, poses: Poses | None = None, sensor: NearSensor = LIDAR) -
     sensing = NearSensing(sensor, poses or standing())
     sensing.on_obstacle_distance(message, NOW_S)
     (sweep,) = sensing.sweeps()
-    assert not sensing.refused
     return sweep
 
 
@@ -143,13 +142,11 @@ def test_what_a_distance_means(told: int, clear_m: float) -> None:
         {"min_distance": 2000},
     ],
 )
-def test_a_message_that_cannot_be_understood_is_counted_and_says_nothing(
-    fields: dict[str, Any],
-) -> None:
+def test_a_message_that_cannot_be_understood_says_nothing(fields: dict[str, Any]) -> None:
     sensing = NearSensing(LIDAR, standing())
     sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
     assert sensing.sweeps() == []
-    assert sensing.refused.total() == 1
+    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
 
 
 @pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
@@ -163,29 +160,25 @@ def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increme
         assert clear_towards_m(sweep, -0.5 * (increment + left)) == 0.0
 
 
-def test_a_stamp_of_another_clock_counts_as_now() -> None:
+@pytest.mark.parametrize(
+    ("stamps_s", "heard_s", "taken_s"),
+    [
+        # a stamp of another clock counts as now
+        ((0.0, 1.795e9, 15.0), (NOW_S, NOW_S + 0.1, NOW_S + 0.2), (0, 1, 2)),
+        # told again at once it is one sweep: a driver at 125 Hz would prove more than a turn
+        ([NOW_S + 0.008 * k for k in range(20)],) * 2 + (range(0, 20, 4),),
+    ],
+)
+def test_sweeps_are_of_their_time_and_no_more_than_thirty_a_second(
+    stamps_s: list[float], heard_s: list[float], taken_s: Iterable[int]
+) -> None:
     sensing = NearSensing(LIDAR, standing())
-    stamps_us, times_s = (0, 1_795_321_194_894_000, 15_000_000), [NOW_S, NOW_S + 0.1, NOW_S + 0.2]
-    for stamp_us, now_s in zip(stamps_us, times_s, strict=True):
-        sensing.on_obstacle_distance(obstacle_distance([500], time_usec=stamp_us), now_s)
-    assert [sweep.time_s for sweep in sensing.sweeps()] == times_s
-    assert sensing.refused == {"a stamp of another clock": 3}
-    assert list(in_words(sensing.refused)) == [
-        "used all the same: a stamp of another clock, taken as of now (3 times)"
-    ]
-    both = {"an angle is not finite": 2, **sensing.refused}
-    assert next(in_words(both)) == "not believed: an angle is not finite (2 times)"
-
-
-def test_what_is_told_again_at_once_is_one_sweep_and_proves_no_more() -> None:
-    """A driver at 125 Hz: three sweeps in a row would be of one turn of the lidar."""
-    sensing = NearSensing(LIDAR, standing())
-    for k in range(20):
-        now_s = NOW_S + 0.008 * k
-        sensing.on_obstacle_distance(obstacle_distance(time_usec=round(now_s * 1e6)), now_s)
-    taken_s = [sweep.time_s - NOW_S for sweep in sensing.sweeps()]
-    assert taken_s == pytest.approx([0.0, 0.032, 0.064, 0.096, 0.128])
-    assert sensing.refused == {"more than 30 sweeps a second": 15}
+    for stamp_s, now_s in zip(stamps_s, heard_s, strict=True):
+        sensing.on_obstacle_distance(
+            obstacle_distance([500], time_usec=round(stamp_s * 1e6)), now_s
+        )
+    expected = [heard_s[number] for number in taken_s]
+    assert [sweep.time_s for sweep in sensing.sweeps()] == pytest.approx(expected)
 
 
 def test_a_measurement_waits_until_the_pose_of_its_time_is_known() -> None:
@@ -262,24 +255,24 @@ def test_one_beam_does_not_speak_for_a_sector(
     message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=component))
     sensing.on_distance_sensor(message, NOW_S)
     assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
-    assert sensing.refused.total() == (not is_taken)
 
 
-def test_sectors_whose_stamp_stands_still_go_on_to_be_taken() -> None:
+@pytest.mark.parametrize(
+    ("beams", "echoes_m"),
+    [
+        (((0.0, 700), (0.15, 500), (0.3, 400)), [7.0, 5.0]),  # a stamp that stands still
+        (((0.0, 700),) * 12_000, [7.0]),  # a flood in one moment is worked off in parts
+    ],
+    ids=["still", "flood"],
+)
+def test_sectors_of_one_stamp_go_on_to_be_taken(
+    beams: list[tuple[float, int]], echoes_m: list[float]
+) -> None:
     sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    for at_s, cm in ((NOW_S, 700), (NOW_S + 0.15, 500), (NOW_S + 0.3, 400)):
+    for after_s, cm in beams:
         beam = wire.MAVLink_distance_sensor_message(9950, 20, 1600, cm, 0, 10, 0, 0)
-        sensing.on_distance_sensor(beam, at_s)
-    assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx([7.0, 5.0])
-
-
-def test_a_flood_of_sectors_in_one_moment_is_worked_off_in_parts() -> None:
-    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    for _ in range(12_000):
-        beam = wire.MAVLink_distance_sensor_message(9950, 20, 1600, 700, 0, 10, 0, 0)
-        sensing.on_distance_sensor(beam, NOW_S)
-    assert len(sensing.sweeps()) == 1
-    assert sensing.refused == {"more than 30 sweeps a second": 1}
+        sensing.on_distance_sensor(beam, NOW_S + after_s)
+    assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx(echoes_m)
 
 
 def sectors_over(
@@ -336,21 +329,6 @@ def test_a_set_that_a_link_leaves_out_altogether_is_missed(first: int) -> None:
     for told in (lambda _: (first,), slower):
         clear_m = sectors_over(7.0, told)
         assert clear_m == pytest.approx([7.0 if each == first else 16.0 for each in range(8)])
-
-
-def test_a_sweep_from_which_a_link_left_something_out_is_not_called_unbelieved() -> None:
-    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
-    for k, sector in enumerate((0, 5, 0, 0)):
-        beam = wire.MAVLink_distance_sensor_message(
-            10_000 + 50 * (k // 2), 20, 1600, 700, 0, 10, sector, 0
-        )
-        sensing.on_distance_sensor(beam, NOW_S + 0.05 * (k // 2))
-    late = wire.MAVLink_distance_sensor_message(10_100, 20, 1600, 700, 0, 10, 0, 0)
-    sensing.on_distance_sensor(late, NOW_S + 0.1)
-    assert list(in_words(sensing.refused)) == [
-        "used all the same: a link had no room for all sectors, those left out say nothing "
-        "(1 times)"
-    ]
 
 
 def test_one_that_is_left_out_now_and_was_told_before_is_unknown() -> None:

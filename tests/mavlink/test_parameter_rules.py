@@ -23,7 +23,6 @@ from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.near_map import NearSensor
 from vehicle_sim.autopilot.factory import personality_of
-from vehicle_sim.parameters import table
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
 
@@ -31,6 +30,7 @@ TABLES = {way: each.rules for way, each in zip(FOUR, ALL, strict=True)}
 ARDUCOPTER_RULES, ARDUPLANE_RULES, PX4_MULTICOPTER_RULES, PX4_FIXED_WING_RULES = TABLES.values()
 ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
 REFUSE, SET = "refused", "set"
+Way = tuple[Firmware, Kind]
 
 
 def mission(kind: Kind = "copter", *, sets: bool = True, **limits: float) -> Mission:
@@ -67,6 +67,7 @@ ARDUCOPTER = defaults("ardupilot", "copter")
 ARDUPLANE = defaults("ardupilot", "plane")
 PX4 = defaults("px4", "copter") | {"COM_OBL_RC_ACT": 5.0}
 PX4_WING = defaults("px4", "plane") | {"COM_OBL_RC_ACT": 5.0}
+USUAL = dict(zip(FOUR, (ARDUCOPTER, ARDUPLANE, PX4, PX4_WING), strict=True))
 
 
 def found(findings: Iterable[Finding], name: str) -> Finding | None:
@@ -210,7 +211,63 @@ def test_no_value_whatever_raises(values: dict[str, float]) -> None:
             assert finding.set_to is None or math.isfinite(finding.set_to)
 
 
-# --- when the setpoints end -----------------------------------------------------------------------
+# --- one parameter at a time ----------------------------------------------------------------------
+
+COPTER, PLANE, QUAD, WING = TABLES
+SLOW, FAST = {"dead_man_s": 0.6}, {"climb_rate_m_s": 2.0, "dive_angle_rad": 0.5}
+STEEP, FLAT = {"climb_angle_rad": 0.25}, {"climb_rate_m_s": 2.0, "dive_angle_rad": 0.1}
+WIDE = {"loiter_radius_m": 100.0}
+LIDAR = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0)
+
+
+def row(way: Way, name: str, *cases: tuple[float, Any], **limits: float) -> list[Any]:
+    """A parameter's values, and what is said: fine (None), refused, or what it is set to."""
+    return [(way, name, value, said, limits) for value, said in cases]
+
+
+@pytest.mark.parametrize(
+    ("way", "name", "value", "said", "limits"),
+    [
+        # the time-out of the stream: short enough for the certified reach, long enough for a radio
+        *row(COPTER, "GUID_TIMEOUT", (3.0, 1.5), (0.1, 1.0), dead_man_s=2.0),
+        *row(COPTER, "GUID_TIMEOUT", (3.0, REFUSE), **SLOW),
+        *row(QUAD, "COM_OF_LOSS_T", (2.0, 1.2), (1.0, None), dead_man_s=2.0),
+        *row(WING, "COM_OF_LOSS_T", (9.0, 3.0)),
+        # px4.md 6, the table: without RC it sinks, falls or stops its motors
+        *row(QUAD, "COM_OBL_RC_ACT", *((k, 5.0) for k in (0, 1, 2, 6, 7))),
+        *row(QUAD, "COM_OBL_RC_ACT", *((k, None) for k in (3, 4, 5))),
+        *row(COPTER, "WPNAV_ACCEL", (250.0, None), (249.0, REFUSE), acceleration_m_s2=2.5),
+        *row(QUAD, "MPC_ACC_HOR", (3.0, REFUSE), acceleration_m_s2=3.5),
+        # px4.md 5: at most 80-85 % of MPC_XY_VEL_MAX
+        *row(QUAD, "MPC_XY_VEL_MAX", (12.0, None), speed_m_s=10.2),
+        *row(QUAD, "MPC_XY_VEL_MAX", (12.0, REFUSE), speed_m_s=10.3),
+        *row(QUAD, "MPC_Z_VEL_MAX_DN", (1.5, REFUSE), (2.0, None), **FAST),
+        *row(QUAD, "MPC_Z_VEL_MAX_UP", (1.9, REFUSE), (2.0, None), **FAST),
+        *row(QUAD, "MPC_Z_VEL_MAX_DN", (1.5, None), **FLAT),  # at 8 m/s it sinks with 0.8 m/s
+        *row(COPTER, "WPNAV_SPEED_UP", (99.0, REFUSE), (100.0, None), climb_rate_m_s=2.0),
+        *row(WING, "FW_T_CLMB_R_SP", (3.0, REFUSE), (4.0, None), **STEEP),
+        *row(PLANE, "TECS_CLMB_MAX", (5.0, None), (3.0, REFUSE), **STEEP),
+        *row(PLANE, "TECS_SINK_MAX", (1.9, None), (1.7, REFUSE)),
+        *row(PLANE, "AIRSPEED_MIN", (15.0, None), (16.0, REFUSE)),
+        *row(PLANE, "AIRSPEED_MAX", (15.0, None), (14.0, REFUSE)),
+        *row(WING, "FW_AIRSPD_TRIM", (15.0, None), (15.8, REFUSE), (13.0, None)),
+        # ardupilot.md 7: circles are flown 17-20 m wider than asked; px4.md 10: as asked
+        *row(PLANE, "WP_LOITER_RAD", (80.0, None), (81.0, 80.0), (-120.0, -80.0), **WIDE),
+        *row(WING, "NAV_LOITER_RAD", (95.0, None), (96.0, 95.0), (-120.0, -95.0), **WIDE),
+        *row(PLANE, "WP_LOITER_RAD", (80.0, REFUSE), loiter_radius_m=25.0),
+        # C11: the companion's heartbeat hides the failsafe; ardupilot.md 3; px4.md
+        *row(COPTER, "MAV_GCS_SYSID", (1.0, REFUSE), (255.0, None)),
+        *row(COPTER, "GUID_OPTIONS", (16.0, REFUSE), (32.0, REFUSE), (64.0, None), (8.0, None)),
+        *row(QUAD, "SYS_HAS_GPS", (0.0, REFUSE), (1.0, None)),
+    ],
+)
+def test_what_is_said_of_a_value(
+    way: Way, name: str, value: float, said: Any, limits: dict[str, float]
+) -> None:
+    severity, set_to = of(TABLES[way], USUAL[way], name, value, mission(way[1], **limits))
+    assert (severity, set_to) == (
+        (None, None) if said is None else (REFUSE, None) if said is REFUSE else (SET, said)
+    )
 
 
 @pytest.mark.parametrize(("timeout_s", "furthest_m"), [(3.0, 53.7), (1.0, 33.6), (0.5, 28.8)])
@@ -226,116 +283,49 @@ def test_a_timeout_that_passes_stays_within_the_certified_reach(
             assert furthest_m <= flown_on_m(flown.task.envelope, 10.0)
 
 
-def test_a_timeout_that_is_too_long_is_set_to_the_longest_that_fits() -> None:
-    flown = mission(dead_man_s=2.0)
-    assert of(ARDUCOPTER_RULES, ARDUCOPTER, "GUID_TIMEOUT", 3.0, flown) == (SET, 1.5)
-    assert of(ARDUCOPTER_RULES, ARDUCOPTER, "GUID_TIMEOUT", 0.1, flown) == (SET, 1.0)
-    assert of(PX4_MULTICOPTER_RULES, PX4, "COM_OF_LOSS_T", 2.0, flown) == (SET, 1.2)
-    assert of(PX4_MULTICOPTER_RULES, PX4, "COM_OF_LOSS_T", 1.0, flown) == (None, None)
-    assert of(PX4_FIXED_WING_RULES, PX4_WING, "COM_OF_LOSS_T", 9.0, mission("plane")) == (SET, 3.0)
-    short = mission(dead_man_s=0.6)
-    assert of(ARDUCOPTER_RULES, ARDUCOPTER, "GUID_TIMEOUT", 3.0, short) == (REFUSE, None)
-
-
 def test_px4_brakes_within_the_certified_reach() -> None:
     """px4.md 4: 12 m/s then AUTO:LOITER, 31.2 m; and 1.12 s until it does."""
     flown = mission(speed_m_s=12.0, acceleration_m_s2=3.0, dead_man_s=1.8)
     values = PX4 | {"MPC_XY_VEL_MAX": 15.0}
     assert of(PX4_MULTICOPTER_RULES, values, "COM_OF_LOSS_T", 1.0, flown) == (None, None)
     assert flown_on_m(flown.task.envelope, 12.0) >= 12.0 * 1.12 + 31.2
-    weaker = mission(acceleration_m_s2=3.5)
-    assert of(PX4_MULTICOPTER_RULES, PX4, "MPC_ACC_HOR", 3.0, weaker)[0] is REFUSE
 
 
-def test_what_px4_does_when_the_stream_stops() -> None:
-    """px4.md 6, the table."""
-    acts = [of(PX4_MULTICOPTER_RULES, PX4, "COM_OBL_RC_ACT", k, mission()) for k in range(8)]
-    five = (SET, 5.0)
-    assert acts == [five, five, five, (None, None), (None, None), (None, None), five, five]
-
-
-def test_the_braking_of_arducopter_must_be_what_was_planned_with() -> None:
-    flown = mission(acceleration_m_s2=2.5)
-    for value, expected in ((250.0, None), (249.0, REFUSE)):
-        assert of(ARDUCOPTER_RULES, ARDUCOPTER, "WPNAV_ACCEL", value, flown)[0] is expected
-
-
-# --- speeds, tilt and turns -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("speed_m_s", "severity"), [(9.6, None), (10.2, None), (10.3, REFUSE)])
-def test_px4_keeps_a_reserve_of_speed(speed_m_s: float, severity: str | None) -> None:
-    """px4.md 5: at most 80-85 % of MPC_XY_VEL_MAX, which is 12 m/s."""
-    flown = mission(speed_m_s=speed_m_s)
-    assert of(PX4_MULTICOPTER_RULES, PX4, "MPC_XY_VEL_MAX", 12.0, flown)[0] is severity
-
-
-@given(degrees=st.floats(5.0, 60.0))
-def test_tilt_gives_acceleration(degrees: float) -> None:
-    needed = mission(acceleration_m_s2=4.0)
+@given(degrees=st.floats(5.0, 70.0), radius_m=st.floats(20.0, 300.0))
+def test_tilt_gives_acceleration_and_bank_turns(degrees: float, radius_m: float) -> None:
+    needed, tangent = mission(acceleration_m_s2=4.0), math.tan(math.radians(degrees))
     severity, _ = of(PX4_MULTICOPTER_RULES, PX4, "MPC_TILTMAX_AIR", degrees, needed)
-    assert (severity is None) == (degrees >= math.degrees(math.atan(4.0 / 9.81)))
-
-
-def test_climbing_and_sinking() -> None:
-    fast = mission(climb_rate_m_s=2.0, dive_angle_rad=0.5)
-    assert of(PX4_MULTICOPTER_RULES, PX4, "MPC_Z_VEL_MAX_DN", 1.5, fast)[0] is REFUSE
-    assert of(PX4_MULTICOPTER_RULES, PX4, "MPC_Z_VEL_MAX_DN", 2.0, fast)[0] is None
-    assert of(PX4_MULTICOPTER_RULES, PX4, "MPC_Z_VEL_MAX_UP", 1.9, fast)[0] is REFUSE
-    flat = mission(climb_rate_m_s=2.0, dive_angle_rad=0.1)  # at 8 m/s it sinks with 0.8 m/s
-    assert of(PX4_MULTICOPTER_RULES, PX4, "MPC_Z_VEL_MAX_DN", 1.5, flat)[0] is None
-    steep = mission("plane", climb_angle_rad=0.25)
-    assert of(PX4_FIXED_WING_RULES, PX4_WING, "FW_T_CLMB_R_SP", 3.0, steep)[0] is REFUSE
-    assert of(ARDUPLANE_RULES, ARDUPLANE, "TECS_CLMB_MAX", 5.0, steep)[0] is None
-
-
-def test_the_airspeed_of_planes() -> None:
-    flown = mission("plane")
-    assert of(ARDUPLANE_RULES, ARDUPLANE, "AIRSPEED_MIN", 16.0, flown)[0] is REFUSE
-    assert of(ARDUPLANE_RULES, ARDUPLANE, "AIRSPEED_MAX", 14.0, flown)[0] is REFUSE
-    for value, severity in ((15.0, None), (15.8, REFUSE), (13.0, None)):
-        assert of(PX4_FIXED_WING_RULES, PX4_WING, "FW_AIRSPD_TRIM", value, flown)[0] is severity
-
-
-@given(bank_deg=st.floats(10.0, 70.0), radius_m=st.floats(20.0, 300.0))
-def test_bank_turns(bank_deg: float, radius_m: float) -> None:
+    assert (severity is None) == (9.81 * tangent >= 4.0)
     flown = mission("plane", turn_radius_m=radius_m)
-    possible = 15.0**2 / radius_m <= 9.81 * math.tan(math.radians(bank_deg)) + 1e-6
-    severity, _ = of(ARDUPLANE_RULES, ARDUPLANE, "ROLL_LIMIT_DEG", bank_deg, flown)
-    assert (severity is None) == possible
-
-
-@pytest.mark.parametrize(
-    ("rules", "values", "name", "wider_m"),
-    [
-        (ARDUPLANE_RULES, ARDUPLANE, "WP_LOITER_RAD", 20.0),
-        (PX4_FIXED_WING_RULES, PX4_WING, "NAV_LOITER_RAD", 5.0),
-    ],
-)
-def test_circles_fit_into_what_is_kept_clear(
-    rules: tuple[Rule, ...], values: dict[str, float], name: str, wider_m: float
-) -> None:
-    """ardupilot.md 7: flown 17-20 m wider than asked; px4.md 10: as asked."""
-    flown = mission("plane", loiter_radius_m=100.0)
-    assert of(rules, values, name, 100.0 - wider_m, flown) == (None, None)
-    assert of(rules, values, name, 101.0 - wider_m, flown) == (SET, 100.0 - wider_m)
-    assert of(rules, values, name, -120.0, flown) == (SET, wider_m - 100.0)
-    tight = mission("plane", loiter_radius_m=25.0)
-    assert of(rules, values, name, 80.0, tight) == (REFUSE, None)
+    severity, _ = of(ARDUPLANE_RULES, ARDUPLANE, "ROLL_LIMIT_DEG", degrees, flown)
+    assert (severity is None) == (15.0**2 / radius_m <= 9.81 * tangent + 1e-6)
 
 
 def test_the_autopilots_own_take_off_must_not_end_above_the_ceiling() -> None:
-    flown = mission("plane")
     for home_amsl_m, severity in ((None, None), (600.0, None), (620.0, REFUSE)):
-        findings = findings_of(ARDUPLANE_RULES, ARDUPLANE, flown, home_amsl_m)
-        finding = found(findings, "TKOFF_ALT")
-        assert severity_of(finding) is severity
+        findings = findings_of(ARDUPLANE_RULES, ARDUPLANE, mission("plane"), home_amsl_m)
+        assert severity_of(found(findings, "TKOFF_ALT")) is severity
+
+
+def test_a_lidar_on_the_autopilot_has_to_look_all_round() -> None:
+    """Its silence about a sector is taken for an empty one."""
+    by_lidar = dataclasses.replace(mission(), near=LIDAR)
+    for name, fine, refused in (
+        ("PRX1_TYPE", (5.0, 15.0, 8.0), (0.0, 2.0, 4.0, 10.0)),  # that turn; that do not
+        ("PRX1_IGN_WID1", (0.0,), (20.0,)),
+        ("PRX1_IGN_WID4", (0.0,), (20.0,)),
+    ):
+        said = {v: of(ARDUCOPTER_RULES, ARDUCOPTER, name, v, by_lidar)[0] for v in fine + refused}
+        assert said == dict.fromkeys(fine, None) | dict.fromkeys(refused, REFUSE)
+    elsewhere = dataclasses.replace(by_lidar, near=dataclasses.replace(LIDAR, component_id=158))
+    for each in (elsewhere, mission()):
+        assert not any(r.matters(each) for r in ARDUCOPTER_RULES if r.name.startswith("PRX1"))
 
 
 # --- names and units ------------------------------------------------------------------------------
 
 
-def test_newer_names_have_other_units_and_mean_the_same() -> None:
+def test_newer_and_older_names_have_other_units_and_mean_the_same() -> None:
     """ArduPilot 4.7.0: ANGLE_MAX (cdeg) is ATC_ANGLE_MAX (deg), WPNAV_SPEED (cm/s) WP_SPD (m/s)."""
     renamed = {
         "ANGLE_MAX": ("ATC_ANGLE_MAX", 0.01),
@@ -349,49 +339,14 @@ def test_newer_names_have_other_units_and_mean_the_same() -> None:
     for old, (new, scale) in renamed.items():
         newer[new] = newer.pop(old) * scale
     for limits in ({}, {"acceleration_m_s2": 4.0, "speed_m_s": 14.0}, {"dead_man_s": 2.0}):
-        flown = mission(**limits)
-        old_way = findings_of(ARDUCOPTER_RULES, ARDUCOPTER, flown)
-        new_way = findings_of(ARDUCOPTER_RULES, newer, flown)
-        assert [(severity_of(each), each.rule) for each in new_way] == [
-            (severity_of(each), each.rule) for each in old_way
+        said = [
+            [(severity_of(each), each.rule) for each in findings_of(ARDUCOPTER_RULES, values, m)]
+            for m in (mission(**limits),)
+            for values in (ARDUCOPTER, newer)
         ]
-
-
-def test_older_planes_have_centidegrees_and_centimetres() -> None:
-    older = {row.name: row.default for row in table("ardupilot", "arduplane")}
+        assert said[0] == said[1]
+    older = dict(ARDUPLANE)
     older["LIM_ROLL_CD"] = older.pop("ROLL_LIMIT_DEG") * 100.0
     flown = mission("plane", speed_m_s=22.0, turn_radius_m=200.0, climb_angle_rad=0.1)
-    assert findings_of(ARDUPLANE_RULES, older, flown) == findings_of(
-        ARDUPLANE_RULES, ARDUPLANE, flown
-    )
-
-
-# --- who else may take the vehicle ----------------------------------------------------------------
-
-
-def test_what_would_hide_a_loss_or_drift_is_refused() -> None:
-    """C11: the companion's heartbeat hides the failsafe; ardupilot.md 3; px4.md."""
-    for name, value, severity in (
-        ("MAV_GCS_SYSID", 1.0, REFUSE),
-        ("GUID_OPTIONS", 16.0, REFUSE),
-        ("GUID_OPTIONS", 64.0, None),
-        ("GUID_OPTIONS", 8.0, None),
-    ):
-        assert of(ARDUCOPTER_RULES, ARDUCOPTER, name, value, mission())[0] is severity
-    assert of(PX4_MULTICOPTER_RULES, PX4, "SYS_HAS_GPS", 0.0, mission())[0] is REFUSE
-
-
-def test_a_lidar_on_the_autopilot_has_to_look_all_round() -> None:
-    """Its silence about a sector is taken for an empty one."""
-    near = NearSensor(kind="distance_sensor", component_id=1, range_m=16.0)
-    by_lidar = dataclasses.replace(mission(), near=near)
-    for value, expected in ((5.0, None), (15.0, None), (8.0, None)):  # RPLidar, LD06, SF45B
-        assert of(ARDUCOPTER_RULES, ARDUCOPTER, "PRX1_TYPE", value, by_lidar)[0] is expected
-    for value in (0.0, 2.0, 4.0, 10.0):  # none, by MAVLink, single beams, SITL's rays
-        assert of(ARDUCOPTER_RULES, ARDUCOPTER, "PRX1_TYPE", value, by_lidar)[0] is REFUSE
-    for name in ("PRX1_IGN_WID1", "PRX1_IGN_WID4"):
-        assert of(ARDUCOPTER_RULES, ARDUCOPTER, name, 0.0, by_lidar)[0] is None
-        assert of(ARDUCOPTER_RULES, ARDUCOPTER, name, 20.0, by_lidar)[0] is REFUSE
-    elsewhere = dataclasses.replace(by_lidar, near=dataclasses.replace(near, component_id=158))
-    for each in (elsewhere, mission()):
-        assert not any(r.matters(each) for r in ARDUCOPTER_RULES if r.name.startswith("PRX1"))
+    expected = findings_of(ARDUPLANE_RULES, ARDUPLANE, flown)
+    assert findings_of(ARDUPLANE_RULES, older, flown) == expected

@@ -26,21 +26,16 @@ def put_together(chunks: list[Text]) -> str:
     return whole.decode("ascii")
 
 
-def test_a_short_text_is_one_message() -> None:
-    texts = StatusTexts()
-    texts.add("holding: no position for 0.5 s", 3.0, warning=True)
-    [text] = sent(texts, 3.0)
-    assert (text.severity, text.number, text.chunk) == (WARNING, 0, 0)
-    assert put_together([text]) == "holding: no position for 0.5 s"
-    assert sent(texts, 9.0) == []
-
-
-@pytest.mark.parametrize("length", [49, 50, 51, 99, 100, 101, 149, 150, 151, 199])
-def test_a_long_warning_comes_whole_in_chunks(length: int) -> None:
+@pytest.mark.parametrize("length", [2, 49, 50, 51, 99, 100, 101, 149, 150, 151, 199])
+def test_a_warning_comes_whole_in_as_few_chunks_as_it_takes(length: int) -> None:
     text = ("abcdefghi " * 20)[: length - 1] + "x"
     texts = StatusTexts()
     texts.add(text, 3.0, warning=True)
-    assert put_together(sent(texts, 3.0)) == text
+    chunks = sent(texts, 3.0)
+    assert put_together(chunks) == text
+    assert {chunk.severity for chunk in chunks} == {WARNING}
+    assert (chunks[0].number == 0) == (length <= 50)
+    assert sent(texts, 9.0) == []
 
 
 def test_the_chunks_of_two_texts_do_not_mix() -> None:
@@ -134,19 +129,15 @@ def test_the_same_is_not_repeated_for_5_s() -> None:
     assert times == pytest.approx([0.0, 5.0, 10.0], abs=0.11)
 
 
-def test_what_changed_and_changed_back_is_not_said() -> None:
+def test_what_changed_back_or_waited_too_long_is_not_said_but_warnings_are() -> None:
     texts = StatusTexts()
     texts.add("flying", 0.0, kind="phase")
     sent(texts, 0.0)
     texts.add("holding", 0.2, warning=True, kind="phase")
     texts.add("flying", 0.4, kind="phase")
     assert sent(texts, 1.0) == []
-
-
-def test_news_that_had_to_wait_too_long_are_not_said_but_warnings_are() -> None:
-    texts = StatusTexts()
-    texts.add("old news", 0.0)
-    texts.add("old warning", 0.0, warning=True)
+    texts.add("old news", 1.0)
+    texts.add("old warning", 1.0, warning=True)
     assert put_together(sent(texts, 60.0)) == "old warning"
     assert sent(texts, 61.0) == []
 

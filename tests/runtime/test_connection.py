@@ -31,14 +31,14 @@ def test_an_ipv6_address_stands_in_brackets(kind: str) -> None:
     place = parsed(f"{kind}:[fe80::1]:14540")
     assert isinstance(place, Address)
     assert (place.kind, place.host, place.port) == (kind, "fe80::1", 14540)
-    with pytest.raises(InputError, match=rf"in brackets: {kind}:\[fe80::1\]:14540"):
+    with pytest.raises(InputError, match="stands in brackets"):
         parsed(f"{kind}:fe80::1:14540")
 
 
-@pytest.mark.parametrize("text", ["/dev/ttyACM0:57600", "COM3:57600", "/dev/ttyACM0 115200"])
+@pytest.mark.parametrize("text", ["/dev/ttyACM0:57600", "/dev/ttyACM0 115200"])
 def test_a_baud_rate_comes_after_a_comma(text: str) -> None:
     here = text.replace(":", ",").replace(" ", ",")
-    with pytest.raises(InputError, match=f"comes after a comma: {here}"):
+    with pytest.raises(InputError, match="comes after a comma"):
         parsed(text)
     assert isinstance(parsed(here), Device)
 
@@ -59,10 +59,6 @@ BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0"
         (f"{BY_PATH},115200", BY_PATH, 115200),
         (f"serial:{BY_PATH}", BY_PATH, 57600),
         (f"serial:{BY_PATH}:115200", BY_PATH, 115200),
-        ("COM3", "COM3", 57600),
-        ("COM3,57600", "COM3", 57600),
-        ("serial:COM14:115200", "COM14", 115200),
-        (r"\\.\COM14,115200", r"\\.\COM14", 115200),
     ],
 )
 def test_serial_ports(text: str, name: str, baud: int) -> None:

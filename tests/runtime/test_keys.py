@@ -48,17 +48,13 @@ def test_a_file_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> No
 def test_a_file_that_holds_no_key_is_refused_without_being_shown(
     tmp_path: Path, content: bytes
 ) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match="a key is one line of text") as caught:
         SigningKey(key_file(tmp_path, content))
     assert "kkk" not in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        SigningKey(tmp_path / "absent")
-    with pytest.raises(InputError, match="cannot be read"):
-        SigningKey(tmp_path)
+    for path in (tmp_path / "absent", tmp_path):
+        with pytest.raises(InputError, match="cannot be read"):
+            SigningKey(path)
 
 
 @pytest.mark.parametrize(
@@ -71,19 +67,13 @@ def test_a_time_stamp_that_cannot_be_one_is_refused(tmp_path: Path, content: str
         SigningKey(path)
 
 
-def test_a_folder_that_cannot_be_written_to_is_refused_at_the_start(tmp_path: Path) -> None:
-    path = key_file(tmp_path)
-    key = SigningKey(path)
-    (tmp_path / f"vehicle.key.time.{os.getpid()}").mkdir()
+def test_a_disk_that_fails_is_refused_at_the_start_and_does_not_end_the_flight(
+    tmp_path: Path,
+) -> None:
+    key, blocked = SigningKey(key_file(tmp_path)), tmp_path / f"vehicle.key.time.{os.getpid()}"
+    blocked.mkdir()
     with pytest.raises(InputError, match="cannot be kept"):
         key.signing(clock_s=CLOCK_S)
-
-
-def test_a_disk_that_fails_later_does_not_end_the_flight(tmp_path: Path) -> None:
-    key = SigningKey(key_file(tmp_path))
-    key.signing(clock_s=CLOCK_S)
-    blocked = tmp_path / f"vehicle.key.time.{os.getpid()}"
-    blocked.mkdir()
     key.save(5, CLOCK_S)
     assert key.failure is not None
     blocked.rmdir()

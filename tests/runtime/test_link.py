@@ -3,7 +3,6 @@
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 
 import pytest
 
@@ -207,52 +206,6 @@ def test_udp_without_more_waits_for_the_vehicle_as_pymavlink_has_it(other: socke
     with open_link(f"udp:127.0.0.1:{port}") as link:
         other.sendto(b"hello", ("127.0.0.1", port))
         assert link.receive(PATIENCE_S) == b"hello"
-
-
-def test_of_several_vehicles_on_a_port_the_one_that_was_chosen_is_answered(
-    other: socket.socket,
-) -> None:
-    """mavlink.md C19: another one may speak between ours and the answer."""
-    port = free_port()
-    with (
-        open_link(f"udpin:127.0.0.1:{port}") as link,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
-    ):
-        stranger.settimeout(0.05)
-        other.sendto(b"ours", ("127.0.0.1", port))
-        assert link.receive(PATIENCE_S) == b"ours"
-        ours = link.sender
-        stranger.sendto(b"another vehicle", ("127.0.0.1", port))
-        assert link.receive(PATIENCE_S) == b"another vehicle"
-        link.answer_to(ours)
-        link.send([b"for ours"])
-        assert other.recv(2000) == b"for ours"
-        with pytest.raises(TimeoutError):
-            stranger.recv(2000)
-
-
-def test_companions_that_call_one_router_port_all_hear_and_all_are_heard() -> None:
-    """mavlink-router: a server port that passes everything on to everybody who has called."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as router,
-        ExitStack() as stack,
-    ):
-        router.bind(("127.0.0.1", 0))
-        router.settimeout(PATIENCE_S)
-        text = f"udpout:127.0.0.1:{router.getsockname()[1]}"
-        links = [stack.enter_context(open_link(text)) for _ in range(3)]
-        callers = []
-        for number, link in enumerate(links):
-            link.send([b"companion %d" % number])
-            said, caller = router.recvfrom(2000)
-            assert said == b"companion %d" % number
-            callers.append(caller)
-        assert len(set(callers)) == 3
-        for frame in (b"vehicle 1", b"vehicle 2"):
-            for caller in callers:
-                router.sendto(frame, caller)
-        for link in links:
-            assert [link.receive(PATIENCE_S) for _ in range(2)] == [b"vehicle 1", b"vehicle 2"]
 
 
 def test_an_ipv4_address_or_a_name_is_understood(other: socket.socket) -> None:

@@ -79,21 +79,17 @@ def fly(
 
 
 def test_a_flight_in_lockstep_ends_at_its_target(folder: RunFolder) -> None:
-    link = ScriptedLink(Vehicle())
-    flown = fly(link, folder)
-    assert flown.end is not None
-    assert flown.end.outcome is Outcome.ARRIVED
-    assert len(flown.plans) == len(flown.plans_s) == 1
-    assert flown.to_go_m == pytest.approx(0.0, abs=5.0)
-    last = link.vehicle.heard[-1]
-    assert (last.get_type(), last.system_status) == ("HEARTBEAT", 7)
-
-
-def test_plans_that_time_has_cut_are_counted(folder: RunFolder) -> None:
     def cut(request: PlanRequest, stop: object) -> PlanOutcome:
         return replace(straight_plan(request, stop), stopped_after=2)
 
-    assert fly(ScriptedLink(Vehicle()), folder, planner=cut).out_of_time == 1
+    link = ScriptedLink(Vehicle())
+    flown = fly(link, folder, planner=cut)
+    assert flown.end is not None
+    assert flown.end.outcome is Outcome.ARRIVED
+    assert len(flown.plans) == len(flown.plans_s) == flown.out_of_time == 1
+    assert flown.to_go_m == pytest.approx(0.0, abs=5.0)
+    last = link.vehicle.heard[-1]
+    assert (last.get_type(), last.system_status) == ("HEARTBEAT", 7)
 
 
 def test_the_folder_holds_all_that_was_said_and_decided(folder: RunFolder) -> None:

@@ -1,11 +1,10 @@
 """A planner in a process of its own: the same plans, and no way to take the flight down with it."""
 
+import importlib
 import os
-import queue
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -33,10 +32,13 @@ def planner() -> Iterator[PlannerProcess]:
         made.close()
 
 
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> PlannerProcess:
+def odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> PlannerProcess:
+    """A process that does what a module says."""
     (tmp_path / "odd_planner.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    return PlannerProcess("odd_planner")
+    sys.modules.pop("odd_planner", None)
+    module = importlib.import_module("odd_planner")
+    return PlannerProcess(module.plan, module.prepare)
 
 
 def test_a_plan_is_the_same_from_another_process(planner: PlannerProcess) -> None:
@@ -53,17 +55,16 @@ def test_a_plan_is_the_same_from_another_process(planner: PlannerProcess) -> Non
 
 
 ECHO = """
-import companion.runtime.planner_process as process
-process.plan = lambda request, stop: request.known
-process.load_kernel = lambda: None
-process.main()
+prepare = int
+def plan(request, stop):
+    return request.known
 """
 
 
 def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    planner, request = module(tmp_path, monkeypatch, ECHO), request_of(1)
+    planner, request = odd(tmp_path, monkeypatch, ECHO), request_of(1)
     heights = np.arange(1_000_000.0).reshape(1000, 1000)
     heights[3, :3] = np.nan, np.inf, -np.inf
     frozen = heights.copy()
@@ -93,39 +94,28 @@ def test_what_is_ready_before_the_flight_is_not_started_again(planner: PlannerPr
 
 def test_a_process_that_is_killed_is_an_error_that_says_so(planner: PlannerProcess) -> None:
     planner.start()
-    child = planner._child
-    assert child is not None
-    threading.Timer(0.0, os.kill, (child.pid, signal.SIGKILL)).start()
-    child.wait()
+    planner.check()
+    assert planner.pid is not None
+    os.kill(planner.pid, signal.SIGKILL)
     with pytest.raises(PlannerEndedError, match="SIGKILL"):
         planner(request_of(1), never)
+    with pytest.raises(PlannerEndedError, match="SIGKILL"):
+        planner.check()
 
 
-def test_a_process_that_ends_while_it_has_nothing_to_do_is_told_of_at_once(
-    planner: PlannerProcess,
-) -> None:
-    told: queue.SimpleQueue[PlannerEndedError] = queue.SimpleQueue()
-    planner.on_end = told.put
-    planner.start()
-    assert planner._child is not None
-    planner._child.kill()
-    assert "SIGKILL" in str(told.get(timeout=10.0))
-
-
-def test_a_plan_that_raises_is_an_error_with_its_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_plan_that_raises_is_an_error_with_its_words_and_what_it_prints_is_no_output_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     text = """
-import companion.runtime.planner_process as process
 def plan(request, stop):
     if request.plan_id == 1: raise ZeroDivisionError("made up")
     while not stop(): pass
     return "stopped"
-process.plan = plan
-process.load_kernel = lambda: print("noise on the standard output")
-process.main()
+def prepare():
+    print("noise on the standard output")
 """
-    planner = module(tmp_path, monkeypatch, text)
+    planner = odd(tmp_path, monkeypatch, text)
+    capfd.readouterr()
     try:
         with pytest.raises(PlannerEndedError, match="ZeroDivisionError: made up"):
             planner(request_of(1), never)
@@ -136,6 +126,7 @@ process.main()
             return len(asked) > 3
 
         assert str(planner(request_of(2), stop)) == "stopped"
+        assert capfd.readouterr().out == ""
     finally:
         planner.close()
 
@@ -143,26 +134,11 @@ process.main()
 def test_a_process_that_does_not_come_up_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    planner = module(tmp_path, monkeypatch, "raise SystemExit(3)")
+    text = "import sys\ndef prepare(): sys.exit(3)\nplan = prepare\n"
+    planner = odd(tmp_path, monkeypatch, text)
     with pytest.raises(PlannerEndedError, match="exit code 3"):
         planner.start()
     planner.close()
-
-
-COMPILING = """
-import threading
-import companion.runtime.planner_process as process
-process.load_kernel = threading.Event().wait
-process.main()
-"""
-
-
-def test_a_planner_that_still_compiles_does_not_outlive_its_companion() -> None:
-    command = [sys.executable, "-c", COMPILING]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
-        assert child.stdin is not None
-        child.stdin.close()
-        assert child.wait(30.0) == 0
 
 
 PARENT = """
@@ -170,7 +146,6 @@ import os, signal
 from companion.runtime.planner_process import PlannerProcess
 planner = PlannerProcess()
 planner.start()
-print(planner._child.pid, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -187,6 +162,7 @@ def test_a_planner_does_not_outlive_a_companion_that_is_killed() -> None:
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are counted on Linux")
 def test_linear_algebra_takes_no_threads_of_its_own() -> None:
     factorised = """
+import importlib
 import os
 import companion.world.guess
 import numpy as np

@@ -25,12 +25,12 @@ from stub_session import (
     request_of,
 )
 
+from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
 from companion.planner.request import PlanRequest
 from companion.runtime import loop, planning, recorder, watchdog
 from companion.runtime.compiler import load_libraries
 from companion.runtime.planner_process import PlannerProcess
-from companion.runtime.watchdog import Worker
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
@@ -124,21 +124,32 @@ def assert_held(rig: Rig, part: str, error: str) -> None:
     assert HOLD in (rig.folder.path / "flight.tlog").read_bytes()
 
 
-def test_a_planner_that_raises(folder: RunFolder) -> None:
-    def broken(_request: PlanRequest, _stop: object) -> Any:
-        rig.breaks_now()
-        raise ZeroDivisionError("made up")
-
-    session = StubSession(lambda session, number: asks_at(session, number, 10))
-    rig = Rig(folder, session, planner=broken)
-    with rig.flying():
-        assert_held(rig, "planner", "ZeroDivisionError: made up")
-    assert [part for part, _ in session.died] == ["planner"]
-
-
 def asks_at(session: StubSession, number: int, wanted: int) -> None:
     if number == wanted:
         session.ask(request_of(1))
+
+
+def raises(rig: Rig, error: Exception) -> Any:
+    """Something that breaks now."""
+    rig.breaks_now()
+    raise error
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_a_session_that_raises_in_lockstep_too(folder: RunFolder, lockstep: bool) -> None:
+    at_20 = lambda _, number: number == 20 and raises(rig, KeyError("made up"))  # noqa: E731
+    rig = Rig(folder, session := StubSession(at_20), lockstep=lockstep)
+    with rig.flying():
+        assert_held(rig, "decider", "KeyError: 'made up'")
+    assert session.died == []
+
+
+def test_a_planner_that_raises(folder: RunFolder) -> None:
+    session = StubSession(lambda session, number: asks_at(session, number, 10))
+    rig = Rig(folder, session, planner=lambda *_: raises(rig, ZeroDivisionError("made up")))
+    with rig.flying():
+        assert_held(rig, "planner", "ZeroDivisionError: made up")
+    assert [part for part, _ in session.died] == ["planner"]
 
 
 def test_a_planner_whose_process_is_killed_while_nobody_asks_it_anything(folder: RunFolder) -> None:
@@ -173,19 +184,6 @@ def test_a_planner_that_stands_still_is_dead_some_time_after_its_time(
     assert rig.link.times_of(SETPOINT)[-1] > rig.broken_s - 0.2  # until then it streamed
 
 
-def test_a_planner_that_takes_its_time_within_its_time_is_none_of_that(folder: RunFolder) -> None:
-    def slow(_request: PlanRequest, stop: Callable[[], bool]) -> Any:
-        rig.link.wait_until(stop)
-        return "planned"
-
-    session = StubSession(lambda session, number: asks_at(session, number, 10))
-    rig = Rig(folder, session, planner=slow)
-    with rig.flying():
-        rig.link.wait_until(lambda: session.delivered == ["planned"])
-    assert session.died == []
-    assert rig.link.times_of(HOLD) == []
-
-
 def test_of_two_plans_that_are_asked_for_only_the_newer_counts(folder: RunFolder) -> None:
     def named(request: PlanRequest, stop: Callable[[], bool]) -> Any:
         if request.plan_id == 1:
@@ -211,37 +209,20 @@ def test_a_link_that_raises(folder: RunFolder) -> None:
         assert_held(rig, "decider", "OSError: the driver is gone")
 
 
-def test_a_link_that_never_comes_back(folder: RunFolder) -> None:
-    rig, released = Rig(folder, StubSession()), threading.Event()
-    with rig.flying():
-        rig.breaks_now()
-        rig.link.incoming.put(released)
-        assert_held(rig, "decider", "stood still")
-    released.set()
-
-
-def test_a_session_that_raises(folder: RunFolder) -> None:
-    def breaks(_session: StubSession, number: int) -> None:
-        if number == 20:
-            rig.breaks_now()
-            raise KeyError("made up")
-
-    rig = Rig(folder, StubSession(breaks))
-    with rig.flying():
-        assert_held(rig, "decider", "KeyError: 'made up'")
-    assert rig.session.died == []
-
-
-def test_a_session_that_never_comes_back(folder: RunFolder) -> None:
+@pytest.mark.parametrize("what", ["link", "session"])
+def test_a_link_or_a_session_that_never_comes_back(folder: RunFolder, what: str) -> None:
     released = threading.Event()
 
     def hangs(_session: StubSession, number: int) -> None:
-        if number == 20:
+        if what == "session" and number == 20:
             rig.breaks_now()
             released.wait()
 
     rig = Rig(folder, StubSession(hangs))
     with rig.flying():
+        if what == "link":
+            rig.breaks_now()
+            rig.link.incoming.put(released)
         assert_held(rig, "decider", "stood still")
         sent = len(rig.link.sent)
         released.set()  # what it says now leaves no more
@@ -387,20 +368,24 @@ def fills_the_pipe(session: StubSession, _number: int) -> None:
     session.out.record += [(session.now_s, bytes(280))] * 50
 
 
-def test_a_disk_that_is_full_does_not_end_the_flight_and_is_told_of_once(
-    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("what", ["full", "odd"])
+def test_a_disk_that_is_full_or_an_entry_that_cannot_be_written_ends_the_recording_alone(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
-    def fills_up(_session: StubSession, number: int) -> None:
-        if number == 10:
+    def breaks(session: StubSession, number: int) -> None:
+        if number == 10 and what == "full":
             monkeypatch.setattr(folder, "_tlog", as_any(FullFile(folder._tlog)))
+        elif number == 10:
+            session.out.journal.append({"t_s": 1.0, "kind": "odd", "value": object()})
 
-    session = StubSession(fills_up)
+    session = StubSession(breaks)
     rig = Rig(folder, session)
     with rig.flying():
         rig.link.wait_until(lambda: bool(session.stopped))
         count = len(rig.link.times_of(SETPOINT))
         rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
-    assert session.stopped == ["No space left on device"]
+    [told] = session.stopped
+    assert told.startswith("No space left on device" if what == "full" else "TypeError")
     assert rig.link.times_of(HOLD) == []
     assert rig.flown is not None
     assert rig.flown.end is not None
@@ -443,36 +428,19 @@ class FullFile:
     tell = truncate = seek
 
 
-def test_an_entry_that_cannot_be_written_ends_the_recording_and_not_the_flight(
-    folder: RunFolder,
-) -> None:
-    def odd(session: StubSession, number: int) -> None:
-        if number == 10:
-            session.out.journal.append({"t_s": 1.0, "kind": "odd", "value": object()})
-
-    session = StubSession(odd)
-    rig = Rig(folder, session)
-    with rig.flying():
-        rig.link.wait_until(lambda: bool(session.stopped))
-        count = len(rig.link.times_of(SETPOINT))
-        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
-    assert session.stopped[0].startswith("TypeError")
-    assert rig.link.times_of(HOLD) == []
-
-
 def test_what_waits_for_a_slow_disk_has_an_end(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorder, "_MAX_UNWRITTEN", 100_000)
+    monkeypatch.setattr(recorder, "_MOST_WAITING", 100_000)
     monkeypatch.setattr(recorder, "_LEAVE_S", 0.1)
     released = threading.Event()
-    writes = recorder.Recorder(folder, time.monotonic, None)
+    writes = recorder.Recorder(folder, time.monotonic, lambda _failure: None)
     monkeypatch.setattr(folder, "frames", lambda _stamped: released.wait())
-    writer = recorder.WriterThread(writes, lambda _failure: None)
+    writer = recorder.WriterThread(writes)
     thread = threading.Thread(target=writer.run)
     thread.start()
     for _ in range(1000):
-        writer.put(recorder.Batch(record=[(0.0, bytes(1000))]))
+        writer.put(Output(record=[(0.0, bytes(1000))]))
     assert folder.failure == "the disk is too slow"
     assert writer._put_bytes <= 101_000
     released.set()
@@ -481,17 +449,6 @@ def test_what_waits_for_a_slow_disk_has_an_end(
 
 
 # --- in lockstep: nothing depends on the clock, but a death is a death
-
-
-def test_in_lockstep_a_session_that_raises_is_held_as_well(folder: RunFolder) -> None:
-    def breaks(_session: StubSession, number: int) -> None:
-        if number == 20:
-            rig.breaks_now()
-            raise KeyError("made up")
-
-    rig = Rig(folder, StubSession(breaks), lockstep=True)
-    with rig.flying():
-        assert_held(rig, "decider", "KeyError")
 
 
 def test_in_lockstep_nobody_is_dead_for_being_slow(folder: RunFolder) -> None:
@@ -507,10 +464,3 @@ def test_in_lockstep_nobody_is_dead_for_being_slow(folder: RunFolder) -> None:
     assert rig.flown is not None
     assert rig.flown.end is not None
     assert rig.flown.end.outcome is Outcome.STOPPED
-
-
-def test_a_part_that_rests_is_never_late() -> None:
-    part = Worker("writer")
-    part.beat(0.1)
-    part.idle()
-    assert part.limit_s == float("inf")

@@ -41,11 +41,11 @@ def _guid_timeout(value: float, case: Case) -> Finding | None:
     return rules.timeout(max(value, 0.1), slack_s, case)
 
 
-def _guided_options(value: float, _case: Case) -> Finding | None:
-    """GUID_OPTIONS: bits that change what setpoints mean."""
-    rule = "bits 4 and 5 let the vehicle drift off its setpoints' position or velocity"
-    kept = int(value) & ~(16 | 32)
-    return None if kept == int(value) else Finding(rule, f"Set it to {kept}")
+_GUIDED_OPTIONS: Final = rules.when(
+    lambda value, _: int(value) & (16 | 32),
+    "bits 4 and 5 let the vehicle drift off its setpoints' position or velocity",
+    "Clear them: subtract 16, 32 or 48",
+)
 
 
 def _by_its_own_lidar(mission: Mission) -> bool:
@@ -69,14 +69,11 @@ _IGNORES: Final = rules.when(
 )
 
 
-def _climbs(value: float, case: Case) -> Finding | None:
-    """The machine waits twice as long for a take-off as it plans with."""
-    planned = case.limits.climb_rate_m_s
-    rule = f"it climbs with {value:g} m/s at take-off, and the mission counts on {planned:g}"
-    remedy = f"Raise it, or set vehicle.climb_rate_m_s to {value:g}"
-    return rules.enough(value, 0.5 * planned, rule, remedy)
-
-
+_CLIMBS: Final = rules.at_least(  # the machine waits twice as long as it plans with
+    lambda limits: 0.5 * limits.climb_rate_m_s,
+    "it climbs with {value:g} m/s at take-off, and the mission counts on {needed:g} or more",
+    "Raise it, or set vehicle.climb_rate_m_s to {value:g}",
+)
 _HANDLING: Final = Handling(
     name="ArduCopter", eased=0.7, settling_s=0.6, steady_m=0.1, turning_s2=0.3, leading_s2=0.5
 )
@@ -84,11 +81,11 @@ _HANDLING: Final = Handling(
 its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; the others: `scripts/bench kills`."""
 _RULES: Final = (
     Rule("GUID_TIMEOUT", _guid_timeout, "how long it flies on without setpoints"),
-    Rule("GUID_OPTIONS", _guided_options),
+    Rule("GUID_OPTIONS", _GUIDED_OPTIONS),
     Rule("ANGLE_MAX", rules.tilt, "its tilt limits its speed", CENTI, "ATC_ANGLE_MAX"),
     Rule("WPNAV_ACCEL", rules.brakes, scale=CENTI, also="WP_ACC"),
     *only_read("PSC_JERK_XY/PSC_JERK_NE WPNAV_SPEED/WP_SPD"),
-    Rule("WPNAV_SPEED_UP", _climbs, scale=CENTI, also="WP_SPD_UP"),
+    Rule("WPNAV_SPEED_UP", _CLIMBS, scale=CENTI, also="WP_SPD_UP"),
     *only_read("WPNAV_SPEED_DN/WP_SPD_DN LAND_SPEED/LAND_SPD_MS FS_GCS_ENABLE FS_EKF_ACTION"),
     *only_read("AVOID_ENABLE"),
     Rule("OA_TYPE", matters=_by_its_own_lidar),

@@ -11,15 +11,7 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.fence import FenceSettings
 from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.rules import Rule
-from companion.mission.events import (
-    Event,
-    Mode,
-    SetMode,
-    Setpoint,
-    TakeOff,
-    Vector,
-    VehicleStatus,
-)
+from companion.mission import events
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.limits import Limits, VehicleKind
 
@@ -41,7 +33,7 @@ _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 class LaunchPose:
     """Position and heading before take-off."""
 
-    position_nea_m: Vector
+    position_nea_m: events.Vector
     heading_rad: float
     """Where its nose points, clockwise from true north (`heading_rad` of GLOBAL_POSITION_INT)."""
 
@@ -51,11 +43,11 @@ class LaunchPose:
 class Modes:
     """Modes of a firmware, or of a vehicle type where they differ within it."""
 
-    mode_of: Callable[[int], Mode]
+    mode_of: Callable[[int], events.Mode]
     """The mode that a heartbeat reports as custom_mode."""
     name_of: Callable[[int], str]
     """The autopilot's own name of it."""
-    asked: Mapping[Mode, tuple[int, ...]]
+    asked: Mapping[events.Mode, tuple[int, ...]]
     """Parameters of DO_SET_MODE: mode, or main and sub mode; the others are not supported."""
 
 
@@ -78,8 +70,6 @@ class Firmware:
     """What of a fence an autopilot of that name misreads, with the remedy; empty: nothing."""
     all_is_well: Callable[[], Message]
     """What its estimator reports when the position may be believed."""
-    how_to_record: Callable[[str], str] = lambda _: ""
-    """How to have it stream a message, by its MAVLink name, to who records; empty: no such way."""
     lasting_battery: Mapping[str, float]
     """Parameters of its simulation."""
     is_bytewise: bool = False
@@ -90,7 +80,7 @@ class Firmware:
     """Whether it sends TIMESYNC at 10 Hz by itself."""
 
 
-SetpointEncoder = Callable[[Setpoint, LocalFrame, int, float], list[Message] | None]
+SetpointEncoder = Callable[[events.Setpoint, LocalFrame, int, float], list[Message] | None]
 """(setpoint, frame, system_id, the largest circle that a plane may hold on, metres) -> messages.
 
 None if any value is not finite or out of range: a NaN would abort ArduPilot's process, and 0, 0
@@ -127,7 +117,7 @@ class Autopilot:
     """Message ids to ask for by REQUEST_MESSAGE until they have come: never streamed."""
     decoders: Mapping[int, Decoder]
     """Message id -> decoder, for messages that differ between autopilots."""
-    take_off: Callable[[TakeOff, LaunchPose, LocalFrame, int], list[Message]]
+    take_off: Callable[[events.TakeOff, LaunchPose, LocalFrame, int], list[Message]]
     """Take-off command; the sequence of mode, arming and this is `traits.take_off`.
 
     (command, here, frame, system_id); empty if a value is not finite or out of range.
@@ -136,7 +126,7 @@ class Autopilot:
     """The only function that encodes setpoints."""
     set_speed: Callable[[float, int], list[Message]] = _no_messages
     """Speed command for an autopilot that controls its own speed: (speed_m_s, system_id)."""
-    hold_about: Callable[[Vector, LocalFrame, int], list[Message]] = _no_messages
+    hold_about: Callable[[events.Vector, LocalFrame, int], list[Message]] = _no_messages
     """Hold at a point, if the autopilot supports it: (at_nea_m, frame, system_id)."""
     refuses_setpoint: Callable[[Message], bool] = lambda _: False
     """Whether a message says that a setpoint was not taken.
@@ -149,9 +139,9 @@ class Autopilot:
         """Display name: ArduCopter, ArduPlane, PX4 multicopter, PX4 fixed wing."""
         return self.traits.name
 
-    def set_mode(self, command: SetMode, frame: LocalFrame, system_id: int) -> list[Message]:
+    def set_mode(self, command: events.SetMode, frame: LocalFrame, system_id: int) -> list[Message]:
         """Request a mode; empty if unsupported.  Only the heartbeat confirms it."""
-        if command.mode is Mode.HOLD and command.at_nea_m is not None:
+        if command.mode is events.Mode.HOLD and command.at_nea_m is not None:
             about = self.hold_about(command.at_nea_m, frame, system_id)
             if about:
                 return about
@@ -171,8 +161,8 @@ class Autopilot:
         message: Message,
         now_s: float,
         frame: LocalFrame,
-        origin_nea_m: Vector | None = None,
-    ) -> Event | None:
+        origin_nea_m: events.Vector | None = None,
+    ) -> events.Event | None:
         """The mission event of an autopilot message; None if there is none.
 
         `origin_nea_m` is the newest `Origin`, which an echo in the autopilot's own local frame
@@ -184,7 +174,7 @@ class Autopilot:
             return read(message, now_s, frame, origin_nea_m)
         if number != wire.MAVLINK_MSG_ID_HEARTBEAT:
             return None
-        return VehicleStatus(
+        return events.VehicleStatus(
             time_s=now_s,
             mode=self.modes.mode_of(message.custom_mode),
             armed=bool(message.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED),

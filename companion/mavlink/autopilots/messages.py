@@ -11,19 +11,7 @@ from typing import Final
 
 from companion.geodesy import LocalFrame, rotate
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mission.events import (
-    Battery,
-    Echo,
-    Event,
-    GpsFix,
-    Home,
-    Landed,
-    LandedState,
-    Origin,
-    Position,
-    Setpoint,
-    Vector,
-)
+from companion.mission import events
 
 HIGHEST_AMSL_M = 50_000.0
 _LOWEST_AMSL_M = -500.0
@@ -46,27 +34,29 @@ POSITION = 3576
 _E7 = 1e-7  # degrees in the wire's unit of them
 NO_HEADING = 65535
 _LANDED = {
-    wire.MAV_LANDED_STATE_UNDEFINED: Landed.UNKNOWN,
-    wire.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
-    wire.MAV_LANDED_STATE_IN_AIR: Landed.IN_AIR,
-    wire.MAV_LANDED_STATE_TAKEOFF: Landed.TAKING_OFF,
-    wire.MAV_LANDED_STATE_LANDING: Landed.LANDING,
+    wire.MAV_LANDED_STATE_UNDEFINED: events.Landed.UNKNOWN,
+    wire.MAV_LANDED_STATE_ON_GROUND: events.Landed.ON_GROUND,
+    wire.MAV_LANDED_STATE_IN_AIR: events.Landed.IN_AIR,
+    wire.MAV_LANDED_STATE_TAKEOFF: events.Landed.TAKING_OFF,
+    wire.MAV_LANDED_STATE_LANDING: events.Landed.LANDING,
 }
 
-Decoder = Callable[[Message, float, LocalFrame, Vector | None], Event | None]
+Decoder = Callable[[Message, float, LocalFrame, events.Vector | None], events.Event | None]
 """(message, now_s, frame, origin_nea_m) -> event; arguments as in `Autopilot.event_of`."""
 
 # --- in
 
 
-def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> Position | None:
+def position(
+    message: Message, _now_s: float, frame: LocalFrame, *_: object
+) -> events.Position | None:
     """GLOBAL_POSITION_INT: the vehicle's position, if it has one."""
     place = place_of(message.lat * _E7, message.lon * _E7, message.alt * 1e-3, frame)
     if place is None:
         return None
     turn, heading = -frame.grid_north_rad(place[0], place[1]), message.hdg
     north_m_s, east_m_s = rotate(message.vx * 0.01, message.vy * 0.01, turn)
-    return Position(
+    return events.Position(
         time_s=message.time_boot_ms * 1e-3,
         position_nea_m=place,
         velocity_nea_m_s=(north_m_s, east_m_s, -message.vz * 0.01),
@@ -74,37 +64,37 @@ def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> 
     )
 
 
-def _landed(message: Message, now_s: float, *_: object) -> LandedState:
-    landed = _LANDED.get(message.landed_state, Landed.UNKNOWN)
-    return LandedState(time_s=now_s, landed=landed)
+def _landed(message: Message, now_s: float, *_: object) -> events.LandedState:
+    landed = _LANDED.get(message.landed_state, events.Landed.UNKNOWN)
+    return events.LandedState(time_s=now_s, landed=landed)
 
 
-def _gps(message: Message, now_s: float, *_: object) -> GpsFix:
-    return GpsFix(time_s=now_s, good=message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX)
+def _gps(message: Message, now_s: float, *_: object) -> events.GpsFix:
+    return events.GpsFix(time_s=now_s, good=message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX)
 
 
-def _home(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Home | None:
+def _home(message: Message, now_s: float, frame: LocalFrame, *_: object) -> events.Home | None:
     place = _place(message, frame)
-    return None if place is None else Home(time_s=now_s, position_nea_m=place)
+    return None if place is None else events.Home(time_s=now_s, position_nea_m=place)
 
 
-def _origin(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Origin | None:
+def _origin(message: Message, now_s: float, frame: LocalFrame, *_: object) -> events.Origin | None:
     place = _place(message, frame)
-    return None if place is None else Origin(time_s=now_s, position_nea_m=place)
+    return None if place is None else events.Origin(time_s=now_s, position_nea_m=place)
 
 
-def _place(message: Message, frame: LocalFrame) -> Vector | None:
+def _place(message: Message, frame: LocalFrame) -> events.Vector | None:
     latitude, longitude = message.latitude * _E7, message.longitude * _E7
     return place_of(latitude, longitude, message.altitude * 1e-3, frame)
 
 
-def _battery(message: Message, now_s: float, *_: object) -> Battery | None:
+def _battery(message: Message, now_s: float, *_: object) -> events.Battery | None:
     """Percent left; -1 means that the autopilot does not know."""
     percent = message.battery_remaining
-    return Battery(time_s=now_s, remaining=percent * 0.01) if 0 <= percent <= 100 else None
+    return events.Battery(time_s=now_s, remaining=percent * 0.01) if 0 <= percent <= 100 else None
 
 
-def _one_battery(message: Message, now_s: float, *_: object) -> Battery | None:
+def _one_battery(message: Message, now_s: float, *_: object) -> events.Battery | None:
     """Battery 0 only: others may power something else."""
     return _battery(message, now_s) if message.id == 0 else None
 
@@ -126,18 +116,18 @@ def echo_at(
     altitude_amsl_m: float,
     now_s: float,
     frame: LocalFrame,
-    velocity_nea_m_s: Vector | None = None,
-) -> Echo | None:
+    velocity_nea_m_s: events.Vector | None = None,
+) -> events.Echo | None:
     """A position target echo; None if the position is invalid."""
     place = place_of(*place_deg, altitude_amsl_m, frame)
     if place is None:
         return None
-    return Echo(time_s=now_s, position_nea_m=place, velocity_nea_m_s=velocity_nea_m_s)
+    return events.Echo(time_s=now_s, position_nea_m=place, velocity_nea_m_s=velocity_nea_m_s)
 
 
 def place_of(
     latitude_deg: float, longitude_deg: float, altitude_m: float, frame: LocalFrame
-) -> Vector | None:
+) -> events.Vector | None:
     """A position from the wire; None if there is none yet, or it is nowhere on Earth."""
     if max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG or not abs(longitude_deg) <= 180.0:
         return None
@@ -153,7 +143,9 @@ def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
 # --- out
 
 
-def aim(setpoint: Setpoint, frame: LocalFrame) -> tuple[tuple[int, int], Vector, float] | None:
+def aim(
+    setpoint: events.Setpoint, frame: LocalFrame
+) -> tuple[tuple[int, int], events.Vector, float] | None:
     """Latitude and longitude in 1e-7 degrees, velocity in true-north NED, yaw of a setpoint.
 
     Yaw is clockwise from true north, within half a turn.  None if any value is not finite or out of
@@ -175,7 +167,7 @@ def aim(setpoint: Setpoint, frame: LocalFrame) -> tuple[tuple[int, int], Vector,
     return place, (north_m_s, east_m_s, -velocity[2]), yaw_rad
 
 
-def wire_place(position_nea_m: Vector, frame: LocalFrame) -> tuple[int, int] | None:
+def wire_place(position_nea_m: events.Vector, frame: LocalFrame) -> tuple[int, int] | None:
     """Latitude and longitude, 1e-7 degrees; None for an invalid destination."""
     north_m, east_m, altitude_m = position_nea_m
     in_band = _LOWEST_AMSL_M <= altitude_m <= HIGHEST_AMSL_M  # NaN is not
@@ -189,7 +181,7 @@ def wire_place(position_nea_m: Vector, frame: LocalFrame) -> tuple[int, int] | N
 
 
 def position_target(
-    setpoint: Setpoint,
+    setpoint: events.Setpoint,
     frame: LocalFrame,
     system_id: int,
     _loiter_radius_m: float = 0.0,

@@ -10,19 +10,14 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import pyproj
+
 from companion.geodesy import LocalFrame
-from companion.mavlink import rules
+from companion.mavlink import fence, rules
 from companion.mavlink.autopilots import messages
 from companion.mavlink.autopilots.common import Firmware, Modes
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.fence import (
-    CIRCLE_IN,
-    CIRCLE_OUT,
-    POLYGON_IN,
-    POLYGON_OUT,
-    FenceSettings,
-    shapes_of,
-)
+from companion.mavlink.fence import FenceSettings
 from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.rules import Case, Finding, Rule, only_read
 from companion.mission.events import Echo, Estimator, Mode, Vector
@@ -69,8 +64,8 @@ _BAD = wire.ESTIMATOR_GPS_GLITCH | wire.ESTIMATOR_ACCEL_ERROR
 _REJECTED = 1.0
 """Innovation over its gate, where EKF2 throws the measurement away; healthy: below 0.4.  NaN of one
 that it does not use."""
-EARTH_M = 6_371_000.0
-"""Of the sphere that PX4 projects with."""
+_SPHERE: Final = pyproj.Geod(a=6_371_000.0, f=0.0)
+"""On which PX4 projects, metres: its local frame is the azimuthal equidistant map of it."""
 KEEP_YAW = math.nan
 """Yaw of a command: MAVLink's "not given".  PX4 takes for radians what the message definition of
 NAV_TAKEOFF has in degrees.  The one place where something not finite is sent, and never in a
@@ -136,24 +131,10 @@ def local_echo(
     if not (math.isfinite(message.x) and math.isfinite(message.y)):
         return None
     latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
-    place = _unprojected_deg((latitude, longitude), message.x, message.y)
-    return messages.echo_at(place, origin_nea_m[2] - message.z, now_s, frame)
-
-
-def _unprojected_deg(
-    origin_deg: tuple[float, float], north_m: float, east_m: float
-) -> tuple[float, float]:
-    """Latitude and longitude of a point of the azimuthal equidistant map about an origin."""
-    latitude, longitude = map(math.radians, origin_deg)
-    north, east = north_m / EARTH_M, east_m / EARTH_M
-    arc = math.hypot(north, east)
-    if arc == 0.0:
-        return origin_deg
-    sin_arc, cos_arc = math.sin(arc), math.cos(arc)
-    sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
-    sine = cos_arc * sin_lat + north * sin_arc * cos_lat / arc
-    turn = math.atan2(east * sin_arc, arc * cos_lat * cos_arc - north * sin_lat * sin_arc)
-    return math.degrees(math.asin(max(-1.0, min(1.0, sine)))), math.degrees(longitude + turn)
+    azimuth_deg = math.degrees(math.atan2(message.y, message.x))
+    far_m = math.hypot(message.x, message.y)
+    longitude, latitude, _ = _SPHERE.fwd(longitude, latitude, azimuth_deg, far_m)
+    return messages.echo_at((latitude, longitude), origin_nea_m[2] - message.z, now_s, frame)
 
 
 _WITHOUT_STREAM: Final = {
@@ -208,11 +189,11 @@ def _misread(items: Sequence[PlanItem], who: str) -> str:
     another one, so that it keeps the vehicle out of places that no zone covers (px4.md 7).
     """
     circle, after = "", list[str]()
-    for number, (first, *_) in enumerate(shapes_of(items), start=1):
-        side = "inclusion" if first.command in (POLYGON_IN, CIRCLE_IN) else "exclusion"
-        if first.command in (CIRCLE_IN, CIRCLE_OUT):
+    for number, (first, *_) in enumerate(fence.shapes_of(items), start=1):
+        side = "inclusion" if first.command in (fence.POLYGON_IN, fence.CIRCLE_IN) else "exclusion"
+        if first.command in (fence.CIRCLE_IN, fence.CIRCLE_OUT):
             circle = circle or f"{side} {number}"
-        elif first.command in (POLYGON_IN, POLYGON_OUT) and circle:
+        elif first.command in (fence.POLYGON_IN, fence.POLYGON_OUT) and circle:
             after.append(f"{side} {number}")
     if not after:
         return ""
@@ -243,9 +224,6 @@ FIRMWARE: Final = Firmware(
     ),
     misread=_misread,
     all_is_well=lambda: wire.MAVLink_estimator_status_message(0, _NEEDED, *[0.0] * 8),
-    how_to_record=lambda name: (
-        f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell"
-    ),
     lasting_battery={"SIM_BAT_DRAIN": 10_000.0},
     is_bytewise=True,
     asks_time_often=True,  # px4.md 2

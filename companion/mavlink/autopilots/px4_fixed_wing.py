@@ -66,13 +66,12 @@ def _setpoint(
     return messages.position_target(setpoint, frame, system_id, type_mask=mask)
 
 
-def _only_speed(value: float, case: Case) -> Finding | None:
-    """PX4's fixed wing always flies at this speed (px4.md 10)."""
-    speed = case.limits.speed_m_s
-    if value <= 1.05 * speed:
-        return None
-    rule = f"it always flies this airspeed, and the mission counts on {speed:g} m/s or less"
-    return Finding(rule, f"Set vehicle.speed_m_s to {value:g}")
+_ONLY_SPEED: Final = rules.at_least(  # px4.md 10
+    lambda limits: 1.05 * limits.speed_m_s,
+    "it always flies this airspeed, and the mission counts on {needed:g} m/s or less",
+    "Set vehicle.speed_m_s to {value:g}",
+    most=True,
+)
 
 
 def _timeout(value: float, case: Case) -> Finding | None:
@@ -82,7 +81,7 @@ def _timeout(value: float, case: Case) -> Finding | None:
 
 _RULES: Final = (
     Rule("COM_OF_LOSS_T", _timeout, "how long it flies on without setpoints"),
-    Rule("FW_AIRSPD_TRIM", _only_speed, "the airspeed that it flies"),
+    Rule("FW_AIRSPD_TRIM", _ONLY_SPEED, "the airspeed that it flies"),
     Rule("FW_AIRSPD_MIN", rules.slowest),
     Rule("FW_AIRSPD_MAX", rules.fastest),
     # circles are held within 0.4 m (px4.md 10)

@@ -3,7 +3,6 @@
 It flies at the velocity of its setpoints.  10 s on the ground disarm it again.
 """
 
-import math
 from dataclasses import replace
 from typing import Final
 
@@ -32,20 +31,14 @@ def _offboard_timeout(value: float, case: Case) -> Finding | None:
     return rules.timeout(value, slack_s, case)
 
 
-def _speed_of_offboard(value: float, case: Case) -> Finding | None:
-    """At MPC_XY_VEL_MAX it falls behind without recovery (px4.md 5)."""
-    speed = case.limits.speed_m_s
-    if speed <= 0.85 * value + rules.EQUAL_WITHIN:
-        return None
-    return Finding(
-        f"vehicle.speed_m_s = {speed:g} is more than 85 % of it: nothing is left to catch up with",
-        f"Raise it to {math.ceil(speed / 0.8)} or more, or fly {0.8 * value:.1f} m/s or less",
-    )
-
-
+_SPEED: Final = rules.at_least(  # at this speed it falls behind without recovery (px4.md 5)
+    lambda limits: limits.speed_m_s / 0.85,
+    "more than 85 % of it is flown: nothing is left to catch up with",
+    "Raise it to {up:g} or more, or fly slower",
+)
 _RULES: Final = (
     Rule("COM_OF_LOSS_T", _offboard_timeout, "how long it flies on without setpoints"),
-    Rule("MPC_XY_VEL_MAX", _speed_of_offboard, "its highest speed"),
+    Rule("MPC_XY_VEL_MAX", _SPEED, "its highest speed"),
     Rule("MPC_Z_VEL_MAX_UP", rules.copter_climbs, "how fast it climbs"),
     Rule("MPC_Z_VEL_MAX_DN", rules.copter_sinks, "how fast it sinks"),
     Rule("MPC_TILTMAX_AIR", rules.tilt),

@@ -4,7 +4,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, final
 
-from companion.mavlink.autopilots import ALL, FIRMWARES
+from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
 
 Kind = Literal["tlog", "bin", "ulg"]
@@ -106,14 +106,14 @@ def missing_of(kind: Kind, autopilot: int | None, heard: Collection[str]) -> tup
     ways = [each for each in ALL if autopilot in (None, each.firmware.number)]
     decoded = {wire.mavlink_map[number].msgname for each in ways for number in each.decoders}
     return tuple(
-        Missing(need.message, need.without, _remedy(kind, need, autopilot), need.vital)
+        Missing(need.message, need.without, _remedy(kind, need), need.vital)
         for need in _NEEDS
         if not any(each in heard for each in need.message.split(" or "))
         and (need.without != _ESTIMATOR or need.message in decoded)
     )
 
 
-def _remedy(kind: Kind, need: _Need, autopilot: int | None) -> str:
+def _remedy(kind: Kind, need: _Need) -> str:
     name = need.message.split(" or ")[0]
     if kind == "bin" and not need.entries:
         return "A .bin has nothing of it: record a .tlog as well"
@@ -123,8 +123,4 @@ def _remedy(kind: Kind, need: _Need, autopilot: int | None) -> str:
         if how.endswith(")"):
             return f"Have the autopilot log {how}"
         return f"The autopilot always logs {how or 'it'}: see whether the log is whole"
-    known = [each for each in FIRMWARES if each.number == autopilot] or FIRMWARES
-    said = [how for each in known if (how := each.how_to_record(name))]
-    if name in _OF_ITSELF or not said:
-        return _OF_ITSELF.get(name, "Ask for it with SET_MESSAGE_INTERVAL")
-    return "; ".join([*said, "any: ask with SET_MESSAGE_INTERVAL"])
+    return _OF_ITSELF.get(name, "Record it: the stream rates are in docs/logs.md")
