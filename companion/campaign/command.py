@@ -244,10 +244,8 @@ def report_command(
                 csv: campaign.summary_csv(report),
                 rows: campaign.rows_csv(report.campaign.rows),
             }
-    for table in campaign.terminal_tables(report):
-        console.print(table)
-    for line in campaign.report_lines(report):
-        console.out(line, highlight=False)
+    for shown in campaign.terminal_tables(report):
+        console.print(shown)
     for option, texts in files.items():
         for path, text in texts.items():
             with writing(option, path):
