@@ -79,17 +79,22 @@ def _terrain_facts(terrain: PeakTerrain | ArrayTerrain) -> tuple[Any, ...]:
     return rows, terrain.ground_amsl_m
 
 
+def of_files(world: str, mission: str) -> DrawnWorld:
+    """World and mission of files or of bundled names, as the judge takes them."""
+    place, read = load_world(world), load_mission(mission)
+    return DrawnWorld(
+        name=place.name,
+        terrain=judgeable(place.terrain, read.task.limits),
+        task=read.task,
+        start_nea_m=(*place.start_ne_m, read.task.take_off_amsl_m),
+        targets_ne_m=read.targets_ne_m,
+    )
+
+
 @functools.cache
 def bundled(name: str) -> DrawnWorld:
     """One of the environments that come with the package."""
-    mission, world = load_mission(name), load_world(name)
-    return DrawnWorld(
-        name=name,
-        terrain=judgeable(world.terrain, mission.task.limits),
-        task=mission.task,
-        start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
-        targets_ne_m=mission.targets_ne_m,
-    )
+    return of_files(name, name)
 
 
 def judgeable(terrain: Terrain, limits: Limits) -> Any:

@@ -9,9 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-import numpy as np
-
-from companion.geodesy import FloatArray
 from companion.mission.mission import Mission
 
 _OVER = ("landing", "handing over", "done", "faulted")
@@ -51,16 +48,8 @@ def truth_of(folder: Path) -> list[dict[str, Any]]:
     return [row for line in lines if "t_s" in (row := json.loads(line))]
 
 
-def crash_of(flight: Flight) -> dict[str, Any] | None:
-    """The first contact that nobody survives, as the simulator judged it: when, into what, speed.
-
-    None: it never crashed.
-    """
-    return next((row["crash"] for row in flight.truth if "crash" in row), None)
-
-
-def in_the_air(flight: Flight) -> tuple[FloatArray, FloatArray]:
-    """The true track while subpaths were flown -> times (S,), north, east, altitude (S, 3).
+def in_the_air(flight: Flight) -> list[dict[str, Any]]:
+    """The truth while subpaths were flown.
 
     Until the vehicle is told to land or is let go.  Of a flight whose vehicle's clock began again,
     the whole time in the air.
@@ -71,5 +60,4 @@ def in_the_air(flight: Flight) -> tuple[FloatArray, FloatArray]:
     until_s = next(over, math.inf)
     if until_s < math.inf:
         rows = [row for row in rows if begun_s <= row["t_s"] <= until_s]
-    track = [(row["north_m"], row["east_m"], row["altitude_amsl_m"]) for row in rows]
-    return np.array([row["t_s"] for row in rows]), np.array(track).reshape(-1, 3)
+    return rows

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.campaign import families, run, truth
+from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.config import load_mission, load_world
@@ -47,7 +47,9 @@ def test_what_is_read_back_is_what_was_drawn(family: str, tmp_path: Path) -> Non
         bends = np.abs(np.diff(drawn.terrain.heights_m, 2, axis=0)).max()
         off_m = 0.25 * float(bends)
     theirs = read_world(world_path).truth().height_amsl_m(north, east)
-    judged = truth.height_m(run._as_drawn(str(world_path), str(mission_path)).terrain, north, east)
+    judged = truth.height_m(
+        drawn_world.of_files(str(world_path), str(mission_path)).terrain, north, east
+    )
     for heights in (world.terrain.height_m(north, east), theirs, judged):
         np.testing.assert_allclose(heights, expected, atol=off_m + 1e-3)
         assert abs(float(np.mean(heights - expected))) < 0.05

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from flights import one_target
 
-from companion.campaign import drawn_faults, families, judge, run
+from companion.campaign import drawn_faults, drawn_world, families, judge
 from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
 from companion.campaign.drawn_files import mission_of
 from companion.campaign.file import load_campaign, runs_of
-from companion.campaign.flight import Flight, FlightFiles
+from companion.campaign.flight import Flight
 from companion.campaign.run import fly_run
 from companion.config import load_mission
 from companion.world.zones import CircleZone
@@ -114,7 +114,9 @@ def frame(number: int, component: int, body: bytes) -> bytes:
 
 
 def violated(flown: Flight, timeline: str = "") -> list[str]:
-    found: list[str] = judge.judged(flown, DRAWN, timeline)["violated"]
+    row = judge.judged(flown, DRAWN, timeline)
+    found = str(row["violated"] or "").split("; ") if row["violated"] else []
+    assert len(found) == row["violations"]
     return found
 
 
@@ -170,17 +172,15 @@ def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     assert ("hit the ground at 9.1 m/s, 3.0 s" in after) == bool(count)
 
 
-def test_without_faults_a_crash_is_a_violation_wherever_it_was(tmp_path: Path) -> None:
-    at = Path(families.__file__).parents[1] / "environments" / "environment-1"
-    files = FlightFiles(
-        world=at / "world.toml", mission=at / "mission.toml", faults="", folder=tmp_path
-    )
-    flown = flight(tmp_path, [TARGET] * 2)
-    rows = [run._judged(flown, files, with_faults=False)]
-    flown.truth[-1]["crash"] = CRASH
-    rows.append(run._judged(flown, files, with_faults=False))
-    assert rows[1]["violations"] == rows[0]["violations"] + 1
-    assert "flown: hit the ground at 9.1 m/s" in rows[1]["violated"]
+def test_without_faults_a_crash_is_a_violation_wherever_it_was_and_no_ending_is(
+    tmp_path: Path,
+) -> None:
+    flown = flight(tmp_path, [TARGET] * 2, mode="LAND", kind="say")
+    row = judge.judged(flown, DRAWN, None)
+    assert (row["violations"], row["violated"], "ending" in row) == (0, None, False)
+    flown.truth[-1]["crash"] = CRASH | {"t_s": 2.0}
+    row = judge.judged(flown, DRAWN, None)
+    assert (row["violations"], row["violated"]) == (1, "hit the ground at 9.1 m/s, 2.0 s")
 
 
 def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(
 ) -> None:
     found = judge.judged(flight(tmp_path, [TARGET] * 3, **end), DRAWN, "")
     assert found["ending"] == ending
-    assert len(found["violated"]) == ending.startswith("unexplained")
+    assert found["violations"] == ending.startswith("unexplained")
 
 
 @pytest.mark.parametrize(
@@ -258,27 +258,25 @@ def test_who_says_that_it_arrived_somewhere_else_is_found_out(tmp_path: Path) ->
 
 def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:
     """Who says nothing of its end, or touches something that it could know of, violates."""
-    forest, files = (
-        load_mission("forest"),
-        FlightFiles(world=Path("forest"), mission=Path("forest"), faults="", folder=tmp_path),
-    )
+    forest, world = load_mission("forest"), drawn_world.bundled("forest")
     there = forest.targets_ne_m[-1]
     up_m = forest.task.limits.floor_amsl_m + 3.0
     made = flight(tmp_path, [there] * 4, told_off_m=up_m - HIGH_M, kind="say")
     plain = replace(made, mission=forest)
     for row in plain.truth:
         row |= {"altitude_amsl_m": up_m, "near_m": 2.0}
-    row = run._judged(plain, files, with_faults=True)
+    row = judge.judged(plain, world, "")
     assert (row["violations"], row["ending"]) == (1, "unexplained: no end")
     assert row["clearance_least_m"] == 2.0
     end = plain.journal[-1] | {"kind": "end"}
     touching = replace(plain, journal=[*plain.journal[:-1], end])
     touching.truth[20]["near_m"] = 0.0
-    said = "flown: touched something at 2.1 s"
-    assert said in run._judged(touching, files, with_faults=True)["violated"]
+    said = "touched something at 2.1 s"
+    assert said in judge.judged(touching, world, "")["violated"]
+    assert judge.judged(touching, world, None)["violated"] == said
     for row in touching.truth:
         row["mode"] = "LOITER"  # a pilot
-    found = run._judged(touching, files, with_faults=True)
+    found = judge.judged(touching, world, "")
     assert (said in str(found["violated"]), said in found["excused"]) == (False, True)
 
 
