@@ -7,7 +7,7 @@ from typing import Literal, final
 import numpy as np
 
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.families import unseen, unseen_with_elevation
+from companion.campaign.families import unseen
 from companion.geodesy import FloatArray
 from companion.planner.offline import fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -15,8 +15,8 @@ from companion.planning import OURS, planner_of
 from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import simulated_scan, true_map
 
-Knowledge = Literal["scans", "elevation", "full"]
-"""Of the ground before the flight: none; a poor elevation file, for guidance; all of it."""
+Knowledge = Literal["scans", "full"]
+"""Of the ground before the flight: none, or all of it."""
 _POINTS_PER_RANGE = 1_000
 
 
@@ -76,8 +76,6 @@ def fly(
 
 def _known(world: DrawnWorld, knowledge: Knowledge) -> KnownMap:
     """The map before the flight."""
-    if knowledge == "elevation":
-        return unseen_with_elevation(world, int(world.fingerprint[:8], 16))
     blank = unseen(world)
     if knowledge == "scans":
         return blank

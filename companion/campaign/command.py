@@ -5,7 +5,7 @@ import hashlib
 import time
 from collections.abc import Generator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 from rich.console import Console
@@ -101,13 +101,10 @@ def run_command(
     if scheduler is not None and jobs is not None:
         rule = "how many runs are flown at a time, the workers of --scheduler say"
         raise InputError("--jobs", jobs, rule, "Leave out one of them.")
-    table, text, folder = file.load_campaign(campaign)
-    if seeds is not None:
-        table = table.model_copy(update={"seeds": seeds})
-    how = cast("file.Over", _one_of("--over", over, file.Over) or table.over)
-    kept = cast("file.Keep", _one_of("--keep", keep, file.Keep) or table.keep)
-    file.check_over(table, how, campaign)
-    runs = _chosen(file.runs_of(table, folder, how, kept), most, only)
+    options = {"over": over, "keep": keep, "seeds": seeds}
+    given = {key: value for key, value in options.items() if value is not None}
+    table, text, folder = file.load_campaign(campaign, given)
+    runs = _chosen(file.runs_of(table, folder), most, only)
     run.check_runs(runs, campaign)
     console, began_s = plain_console(soft_wrap=True), time.perf_counter()
     path = (out or Path("campaigns") / table.name).absolute()
@@ -119,11 +116,7 @@ def run_command(
         todo = [each for each in runs if each.number not in store.done]
         if len(todo) < len(runs):
             console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
-        rows = (
-            execute.fly_on_cluster(todo, path, scheduler)
-            if scheduler
-            else execute.fly_locally(todo, path, jobs or processors())
-        )
+        rows = execute.fly(todo, path, scheduler=scheduler, jobs=jobs or processors())
         try:
             counts = _collect(rows, store, table.name, len(runs), console)
         except KeyboardInterrupt:
@@ -143,12 +136,6 @@ def run_command(
     said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     console.print(f"{len(todo)} runs in {took_s:.0f} s: {said or 'nothing to do'}", highlight=False)
     console.out(f"campaign: {path}", highlight=False)
-
-
-def _one_of(option: str, value: str | None, kinds: Any) -> str | None:
-    if value is not None and value not in get_args(kinds):
-        raise InputError(option, value, "there is none", f"One of: {', '.join(get_args(kinds))}.")
-    return value
 
 
 def _chosen(runs: list["Run"], most: int | None, only: list[int] | None) -> list["Run"]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
+from scipy.ndimage import distance_transform_edt, grey_dilation, label
 
 from companion.campaign.truth import height_m
 from companion.config import load_mission, load_world
@@ -157,14 +157,11 @@ def lowest_safe_m(
     outer_n = north[0] + cell_m * np.arange(-reach, len(north) + reach)
     outer_e = east[0] + cell_m * np.arange(-reach, len(east) + reach)
     height = height_m(world.terrain, outer_n[:, None], outer_e[None, :])
-    result = np.full((len(north), len(east)), -np.inf)
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            left2 = clearance_m**2 - max(math.hypot(i, j) * cell_m - aside_m, 0.0) ** 2
-            if left2 >= 0.0:
-                shifted = height[reach + i :, reach + j :][: len(north), : len(east)]
-                np.maximum(result, shifted + math.sqrt(left2), out=result)
-    return result
+    steps = cell_m * np.arange(-reach, reach + 1)
+    away = np.maximum(np.hypot(steps[:, None], steps[None, :]) - aside_m, 0.0)
+    ball = np.sqrt(np.maximum(clearance_m**2 - away**2, 0.0))
+    grown = grey_dilation(height, footprint=away <= clearance_m, structure=ball)
+    return np.asarray(grown[reach:-reach, reach:-reach])
 
 
 @functools.lru_cache(maxsize=4)

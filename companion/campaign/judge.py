@@ -30,7 +30,7 @@ import numpy as np
 from companion.campaign import truth
 from companion.campaign.drawn_faults import KILLED, Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.flight import Flight, in_the_air
+from companion.campaign.in_process import Flight
 from companion.geodesy import BoolArray, FloatArray
 from companion.library import route_terms
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
@@ -54,6 +54,8 @@ _SPACING_M: Final = 1.0
 """Between the points of a subpath at which it is checked, as far as that makes a few thousand."""
 _MOST_POINTS: Final = 20_000
 _OF_SHAPE: Final = ("turn radius", "climb angle", "dive angle")
+_OVER: Final = ("landing", "handing over", "done", "faulted")
+"""Phases in which no subpath is flown any more."""
 _LET_GO: Final = (Reason.MODE_TAKEN.text, Reason.FAILSAFE.text, Reason.FENCE_BREACHED.text)
 _DEG_M: Final = 111_195.0
 _POSITION: Final = wire.MAVLink_global_position_int_message
@@ -148,7 +150,7 @@ def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
             for entry in flight.journal
         ),
     }
-    rows = in_the_air(flight)
+    rows = _in_the_air(flight)
     if len(rows) < 2:
         return found
     t_s, points = [row["t_s"] for row in rows], _points(rows)
@@ -173,6 +175,21 @@ def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
     until_s = flight.journal[stop]["t_s"]
     rows = [row for row in flight.truth if row["t_s"] <= until_s]
     return replace(flight, journal=flight.journal[:stop], truth=rows), True
+
+
+def _in_the_air(flight: Flight) -> list[dict[str, Any]]:
+    """The truth while subpaths were flown.
+
+    Until the vehicle is told to land or is let go.  Of a flight whose vehicle's clock began again,
+    the whole time in the air.
+    """
+    rows = [row for row in flight.truth if not row["landed"]]
+    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), math.inf)
+    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
+    until_s = next(over, math.inf)
+    if until_s < math.inf:
+        rows = [row for row in rows if begun_s <= row["t_s"] <= until_s]
+    return rows
 
 
 def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:

@@ -21,7 +21,7 @@ from companion.campaign import alone, drawn_faults, families, in_process, judge
 from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld, of_files
 from companion.campaign.file import Place, Run
-from companion.campaign.flight import FlightFiles
+from companion.campaign.in_process import FlightFiles
 from companion.campaign.row import Row
 from companion.config import folder_of, load_world, mission_text, world_table
 from companion.errors import InputError
@@ -110,8 +110,7 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
     if run.over == "planner":
         return _planned(run, folder)
     files = _files(run, folder)
-    recorded = run.keep != "none" or run.with_faults
-    flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s, recorded=recorded)
+    flown = in_process.fly_here(files, seed=run.seed, limit_s=run.limit_s)
     drawn = of_files(str(files.world), str(files.mission))
     found = judge.judged(flown, drawn, files.faults if run.with_faults else None)
     found |= {"timeline": files.faults or None}
@@ -123,8 +122,10 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
 
 def _planned(run: Run, folder: Path) -> dict[str, Any]:
     drawn = _with_factors(drawn_of(run.place), run)
-    if run.keep != "none":
+    if run.keep != "none" and run.place.family is not None:
         write(drawn, folder)
+    elif run.keep != "none":
+        _files(run, folder)
     knowledge: Any = run.knowledge
     flown = alone.fly(drawn, run.planner, knowledge=knowledge, seed=run.seed)
     found = judge.of_task(drawn.task, drawn, flown.plan_s) | {

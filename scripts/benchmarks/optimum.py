@@ -317,7 +317,7 @@ def _store() -> Path:
 
 # --- beside a campaign
 
-BARS = {"scans": (1.03, 1.06, 1.12), "elevation": (1.015, 1.03, 1.06)}
+BARS = {"scans": (1.03, 1.06, 1.12)}
 _HEADINGS = ("J / J*: median|.4f", "mean|.4f", "90 %|.4f", "worst|.4f")
 _FIGURES = np.median, np.mean, lambda found: np.quantile(found, 0.9), np.max
 

@@ -14,7 +14,7 @@ from companion.campaign import drawn_faults, drawn_world, families, judge
 from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
 from companion.campaign.drawn_files import mission_of
 from companion.campaign.file import load_campaign, runs_of
-from companion.campaign.flight import Flight
+from companion.campaign.in_process import Flight
 from companion.campaign.run import fly_run
 from companion.config import load_mission
 from companion.world.zones import CircleZone
@@ -294,7 +294,7 @@ def test_a_companion_that_is_killed_goes_on(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     table, _, base = load_campaign(str(tmp_path / "campaign.toml"))
-    [run] = runs_of(table, base, "process", "all")
+    [run] = runs_of(table, base)
     row = fly_run(run, tmp_path)
     assert (row.arrived, row.violations, row.violated) == (True, 0, None)
     assert row.ending in ("arrived", "held and resumed")

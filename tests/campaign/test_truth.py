@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from companion.campaign import drawn_world, truth
 from companion.world.radars import Radar
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone
 
 FloatArray = NDArray[np.float64]
@@ -192,3 +192,17 @@ def test_a_join_beside_the_curve_jumps_in_position_and_a_stop_does_not() -> None
     from_rest = LINE[-1] + (LINE - LINE[0])[:, [1, 0, 2]]  # a right angle, where the first ends
     assert truth.jumps(LINE, from_rest, TASK) is None
     assert truth.goes_over(LINE, from_rest, TASK)
+
+
+def test_the_distance_to_an_array_of_heights_is_that_to_its_plane() -> None:
+    """A slope of 0.5: the distance is the height over it times cos(atan 0.5)."""
+    nodes = 50.0 * np.arange(60.0)
+    terrain = ArrayTerrain(heights_m=np.add.outer(0.5 * nodes, 0.0 * nodes), spacing_m=50.0)
+    rng = np.random.default_rng(1)
+    at = rng.uniform(1_000.0, 2_000.0, (50, 2))
+    above = rng.uniform(20.0, 150.0, 50) * np.where(np.arange(50) % 3, 1.0, -1.0)
+    points = np.column_stack([at, 0.5 * at[:, 0] + above])
+    found = truth.terrain_distance_m(points, terrain, 200.0)
+    expected = np.where(above > 0.0, above / math.hypot(1.0, 0.5), above)
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=0.2)
+    assert (found >= expected - 1e-6).all()
