@@ -205,7 +205,7 @@ def test_without_a_word_of_the_estimator_the_rest_is_still_told(tmp_path: Path) 
     [said] = report.could_not
     assert said.message == "EKF_STATUS_REPORT"
     assert "taken to be good" in said.because
-    assert "SRn_EXTRA3" in said.remedy
+    assert "docs/logs.md" in said.remedy
     assert [each.message for each in report.missing] == ["EKF_STATUS_REPORT"]
     codes = [hold.why[0].code for hold in report.holds]
     # What the estimator would have told at 114.7 s is only seen when the position jumps.
