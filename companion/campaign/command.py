@@ -3,9 +3,10 @@
 import contextlib
 import hashlib
 import time
+from collections import Counter
 from collections.abc import Generator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -133,8 +134,8 @@ def run_command(
             )
             raise InputError("--out", str(path), rule, remedy) from error
     took_s = time.perf_counter() - began_s
-    said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    console.print(f"{len(todo)} runs in {took_s:.0f} s: {said or 'nothing to do'}", highlight=False)
+    said = _said(counts) or "nothing to do"
+    console.print(f"{len(todo)} runs in {took_s:.0f} s: {said}", highlight=False)
     console.out(f"campaign: {path}", highlight=False)
 
 
@@ -150,28 +151,20 @@ def _chosen(runs: list["Run"], most: int | None, only: list[int] | None) -> list
 
 
 def _collect(
-    rows: Any, store: Store, campaign: str, count: int, console: Console
-) -> dict[str, int]:
+    rows: "Generator[Row]", store: Store, campaign: str, count: int, console: Console
+) -> Counter[str]:
     """Write rows as they come, and show how far it is -> how many came to what."""
-    counts = {"arrived": 0, "not arrived": 0, "with violations": 0, "errors": 0}
-    waiting, written_s = list[Row](), time.monotonic()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[said]}"),
-    )
+    counts, waiting, written_s = Counter[str](), list[Row](), time.monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+               TimeRemainingColumn(), TextColumn("{task.fields[said]}"))  # fmt: skip
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(campaign, total=count, completed=len(store.done), said="")
         try:
-            with contextlib.closing(cast("Generator[Row]", rows)):
+            with contextlib.closing(rows):
                 for row in rows:
                     waiting.append(row)
-                    name = _what(row)
-                    counts[name] += 1
-                    said = ", ".join(f"{n} {k}" for k, n in counts.items() if n)
-                    progress.update(task, advance=1, said=said)
+                    counts[_what(row)] += 1
+                    progress.update(task, advance=1, said=_said(counts))
                     now_s = time.monotonic()
                     if now_s - written_s >= _WRITE_S or len(waiting) >= _WRITE_ROWS:
                         store.add(waiting)
@@ -181,12 +174,16 @@ def _collect(
     return counts
 
 
-def _what(row: Row) -> Literal["arrived", "not arrived", "with violations", "errors"]:
+def _what(row: Row) -> str:
     if row.error is not None:
         return "errors"
     if row.violations:
         return "with violations"
     return "arrived" if row.arrived else "not arrived"
+
+
+def _said(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
 
 
 @campaign_app.command("report")

@@ -5,7 +5,7 @@ Rows come in any order; a worker that is lost takes no run with it.
 
 import logging
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from multiprocessing import resource_tracker
@@ -22,7 +22,7 @@ _RETRIES = 3
 """How often a run may lose its worker until that is held against it; Dask's own number."""
 
 
-def fly(runs: Sequence[Run], out: Path, *, scheduler: str | None, jobs: int) -> Iterator[Row]:
+def fly(runs: Sequence[Run], out: Path, *, scheduler: str | None, jobs: int) -> Generator[Row]:
     """Fly runs on a scheduler's workers; None: on so many processes of this machine.
 
     OSError: there is no room for a folder.  InputError: no scheduler answers there.
