@@ -129,11 +129,11 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
     knowledge: Any = run.knowledge
     flown = alone.fly(drawn, run.planner, knowledge=knowledge, seed=run.seed)
     found = judge.of_task(drawn.task, drawn, flown.plan_s) | {
-        "outcome": "arrived" if flown.arrived else "failed",
+        "outcome": "failed" if flown.why else "arrived",
         "reason": flown.why or None,
-        "arrived": flown.arrived,
+        "arrived": not flown.why,
         "plans": len(flown.plan_s),
-        "holds": flown.holds,
+        "holds": flown.whole.holds,
     }
     subpaths, is_ours = flown.subpaths_nea_m, run.planner == OURS
     if subpaths:

@@ -145,6 +145,14 @@ def test_who_is_nearer_than_the_safety_distance_violates_it(
     assert len(violated(flight(tmp_path, [*[beside(gap_m)] * 3, TARGET]))) == count
 
 
+def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
+    fence = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
+    world = replace(DRAWN, task=replace(DRAWN.task, zones=(fence,)))
+    for off_m, count in ((37.0, 0), (39.0, 1), (60.0, 1)):
+        flown = flight(tmp_path, [(-1_200.0, off_m)] * 3, kind="say")
+        assert judge.judged(flown, world, None)["violations"] == count
+
+
 @pytest.mark.parametrize(("off_m", "count"), [(3.5, 0), (2.5, 1)])
 def test_a_position_that_was_told_wrong_excuses_and_one_within_its_error_does_not(
     off_m: float, count: int, tmp_path: Path
@@ -203,6 +211,8 @@ def test_a_new_fence_is_known_after_ten_seconds_and_then_has_to_be_left_once(
     line = "at 2.0 s: ground_fence 30 m"
     assert not violated(flight(tmp_path, [*[inside] * 11, TARGET]), line)
     assert len(violated(flight(tmp_path, [*[inside] * 40, TARGET]), line)) == 1
+    unknown = [inside] * 3 + [outside] * 2 + [inside] * 2 + [outside] * 10
+    assert not violated(flight(tmp_path, [*unknown, TARGET]), line)
     leaves = [inside] * 16 + [outside] * 10
     assert not violated(flight(tmp_path, [*leaves, TARGET]), line)
     assert len(violated(flight(tmp_path, [*leaves, inside, TARGET]), line)) == 1
@@ -247,6 +257,15 @@ def test_a_copter_that_no_command_could_reach_at_the_end_holds(
     flown = flight(tmp_path, [TARGET] * 3, outcome="failed", reason="the vehicle fell silent")
     lost = f"at 0.1 s for {until_s} s: link_off"
     assert judge.judged(flown, DRAWN, lost)["ending"] == ending
+
+
+@pytest.mark.parametrize(("timeline", "count"), [("", 1), ("at 0.1 s: turbulence 1 m/s", 0)])
+def test_to_hold_for_good_with_nothing_wrong_violates(
+    timeline: str, count: int, tmp_path: Path
+) -> None:
+    flown = flight(tmp_path, [TARGET] * 3, mode="BRAKE", outcome="failed", reason="no way")
+    found = judge.judged(flown, DRAWN, timeline)
+    assert (found["ending"], found["violations"]) == ("held for good", count)
 
 
 def test_who_says_that_it_arrived_somewhere_else_is_found_out(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from planning import LARGE
 from scipy.spatial import cKDTree
 
-from companion.campaign import drawn_world, truth
+from companion.campaign import drawn_world, judge, truth
 from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone
@@ -206,3 +206,16 @@ def test_the_distance_to_an_array_of_heights_is_that_to_its_plane() -> None:
     expected = np.where(above > 0.0, above / math.hypot(1.0, 0.5), above)
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=0.2)
     assert (found >= expected - 1e-6).all()
+
+
+def test_only_subpaths_that_follow_each_other_have_to_join() -> None:
+    world = drawn_world.bundled("environment-2")
+    there = np.array([8e3, 20e3, 3_100.0])
+    first, aside = LINE + there, LINE + there + [7e3, 300.0, 0.0]
+    alone = judge.checked([first, aside], world)
+    joined = judge.checked([first, aside], world, joined=True)
+    assert "join" not in str(alone["violated"])
+    assert "leg 2: join" in str(joined["violated"])
+    assert joined["violations"] == alone["violations"] + (
+        str(alone["violated"]).count("leg 2") == 0
+    )

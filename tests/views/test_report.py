@@ -332,21 +332,6 @@ def test_each_figure_is_valid_xml_and_holds_what_it_refers_to(page: str) -> None
         assert wanted <= ids
 
 
-def test_dark_light_and_print_define_the_same_colours(page: str) -> None:
-    blocks = re.findall(r":root \{(.*?)\}", page, flags=re.DOTALL)
-    names = [set(re.findall(r"(--\w+):", block)) for block in blocks]
-    assert len(names) == 3
-    assert names[0] == names[1] == names[2]
-    assert set(re.findall(r"var\((--\w+)\)", page)) - {"--share"} <= names[0]
-
-
-def test_the_rules_of_print_come_last_so_that_they_hold(page: str) -> None:
-    style = page[page.index("<style>") : page.index("</style>")]
-    printed = style.rindex("@media print")
-    assert "max-height: none" in style[printed:]
-    assert all(style.rindex(rule, 0, printed) for rule in ("body {", "table {", "th, td {"))
-
-
 def test_what_comes_from_the_flight_is_text_and_no_markup(copy: Path) -> None:
     mission = (copy / "mission.toml").read_text(encoding="utf-8")
     mission += f"# {EVIL}\n" + RADAR.format(EVIL, 3000.0, 3000.0, 3000.0, 2000.0)
