@@ -245,15 +245,8 @@ def checked(
     for number, control_nea_m in enumerate(subpaths, 1):
         long_m = float(np.linalg.norm(np.diff(control_nea_m, axis=0), axis=-1).sum())
         curve = truth.sampled(control_nea_m, max(_SPACING_M, long_m / _MOST_POINTS))
-        measures = truth.measure(
-            curve,
-            terrain=drawn.terrain,
-            limits=task.limits,
-            radars=task.radars,
-            zones=task.zones,
-            required_clearance_m=task.required_clearance_m,
-        )
-        broken = [*measures.violations(task.limits, task.required_clearance_m, task.error_m)]
+        measures = truth.measure(curve, drawn.terrain, task)
+        broken = [*measures.violations(task)]
         if joined and number > 1 and not truth.goes_over(subpaths[number - 2], control_nea_m, task):
             broken.append("join")
         broken = [name for name in broken if bounds is None or name in bounds]

@@ -159,20 +159,11 @@ class Solver:
 
     def violations(self, measures: truth.Measures) -> tuple[str, ...]:
         """The bounds that are broken."""
-        task = self.world.task
-        return measures.violations(task.limits, task.required_clearance_m, task.error_m)
+        return measures.violations(self.world.task)
 
     def measured(self, curve: truth.Curve) -> truth.Measures:
         """Everything about one sampled curve."""
-        task = self.world.task
-        return truth.measure(
-            curve,
-            terrain=self.world.terrain,
-            limits=task.limits,
-            radars=task.radars,
-            zones=task.zones,
-            required_clearance_m=task.required_clearance_m,
-        )
+        return truth.measure(curve, self.world.terrain, self.world.task)
 
     def _drawn_in(
         self,

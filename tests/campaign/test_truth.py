@@ -21,7 +21,9 @@ TERRAIN = PeakTerrain(
     ),
     ground_amsl_m=0.0,
 )
-LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3), tracking_error_m=15.0)
+TASK = drawn_world.bundled("environment-2").task
+LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3),
+                 tracking_error_m=15.0, navigation_error_m=0.0)  # fmt: skip
 
 
 def surface_samples(terrain: PeakTerrain, spacing_m: float) -> FloatArray:
@@ -135,20 +137,13 @@ def level(altitude_m: float, *, bend_m: float = 0.0, climb_m: float = 0.0) -> Fl
     ],
 )
 def test_each_broken_bound_is_named(control: FloatArray, names: tuple[str, ...]) -> None:
-    found = truth.measure(
-        truth.sampled(control, 1.0),
-        terrain=TERRAIN,
-        limits=LIMITS,
-        radars=(),
-        zones=(),
-        required_clearance_m=515.0,
-    )
-    assert found.violations(LIMITS, 515.0, 15.0) == names
+    task = replace(TASK, limits=LIMITS, zones=())
+    assert task.required_clearance_m == 515.0
+    assert truth.measure(truth.sampled(control, 1.0), TERRAIN, task).violations(task) == names
 
 
 CURVE = np.array([[0.0, 0, 3_100], [6e3, 0, 3_100], [9e3, 4e3, 3_400], [12e3, 11e3, 3_300]])
 LINE = np.array([[n, 0.0, 3_100.0] for n in (0.0, 3e3, 6e3, 9e3)])
-TASK = drawn_world.bundled("environment-2").task
 
 
 def rest_of(control: FloatArray, at: float) -> FloatArray:
