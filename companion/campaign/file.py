@@ -191,7 +191,7 @@ class Place:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """One run, all that it depends on; None: as the mission has it."""
+    """One run, all that it depends on."""
 
     number: int
     key: str
@@ -200,16 +200,8 @@ class Run:
     over: Over
     keep: Keep
     limit_s: float
-    vehicle: str | None = None
-    profile: str | None = None
-    optimiser: str | None = None
-    budget: int | None = None
-    planner: str = OURS
-    knowledge: str = "scans"
-    sensor: str | None = None
-    faults: str | None = None
-    wind: str | None = None
-    noise: str | None = None
+    factors: dict[str, Any]
+    """One value of each factor that is given; what is left out is as the mission has it."""
     timeline: str = ""
     script: FaultScript | None = None
     """Drawn when vehicle and mission are known, and added to the timeline."""
@@ -293,7 +285,7 @@ def _run(
         script=script,
         world_settings=tuple(setting for choice in chosen for setting in choice.world),
         mission_settings=tuple(setting for choice in chosen for setting in choice.mission),
-        **given,
+        factors=given,
     )
 
 

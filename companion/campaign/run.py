@@ -30,7 +30,6 @@ from companion.profiles import PROFILES
 from companion.sources.files import toml_table, toml_text, with_settings
 
 _OF_PLACES = ("terrain clearance", "keep-out zone", "edge of the map")
-_FACTORS = ("vehicle", "sensor", "faults", "wind", "noise", "planner", "knowledge")
 _OF_PLACE = ("mission", "family", "family_seed", "family_index")
 _ROOT = "runs"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -78,12 +77,7 @@ def lost_run(run: Run, error: str) -> Row:
 
 def _row(run: Run, found: dict[str, Any], *, folder: str, took_s: float, cpu_s: float) -> Row:
     place = run.place
-    asked = {
-        "profile": run.profile or "",
-        "optimiser": run.optimiser or "",
-        "budget": run.budget or 0,
-    }
-    of_place = {name: getattr(place, name) for name in _OF_PLACE}
+    known: dict[str, Any] = {"profile": "", "optimiser": "", "budget": 0, **run.factors}
     return Row(
         run=run.number,
         key=run.key,
@@ -95,7 +89,7 @@ def _row(run: Run, found: dict[str, Any], *, folder: str, took_s: float, cpu_s: 
         took_s=took_s,
         cpu_s=cpu_s,
         worker=f"{platform.node()}/{os.getpid()}",
-        **({factor: getattr(run, factor) for factor in _FACTORS} | of_place | asked | found),
+        **(known | {name: getattr(place, name) for name in _OF_PLACE} | found),
     )
 
 
@@ -126,8 +120,8 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
         write(drawn, folder)
     elif run.keep != "none":
         _files(run, folder)
-    knowledge: Any = run.knowledge
-    flown = alone.fly(drawn, run.planner, knowledge=knowledge, seed=run.seed)
+    planner, knowledge = (run.factors.get(name) for name in ("planner", "knowledge"))
+    flown = alone.fly(drawn, planner or OURS, knowledge=knowledge or "scans", seed=run.seed)
     found = judge.of_task(drawn.task, drawn, flown.plan_s) | {
         "outcome": "failed" if flown.why else "arrived",
         "reason": flown.why or None,
@@ -135,7 +129,7 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
         "plans": len(flown.plan_s),
         "holds": flown.whole.holds,
     }
-    subpaths, is_ours = flown.subpaths_nea_m, run.planner == OURS
+    subpaths, is_ours = flown.subpaths_nea_m, planner in (None, OURS)
     if subpaths:
         found |= {"subpaths": len(subpaths)} | judge.of_track(flown.points_nea_m, drawn)
     bounds = None if is_ours else _OF_PLACES  # rivals turn on the spot
@@ -150,10 +144,18 @@ def drawn_of(place: Place) -> DrawnWorld:
 
 
 def _with_factors(drawn: DrawnWorld, run: Run) -> DrawnWorld:
-    changes: dict[str, Any] = {"optimiser": run.optimiser, "evaluations": run.budget}
-    changes["profile"] = None if run.profile is None else PROFILES[run.profile]
-    settings = replace(drawn.task.settings, **{k: v for k, v in changes.items() if v is not None})
-    return replace(drawn, task=replace(drawn.task, settings=settings))
+    changes = _of_planner(run)
+    if "profile" in changes:
+        changes["profile"] = PROFILES[changes["profile"]]
+    return replace(
+        drawn, task=replace(drawn.task, settings=replace(drawn.task.settings, **changes))
+    )
+
+
+def _of_planner(run: Run) -> dict[str, Any]:
+    """The factors that are keys of the mission's planner, under their names there."""
+    names = {"profile": "profile", "optimiser": "optimiser", "budget": "evaluations"}
+    return {key: run.factors[name] for name, key in names.items() if name in run.factors}
 
 
 # --- flights
@@ -163,7 +165,7 @@ def _files(run: Run, folder: Path) -> FlightFiles:
     """World and mission of a run, with its factors, as companion and vehicle read them."""
     place = run.place
     if place.family is not None:
-        autopilot: Any = (run.vehicle or "ardupilot").partition("-")[0]
+        autopilot: Any = run.factors.get("vehicle", "ardupilot").partition("-")[0]
         write(drawn_of(place), folder, autopilot)
         world_name, mission_name = str(folder / "world.toml"), str(folder / "mission.toml")
     else:
@@ -175,14 +177,12 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         if isinstance(terrain, dict) and "file" in terrain:  # wherever the files are copied to
             file = folder_of(name).absolute() / terrain["file"]
             table["terrain"] = terrain | {"file": str(file)}
-    if run.vehicle is not None:
-        autopilot, kind = run.vehicle.split("-")
-        is_ideal = (world["vehicle"]["autopilot"], run.vehicle) == ("ideal", "ardupilot-copter")
+    if (asked := run.factors.get("vehicle")) is not None:
+        autopilot, kind = asked.split("-")
+        is_ideal = (world["vehicle"]["autopilot"], asked) == ("ideal", "ardupilot-copter")
         for table, name in ((world, "ideal" if is_ideal else autopilot), (mission, autopilot)):
             table["vehicle"] = table["vehicle"] | {"autopilot": name, "kind": kind}
-    planner = {"profile": run.profile, "optimiser": run.optimiser, "evaluations": run.budget}
-    given = {k: v for k, v in planner.items() if v is not None}
-    mission["planner"] = mission.get("planner", {}) | given
+    mission["planner"] = mission.get("planner", {}) | _of_planner(run)
     world = with_settings(world, run.world_settings)
     mission = with_settings(mission, run.mission_settings)
     name, timeline = "", run.timeline
@@ -193,14 +193,14 @@ def _files(run: Run, folder: Path) -> FlightFiles:
         subject = drawn_faults.Subject(vehicle=vehicle, speed_m_s=of["speed_m_s"])
         name, more = drawn_faults.drawn(run.script, subject)
         timeline = "\n".join(filter(None, (timeline, more)))
-    asked = folder / "asked"  # mission.toml of a run folder is written by who flies
-    asked.mkdir()
+    given = folder / "asked"  # mission.toml of a run folder is written by who flies
+    given.mkdir()
     (folder / "mission.toml").unlink(missing_ok=True)
     (folder / "world.toml").write_text(toml_text(world), encoding="utf-8")
-    (asked / "mission.toml").write_text(toml_text(mission), encoding="utf-8")
+    (given / "mission.toml").write_text(toml_text(mission), encoding="utf-8")
     return FlightFiles(
         world=folder / "world.toml",
-        mission=asked / "mission.toml",
+        mission=given / "mission.toml",
         faults=timeline,
         folder=folder,
         drawn=name,
@@ -218,7 +218,8 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
     kinds = dict[Any, Run]()
     for run in runs:
         place = run.place.family or (run.place.world, run.place.mission)
-        settings = (run.world_settings, run.mission_settings, run.vehicle, run.timeline)
+        vehicle = run.factors.get("vehicle")
+        settings = (run.world_settings, run.mission_settings, vehicle, run.timeline)
         kinds.setdefault((place, settings), run)
     for run in kinds.values():
         try:
