@@ -449,14 +449,6 @@ def text_of(report: ShadowReport) -> str:
     return out.getvalue()
 
 
-def test_people_read_when_and_why_it_lets_go() -> None:
-    text = text_of(report_of(PX4))
-    assert "76.36 s" in text
-    assert "the GPS fix is lost" in text
-    assert "81.8 s mode Land" in text
-    assert "108.8 s" in text
-
-
 def test_a_vehicle_may_say_what_would_be_colours_here() -> None:
     """PX4 before 1.10 puts the module in brackets."""
     report = report_of(PX4)
