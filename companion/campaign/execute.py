@@ -27,7 +27,7 @@ def fly(runs: Sequence[Run], out: Path, *, scheduler: str | None, jobs: int) -> 
 
     OSError: there is no room for a folder.  InputError: no scheduler answers there.
     """
-    from distributed import as_completed  # slow to import
+    from distributed import KilledWorker, as_completed  # slow to import
 
     if not runs:
         return
@@ -49,7 +49,9 @@ def fly(runs: Sequence[Run], out: Path, *, scheduler: str | None, jobs: int) -> 
                 lost = future.exception()
                 if isinstance(lost, OSError) and lost.errno is not None:
                     raise lost  # no room for its folder: no result of the run
-                yield lost_run(by_key[future.key], repr(lost))
+                died = isinstance(lost, KilledWorker)
+                text = f"its worker died {_RETRIES} times and more" if died else repr(lost)
+                yield lost_run(by_key[future.key], text)
             else:
                 text = "the Dask scheduler is gone, or has cancelled the campaign"
                 raise FlightInterrupted(text, "Give the same command again to go on.")
