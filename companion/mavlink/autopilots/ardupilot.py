@@ -120,14 +120,6 @@ _ALT_MAX, _CIRCLE, _ALT_MIN = 1, 2, 8
 _UNION = 2
 """Bit of FENCE_OPTIONS: the union of the inclusion zones is allowed."""
 _KEPT = "FENCE_ENABLE = 0: the fence that is drawn is kept all the same"
-_SET_STREAM = "ArduPilot: set SRn_{0} (MAVn_{0} from 4.7) to {1} for that link"
-_HOW_TO_RECORD: Final = {
-    "GLOBAL_POSITION_INT": _SET_STREAM.format("POSITION", 10),
-    "GPS_RAW_INT": _SET_STREAM.format("EXT_STAT", 5),
-    "EKF_STATUS_REPORT": _SET_STREAM.format("EXTRA3", 5),
-    "SYS_STATUS": _SET_STREAM.format("EXT_STAT", 5),
-    "POSITION_TARGET_LOCAL_NED": _SET_STREAM.format("EXT_STAT", 5),
-}
 
 
 def _fence(parameters: Mapping[str, float]) -> FenceSettings:
@@ -152,7 +144,6 @@ FIRMWARE: Final = Firmware(
     fence=_fence,
     breached=re.compile(r"\bfences? breached", re.IGNORECASE),  # ardupilot.md 4
     all_is_well=lambda: wire.MAVLink_ekf_status_report_message(_NEEDED, *[0.0] * 5),
-    how_to_record=lambda name: _HOW_TO_RECORD.get(name, ""),
     lasting_battery={"BATT_CAPACITY": 100_000.0},
     home_first=True,
 )

@@ -78,8 +78,6 @@ class Firmware:
     """What of a fence an autopilot of that name misreads, with the remedy; empty: nothing."""
     all_is_well: Callable[[], Message]
     """What its estimator reports when the position may be believed."""
-    how_to_record: Callable[[str], str] = lambda _: ""
-    """How to have it stream a message, by its MAVLink name, to who records; empty: no such way."""
     lasting_battery: Mapping[str, float]
     """Parameters of its simulation."""
     is_bytewise: bool = False

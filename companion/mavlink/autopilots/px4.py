@@ -243,9 +243,6 @@ FIRMWARE: Final = Firmware(
     ),
     misread=_misread,
     all_is_well=lambda: wire.MAVLink_estimator_status_message(0, _NEEDED, *[0.0] * 8),
-    how_to_record=lambda name: (
-        f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell"
-    ),
     lasting_battery={"SIM_BAT_DRAIN": 10_000.0},
     is_bytewise=True,
     asks_time_often=True,  # px4.md 2
