@@ -7,16 +7,16 @@ from typing import Literal, final
 import numpy as np
 
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.families import unseen, unseen_with_elevation
+from companion.campaign.families import unseen
 from companion.geodesy import FloatArray
-from companion.planner.offline import fly_offline
+from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planning import OURS, planner_of
 from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import simulated_scan, true_map
 
-Knowledge = Literal["scans", "elevation", "full"]
-"""Of the ground before the flight: none; a poor elevation file, for guidance; all of it."""
+Knowledge = Literal["scans", "full"]
+"""Of the ground before the flight: none, or all of it."""
 _POINTS_PER_RANGE = 1_000
 
 
@@ -25,24 +25,33 @@ _POINTS_PER_RANGE = 1_000
 class AloneFlight:
     """What was flown."""
 
+    whole: OfflineFlight
     points_nea_m: FloatArray
     """(S, 3), from the start as far as it came."""
-    arrived: bool
-    why: str
-    """Why it did not arrive; empty if it did."""
     plan_s: tuple[float, ...]
     """Processor time of each plan."""
-    holds: int
-    """How often it stopped at the end of a leg, for want of a successor."""
-    subpaths_nea_m: tuple[FloatArray, ...]
-    """Control points (N, 3) of each, tail included."""
+
+    @property
+    def why(self) -> str:
+        """Why it did not arrive; empty if it did."""
+        failure = self.whole.failure
+        return "" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}"
+
+    @property
+    def subpaths_nea_m(self) -> tuple[FloatArray, ...]:
+        """Control points (N, 3) of each, tail included."""
+        return tuple(leg.subpath.control_nea_m for leg in self.whole.legs)
 
 
 def fly(
     world: DrawnWorld, planner: str = OURS, *, knowledge: Knowledge = "scans", seed: int = 1
 ) -> AloneFlight:
     """Fly a world's mission; with full knowledge all of the ground is on the map before it."""
-    plan_s, blank, plan = list[float](), _known(world, knowledge), planner_of(planner)
+    plan_s, blank, plan = list[float](), unseen(world), planner_of(planner)
+    if knowledge == "full":
+        every = np.ones(blank.upper_m.shape, dtype=bool)
+        upper_m = true_map(world.terrain, blank).upper_m
+        blank = replace(blank, upper_m=upper_m, seen=every, given=every)
 
     def timed(request: PlanRequest) -> PlanOutcome:
         began_s = time.process_time()
@@ -63,24 +72,5 @@ def fly(
         seed=seed,
         planner=timed,
     )
-    failure = flight.failure
-    return AloneFlight(
-        points_nea_m=flight.route_nea_m(world.task.settings.scan_range_m / _POINTS_PER_RANGE),
-        arrived=failure is None,
-        why="" if failure is None else f"{failure.refusal.name}: {failure.refusal.value}",
-        plan_s=tuple(plan_s),
-        holds=flight.holds,
-        subpaths_nea_m=tuple(leg.subpath.control_nea_m for leg in flight.legs),
-    )
-
-
-def _known(world: DrawnWorld, knowledge: Knowledge) -> KnownMap:
-    """The map before the flight."""
-    if knowledge == "elevation":
-        return unseen_with_elevation(world, int(world.fingerprint[:8], 16))
-    blank = unseen(world)
-    if knowledge == "scans":
-        return blank
-    every = np.ones(blank.upper_m.shape, dtype=bool)
-    known = true_map(world.terrain, blank)
-    return replace(blank, upper_m=known.upper_m, seen=every, given=every)
+    points = flight.route_nea_m(world.task.settings.scan_range_m / _POINTS_PER_RANGE)
+    return AloneFlight(whole=flight, points_nea_m=points, plan_s=tuple(plan_s))

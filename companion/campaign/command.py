@@ -3,9 +3,10 @@
 import contextlib
 import hashlib
 import time
+from collections import Counter
 from collections.abc import Generator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -101,13 +102,10 @@ def run_command(
     if scheduler is not None and jobs is not None:
         rule = "how many runs are flown at a time, the workers of --scheduler say"
         raise InputError("--jobs", jobs, rule, "Leave out one of them.")
-    table, text, folder = file.load_campaign(campaign)
-    if seeds is not None:
-        table = table.model_copy(update={"seeds": seeds})
-    how = cast("file.Over", _one_of("--over", over, file.Over) or table.over)
-    kept = cast("file.Keep", _one_of("--keep", keep, file.Keep) or table.keep)
-    file.check_over(table, how, campaign)
-    runs = _chosen(file.runs_of(table, folder, how, kept), most, only)
+    options = {"over": over, "keep": keep, "seeds": seeds}
+    given = {key: value for key, value in options.items() if value is not None}
+    table, text, folder = file.load_campaign(campaign, given)
+    runs = _chosen(file.runs_of(table, folder), most, only)
     run.check_runs(runs, campaign)
     console, began_s = plain_console(soft_wrap=True), time.perf_counter()
     path = (out or Path("campaigns") / table.name).absolute()
@@ -119,11 +117,7 @@ def run_command(
         todo = [each for each in runs if each.number not in store.done]
         if len(todo) < len(runs):
             console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
-        rows = (
-            execute.fly_on_cluster(todo, path, scheduler)
-            if scheduler
-            else execute.fly_locally(todo, path, jobs or processors())
-        )
+        rows = execute.fly(todo, path, scheduler=scheduler, jobs=jobs or processors())
         try:
             counts = _collect(rows, store, table.name, len(runs), console)
         except KeyboardInterrupt:
@@ -140,15 +134,9 @@ def run_command(
             )
             raise InputError("--out", str(path), rule, remedy) from error
     took_s = time.perf_counter() - began_s
-    said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    console.print(f"{len(todo)} runs in {took_s:.0f} s: {said or 'nothing to do'}", highlight=False)
+    said = _said(counts) or "nothing to do"
+    console.print(f"{len(todo)} runs in {took_s:.0f} s: {said}", highlight=False)
     console.out(f"campaign: {path}", highlight=False)
-
-
-def _one_of(option: str, value: str | None, kinds: Any) -> str | None:
-    if value is not None and value not in get_args(kinds):
-        raise InputError(option, value, "there is none", f"One of: {', '.join(get_args(kinds))}.")
-    return value
 
 
 def _chosen(runs: list["Run"], most: int | None, only: list[int] | None) -> list["Run"]:
@@ -163,28 +151,20 @@ def _chosen(runs: list["Run"], most: int | None, only: list[int] | None) -> list
 
 
 def _collect(
-    rows: Any, store: Store, campaign: str, count: int, console: Console
-) -> dict[str, int]:
+    rows: "Generator[Row]", store: Store, campaign: str, count: int, console: Console
+) -> Counter[str]:
     """Write rows as they come, and show how far it is -> how many came to what."""
-    counts = {"arrived": 0, "not arrived": 0, "with violations": 0, "errors": 0}
-    waiting, written_s = list[Row](), time.monotonic()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[said]}"),
-    )
+    counts, waiting, written_s = Counter[str](), list[Row](), time.monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+               TimeRemainingColumn(), TextColumn("{task.fields[said]}"))  # fmt: skip
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(campaign, total=count, completed=len(store.done), said="")
         try:
-            with contextlib.closing(cast("Generator[Row]", rows)):
+            with contextlib.closing(rows):
                 for row in rows:
                     waiting.append(row)
-                    name = _what(row)
-                    counts[name] += 1
-                    said = ", ".join(f"{n} {k}" for k, n in counts.items() if n)
-                    progress.update(task, advance=1, said=said)
+                    counts[_what(row)] += 1
+                    progress.update(task, advance=1, said=_said(counts))
                     now_s = time.monotonic()
                     if now_s - written_s >= _WRITE_S or len(waiting) >= _WRITE_ROWS:
                         store.add(waiting)
@@ -194,12 +174,16 @@ def _collect(
     return counts
 
 
-def _what(row: Row) -> Literal["arrived", "not arrived", "with violations", "errors"]:
+def _what(row: Row) -> str:
     if row.error is not None:
         return "errors"
     if row.violations:
         return "with violations"
     return "arrived" if row.arrived else "not arrived"
+
+
+def _said(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
 
 
 @campaign_app.command("report")
@@ -244,10 +228,8 @@ def report_command(
                 csv: campaign.summary_csv(report),
                 rows: campaign.rows_csv(report.campaign.rows),
             }
-    for table in campaign.terminal_tables(report):
-        console.print(table)
-    for line in campaign.report_lines(report):
-        console.out(line, highlight=False)
+    for shown in campaign.terminal_tables(report):
+        console.print(shown)
     for option, texts in files.items():
         for path, text in texts.items():
             with writing(option, path):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
+from scipy.ndimage import distance_transform_edt, grey_dilation, label
 
 from companion.campaign.truth import height_m
 from companion.config import load_mission, load_world
@@ -79,17 +79,22 @@ def _terrain_facts(terrain: PeakTerrain | ArrayTerrain) -> tuple[Any, ...]:
     return rows, terrain.ground_amsl_m
 
 
+def of_files(world: str, mission: str) -> DrawnWorld:
+    """World and mission of files or of bundled names, as the judge takes them."""
+    place, read = load_world(world), load_mission(mission)
+    return DrawnWorld(
+        name=place.name,
+        terrain=judgeable(place.terrain, read.task.limits),
+        task=read.task,
+        start_nea_m=(*place.start_ne_m, read.task.take_off_amsl_m),
+        targets_ne_m=read.targets_ne_m,
+    )
+
+
 @functools.cache
 def bundled(name: str) -> DrawnWorld:
     """One of the environments that come with the package."""
-    mission, world = load_mission(name), load_world(name)
-    return DrawnWorld(
-        name=name,
-        terrain=judgeable(world.terrain, mission.task.limits),
-        task=mission.task,
-        start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
-        targets_ne_m=mission.targets_ne_m,
-    )
+    return of_files(name, name)
 
 
 def judgeable(terrain: Terrain, limits: Limits) -> Any:
@@ -152,14 +157,11 @@ def lowest_safe_m(
     outer_n = north[0] + cell_m * np.arange(-reach, len(north) + reach)
     outer_e = east[0] + cell_m * np.arange(-reach, len(east) + reach)
     height = height_m(world.terrain, outer_n[:, None], outer_e[None, :])
-    result = np.full((len(north), len(east)), -np.inf)
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            left2 = clearance_m**2 - max(math.hypot(i, j) * cell_m - aside_m, 0.0) ** 2
-            if left2 >= 0.0:
-                shifted = height[reach + i :, reach + j :][: len(north), : len(east)]
-                np.maximum(result, shifted + math.sqrt(left2), out=result)
-    return result
+    steps = cell_m * np.arange(-reach, reach + 1)
+    away = np.maximum(np.hypot(steps[:, None], steps[None, :]) - aside_m, 0.0)
+    ball = np.sqrt(np.maximum(clearance_m**2 - away**2, 0.0))
+    grown = grey_dilation(height, footprint=away <= clearance_m, structure=ball)
+    return np.asarray(grown[reach:-reach, reach:-reach])
 
 
 @functools.lru_cache(maxsize=4)

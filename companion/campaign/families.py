@@ -10,9 +10,9 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import label, map_coordinates, maximum_filter, uniform_filter
 
 from companion.campaign import drawn_world
 from companion.campaign.drawn_world import DrawnWorld
@@ -21,8 +21,7 @@ from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.radars import Radar
-from companion.world.simulated_scan import true_map
-from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
+from companion.world.terrain import Peak, PeakTerrain
 from companion.world.zones import CircleZone
 
 SPREAD = "spread"
@@ -52,7 +51,7 @@ def world(family: str, seed: int, index: int) -> DrawnWorld:
     rng = np.random.default_rng(key)
     for _ in range(_MOST_DRAWS):
         drawn = draw(rng, name)
-        if drawn is not None and has_way(drawn) and not drawn_world.is_straight_line_free(drawn):
+        if has_way(drawn) and not drawn_world.is_straight_line_free(drawn):
             return drawn
     raise AssertionError(f"{family}: no world {index} of seed {seed} in {_MOST_DRAWS} draws")
 
@@ -62,38 +61,10 @@ def has_way(drawn: DrawnWorld) -> bool:
     return drawn_world.has_way_through(drawn, _SPARE * drawn.task.settings.scan_range_m)
 
 
-# --- what is known of a world before the flight
-
-_FILE_SPACING_M, _FILE_BLUR, _FILE_SHIFT_M, _FILE_NOISE_M = 100.0, 5, 100.0, 30.0
-
-
 def unseen(world: DrawnWorld) -> KnownMap:
     """The map of a world of which nothing is known."""
     limits = world.task.limits
     return empty_map(world.task.cell_m, limits.north_m, limits.east_m)
-
-
-def unseen_with_elevation(world: DrawnWorld, seed: int) -> KnownMap:
-    """The same with an elevation file for guidance: blurred to 500 m, 100 m off, 30 m of noise."""
-    blank, rng = unseen(world), np.random.default_rng(seed)
-    bearing = rng.uniform(0.0, 2.0 * math.pi)
-    sides_m = [count * blank.cell_m + 2.0 * _FILE_SPACING_M for count in blank.upper_m.shape]
-    north, east = (
-        low + np.arange(0.0, side, _FILE_SPACING_M)
-        for low, side in zip((blank.north_min_m, blank.east_min_m), sides_m, strict=True)
-    )
-    true_m = world.terrain.height_m(
-        north[:, None] + _FILE_SHIFT_M * math.cos(bearing),
-        east[None, :] + _FILE_SHIFT_M * math.sin(bearing),
-    )
-    file_m = uniform_filter(true_m, _FILE_BLUR, mode="nearest")
-    told = ArrayTerrain(
-        heights_m=file_m + rng.normal(0.0, _FILE_NOISE_M, file_m.shape),
-        spacing_m=_FILE_SPACING_M,
-        south_m=blank.north_min_m,
-        west_m=blank.east_min_m,
-    )
-    return replace(blank, guess_m=true_map(told, blank).upper_m)
 
 
 # --- 100 km x 100 km, the mission of environment-2
@@ -246,74 +217,16 @@ def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak
     return found
 
 
-# --- real relief
-
-
-@functools.cache
-def _relief_m() -> FloatArray:
-    """Real heights about a fault in Tennessee, 80 m apart: matplotlib's sample."""
-    from matplotlib.cbook import get_sample_data  # slow to import
-
-    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as data:
-        heights = np.asarray(data["elevation"], dtype=np.float64)[::-1]
-        latitude = math.radians(0.5 * float(data["ymin"] + data["ymax"]))
-        step_n, step_e = 111_200.0 * float(data["dy"]), 111_200.0 * float(data["dx"])
-    step_e *= math.cos(latitude)
-    rows = np.arange(0.0, step_n * (heights.shape[0] - 1), 80.0) / step_n
-    columns = np.arange(0.0, step_e * (heights.shape[1] - 1), 80.0) / step_e
-    return np.asarray(map_coordinates(heights, np.meshgrid(rows, columns, indexing="ij"), order=1))
-
-
-def _relief(rng: np.random.Generator, name: str) -> DrawnWorld | None:
-    """A crop of real relief, turned, mirrored and enlarged, much of it above the ceiling."""
-    grown, steeper = rng.uniform(1.2, 2.5), rng.uniform(1.0, 1.5)
-    whole, nodes = _relief_m(), 261
-    turn, half = rng.uniform(0.0, 2.0 * math.pi), 0.5 * (nodes - 1) * math.sqrt(2.0)
-    middle = [rng.uniform(half, size - 1 - half) if size - 1 > 2 * half else 0.5 * (size - 1)
-              for size in whole.shape]  # fmt: skip
-    n, e = np.meshgrid(*2 * [np.arange(nodes) - 0.5 * (nodes - 1)], indexing="ij")
-    mirror = 1.0 if rng.uniform() < 0.5 else -1.0
-    rows = middle[0] + math.cos(turn) * n - mirror * math.sin(turn) * e
-    columns = middle[1] + math.sin(turn) * n + mirror * math.cos(turn) * e
-    heights = map_coordinates(whole, (rows, columns), order=1, mode="nearest") * grown * steeper
-    terrain = ArrayTerrain(heights_m=heights, spacing_m=80.0 * grown)
-    side = terrain.spacing_m * (nodes - 1)
-    range_m = side / rng.uniform(5.0, 8.0)
-    low, high = np.percentile(heights, rng.uniform(25.0, 55.0) + np.array([0.0, 35.0]))
-    room = math.ceil(0.15 * range_m / terrain.spacing_m)
-    open_ = maximum_filter(heights, 2 * room + 1) < low
-    inside = slice(nodes // 16, -(nodes // 16))
-    pools, _ = label(heights < low)
-    nodes_open = np.argwhere(open_[inside, inside]) + nodes // 16
-    if not len(nodes_open):
-        return None
-    first = nodes_open[rng.integers(len(nodes_open))]
-    far_off = np.linalg.norm(nodes_open - first, axis=-1) > 0.65 * nodes
-    others = nodes_open[far_off & (pools[tuple(nodes_open.T)] == pools[tuple(first)])]
-    if not len(others):
-        return None
-    start, target = (
-        first * terrain.spacing_m,
-        others[rng.integers(len(others))] * terrain.spacing_m,
-    )
-    area = ((0.0, side), (0.0, side))
-    limits = _limits(45.0, 0.1 * range_m, 10.0)
-    drawn = _own(name, terrain, (start, target), area, range_m, limits, safety_m=0.02 * range_m)
-    drawn = _with_band(drawn, low + drawn.task.required_clearance_m, high)
-    reach = (0.2 * range_m, 0.4 * range_m)
-    radars = _radars(rng, drawn, int(rng.integers(0, 4)), reach, 0.2 * side, ground=True)
-    return replace(drawn, task=replace(drawn.task, radars=radars))
-
-
 # --- small vehicles
 
 
 def _copter(rng: np.random.Generator, name: str) -> DrawnWorld:
     """Hills, towers and keep-outs for a copter of 8 to 12 m/s that sees 300 to 1,500 m."""
     range_m = float(rng.uniform(300.0, 1_500.0))
-    limits = replace(
-        _limits(float(rng.uniform(8.0, 12.0)), float(rng.uniform(20.0, 40.0)), 12.0),
-        acceleration_m_s2=2.5, climb_rate_m_s=2.0, tracking_error_m=1.5, navigation_error_m=2.0,
+    limits = _limits(
+        speed_m_s=float(rng.uniform(8.0, 12.0)), turn_radius_m=float(rng.uniform(20.0, 40.0)),
+        climb_deg=12.0, acceleration_m_s2=2.5, climb_rate_m_s=2.0, tracking_error_m=1.5,
+        navigation_error_m=2.0,
     )  # fmt: skip
     away_m = min(float(rng.uniform(4_000.0, 10_000.0)), 14.0 * range_m)
     return _small(rng, name, limits, range_m, away_m, band_m=(40.0, 110.0),
@@ -324,8 +237,8 @@ def _copter(rng: np.random.Generator, name: str) -> DrawnWorld:
 def _plane(rng: np.random.Generator, name: str) -> DrawnWorld:
     """Hills, masts and keep-outs for a plane of 22 m/s that sees 3 to 5 km."""
     range_m = float(rng.uniform(3_000.0, 5_000.0))
-    limits = replace(
-        _limits(22.0, float(rng.uniform(110.0, 150.0)), 7.0),
+    limits = _limits(
+        speed_m_s=22.0, turn_radius_m=float(rng.uniform(110.0, 150.0)), climb_deg=7.0,
         climb_rate_m_s=2.5, dive_angle_rad=math.radians(5.0), loiter_radius_m=100.0,
     )  # fmt: skip
     return _small(rng, name, limits, range_m, float(rng.uniform(15_000.0, 30_000.0)),
@@ -335,10 +248,10 @@ def _plane(rng: np.random.Generator, name: str) -> DrawnWorld:
 
 def _short_copter(rng: np.random.Generator, name: str) -> DrawnWorld:
     """A flight of one to two minutes for a copter of 8 m/s that sees 280 m."""
-    limits = replace(
-        _limits(8.0, 25.0, 12.0),
-        acceleration_m_s2=2.0, climb_rate_m_s=1.5, dive_angle_rad=math.radians(10.0),
-        tracking_error_m=4.0, navigation_error_m=3.0,
+    limits = _limits(
+        speed_m_s=8.0, turn_radius_m=25.0, climb_deg=12.0, acceleration_m_s2=2.0,
+        climb_rate_m_s=1.5, dive_angle_rad=math.radians(10.0), tracking_error_m=4.0,
+        navigation_error_m=3.0,
     )  # fmt: skip
     drawn = _small(rng, name, limits, 280.0, 560.0, band_m=(16.0, 75.0), tops_m=(30.0, 120.0),
                    towers=(5.0, 15.0), safety_m=12.0, times_s=(1.0, 4.0))  # fmt: skip
@@ -347,10 +260,9 @@ def _short_copter(rng: np.random.Generator, name: str) -> DrawnWorld:
 
 def _short_plane(rng: np.random.Generator, name: str) -> DrawnWorld:
     """A flight of two to three minutes for a plane of 15 m/s that sees 1,400 m."""
-    limits = replace(
-        _limits(15.0, 100.0, 6.0),
-        acceleration_m_s2=2.0, climb_rate_m_s=3.0, tracking_error_m=15.0, navigation_error_m=4.0,
-        loiter_radius_m=100.0,
+    limits = _limits(
+        speed_m_s=15.0, turn_radius_m=100.0, climb_deg=6.0, acceleration_m_s2=2.0,
+        climb_rate_m_s=3.0, tracking_error_m=15.0, navigation_error_m=4.0, loiter_radius_m=100.0,
     )  # fmt: skip
     drawn = _small(rng, name, limits, 1_400.0, 2_400.0, band_m=(70.0, 190.0),
                    tops_m=(100.0, 260.0), towers=(30.0, 60.0), safety_m=30.0,
@@ -358,15 +270,30 @@ def _short_plane(rng: np.random.Generator, name: str) -> DrawnWorld:
     return _of_the_map(drawn)
 
 
+def _limits(*, speed_m_s: float, turn_radius_m: float, climb_deg: float, **others: Any) -> Limits:
+    """Of a vehicle in a map and a band that are still to be drawn."""
+    angle_rad = math.radians(climb_deg)
+    return replace(
+        Limits(
+            speed_m_s=speed_m_s, turn_radius_m=turn_radius_m, acceleration_m_s2=3.0,
+            climb_rate_m_s=speed_m_s * math.sin(angle_rad), climb_angle_rad=angle_rad,
+            dive_angle_rad=angle_rad, floor_amsl_m=0.0, ceiling_amsl_m=1.0, north_m=(0.0, 1.0),
+            east_m=(0.0, 1.0),
+        ), **others,
+    )  # fmt: skip
+
+
 def _of_the_map(drawn: DrawnWorld) -> DrawnWorld:
     """Without keep-outs that lie off the map: a mission file drops them."""
-    limits = drawn.task.limits
+    sides_m = drawn.task.limits.north_m, drawn.task.limits.east_m
     zones = tuple(
         zone
         for zone in drawn.task.zones
         if isinstance(zone, CircleZone)
-        and limits.north_m[0] - zone.radius_m < zone.north_m < limits.north_m[1] + zone.radius_m
-        and limits.east_m[0] - zone.radius_m < zone.east_m < limits.east_m[1] + zone.radius_m
+        and all(
+            low - zone.radius_m < at < high + zone.radius_m
+            for at, (low, high) in zip((zone.north_m, zone.east_m), sides_m, strict=True)
+        )
     )
     return replace(drawn, task=replace(drawn.task, zones=zones))
 
@@ -384,15 +311,36 @@ def _small(
     safety_m: float,
     times_s: tuple[float, float],
 ) -> DrawnWorld:
-    """Hills and towers (radius at the ground) about a straight line of any bearing."""
+    """Hills and towers (radius at the ground) about a straight line of any bearing.
+
+    band_m, tops_m: above the ground.  times_s: of planning, and of a scan.
+    """
     bearing, ground = rng.uniform(0.0, 2.0 * math.pi), float(rng.uniform(100.0, 700.0))
     margin = 1.5 * range_m
-    target = away_m * np.array([abs(math.cos(bearing)), abs(math.sin(bearing))])
-    ends = ((margin, margin), (margin + float(target[0]), margin + float(target[1])))
-    size = ((0.0, 2.0 * margin + float(target[0])), (0.0, 2.0 * margin + float(target[1])))
-    terrain = PeakTerrain(peaks=(), ground_amsl_m=ground)
-    base = _own(name, terrain, ends, size, range_m, limits, safety_m=safety_m, times_s=times_s)
-    base = _with_band(base, ground + band_m[0], ground + band_m[1])
+    north, east = (away_m * np.array([abs(math.cos(bearing)), abs(math.sin(bearing))])).tolist()
+    limits = replace(
+        limits,
+        north_m=(0.0, 2.0 * margin + north),
+        east_m=(0.0, 2.0 * margin + east),
+        floor_amsl_m=ground + band_m[0],
+        ceiling_amsl_m=ground + band_m[1],
+    )
+    settings = PlannerSettings(
+        scan_range_m=range_m,
+        safety_distance_m=safety_m,
+        planning_time_s=times_s[0],
+        scan_time_s=times_s[1],
+        overlap_m=0.1 * range_m,
+    )
+    base = DrawnWorld(
+        name=name,
+        terrain=PeakTerrain(peaks=(), ground_amsl_m=ground),
+        task=Task(limits=limits, settings=settings),
+        start_nea_m=(margin, margin, 0.0),
+        targets_ne_m=((margin + north, margin + east),),
+    )
+    # a little above the lowest altitude
+    base = replace(base, start_nea_m=(margin, margin, base.floor_amsl_m + 0.1 * base.task.error_m))
     count = round(rng.uniform(2.0, 4.0) * away_m / range_m) + 4
     hills = rng.uniform(0.12, 0.45, count) * range_m
     feet = np.concatenate([hills, rng.uniform(*towers, count)]).tolist()
@@ -409,10 +357,10 @@ def _small(
         if _leaves_ends(base, at, radius):
             zones.append(CircleZone(name=f"zone {len(zones) + 1}", north_m=at[0], east_m=at[1],
                                     radius_m=radius))  # fmt: skip
-    radars = _radars(rng, base, 2, (0.2 * range_m, 0.5 * range_m), range_m, ground=True)
+    radars = _radars(rng, base, 2, (0.2 * range_m, 0.5 * range_m), range_m)
     return replace(
         base,
-        terrain=replace(terrain, peaks=tuple(peaks)),
+        terrain=PeakTerrain(peaks=tuple(peaks), ground_amsl_m=ground),
         task=replace(base.task, zones=tuple(zones), radars=radars),
     )
 
@@ -444,80 +392,22 @@ def _with_obstacles(
     return replace(base, name=name, terrain=terrain, task=task)
 
 
-def _limits(speed_m_s: float, turn_radius_m: float, climb_deg: float) -> Limits:
-    """Of a vehicle in a map and a band that are still to be drawn."""
-    return Limits(
-        speed_m_s=speed_m_s,
-        acceleration_m_s2=3.0,
-        climb_rate_m_s=speed_m_s * math.sin(math.radians(climb_deg)),
-        turn_radius_m=turn_radius_m,
-        climb_angle_rad=math.radians(climb_deg),
-        dive_angle_rad=math.radians(climb_deg),
-        floor_amsl_m=0.0,
-        ceiling_amsl_m=1.0,
-        north_m=(0.0, 1.0),
-        east_m=(0.0, 1.0),
-    )
-
-
-def _own(
-    name: str,
-    terrain: PeakTerrain | ArrayTerrain,
-    ends_ne_m: Sequence[Sequence[float]],
-    edges_m: tuple[tuple[float, float], tuple[float, float]],
-    range_m: float,
-    limits: Limits,
-    *,
-    safety_m: float,
-    times_s: tuple[float, float] = (3.0, 3.0),
-) -> DrawnWorld:
-    """A world whose mission is not that of a bundled one."""
-    settings = PlannerSettings(
-        scan_range_m=range_m,
-        safety_distance_m=safety_m,
-        planning_time_s=times_s[0],
-        scan_time_s=times_s[1],
-        overlap_m=0.1 * range_m,
-    )
-    (start_n, start_e), (target_n, target_e) = ends_ne_m
-    return DrawnWorld(
-        name=name,
-        terrain=terrain,
-        task=Task(limits=replace(limits, north_m=edges_m[0], east_m=edges_m[1]), settings=settings),
-        start_nea_m=(float(start_n), float(start_e), 0.0),
-        targets_ne_m=((float(target_n), float(target_e)),),
-    )
-
-
-def _with_band(drawn: DrawnWorld, floor_m: float, ceiling_m: float) -> DrawnWorld:
-    """The same world between these altitudes; the start is a little above the lowest."""
-    limits = replace(
-        drawn.task.limits, floor_amsl_m=float(floor_m), ceiling_amsl_m=float(ceiling_m)
-    )
-    drawn = replace(drawn, task=replace(drawn.task, limits=limits))
-    north, east, _ = drawn.start_nea_m
-    return replace(drawn, start_nea_m=(north, east, drawn.floor_amsl_m + 0.1 * drawn.task.error_m))
-
-
 def _radars(
     rng: np.random.Generator,
     base: DrawnWorld,
     count: int,
     range_m: tuple[float, float],
     aside_m: float,
-    *,
-    ground: bool = False,
 ) -> tuple[Radar, ...]:
-    """Radars about the straight line that see neither end; on the ground, or at sea level."""
+    """Radars about the straight line that see neither end, on the plain."""
     radars: list[Radar] = []
+    plain_m = base.terrain.ground_amsl_m if isinstance(base.terrain, PeakTerrain) else 0.0
     while len(radars) < count:
         north, east = _beside_the_line(rng, base, aside_m)
         reach = float(rng.uniform(*range_m))
         if _leaves_ends(base, (north, east), reach):
-            at = np.array([north]), np.array([east])
-            high = float(base.terrain.height_m(*at)[0]) if ground else 0.0
             radars.append(Radar(name=f"radar {len(radars) + 1}",
-                                centre_nea_m=(north, east, high), range_m=reach))  # fmt: skip
+                                centre_nea_m=(north, east, plain_m), range_m=reach))  # fmt: skip
     return tuple(radars)
 
 
@@ -544,13 +434,12 @@ def _leaves_ends(base: DrawnWorld, at_ne_m: tuple[float, float], reach_m: float)
     return all(math.dist(at_ne_m, end) >= reach_m + room for end in ends)
 
 
-_Draw = Callable[[np.random.Generator, str], DrawnWorld | None]
+_Draw = Callable[[np.random.Generator, str], DrawnWorld]
 _FAMILIES: dict[str, tuple[int, _Draw]] = {
     "dense": (1, _dense),
     "sparse": (2, _sparse),
     "gathered": (11, _gathered),
     "walls": (12, _walls),
-    "relief": (13, _relief),
     "copter": (14, _copter),
     "plane": (15, _plane),
     "short-copter": (16, _short_copter),

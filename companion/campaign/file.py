@@ -6,7 +6,7 @@ and how many seeds of every combination.
 
 import difflib
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -28,7 +28,7 @@ from companion.ranges import Positive
 from companion.sources.files import answer, read_text, toml_table
 from companion.sources.mission_schema import Name
 from companion.sources.recognised import refuse_other
-from companion.sources.schema import Table, validated
+from companion.sources.schema import Broken, Table, validated
 
 Over = Literal["process", "planner"]
 Keep = Literal["all", "failures", "none"]
@@ -36,11 +36,13 @@ Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plan
 
 _NONE = "none"
 _MOST_RUNS = 1_000_000
-_OF_VEHICLES = ("vehicle", "sensor", "faults", "wind", "noise")
 _CHOSEN = ("sensor", "faults", "wind", "noise")
+_OF_FAMILIES = ("seed", "first", "count", "indices")
+_LEAVE_OUT = "Leave it out."
 _Index = Annotated[int, Field(ge=0, le=10_000_000)]
+_Count = Annotated[int, Field(ge=1, le=1_000_000)]
 _Seed = Annotated[int, Field(ge=0, le=2**31)]
-_Choices = Annotated[list[Name], Field(min_length=1)]
+_Names = Annotated[list[Name], Field(min_length=1)]
 
 
 class PlaceTable(Table):
@@ -53,11 +55,23 @@ class PlaceTable(Table):
     seed: _Seed = 0
     """Of the family: which worlds are drawn."""
     first: _Index = 0
-    count: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    count: _Count = 1
     indices: Annotated[list[_Index], Field(min_length=1)] | None = None
     """In place of `first` and `count`."""
     vehicle: Vehicle | None = None
     """The only one that flies there, where there is no factor `vehicle`."""
+
+    def broken(self) -> Iterator[Broken]:
+        """A world or a family, and only keys that have an effect then."""
+        if (self.world is None) == (self.family is None):
+            rule = "a place has either a world or a family"
+            yield "world", self.world, rule, "Leave out the other."
+        idle: tuple[str, ...] = ("mission",) if self.family is not None else _OF_FAMILIES
+        if self.indices is not None:
+            idle += ("first", "count")
+        for key in idle:
+            if key in self.model_fields_set:
+                yield key, getattr(self, key), "it has no effect beside the others", _LEAVE_OUT
 
 
 class FactorsTable(Table):
@@ -65,16 +79,16 @@ class FactorsTable(Table):
 
     vehicle: Annotated[list[Vehicle], Field(min_length=1)] | None = None
     profile: Annotated[list[Literal[tuple(PROFILES)]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
-    optimiser: _Choices | None = None
+    optimiser: _Names | None = None
     budget: (
         Annotated[list[Annotated[int, Field(ge=60, le=200_000)]], Field(min_length=1)] | None
     ) = None
-    planner: _Choices | None = None
+    planner: _Names | None = None
     knowledge: Annotated[list[Knowledge], Field(min_length=1)] | None = None
-    sensor: _Choices | None = None
-    faults: _Choices | None = None
-    wind: _Choices | None = None
-    noise: _Choices | None = None
+    sensor: _Names | None = None
+    faults: _Names | None = None
+    wind: _Names | None = None
+    noise: _Names | None = None
 
 
 class FaultsTable(Table):
@@ -83,7 +97,7 @@ class FaultsTable(Table):
     family: Literal[drawn_faults.FAMILIES]  # type: ignore[valid-type]
     seed: _Seed = 0
     first: _Index = 0
-    count: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    count: _Count = 1
 
 
 class ChoiceTable(Table):
@@ -104,7 +118,7 @@ class CampaignTable(Table):
     name: Name
     over: Over = "process"
     keep: Keep = "failures"
-    seeds: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    seeds: _Count = 1
     first_seed: _Seed = 1
     limit_s: Positive = 7200.0
     """Of vehicle time: a flight that is longer is stopped."""
@@ -112,6 +126,51 @@ class CampaignTable(Table):
     factors: FactorsTable = FactorsTable()
     faults: list[FaultsTable] = Field(default=[])
     choices: list[ChoiceTable] = Field(default=[])
+
+    def broken(self) -> Iterator[Broken]:
+        """Every name is known, and everything that is said has an effect."""
+        factors, names = self.factors, [choice.name for choice in self.choices]
+        yield from _unknown("optimiser", factors.optimiser, [*OPTIMISERS])
+        yield from _unknown("planner", factors.planner, [OURS, *PLANNERS])
+        asked = [name for factor in _CHOSEN for name in getattr(factors, factor) or ()]
+        for factor in _CHOSEN:
+            yield from _unknown(factor, getattr(factors, factor), [_NONE, *names])
+        for k, name in enumerate(names):
+            if name in names[:k] or name == _NONE:
+                yield f"choices[{k}].name", name, "it stands for another already", "Rename it."
+            if name not in asked:
+                rule = f"no factor ({', '.join(_CHOSEN)}) asks for it"
+                yield f"choices[{k}].name", name, rule, _LEAVE_OUT
+        yield from self._without_effect()
+
+    def _without_effect(self) -> Iterator[Broken]:
+        factors, alone = self.factors, self.over == "planner"
+        rule = "the planner alone has no vehicle" if alone else "it is of the planner alone"
+        idle: list[tuple[str, Table, str]] = (
+            [("", self, "limit_s"), ("", self, "faults")]
+            + [("factors.", factors, name) for name in ("vehicle", *_CHOSEN)]
+            + [(f"places[{k}].", place, "vehicle") for k, place in enumerate(self.places)]
+            if alone
+            else [("factors.", factors, name) for name in ("planner", "knowledge")]
+        )
+        for where, table, key in idle:
+            if key in table.model_fields_set:
+                yield where + key, getattr(table, key), rule, _LEAVE_OUT
+        for k, place in enumerate(self.places):
+            if place.vehicle is not None and factors.vehicle:
+                rule = "the factor vehicle says which fly, at all places"
+                yield f"places[{k}].vehicle", place.vehicle, rule, _LEAVE_OUT
+        for name in ("optimiser", "profile"):
+            if getattr(factors, name) and OURS not in (factors.planner or [OURS]):
+                yield f"factors.{name}", factors.planner, "rivals have none", _LEAVE_OUT
+
+
+def _unknown(factor: str, values: list[str] | None, known: list[str]) -> Iterator[Broken]:
+    for name in values or ():
+        if name not in known:
+            [near] = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+            remedy = f"Did you mean {near}? There are: {', '.join(known)}."
+            yield f"factors.{factor}", name, "there is none of this name", remedy
 
 
 @final
@@ -132,7 +191,7 @@ class Place:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """One run, all that it depends on; None: as the mission has it."""
+    """One run, all that it depends on."""
 
     number: int
     key: str
@@ -141,16 +200,8 @@ class Run:
     over: Over
     keep: Keep
     limit_s: float
-    vehicle: str | None = None
-    profile: str | None = None
-    optimiser: str | None = None
-    budget: int | None = None
-    planner: str = OURS
-    knowledge: str = "scans"
-    sensor: str | None = None
-    faults: str | None = None
-    wind: str | None = None
-    noise: str | None = None
+    factors: dict[str, Any]
+    """One value of each factor that is given; what is left out is as the mission has it."""
     timeline: str = ""
     script: FaultScript | None = None
     """Drawn when vehicle and mission are known, and added to the timeline."""
@@ -163,8 +214,13 @@ class Run:
         return self.script is not None or bool(self.timeline)
 
 
-def load_campaign(name_or_path: str) -> tuple[CampaignTable, str, Path]:
-    """A bundled campaign or a file -> campaign, text, the folder that its paths are of."""
+def load_campaign(
+    name_or_path: str, options: Mapping[str, Any] | None = None
+) -> tuple[CampaignTable, str, Path]:
+    """A bundled campaign or a file -> campaign, text, the folder that its paths are of.
+
+    options: what stands in place of the file's keys.
+    """
     path, names = Path(name_or_path), ", ".join(bundled_campaigns())
     if name_or_path in bundled_campaigns():
         path = Path(str(resources.files("companion"))) / "campaign/bundled" / f"{name_or_path}.toml"
@@ -173,102 +229,11 @@ def load_campaign(name_or_path: str) -> tuple[CampaignTable, str, Path]:
         raise InputError("CAMPAIGN", name_or_path, rule, f"Give a file, or one of: {names}.")
     refuse_other(path, "CAMPAIGN")
     text = read_text(path, "CAMPAIGN", f"Give a campaign file, or one of: {names}.")
-    table = toml_table(text, name_or_path)
-    campaign = validated(CampaignTable, table, name_or_path)
-    _check(campaign, name_or_path)
-    return campaign, text, path.absolute().parent
+    table = {**toml_table(text, name_or_path), **(options or {})}
+    return validated(CampaignTable, table, name_or_path), text, path.absolute().parent
 
 
-def _check(campaign: CampaignTable, where: str) -> None:
-    """What one table alone cannot know."""
-    factors = campaign.factors
-    for name in factors.optimiser or ():
-        if name not in OPTIMISERS:
-            remedy = f"One of: {', '.join(OPTIMISERS)}."
-            raise InputError(f"{where}: factors.optimiser", name, "there is none", remedy)
-    for name in factors.planner or ():
-        if name != OURS and name not in PLANNERS:
-            remedy = f"One of: {OURS}, {', '.join(PLANNERS)}."
-            raise InputError(f"{where}: factors.planner", name, "there is none", remedy)
-    known = [choice.name for choice in campaign.choices]
-    for factor in _CHOSEN:
-        for name in getattr(factors, factor) or ():
-            if name not in (_NONE, *known):
-                near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-                remedy = f"Did you mean {near[0]}?" if near else "Add it to [[choices]]."
-                rule = "no choice has this name"
-                raise InputError(f"{where}: factors.{factor}", name, rule, remedy)
-    for k, place in enumerate(campaign.places):
-        if (place.world is None) == (place.family is None):
-            rule = "a place has either a world or a family"
-            raise InputError(f"{where}: places[{k}]", place.world, rule, "Leave out the other.")
-        _check_place(place, f"{where}: places[{k}]")
-    _check_choices(campaign, where)
-
-
-def _check_place(place: PlaceTable, field: str) -> None:
-    """Every key of a place has an effect."""
-    without = {"mission": "a family draws its own missions"}
-    if place.family is None:
-        rule = "it is of a family: which worlds are drawn"
-        without = dict.fromkeys(("seed", "first", "count", "indices"), rule)
-    elif place.indices is not None:
-        without |= dict.fromkeys(("first", "count"), "indices says which worlds are drawn")
-    _refuse_given(place, without, field)
-
-
-def _refuse_given(place: PlaceTable, without: dict[str, str], field: str) -> None:
-    for key, rule in without.items():
-        if key in place.model_fields_set:
-            raise InputError(f"{field}.{key}", getattr(place, key), rule, "Leave it out.")
-
-
-def _check_choices(campaign: CampaignTable, where: str) -> None:
-    """Every choice is one of some factor, and no other has its name."""
-    asked = {name for factor in _CHOSEN for name in getattr(campaign.factors, factor) or ()}
-    names = [choice.name for choice in campaign.choices]
-    for k, name in enumerate(names):
-        field = f"{where}: choices[{k}].name"
-        if name in names[:k] or name == _NONE:
-            rule = "another choice has this name" if name != _NONE else "it stands for no choice"
-            raise InputError(field, name, rule, "Give it another name.")
-        if name not in asked:
-            rule = f"no factor ({', '.join(_CHOSEN)}) asks for it"
-            raise InputError(field, name, rule, "Name it in [factors], or leave it out.")
-
-
-def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
-    """InputError if its factors do not go with how it is flown."""
-    if over == "planner" and "limit_s" in campaign.model_fields_set:
-        rule = "the planner alone has no vehicle, nor its time"
-        raise InputError(f"{where}: limit_s", campaign.limit_s, rule, "Leave it out.")
-    for k, place in enumerate(campaign.places):
-        without = {}
-        if campaign.factors.vehicle:
-            without["vehicle"] = "the factor vehicle says which vehicles fly, at all places"
-        if over == "planner":
-            without["vehicle"] = "the planner alone has no vehicle"
-        _refuse_given(place, without, f"{where}: places[{k}]")
-    if "elevation" in (campaign.factors.knowledge or ()) and campaign.factors.planner:
-        rule, remedy = "only ours reads an elevation file", "Leave out factors.planner."
-        raise InputError(f"{where}: factors.knowledge", "elevation", rule, remedy)
-    for factor in _OF_VEHICLES:
-        asked = getattr(campaign.factors, factor) or (factor == "faults" and campaign.faults)
-        if over == "planner" and asked:
-            rule = "the planner alone has no vehicle"
-            remedy = 'Leave it out, or fly: over = "process".'
-            raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
-    for factor in ("optimiser", "profile"):
-        if getattr(campaign.factors, factor) and OURS not in (campaign.factors.planner or [OURS]):
-            rule, remedy = "rivals have none", f"Leave it out, or add {OURS!r} to the planners."
-            raise InputError(f"{where}: factors.{factor}", campaign.factors.planner, rule, remedy)
-    for factor, ours in (("planner", [OURS]), ("knowledge", ["scans"])):
-        if over != "planner" and (getattr(campaign.factors, factor) or ours) != ours:
-            rule = "rivals and full knowledge are of the planner alone"
-            raise InputError(f"{where}: factors.{factor}", over, rule, 'Write over = "planner".')
-
-
-def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> list[Run]:
+def runs_of(campaign: CampaignTable, folder: Path) -> list[Run]:
     """Every run, in the order in which they are flown; folder: what its paths are relative to.
 
     All seeds of a combination follow each other last, so that the first runs already show each
@@ -289,37 +254,39 @@ def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> li
     if campaign.seeds * len(combinations) > _MOST_RUNS:
         rule = f"that makes more than {_MOST_RUNS:,} runs"
         raise InputError("seeds", campaign.seeds, rule, "Ask for fewer.")
-    choices = {choice.name: choice for choice in campaign.choices}
-    found: list[Run] = []
-    for seed in range(campaign.first_seed, campaign.first_seed + campaign.seeds):
-        for place, *values in combinations:
-            given: dict[str, Any] = {k: str(v) if isinstance(v, FaultScript) else v
-                     for k, v in zip(factors, values, strict=True) if v is not None}  # fmt: skip
-            chosen = [choices[v] for k, v in given.items() if k in _CHOSEN and v in choices]
-            if place.vehicle is not None:
-                given.setdefault("vehicle", place.vehicle)
-            names = [place.label, *map(str, given.values()), f"seed-{seed}"]
-            found.append(
-                Run(
-                    number=len(found),
-                    key="/".join(names),
-                    seed=seed,
-                    place=place,
-                    over=over,
-                    keep=keep,
-                    limit_s=campaign.limit_s,
-                    timeline="\n".join(each.faults.strip() for each in chosen if each.faults),
-                    world_settings=_joined(each.world for each in chosen),
-                    script=next((v for v in values if isinstance(v, FaultScript)), None),
-                    mission_settings=_joined(each.mission for each in chosen),
-                    **given,
-                )
-            )
-    return found
+    seeds = range(campaign.first_seed, campaign.first_seed + campaign.seeds)
+    return [
+        _run(campaign, number, seed, place, dict(zip(factors, values, strict=True)))
+        for number, (seed, (place, *values)) in enumerate(itertools.product(seeds, combinations))
+    ]
 
 
-def _joined(lists: Iterable[list[str]]) -> tuple[str, ...]:
-    return tuple(itertools.chain.from_iterable(lists))
+def _run(
+    campaign: CampaignTable, number: int, seed: int, place: Place, values: Mapping[str, Any]
+) -> Run:
+    given = {name: value for name, value in values.items() if value is not None}
+    script = given.get("faults")
+    if not isinstance(script, FaultScript):
+        script = None
+    else:
+        given["faults"] = str(script)
+    if place.vehicle is not None:
+        given.setdefault("vehicle", place.vehicle)
+    chosen = [c for k in _CHOSEN for c in campaign.choices if c.name == given.get(k)]
+    return Run(
+        number=number,
+        key="/".join([place.label, *map(str, given.values()), f"seed-{seed}"]),
+        seed=seed,
+        place=place,
+        over=campaign.over,
+        keep=campaign.keep,
+        limit_s=campaign.limit_s,
+        timeline="\n".join(choice.faults.strip() for choice in chosen if choice.faults),
+        script=script,
+        world_settings=tuple(setting for choice in chosen for setting in choice.world),
+        mission_settings=tuple(setting for choice in chosen for setting in choice.mission),
+        factors=given,
+    )
 
 
 def _places(table: PlaceTable, folder: Path) -> list[Place]:

@@ -1,27 +1,58 @@
-"""Flights in this process: a vehicle and its companion in lockstep, without sockets."""
+"""A flight of a campaign: a vehicle and its companion in this process, in lockstep, no sockets.
 
+It leaves a run folder and the truth, and only these are looked at afterwards.
+"""
+
+import errno
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Protocol, final
 
 from companion.campaign.drawn_faults import split
-from companion.campaign.flight import Flight, FlightFiles, truth_of
 from companion.config import load_mission, mission_text
 from companion.entry_points import Parts
 from companion.errors import InputError
-from companion.mavlink.link import Output
+from companion.mission.mission import Mission
 from companion.planning import plan
 from companion.runtime.in_process import SimulatedVehicle, loop_in_process
 from companion.runtime.recorder import Recorder
 from companion.session import Session
 from companion.telemetry.resume import load_resume_data
-from companion.telemetry.run_folder import RunFolder, journal_line
+from companion.telemetry.run_folder import RunFolder
 
 _EPOCH_US = 1_700_000_000_000_000
 """Stamps of logs begin here, so that a run leaves the same bytes each time."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightFiles:
+    """What a flight is flown by; all that it writes is written into the folder."""
+
+    world: Path
+    mission: Path
+    faults: str
+    """A timeline, with when the companion is killed (`drawn_faults.split`)."""
+    folder: Path
+    drawn: str = ""
+    """What the drawn faults are called."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flight:
+    """What a flight left."""
+
+    mission: Mission
+    journal: list[dict[str, Any]]
+    truth: list[dict[str, Any]]
+    """Where the vehicle really was."""
+    plans_s: list[float]
+    folder: Path
 
 
 class Vehicle(SimulatedVehicle, Protocol):
@@ -30,30 +61,6 @@ class Vehicle(SimulatedVehicle, Protocol):
     def take_truth(self) -> list[str]:
         """Where it really was since the last call: lines of JSON, after a header."""
         ...
-
-
-@final
-class _Listener:
-    """A writer that remembers the journal, and hands all on to one that writes."""
-
-    def __init__(self) -> None:
-        self.journal: list[dict[str, Any]] = []
-        self.inner: Recorder | None = None
-
-    def put(self, out: Output) -> None:
-        self.journal += [json.loads(journal_line(entry)) for entry in out.journal]
-        if self.inner is not None:
-            self.inner.put(out)
-
-    def heir(self) -> "_Listener":
-        """One that goes on with the journal; this one hears nothing more that counts."""
-        heir = _Listener()
-        heir.journal, self.journal, self.inner = self.journal, [], None
-        return heir
-
-    def close(self) -> None:
-        if self.inner is not None:
-            self.inner.close()
 
 
 def _wrong_with(maker: Callable[..., Vehicle]) -> str | None:
@@ -65,9 +72,9 @@ _VEHICLES: Parts[Callable[..., Vehicle]] = Parts(
 )
 
 
-def _maker() -> Callable[..., Vehicle]:
-    for name in _VEHICLES:
-        return _VEHICLES[name]
+def _vehicle(files: FlightFiles, seed: int) -> Vehicle:
+    for make in _VEHICLES.values():
+        return make(files.world, seed=seed, faults=split(files.faults)[0])
     rule, remedy = "no package brings one", "Install the project again: pip install ."
     raise InputError("companion.vehicles", None, rule, remedy)
 
@@ -75,19 +82,17 @@ def _maker() -> Callable[..., Vehicle]:
 def check(files: FlightFiles) -> None:
     """Raises what is wrong with a mission, a world or faults."""
     load_mission(str(files.mission))
-    _maker()(files.world, seed=0, faults=split(files.faults)[0])
+    _vehicle(files, seed=0)
 
 
 @final
 class Flying:
     """A vehicle and its companion in this process, in lockstep, flown on turn by turn."""
 
-    def __init__(self, files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -> None:
+    def __init__(self, files: FlightFiles, *, seed: int, limit_s: float) -> None:
         self._files, self._mission = files, load_mission(str(files.mission))
-        self._vehicle = _maker()(files.world, seed=seed, faults=files.faults)
-        self._seed, self._limit_s, self._recorded = seed, limit_s, recorded
-        self._folder: RunFolder | None = None
-        self._listener = _Listener()
+        self._vehicle = _vehicle(files, seed)
+        self._seed, self._limit_s = seed, limit_s
         self.flies = True
         """Whether its mission has not ended."""
         self._begin()
@@ -105,30 +110,23 @@ class Flying:
             planner=plan,
             stop_asked=lambda: self.loop.clock() >= self._limit_s,
         )
-        self.loop.writer = self._listener
-        if self._recorded:
-            text = mission_text(str(self._files.mission))
-            folder = RunFolder(
-                self._files.folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again,
-                durable=False,
-            )  # fmt: skip
-            facts = {
-                "mission": self._mission.name,
-                "seed": self._seed,
-                "profile": self._mission.task.settings.profile.name,
-            }
-            folder.header(facts | {"lockstep": True})
-            self._listener.inner = Recorder(folder, self.loop.clock, lambda _: None)
-            self._folder = folder
+        text = mission_text(str(self._files.mission))
+        self._folder = RunFolder(
+            self._files.folder, mission_toml=text, epoch_us=_EPOCH_US, resume=again, durable=False
+        )
+        facts = {
+            "mission": self._mission.name,
+            "seed": self._seed,
+            "profile": self._mission.task.settings.profile.name,
+        }
+        self._folder.header(facts | {"lockstep": True})
+        self.loop.writer = Recorder(self._folder, self.loop.clock, self.loop.lost)
         self._turns = self.loop.turns()
 
     def die(self, away_s: float) -> None:
         """The companion is killed: nothing more is written; after a time another one resumes."""
-        dead = self._listener
-        self._listener = dead.heir()
-        self._turns = iter(())  # so the control loop of the dead one ends
-        if self._folder is not None:
-            self._folder.close()
+        self._turns = iter(())
+        self._folder.close()
         for _ in range(round(100.0 * away_s)):
             self._vehicle.step()
             self._vehicle.take_frames()
@@ -152,31 +150,33 @@ class Flying:
         self.loop.writer.close()
         truth = "".join(f"{line}\n" for line in self._vehicle.take_truth())
         (self._files.folder / "truth.jsonl").write_text(truth, encoding="utf-8")
-        if self._folder is not None:
-            self._folder.close()
+        self._folder.close()
+        if (failure := self._folder.failure) is not None:  # what was not recorded is no result
+            raise OSError(errno.ENOSPC, failure, str(self._folder.path))
 
     def flight(self) -> Flight:
         """What it left, once closed."""
+        folder = self._files.folder
         return Flight(
             mission=self._mission,
-            journal=self._listener.journal,
-            truth=truth_of(self._files.folder),
+            journal=_lines_with("kind", folder / "journal.jsonl"),
+            truth=_lines_with("t_s", folder / "truth.jsonl"),
             plans_s=self.loop.flown.plans_s,
-            folder=self._files.folder,
+            folder=folder,
         )
 
 
-def fly_here(files: FlightFiles, *, seed: int, limit_s: float, recorded: bool) -> Flight:
+def _lines_with(key: str, path: Path) -> list[dict[str, Any]]:
+    """The lines of a file of JSON but for headers."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return [entry for line in lines if key in (entry := json.loads(line))]
+
+
+def fly_here(files: FlightFiles, *, seed: int, limit_s: float) -> Flight:
     """Both in this process; a companion that is killed is resumed from its folder."""
-    timeline, to_come = split(files.faults)
-    flying = Flying(
-        replace(files, faults=timeline),
-        seed=seed,
-        limit_s=limit_s,
-        recorded=recorded or bool(to_come),
-    )
+    flying = Flying(files, seed=seed, limit_s=limit_s)
     try:
-        for happening in to_come:
+        for happening in split(files.faults)[1]:
             flying.fly_on(1e6 * happening.at_s)
             if flying.flies:
                 flying.die(happening.until_s - happening.at_s)

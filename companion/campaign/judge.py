@@ -1,29 +1,27 @@
-"""What a flight in which something goes wrong came to: how it ended, how near it came to what.
+"""What a flight of a campaign came to: how it ended, how near it came to what, what it cost.
 
-A distance below d_s counts against the companion unless, at that moment or in the ten seconds
-before, it could not know of it or had no say:
+Every metre of every subpath is measured against the true world, and so is what was flown: nearer to
+the ground or to a zone than d_s violates, among near things only what is touched.  Where something
+goes wrong, that counts against the companion unless, at that moment or in the ten seconds before,
 
 - the vehicle was not where its autopilot said: the position that the companion was told last lay
   off the true one by more than the mission's navigation_error_m;
 - somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
   station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
-  companion has let go, design 7), or the autopilot was rebooting and the vehicle fell;
-- it had put the vehicle into the autopilot's own hold because there was no position to be believed,
-  and the autopilot had none either: a plane then flies blind;
-- the radar had told heights below the true ones (`radar_noise ... either_way`: of terrain only);
-- the zone was new: a fence is known ten seconds after the vehicle has it (issue 5), and whoever is
-  inside then, or nearer than d_s, has the time to leave it once, by half the mission's speed;
-- it was given back to the companion in there, or nearer than d_s: it has the same time.
+  companion has let go, design 7), or the autopilot had rebooted and the vehicle fell.
 
-Everything else counts: wind, lost frames, an autopilot that does not obey.
-So does an ending without a reason, or one that leaves the vehicle to nobody (`unexplained: ...`),
+A fence that comes during the flight is known ten seconds later (issue 5), and whoever is in it
+then, or nearer than d_s, has the time to leave it once, by half the mission's speed.
+An ending without a reason violates, or one that leaves the vehicle to nobody (`unexplained: ...`),
 unless no command could reach it then: a copter that hears nothing hovers.
 """
 
 import bisect
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -32,11 +30,13 @@ import numpy as np
 from companion.campaign import truth
 from companion.campaign.drawn_faults import KILLED, Happening, happenings
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.flight import Flight, crash_of
+from companion.campaign.in_process import Flight
 from companion.geodesy import BoolArray, FloatArray
+from companion.library import route_terms
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
 from companion.mavlink.frames import decoded, number_of, sender_of
 from companion.mission.state import Reason
+from companion.planner.settings import Task
 from companion.telemetry.run_folder import Records
 from companion.world.terrain import PeakTerrain
 from companion.world.zones import CircleZone, Zone
@@ -45,20 +45,24 @@ GUIDED: Final = frozenset({"GUIDED", "Offboard"})
 HOLDS: Final = frozenset({"BRAKE", "Hold", "LOITER"})
 LANDS: Final = frozenset({"LAND", "Land", "Descend", "AUTOLAND"})
 RETURNS: Final = frozenset({"RTL", "Return", "SMARTRTL"})
-_THERE: Final = ("arrived", "held and resumed")
-"""Endings at the target."""
 _BY_ORDER: Final = {"hold": HOLDS, "land": LANDS, "return": RETURNS}
-KNOWN_AFTER_S: Final = 10.0
-GRACE_S: Final = 10.0
+_KNOWN_AFTER_S: Final = 10.0
+_GRACE_S: Final = 10.0
 _SLACK_M: Final = 0.1
 _ARRIVED_M: Final = 15.0
+_SPACING_M: Final = 1.0
+"""Between the points of a subpath at which it is checked, as far as that makes a few thousand."""
+_MOST_POINTS: Final = 20_000
+_OF_SHAPE: Final = ("turn radius", "climb angle", "dive angle")
+_OVER: Final = ("landing", "handing over", "done", "faulted")
+"""Phases in which no subpath is flown any more."""
 _LET_GO: Final = (Reason.MODE_TAKEN.text, Reason.FAILSAFE.text, Reason.FENCE_BREACHED.text)
-_BLIND: Final = ("POSITION_STALE", "POSITION_FROZEN", "POSITION_JUMPED", "POSITION_ELSEWHERE",
-                 "NO_FIX", "ESTIMATOR")  # fmt: skip
 _DEG_M: Final = 111_195.0
 _POSITION: Final = wire.MAVLink_global_position_int_message
 _COMMAND: Final = wire.MAVLink_command_long_message
 _SET_MODE: Final = wire.MAV_CMD_DO_SET_MODE
+_THERE: Final = ("arrived", "held and resumed")
+"""Endings at the target."""
 _SETPOINTS: Final = (
     wire.MAVLINK_MSG_ID_COMMAND_INT,
     wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -74,60 +78,93 @@ class _Table:
     rows: list[dict[str, Any]]
     t_s: FloatArray
     points_nea_m: FloatArray
-    off_m: FloatArray
-    """How far the position that the companion was told lay off the true one."""
     ours: BoolArray
-    excuses: dict[str, BoolArray]
+    """Whether the companion had a say."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Told:
-    """Of flight.tlog: positions that came in, and when setpoints and modes went out."""
+def judged(flight: Flight, drawn: DrawnWorld, timeline: str | None) -> dict[str, Any]:
+    """The columns of a row.  timeline: what goes wrong in the flight; None: nothing does."""
+    found = _came_to(flight, drawn)
+    if timeline is None and "length_m" not in found:
+        return found
+    done, is_cut = happenings(timeline or ""), False
+    if timeline is not None:
+        flight, is_cut = _until_stopped(flight)
+    table, known, excused = _table(flight, drawn), list[str](), list[str]()
+    told = _told(flight.folder / "flight.tlog" if timeline is not None else None)
+    off_m = _off_m(flight, table.t_s, told)
+    excuses = {} if timeline is None else _excuses(table, off_m, done, drawn)
+    is_excused = np.any([np.zeros(len(table.t_s), dtype=bool), *excuses.values()], axis=0)
 
-    at_s: FloatArray
-    """When it was told, vehicle time."""
-    of_s: FloatArray
-    """What time it is of."""
-    deg_m: FloatArray
-    """Latitude, longitude, degrees, and altitude, metres AMSL; (K, 3)."""
-    sent_s: list[float]
+    def tell(what: str, at: int) -> None:
+        """Against the companion, or excused by what is so at a row of the table."""
+        why = ", ".join(name for name, when in excuses.items() if when[at])
+        (excused if why else known).append(f"{what} ({why})" if why else what)
 
-
-def judged(flight: Flight, drawn: DrawnWorld, timeline: str) -> dict[str, Any]:
-    """The columns of a row that this judge fills in; `violated` in words, empty: nothing."""
-    flight, is_cut = _until_stopped(flight)
-    done, told = happenings(timeline), _told(flight.folder / "flight.tlog")
-    table = _table(flight, drawn, done, told)
-    safety_m = drawn.task.settings.safety_distance_m
-    terrain_m = _terrain_m(table, drawn)
-    excuses = table.excuses | _radar_excuse(table, done)
-    known, unknown = _breaches("terrain", terrain_m, safety_m, table, excuses)
-    touched = _touched(flight, table)
-    hit = touched if any(touched) else _crash(flight, table, excuses)
-    known, unknown = known + hit[0], unknown + hit[1]
-    for zone, known_s in _zones(flight, drawn, done):
-        gap_m = _gap_m(table.points_nea_m, zone)
-        excused = table.excuses | {
-            "the zone was new": _new_excuse(gap_m, known_s, table, drawn),
-            "it was given back there": _back_excuse(gap_m, table, drawn),
+    for what, gap_m in _gaps_m(table, flight, drawn, done):
+        bad = gap_m < drawn.task.settings.safety_distance_m - _SLACK_M
+        for where in (bad & ~is_excused, bad & is_excused):
+            if where.any():
+                first = int(np.argmax(where))
+                tell(f"{what} {gap_m[where].min():.1f} m from {table.t_s[first]:.1f} s", first)
+    if hit := _hit(flight, table, but_landing=timeline is not None):
+        tell(*hit)
+    if timeline is not None:
+        ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
+        if ending.startswith("unexplained"):
+            known.append(f"{ending}: {reason}")
+        elif not done and ending not in _THERE:
+            known.append(f"{ending} with nothing wrong: {reason}")
+        found |= {
+            "ending": ending,
+            "reason": None if ending == "arrived" else reason or None,
+            "excused": "; ".join(excused) or None,
+            "position_off_m": float(off_m.max()) if len(off_m) else None,
+            "silent_s": _silent_s(table, told, _outages_s(done), _end_s(flight)),
         }
-        near = _breaches(zone.name, gap_m, safety_m, table, excused)
-        known, unknown = known + near[0], unknown + near[1]
-    ending, reason = _ending(flight, drawn, done, told, is_cut=is_cut)
-    if ending.startswith("unexplained"):
-        known.append(f"{ending}: {reason}")
-    elif not done and ending not in _THERE:
-        known.append(f"{ending} with nothing wrong: {reason}")
-    return {
-        "ending": ending,
-        "reason": reason or None,
-        "violated": known,
-        "excused": "; ".join(unknown) or None,
-        "is_distorted": bool(_any(table.excuses | excuses).any()),
-        "silent_s": _silent_s(table, told, _outages_s(done), _end_s(flight)),
-        "position_off_m": float(table.off_m.max()) if len(table.t_s) else None,
+    count = len(known)
+    if flight.mission.near is None:
+        # planned in a wrong place, a subpath is right in its shape only
+        bounds = _OF_SHAPE if is_excused.any() else None
+        of_subpaths = checked(_subpaths(flight), drawn, bounds=bounds)
+        count += of_subpaths["violations"]
+        known += filter(None, [of_subpaths["violated"]])
+        found = of_subpaths | found
+    return found | {"violations": count, "violated": "; ".join(known) or None}
+
+
+def _came_to(flight: Flight, drawn: DrawnWorld) -> dict[str, Any]:
+    """How it ended, and what was flown."""
+    ends = [entry for entry in flight.journal if entry["kind"] == "end"]
+    outcome = ends[-1]["outcome"] if ends else "not ended"
+    reason = ends[-1]["reason"] if ends else "the companion has not said how it ended"
+    kinds = [entry["kind"] for entry in flight.journal]
+    found = of_task(flight.mission.task, drawn, flight.plans_s) | {
+        "outcome": outcome,
+        "reason": None if outcome == "arrived" else reason,
+        "arrived": outcome == "arrived",
+        "plans": kinds.count("plan ready") + kinds.count("plan refused"),
+        "subpaths": kinds.count("leg"),
+        "holds": sum(
+            entry.get("phase") == "holding" and entry["code"] not in ("TAKING_OVER", "TAKEN_OFF")
+            for entry in flight.journal
+        ),
     }
+    rows = _in_the_air(flight)
+    if len(rows) < 2:
+        return found
+    t_s, points = [row["t_s"] for row in rows], _points(rows)
+    if flight.mission.near is not None:
+        away_m = np.array([row.get("near_m", math.inf) for row in rows])
+    else:
+        up_to_m = 2.0 * drawn.task.required_clearance_m
+        away_m = truth.terrain_distance_m(points, drawn.terrain, up_to_m)
+    away_m = np.where([row["mode"] in LANDS | RETURNS for row in rows], np.inf, away_m)
+    least = int(np.argmin(away_m))
+    found |= of_track(points, drawn) | {"flight_s": t_s[-1] - t_s[0]}
+    if math.isfinite(away_m[least]):
+        found |= {"clearance_least_m": float(away_m[least]), "clearance_least_t_s": t_s[least]}
+    return found
 
 
 def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
@@ -140,39 +177,163 @@ def _until_stopped(flight: Flight) -> tuple[Flight, bool]:
     return replace(flight, journal=flight.journal[:stop], truth=rows), True
 
 
-def _any(excuses: dict[str, BoolArray]) -> BoolArray:
-    return np.any(list(excuses.values()), axis=0)
+def _in_the_air(flight: Flight) -> list[dict[str, Any]]:
+    """The truth while subpaths were flown.
+
+    Until the vehicle is told to land or is let go.  Of a flight whose vehicle's clock began again,
+    the whole time in the air.
+    """
+    rows = [row for row in flight.truth if not row["landed"]]
+    begun_s = next((e["t_s"] for e in flight.journal if e["kind"] == "leg"), math.inf)
+    over = (e["t_s"] for e in flight.journal if e.get("phase") in _OVER and e["t_s"] >= begun_s)
+    until_s = next(over, math.inf)
+    if until_s < math.inf:
+        rows = [row for row in rows if begun_s <= row["t_s"] <= until_s]
+    return rows
 
 
-# --- the flight as arrays
+def _points(rows: Sequence[dict[str, Any]]) -> FloatArray:
+    """North, east, altitude of rows of truth; (N, 3)."""
+    keys = ("north_m", "east_m", "altitude_amsl_m")
+    return np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
 
 
-def _told(log: Path) -> _Told:
-    """What the companion and its vehicle said to each other."""
-    at_us, of_s, places, sent_us = list[int](), list[float](), list[tuple[float, ...]](), []
-    with Records(log) as records:
-        while (record := records.take()) is not None:
+def _subpaths(flight: Flight) -> list[FloatArray]:
+    return [np.array(e["control_nea_m"]) for e in flight.journal if e["kind"] == "plan ready"]
+
+
+# --- what was planned, and what was flown
+
+
+def of_task(task: Task, drawn: DrawnWorld, plans_s: Sequence[float]) -> dict[str, Any]:
+    """What was to be flown, and how long its plans took."""
+    settings, places = task.settings, [drawn.start_nea_m[:2], *drawn.targets_ne_m]
+    return {
+        "profile": settings.profile.name,
+        "optimiser": settings.optimiser or settings.profile.optimiser,
+        "budget": settings.evaluations,
+        "straight_m": sum(math.dist(a, b) for a, b in pairwise(places)),
+        "plan_ms_median": 1e3 * float(np.median(plans_s)) if len(plans_s) else None,
+        "plan_ms_p99": 1e3 * float(np.quantile(plans_s, 0.99)) if len(plans_s) else None,
+    }
+
+
+def of_track(track_nea_m: FloatArray, drawn: DrawnWorld) -> dict[str, Any]:
+    """Length, cost and radars along what was flown."""
+    length_m = float(np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum())
+    terms = route_terms(track_nea_m, drawn.task)
+    return {
+        "length_m": length_m,
+        "cost": sum(terms.values()),
+        "radar_m": truth.radar_m(track_nea_m, drawn.task.radars, length_m),
+        **{f"cost_{name}": value for name, value in terms.items()},
+    }
+
+
+def checked(
+    subpaths: Sequence[FloatArray],
+    drawn: DrawnWorld,
+    *,
+    joined: bool = False,
+    bounds: Container[str] | None = None,
+) -> dict[str, Any]:
+    """Every metre of every subpath, its tail included, against the true world.
+
+    joined: each begins on the one before, or at its end, from rest.  bounds: only these.
+    """
+    task, violated, bad, least_m = drawn.task, list[str](), 0, math.inf
+    for number, control_nea_m in enumerate(subpaths, 1):
+        long_m = float(np.linalg.norm(np.diff(control_nea_m, axis=0), axis=-1).sum())
+        curve = truth.sampled(control_nea_m, max(_SPACING_M, long_m / _MOST_POINTS))
+        measures = truth.measure(curve, drawn.terrain, task)
+        broken = [*measures.violations(task)]
+        if joined and number > 1 and not truth.goes_over(subpaths[number - 2], control_nea_m, task):
+            broken.append("join")
+        broken = [name for name in broken if bounds is None or name in bounds]
+        bad += bool(broken)
+        violated += [f"leg {number}: {name}" for name in broken]
+        least_m = min(least_m, measures.clearance_m)
+    return {
+        "subpaths_checked": len(subpaths),
+        "violations": bad,
+        "violated": "; ".join(violated) or None,
+        "clearance_least_m": least_m if subpaths else None,
+    }
+
+
+# --- a flight as arrays
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Told:
+    """Of flight.tlog, in vehicle time."""
+
+    at_s: FloatArray
+    """When the companion was told a position, (K,)."""
+    of_s: FloatArray
+    """What time that is of, (K,)."""
+    deg_m: FloatArray
+    """Latitude, longitude, degrees, and altitude, metres AMSL; (K, 3)."""
+    sent_s: FloatArray
+    """When setpoints and modes went out."""
+
+
+def _told(log: Path | None) -> _Told:
+    """What the companion and its vehicle said to each other; None: nothing is known of it."""
+    at_us, places, sent_us = list[int](), list[tuple[float, ...]](), list[int]()
+    with Records(log) if log else nullcontext() as records:
+        while records is not None and (record := records.take()) is not None:
             us, frame = record
             number, (_, component) = number_of(frame), sender_of(frame)
             from_vehicle = component == AUTOPILOT_COMPONENT
             if number == _POSITION.id and from_vehicle:
                 told = decoded(frame, _POSITION)
                 at_us.append(us)
-                of_s.append(told.time_boot_ms * 1e-3)
-                places.append((told.lat * 1e-7, told.lon * 1e-7, told.alt * 1e-3))
+                places.append(
+                    (told.time_boot_ms * 1e-3, told.lat * 1e-7, told.lon * 1e-7, told.alt * 1e-3)
+                )
             elif not from_vehicle and (
                 number in _SETPOINTS
                 or (number == _COMMAND.id and decoded(frame, _COMMAND).command == _SET_MODE)
             ):
                 sent_us.append(us)
+    of = np.array(places).reshape(-1, 4)
     # stamps count from an epoch of their own, positions from the vehicle's boot
-    first_us, first_s = (at_us[0], of_s[0]) if at_us else (0, 0.0)
-    return _Told(
-        at_s=1e-6 * np.array([us - first_us for us in at_us]) + first_s,
-        of_s=np.array(of_s),
-        deg_m=np.array(places).reshape(-1, 3),
-        sent_s=[1e-6 * (us - first_us) + first_s for us in sent_us],
+    first_us, first_s = (at_us[0], of[0, 0]) if at_us else (0, 0.0)
+    at_s, sent_s = (
+        1e-6 * (np.array(us, dtype=float) - first_us) + first_s for us in (at_us, sent_us)
     )
+    return _Told(at_s=at_s, of_s=of[:, 0], deg_m=of[:, 1:], sent_s=np.sort(sent_s))
+
+
+def _table(flight: Flight, drawn: DrawnWorld) -> _Table:
+    terrain, airborne_s = drawn.terrain, _airborne_s(flight)
+    ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
+    rows = [
+        row
+        for row in flight.truth
+        if row["t_s"] >= airborne_s and not row["landed"] and row["altitude_amsl_m"] > ground_m
+    ]
+    t_s = np.array([row["t_s"] for row in rows])
+    return _Table(rows=rows, t_s=t_s, points_nea_m=_points(rows), ours=_ours(rows, flight))
+
+
+def _excuses(
+    table: _Table, off_m: FloatArray, done: Sequence[Happening], drawn: DrawnWorld
+) -> dict[str, BoolArray]:
+    """What the companion could not know or had no say in, and when; (N,) each."""
+    t_s, error_m = table.t_s, drawn.task.limits.navigation_error_m
+    rebooted, lied = (
+        t_s >= min((each.at_s for each in done if word in each.what), default=math.inf)
+        for word in ("reboot", "either_way")
+    )
+    return {
+        "the position was wrong": _lasting(t_s, (off_m > error_m) & ~rebooted),
+        "somebody else flew": _lasting(t_s, ~table.ours),
+        "the autopilot rebooted": rebooted,
+        "the radar told too low heights": lied,
+    }
 
 
 def _airborne_s(flight: Flight) -> float:
@@ -183,51 +344,6 @@ def _airborne_s(flight: Flight) -> float:
 
 def _end_s(flight: Flight) -> float:
     return next((e["t_s"] for e in flight.journal if e["kind"] == "end"), math.inf)
-
-
-def _table(flight: Flight, drawn: DrawnWorld, done: Sequence[Happening], told: _Told) -> _Table:
-    terrain, airborne_s = drawn.terrain, _airborne_s(flight)
-    ground_m = terrain.ground_amsl_m if isinstance(terrain, PeakTerrain) else -math.inf
-    rows = [
-        row
-        for row in flight.truth
-        if row["t_s"] >= airborne_s and not row["landed"] and row["altitude_amsl_m"] > ground_m
-    ]
-    t_s = np.array([row["t_s"] for row in rows])
-    keys = ("north_m", "east_m", "altitude_amsl_m")
-    points = np.array([[row[key] for key in keys] for row in rows]).reshape(-1, 3)
-    rebooted = t_s >= min((each.at_s for each in done if each.what == "reboot"), default=math.inf)
-    off_m = np.where(rebooted, 0.0, _off_m(flight, t_s, told))
-    phases = _phases(flight)
-    starts = [at_s for at_s, _, _ in phases]
-    blind = []
-    for row in rows:
-        _, phase, code = phases[max(bisect.bisect_right(starts, row["t_s"]) - 1, 0)]
-        blind.append(phase == "holding" and code in _BLIND and row["mode"] not in GUIDED)
-    ours = _ours(rows, flight)
-    error_m = drawn.task.limits.navigation_error_m
-    return _Table(
-        rows=rows,
-        t_s=t_s,
-        points_nea_m=points,
-        off_m=off_m,
-        ours=ours,
-        excuses={
-            "the position was wrong": _lasting(t_s, off_m > error_m),
-            "somebody else flew": _lasting(t_s, ~ours),
-            "the autopilot rebooted": rebooted,
-            "there was no position": _lasting(t_s, np.array(blind, dtype=bool)),
-        },
-    )
-
-
-def _phases(flight: Flight) -> list[tuple[float, str, str | None]]:
-    """When which phase began, and its reason's name; to the first restart of the clock."""
-    found: list[tuple[float, str, str | None]] = []
-    for entry in flight.journal:
-        if entry["kind"] == "phase" and (not found or entry["t_s"] >= found[-1][0]):
-            found.append((entry["t_s"], entry["phase"], entry.get("code")))
-    return found
 
 
 def _off_m(flight: Flight, t_s: FloatArray, told: _Told) -> FloatArray:
@@ -265,50 +381,66 @@ def _ours(rows: Sequence[dict[str, Any]], flight: Flight) -> BoolArray:
 def _lasting(t_s: FloatArray, bad: BoolArray) -> BoolArray:
     """Bad now, or less than the grace ago."""
     last_s = np.maximum.accumulate(np.where(bad, t_s, -math.inf))
-    return np.asarray(t_s - last_s < GRACE_S)
+    return np.asarray(t_s - last_s < _GRACE_S)
 
 
-# --- distances
+# --- too near
 
 
-def _terrain_m(table: _Table, drawn: DrawnWorld) -> FloatArray:
-    """True distance to the ground; landing and the flight after it are no business of d_s."""
-    if not len(table.t_s):
-        return np.empty(0)
+def _gaps_m(
+    table: _Table, flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]
+) -> Iterator[tuple[str, FloatArray]]:
+    """True distances that must be d_s or more, (N,); infinite where they do not count."""
+    if flight.mission.near is not None or not len(table.t_s):
+        return
     up_to_m = 4.0 * drawn.task.settings.safety_distance_m
-    distance_m = truth.terrain_distance_m(table.points_nea_m, drawn.terrain, up_to_m)
+    gap_m = truth.terrain_distance_m(table.points_nea_m, drawn.terrain, up_to_m)
     lands = np.array([row["mode"] in LANDS | RETURNS for row in table.rows])
-    return np.where(lands, np.inf, distance_m)
+    yield "terrain", np.where(lands, np.inf, gap_m)
+    for zone in drawn.task.zones:
+        yield zone.name, _zone_gap_m(table.points_nea_m, zone)
+    for fence, known_s in _new_fences(flight, done):
+        gap_m = _zone_gap_m(table.points_nea_m, fence)
+        counts = table.t_s >= _left_s(gap_m, table.t_s, known_s, drawn)
+        yield fence.name, np.where(counts, gap_m, np.inf)
 
 
-def _gap_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
+def _zone_gap_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
     """Horizontal distance to where the vehicle must not be; negative there."""
-    if not len(points_nea_m):
-        return np.empty(0)
     gap_m = truth.keep_out_distance_m(points_nea_m, zone)
     return -gap_m if zone.keep_in else gap_m
 
 
-def _zones(
-    flight: Flight, drawn: DrawnWorld, done: Sequence[Happening]
-) -> list[tuple[Zone, float]]:
-    """Every zone with the time from which it could be known."""
-    zones: list[tuple[Zone, float]] = [(zone, -math.inf) for zone in drawn.task.zones]
+def _new_fences(flight: Flight, done: Sequence[Happening]) -> Iterator[tuple[Zone, float]]:
+    """Fences that come during a flight, and when each can be known."""
     for each in done:
         name, *words = each.what.split()
         row = _row_at(flight, each.at_s)
-        if name != "ground_fence" or row is None:
-            continue
-        ahead_m = float(words[2]) if len(words) > 2 else 0.0
-        speed = math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"])
-        share = ahead_m / max(speed, 1e-6)
-        north_m = row["north_m"] + share * row["velocity_north_m_s"]
-        east_m = row["east_m"] + share * row["velocity_east_m_s"]
-        circle = CircleZone(
-            name="new fence", north_m=north_m, east_m=east_m, radius_m=float(words[0])
-        )
-        zones.append((circle, each.at_s + KNOWN_AFTER_S))
-    return zones
+        if name == "ground_fence" and row is not None:
+            ahead_m = float(words[2]) if len(words) > 2 else 0.0
+            speed = math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"])
+            share = ahead_m / max(speed, 1e-6)
+            north_m = row["north_m"] + share * row["velocity_north_m_s"]
+            east_m = row["east_m"] + share * row["velocity_east_m_s"]
+            yield (
+                CircleZone(
+                    name="new fence", north_m=north_m, east_m=east_m, radius_m=float(words[0])
+                ),
+                each.at_s + _KNOWN_AFTER_S,
+            )
+
+
+def _left_s(gap_m: FloatArray, t_s: FloatArray, known_s: float, drawn: DrawnWorld) -> float:
+    """When a new fence has been left, or could have been: the grace, then at half the speed."""
+    safety_m, known = drawn.task.settings.safety_distance_m, t_s >= known_s
+    if not known.any():
+        return math.inf
+    depth_m = max(safety_m - float(gap_m[known][0]), 0.0)
+    if depth_m == 0.0:
+        return known_s
+    out_s = t_s[known & (gap_m >= safety_m)]
+    could_s = known_s + _GRACE_S + depth_m / (0.5 * drawn.task.limits.speed_m_s)
+    return min([could_s, *out_s[:1].tolist()])
 
 
 def _row_at(flight: Flight, time_s: float) -> dict[str, Any] | None:
@@ -316,94 +448,25 @@ def _row_at(flight: Flight, time_s: float) -> dict[str, Any] | None:
     return next((row for row in flight.truth if row["t_s"] >= time_s - 1e-3), None)
 
 
-def _radar_excuse(table: _Table, done: Sequence[Happening]) -> dict[str, BoolArray]:
-    lied_s = min((each.at_s for each in done if "either_way" in each.what), default=math.inf)
-    return {"the radar told too low heights": table.t_s >= lied_s}
+def _hit(flight: Flight, table: _Table, *, but_landing: bool) -> tuple[str, int] | None:
+    """The first touch of a near thing, else the first crash: what, and the row of the table before.
 
-
-def _new_excuse(gap_m: FloatArray, known_s: float, table: _Table, drawn: DrawnWorld) -> BoolArray:
-    """Not yet known, or on the way out for the first time: from when it is led, or was told."""
-    excused: BoolArray = table.t_s < known_s
-    after = np.nonzero(~excused & table.ours)[0]
-    if math.isinf(known_s) or not len(after):
-        return excused
-    first = int(after[0])
-    since_s = max(known_s, float(table.t_s[first]))
-    return excused | _on_the_way_out(gap_m, first, since_s, table, drawn)
-
-
-def _back_excuse(gap_m: FloatArray, table: _Table, drawn: DrawnWorld) -> BoolArray:
-    """On the way out for the first time since the companion has the vehicle back."""
-    excused = np.zeros(len(gap_m), dtype=bool)
-    for k in np.flatnonzero(table.ours[1:] & ~table.ours[:-1]) + 1:
-        excused |= _on_the_way_out(gap_m, int(k), float(table.t_s[k]), table, drawn)
-    return excused
-
-
-def _on_the_way_out(
-    gap_m: FloatArray, first: int, since_s: float, table: _Table, drawn: DrawnWorld
-) -> BoolArray:
-    """From row `first` until it is out, or could be: the grace, then d_s deep at half the speed."""
-    safety_m = drawn.task.settings.safety_distance_m
-    depth_m = max(safety_m - float(gap_m[first]), 0.0)
-    if depth_m == 0.0:
-        return np.zeros(len(gap_m), dtype=bool)
-    speed = 0.5 * drawn.task.limits.speed_m_s
-    out = np.flatnonzero(gap_m[first:] >= safety_m)
-    left_s = float(table.t_s[first + out[0]]) if len(out) else math.inf
-    until_s = min(since_s + GRACE_S + depth_m / speed, left_s)
-    return (np.arange(len(gap_m)) >= first) & (table.t_s < until_s)
-
-
-def _breaches(
-    what: str,
-    gap_m: FloatArray,
-    least_m: float,
-    table: _Table,
-    excuses: dict[str, BoolArray],
-) -> tuple[list[str], list[str]]:
-    """What was too near: that it could know of, and that it could not."""
-    bad, excused = gap_m < least_m - _SLACK_M, _any(excuses)
-    known, unknown = list[str](), list[str]()
-    for where, said in ((bad & ~excused, known), (bad & excused, unknown)):
-        here = np.nonzero(where)[0]
-        if len(here):
-            why = ", ".join(name for name, when in excuses.items() if when[here[0]])
-            worst = f"{what} {gap_m[here].min():.1f} m from {table.t_s[here[0]]:.1f} s"
-            said.append(f"{worst} ({why})" if why else worst)
-    return known, unknown
-
-
-def _crash(
-    flight: Flight, table: _Table, excuses: dict[str, BoolArray]
-) -> tuple[list[str], list[str]]:
-    """Into the ground or a thing, but for a landing, by whoever flew in the moment before."""
-    crash, known, unknown = crash_of(flight), list[str](), list[str]()
+    A crash is a contact that nobody survives, as the simulator judged it.
+    """
+    over = LANDS | RETURNS
+    for at, row in enumerate(table.rows):
+        if row.get("near_m", math.inf) <= 0.0 and row["mode"] not in over:
+            return f"touched something at {row['t_s']:.1f} s", at
+    crash = next((row["crash"] for row in flight.truth if "crash" in row), None)
     if crash is None:
-        return known, unknown
+        return None
     last = int(np.searchsorted(table.t_s, crash["t_s"])) - 1
-    if last >= 0 and table.rows[last]["mode"] not in LANDS | RETURNS:
-        what = f"hit {crash['into']} at {crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s"
-        why = ", ".join(name for name, when in excuses.items() if when[last])
-        (unknown if why else known).append(f"{what} ({why})" if why else what)
-    return known, unknown
+    if but_landing and (last < 0 or table.rows[last]["mode"] in over):
+        return None
+    return f"hit {crash['into']} at {crash['speed_m_s']:.1f} m/s, {crash['t_s']:.1f} s", last
 
 
-def _touched(flight: Flight, table: _Table) -> tuple[list[str], list[str]]:
-    """Whether it touched a tree, wall, building or wire, likewise; landing is no business of it."""
-    for row in flight.truth:
-        if row.get("near_m", math.inf) > 0.0 or row["mode"] in LANDS | RETURNS:
-            continue
-        newest = int(np.searchsorted(table.t_s, row["t_s"], side="right")) - 1
-        if newest < 0:  # before it flew
-            continue
-        said = f"flown: touched something at {row['t_s']:.1f} s"
-        why = ", ".join(name for name, when in table.excuses.items() if when[newest])
-        return ([], [f"{said} ({why})"]) if why else ([said], [])
-    return [], []
-
-
-# --- commands
+# --- commands and endings
 
 
 def _outages_s(done: Sequence[Happening]) -> list[tuple[float, float]]:
@@ -416,22 +479,15 @@ def _silent_s(
     table: _Table, told: _Told, outages_s: Sequence[tuple[float, float]], until_s: float
 ) -> float:
     """Longest time in guided mode in the air, before the end, without a command to the vehicle."""
-    sent_s, longest, last_s = sorted(told.sent_s), 0.0, math.inf
-    for row, t in zip(table.rows, table.t_s.tolist(), strict=True):
-        if t > until_s:
-            break
-        guided = row["armed"] and row["mode"] in GUIDED
-        if not guided or any(begin <= t < end for begin, end in outages_s):
-            last_s = t
-            continue
-        at = bisect.bisect_right(sent_s, t + 1e-6)
-        newest = sent_s[at - 1] if at else -math.inf
-        last_s = max(newest, last_s) if math.isfinite(last_s) else t
-        longest = max(longest, t - last_s)
-    return longest
-
-
-# --- endings
+    t_s = table.t_s
+    speaks = np.array([row["armed"] and row["mode"] in GUIDED for row in table.rows], dtype=bool)
+    for begin_s, end_s in outages_s:
+        speaks &= (t_s < begin_s) | (t_s >= end_s)
+    quiet_s = np.maximum.accumulate(np.where(speaks, t_s[:1], t_s))  # when it last had no say
+    sent_s = np.append(-math.inf, told.sent_s)
+    newest_s = sent_s[np.searchsorted(told.sent_s, t_s + 1e-6, side="right")]
+    silent_s = t_s - np.maximum(quiet_s, newest_s)
+    return float(silent_s[speaks & (t_s <= until_s)].max(initial=0.0))
 
 
 def _ending(
@@ -449,37 +505,29 @@ def _ending(
     said = [e for e in flight.journal if e["kind"] == "phase" and e["phase"] != "done"]
     phase, reason = (said[-1]["phase"], said[-1].get("reason")) if said else ("", None)
     reason = (end["reason"] if end else None) or reason or ""
-    airborne_s = _airborne_s(flight)
     if all(row["landed"] for row in flight.truth):
         return ("refused", reason) if reason else ("unexplained: never flew", phase)
-    last = flight.truth[-1]
+    last, mode = flight.truth[-1], flight.truth[-1]["mode"]
     if end is not None and end["outcome"] == "arrived":
         circle_m = drawn.task.limits.loiter_radius_m
         if (miss_m := _miss_m(flight, done, told)) > _ARRIVED_M + 1.3 * circle_m:
             return "unexplained: arrived elsewhere", f"{miss_m:.0f} m off"
+        airborne_s = _airborne_s(flight)
         held = any(e["phase"] == "holding" and e["t_s"] > airborne_s for e in said)
         return ("held and resumed" if held else "arrived"), reason
     if is_cut and phase not in ("holding", "landing"):
         return "unexplained: flies on", f"{phase}: {reason}"
     if not reason:
-        return "unexplained: no reason", f"{phase}, {last['mode']}"
+        return "unexplained: no reason", f"{phase}, {mode}"
     if last["landed"] or not last["armed"]:
         return ("fell" if any(e.what == "reboot" for e in done) else "landed"), reason
+    if mode in LANDS | RETURNS:
+        return ("landed" if mode in LANDS else "returned"), reason
+    if any(text in reason for text in _LET_GO) or mode not in GUIDED | HOLDS:
+        return "let go", reason
     out_of_reach = any(begin_s <= _end_s(flight) < end_s for begin_s, end_s in _outages_s(done))
-    held = is_cut or out_of_reach or not drawn.task.limits.hovers
-    return _in_the_air(last["mode"], reason, held_in_guided=held), reason
-
-
-def _in_the_air(mode: str, reason: str, *, held_in_guided: bool) -> str:
-    if mode in LANDS:
-        return "landed"
-    if mode in RETURNS:
-        return "returned"
-    if any(text in reason for text in _LET_GO):
-        return "let go"
-    if mode in GUIDED:
-        return "held for good" if held_in_guided else "unexplained: left in guided mode"
-    return "held for good" if mode in HOLDS else "let go"
+    held = mode in HOLDS or is_cut or out_of_reach or not drawn.task.limits.hovers
+    return ("held for good" if held else "unexplained: left in guided mode"), reason
 
 
 def _miss_m(flight: Flight, done: Sequence[Happening], told: _Told) -> float:

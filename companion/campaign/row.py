@@ -1,6 +1,5 @@
 """What came of one run of a campaign: one row of its Parquet data set."""
 
-import types
 import typing
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, final
@@ -118,11 +117,8 @@ def schema() -> "pa.Schema":
     import pyarrow as pa  # an extra
 
     of_type = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-    hints = typing.get_type_hints(Row)
     columns = []
     for field in fields(Row):
-        hint = hints[field.name]
-        optional = isinstance(hint, types.UnionType)
-        kind = typing.get_args(hint)[0] if optional else hint
-        columns.append(pa.field(field.name, of_type[kind], nullable=optional))
+        kind, *none = typing.get_args(field.type) or (field.type,)
+        columns.append(pa.field(field.name, of_type[kind], nullable=bool(none)))
     return pa.schema(columns)

@@ -1,15 +1,14 @@
-"""What follows from the rows of a campaign, and what does not: rates, costs, pairs by seed.
+"""What follows from the rows of a campaign: rates, medians, and differences in pairs by seed.
 
-Rates have Wilson intervals, medians and means bootstrap intervals, all of 95 %.  Runs that differ
-in one thing alone, in the same world with the same seed, are compared in pairs.
+Rates have Wilson intervals, all else bootstrap intervals, of 95 %.  Runs that differ in one thing
+alone, in the same world with the same seed, are compared in pairs.
 """
 
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
-from typing import Final, Literal, final
+from typing import Any, Final, final
 
 import numpy as np
 from scipy.stats import binomtest, bootstrap, wilcoxon
@@ -18,7 +17,6 @@ from companion.campaign.row import Row
 from companion.geodesy import FloatArray
 
 CONFIDENCE: Final = 0.95
-ALPHA: Final = 1.0 - CONFIDENCE
 FEWEST: Final = 6
 """Values for an interval: the range of five holds the median in 93.75 % of draws only."""
 TASK: Final = ("world", "family", "family_seed", "family_index", "mission")
@@ -32,23 +30,8 @@ _AT_ONCE: Final = 1_000_000  # values that are drawn
 _BCA_UP_TO: Final = 1000  # values: its corrections are of the order 1 / n, its effort of n squared
 _SAME: Final = 1e-9  # relative: a tie
 
-Label = tuple[str | int | None, ...]
-"""The values of the factors of a group."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
-    """An estimate and its 95 % interval; None: too few values for one."""
-
-    value: float
-    low: float | None = None
-    high: float | None = None
-
-    def over(self, scale: float) -> "Interval":
-        """All three divided."""
-        low, high = (None if end is None else end / scale for end in (self.low, self.high))
-        return Interval(value=self.value / scale, low=low, high=high)
+Interval = tuple[float, float | None, float | None]
+"""An estimate and its 95 % interval; None: too few values for one."""
 
 
 @final
@@ -58,77 +41,135 @@ class Measure:
 
     name: str
     words: str
-    of: Callable[[Row], float | None] | None = None
-    """None: the column of its name."""
+    of: Callable[[Row], float | None]
+    """Of a run; None: it has none, which counts neither way."""
     unit: str = ""
-    digits: int = 0
+    digits: int = 1
     """Decimals to show."""
-    in_short: bool = False
-    """Whether it is in the tables of the terminal, as rates are."""
-    better: Literal["less", "more"] = "less"
+    more_is_better: bool = False
     is_rate: bool = False
-    arrived_only: bool = False
-    """Whether it means something only if the run arrived."""
+    in_short: bool = True
+    """Whether it is in the tables of the terminal."""
 
-    def value(self, row: Row) -> float | None:
-        """That of a run; None: it has none."""
-        if self.arrived_only and not row.arrived:
-            return None
-        value: float | None = getattr(row, self.name) if self.of is None else self.of(row)
-        return value
+
+def _if_arrived(name: str) -> Callable[[Row], float | None]:
+    """A column that means something only if the run arrived."""
+    return lambda row: getattr(row, name) if row.arrived else None
+
+
+def _detour(row: Row) -> float | None:
+    if not (row.arrived and row.length_m and row.straight_m):
+        return None
+    return row.length_m / row.straight_m
 
 
 def _violated(row: Row) -> float | None:
     return None if row.violations is None else float(row.violations > 0)
 
 
-def _detour(row: Row) -> float | None:
-    return row.length_m / row.straight_m if row.length_m and row.straight_m else None
-
-
 MEASURES: Final = (
-    Measure("arrived", "arrived", lambda row: float(row.arrived), better="more", is_rate=True),
-    Measure("violated", "violated a bound", _violated, is_rate=True),
-    Measure("cost", "cost J", digits=2, in_short=True, arrived_only=True),
-    Measure("detour", "length / straight", _detour, digits=3, in_short=True, arrived_only=True),
-    Measure("length_m", "length", unit="m", arrived_only=True),
-    Measure("flight_s", "flight time", unit="s", arrived_only=True),
-    Measure(
-        "clearance_least_m", "least clearance", unit="m", digits=1, in_short=True, better="more"
-    ),
-    Measure("plan_ms_median", "planning time", unit="ms", digits=1, in_short=True),
+    Measure("arrived", "arrived", lambda r: float(r.arrived), "%", 1, True, True),
+    Measure("violated", "violated a bound", _violated, "%", is_rate=True),
+    Measure("error", "raised", lambda r: float(r.error is not None), "%", 1, False, True, False),
+    Measure("cost", "cost J", _if_arrived("cost"), digits=2),
+    Measure("detour", "length / straight", _detour, digits=3),
+    Measure("length_m", "length", _if_arrived("length_m"), "m", 0, in_short=False),
+    Measure("flight_s", "flight time", _if_arrived("flight_s"), "s", 0, in_short=False),
+    Measure("clearance_least_m", "least clearance", lambda r: r.clearance_least_m, "m", 1, True),
+    Measure("plan_ms_median", "planning time", lambda r: r.plan_ms_median, "ms"),
 )
-RATES: Final = tuple(measure for measure in MEASURES if measure.is_rate)
-SIZES: Final = tuple(measure for measure in MEASURES if not measure.is_rate)
 
 
-# --- one sample
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """One number of a report: a measure of a group, or of two groups in pairs.
+
+    Of a group: the share of its runs, or their median.  Of two: by how much the group is above the
+    one that it is compared with, in shares or medians.  Fields that do not apply are None.
+    """
+
+    by: str
+    """The factors whose values the groups are."""
+    group: str
+    against: str | None = None
+    measure: Measure
+    n: int
+    """Runs, or pairs, that have it."""
+    value: float
+    low: float | None
+    high: float | None
+    tenth: float | None = None
+    """Exceeded by 90 % of the runs."""
+    ninetieth: float | None = None
+    """Exceeded by 10 % of the runs."""
+    percent: float | None = None
+    """Median over the pairs of the difference in per cent of the other one; then its interval."""
+    percent_low: float | None = None
+    percent_high: float | None = None
+    wins: int | None = None
+    """Pairs in which the group is better."""
+    ties: int | None = None
+    losses: int | None = None
+    p: float | None = None
+    """That the two are alike: McNemar's exact test of rates, else Wilcoxon's signed ranks."""
+    p_holm: float | None = None
+    """Corrected for the comparisons of the same measure with other groups (Holm 1979)."""
+
+
+# --- groups
+
+
+def label(values: Iterable[object]) -> str:
+    """A group by the values of its factors."""
+    return ", ".join("none" if value is None else str(value) for value in values) or "all"
+
+
+def split(rows: Iterable[Row], by: Sequence[str]) -> dict[tuple[Any, ...], list[Row]]:
+    """Rows by the values of some factors, in the order of the campaign."""
+    found: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    for row in sorted(rows, key=lambda row: row.run):
+        found[tuple(getattr(row, factor) for factor in by)].append(row)
+    return dict(found)
+
+
+def varying(rows: Sequence[Row]) -> dict[str, int]:
+    """The factors that differ between runs, with how many values each has."""
+    counts = {factor: len({getattr(row, factor) for row in rows}) for factor in FACTORS}
+    return {factor: count for factor, count in counts.items() if count > 1}
+
+
+def groups(rows: Iterable[Row], by: Sequence[str]) -> list[Figure]:
+    """Every measure of every group, without those that no run of a group has."""
+    return [
+        found
+        for values, runs in split(rows, by).items()
+        for measure in MEASURES
+        if (found := _of_group(" × ".join(by), label(values), measure, runs)) is not None
+    ]
+
+
+def _of_group(by: str, name: str, measure: Measure, runs: Sequence[Row]) -> Figure | None:
+    values = np.sort([value for row in runs if (value := measure.of(row)) is not None])
+    if not len(values):
+        return None
+    tenth = ninetieth = None
+    if measure.is_rate:
+        value, low, high = rate(round(sum(values)), len(values))
+    else:
+        value, low, high = bootstrapped(np.median, values)
+        tenth, ninetieth = np.quantile(values, [0.1, 0.9]).tolist()
+    return Figure(by=by, group=name, measure=measure, n=len(values), value=value, low=low,
+                  high=high, tenth=tenth, ninetieth=ninetieth)  # fmt: skip
 
 
 def rate(successes: int, runs: int) -> Interval:
-    """A share of runs, with the Wilson score interval; of no runs, nothing is known."""
-    if runs == 0:
-        return Interval(value=float("nan"), low=0.0, high=1.0)
+    """A share of runs, with the Wilson score interval."""
     low, high = binomtest(successes, runs).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(value=successes / runs, low=float(low), high=float(high))
+    return successes / runs, float(low), float(high)
 
 
-def _median(values: FloatArray, axis: int = -1) -> FloatArray:
-    return np.asarray(np.median(values, axis=axis))
-
-
-def _mean(values: FloatArray, axis: int = -1) -> FloatArray:
-    return np.asarray(np.mean(values, axis=axis))
-
-
-def _between(statistic: Callable[..., FloatArray]) -> Callable[..., FloatArray]:
-    def difference(reference: FloatArray, other: FloatArray, axis: int = -1) -> FloatArray:
-        return np.asarray(statistic(other, axis=axis) - statistic(reference, axis=axis))
-
-    return difference
-
-
-def bootstrapped(statistic: Callable[..., FloatArray], *samples: FloatArray) -> Interval:
+def bootstrapped(statistic: Callable[..., Any], *samples: FloatArray) -> Interval:
     """A statistic of one sample, or of several that are paired, with its bootstrap interval.
 
     Bias-corrected and accelerated (Efron 1987); by percentiles where that is not defined, or the
@@ -136,7 +177,7 @@ def bootstrapped(statistic: Callable[..., FloatArray], *samples: FloatArray) -> 
     """
     size, value = len(samples[0]), float(statistic(*samples))
     if size < FEWEST:
-        return Interval(value=value)
+        return value, None, None
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
         warnings.simplefilter("ignore")  # a sample without spread has no acceleration
         found = bootstrap(
@@ -152,232 +193,97 @@ def bootstrapped(statistic: Callable[..., FloatArray], *samples: FloatArray) -> 
         )
     low, high = (float(end) for end in found.confidence_interval)
     if np.isnan(low) or np.isnan(high):
-        ends = np.quantile(found.bootstrap_distribution, [ALPHA / 2.0, 1.0 - ALPHA / 2.0])
-        low, high = ends.tolist()
-    return Interval(value=value, low=low, high=high)
+        beyond = 0.5 * (1.0 - CONFIDENCE)
+        low, high = np.quantile(found.bootstrap_distribution, [beyond, 1.0 - beyond]).tolist()
+    return value, low, high
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
-    """How a measure is distributed over the runs of a group."""
-
-    runs: int
-    median: Interval
-    mean: Interval
-    tenth: float
-    """Exceeded by 90 % of them."""
-    ninetieth: float
-    """Exceeded by 10 % of them."""
+# --- pairs
 
 
-def spread(values: Sequence[float]) -> Spread | None:
-    """The distribution of some values, in whatever order; None: there are none."""
-    if not values:
-        return None
-    ordered = np.sort(np.asarray(values, dtype=np.float64))
-    tenth, ninetieth = np.quantile(ordered, [0.1, 0.9]).tolist()
-    return Spread(
-        runs=len(ordered),
-        median=bootstrapped(_median, ordered),
-        mean=bootstrapped(_mean, ordered),
-        tenth=tenth,
-        ninetieth=ninetieth,
-    )
+def pairs(rows: Iterable[Row], by: Sequence[str]) -> tuple[list[Figure], list[str]]:
+    """Every group against the first of the campaign -> figures, and what to know of them.
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
-    """The runs that have some factors in common."""
-
-    label: Label
-    runs: int
-    errors: int
-    """Runs that raised; they count as not arrived."""
-    rates: dict[str, tuple[Interval, int]]
-    """Measure -> share, and of how many runs."""
-    spreads: dict[str, Spread | None]
-    """Measure -> its distribution; None: no run has it."""
-
-
-def group(label: Label, rows: Sequence[Row]) -> Group:
-    """Rates and distributions of some runs."""
-
-    def values(measure: Measure) -> list[float]:
-        found = (measure.value(row) for row in rows)
-        return [value for value in found if value is not None]
-
-    shares = {measure.name: values(measure) for measure in RATES}
-    return Group(
-        label=label,
-        runs=len(rows),
-        errors=sum(row.error is not None for row in rows),
-        rates={k: (rate(round(sum(v)), len(v)), len(v)) for k, v in shares.items()},
-        spreads={measure.name: spread(values(measure)) for measure in SIZES},
-    )
-
-
-def split(rows: Iterable[Row], by: Sequence[str]) -> dict[Label, list[Row]]:
-    """Rows by the values of some factors, in the order of the campaign."""
-    found: dict[Label, list[Row]] = defaultdict(list)
-    for row in sorted(rows, key=attrgetter("run")):
-        found[tuple(getattr(row, factor) for factor in by)].append(row)
-    return dict(found)
-
-
-def varying(rows: Sequence[Row]) -> dict[str, int]:
-    """The factors that differ between runs, with how many values each has."""
-    counts = {factor: len({getattr(row, factor) for row in rows}) for factor in FACTORS}
-    return {factor: count for factor, count in counts.items() if count > 1}
-
-
-# --- two samples, in pairs
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
-    """A measure of the other runs less that of their partners."""
-
-    measure: Measure
-    pairs: int
-    """In which both have a value."""
-    reference: float
-    """Median of the reference; its mean if it is a rate."""
-    medians: Interval
-    """Difference of the medians; of the means if it is a rate."""
-    means: Interval
-    relative: Interval | None
-    """Median over the pairs of the difference as a share of the reference; None: of a rate."""
-    wins: int
-    """Pairs in which the other one is better."""
-    ties: int
-    losses: int
-    p: float
-    """That the two are alike: McNemar's exact test of rates, else Wilcoxon's signed ranks."""
-    p_holm: float = 1.0
-    """Corrected for the comparisons of the same measure (Holm 1979)."""
-    tests: int = 1
-    """How many those are."""
-
-    @property
-    def can_tell(self) -> bool:
-        """Whether p could fall below 5 % if all pairs that differ pointed the same way."""
-        return self.tests * 2.0 ** (1 - self.wins - self.losses) < ALPHA
-
-    @property
-    def is_told(self) -> bool:
-        """Whether the two differ."""
-        return self.p_holm < ALPHA
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
-    """Two groups, compared in the pairs that differ in nothing but what parts the groups."""
-
-    by: tuple[str, ...]
-    reference: Label
-    other: Label
-    entailed: tuple[tuple[str, str | int | None, str | int | None], ...]
-    """Factors that have one value in each group, and not the same: they cannot be told apart."""
-    pairs: int
-    alone: tuple[int, int]
-    """Runs without a partner, of the reference and of the other."""
-    ambiguous: tuple[int, int]
-    """Runs that have several: what else they differ in is not known."""
-    differences: tuple[Difference, ...]
-
-
-def compare(rows: Sequence[Row], by: Sequence[str]) -> list[Comparison]:
-    """Every group against the first of the campaign; of factors of the task alone, nothing."""
+    Two runs are a pair if they have all in common but what parts the groups.  Groups that differ in
+    what is flown, and in nothing else, are not compared.
+    """
     if set(by) <= set(TASK):
-        return []
+        return [], []
     (first, reference), *others = split(rows, by).items()
-    found = [_compared(tuple(by), first, reference, label, runs) for label, runs in others]
-    corrected = dict[tuple[int, str], Difference]()
-    for measure in MEASURES:
-        tested = [
-            (at, each)
-            for at, comparison in enumerate(found)
-            for each in comparison.differences
-            if each.measure is measure
+    found, notes = list[Figure](), list[str]()
+    for values, runs in others:
+        pair = f"{label(values)} against {label(first)}"
+        chosen, along = _paired(reference, runs, by)
+        notes += [
+            f"{pair}: {factor} differs with it: either may be the reason." for factor in along
         ]
-        for (at, each), p_holm in zip(tested, holm([e.p for _, e in tested]), strict=True):
-            corrected[at, measure.name] = replace(each, p_holm=p_holm, tests=len(tested))
-    return [
-        replace(c, differences=tuple(corrected[at, d.measure.name] for d in c.differences))
-        for at, c in enumerate(found)
-    ]
+        left_out = len(reference) - len(chosen), len(runs) - len(chosen)
+        if any(left_out):
+            notes.append(
+                f"{pair}: {left_out[1]} and {left_out[0]} runs have no partner, or several."
+            )
+        if not chosen:
+            notes.append(f"{pair}: nothing to pair, more differs; name that too with --by.")
+        for measure in MEASURES:
+            values_of = [(measure.of(a), measure.of(b)) for a, b in chosen]
+            known = [(a, b) for a, b in values_of if a is not None and b is not None]
+            if known:
+                apart = _of_pairs(measure, *np.array(sorted(known)).T)
+                place: dict[str, Any] = {
+                    "by": " × ".join(by),
+                    "group": label(values),
+                    "against": label(first),
+                }
+                found.append(Figure(**place, measure=measure, n=len(known), **apart))
+    return [figure for measure in MEASURES for figure in _corrected(found, measure)], notes
 
 
-def _compared(
-    by: tuple[str, ...], first: Label, reference: list[Row], second: Label, other: list[Row]
-) -> Comparison:
-    entailed = []
-    for factor in (factor for factor in FACTORS if factor not in by):
-        ours, theirs = ({getattr(row, factor) for row in side} for side in (reference, other))
-        if len(ours) == len(theirs) == 1 and ours != theirs:
-            entailed.append((factor, ours.pop(), theirs.pop()))
-    apart = {*by, *(factor for factor, *_ in entailed)}
-    kept = ["seed", *(factor for factor in FACTORS if factor not in apart)]
-    sides = split(reference, kept), split(other, kept)
-    common = sides[0].keys() & sides[1].keys()
-    chosen = {key for key in common if all(len(side[key]) == 1 for side in sides)}
-    pairs = [(sides[0][key][0], sides[1][key][0]) for key in sides[0] if key in chosen]
-    tried = (_difference(measure, pairs) for measure in MEASURES)
-    return Comparison(
-        by=by,
-        reference=first,
-        other=second,
-        entailed=tuple(entailed),
-        pairs=len(pairs),
-        alone=_count(sides, lambda key: key not in common),
-        ambiguous=_count(sides, lambda key: key in common and key not in chosen),
-        differences=tuple(each for each in tried if each is not None),
+def _paired(
+    reference: list[Row], other: list[Row], by: Sequence[str]
+) -> tuple[list[tuple[Row, Row]], list[str]]:
+    """Pairs, and factors that have one value in each group, and not the same."""
+    values = {
+        factor: [{getattr(row, factor) for row in side} for side in (reference, other)]
+        for factor in FACTORS
+        if factor not in by
+    }
+    along = [factor for factor, (a, b) in values.items() if len(a) == len(b) == 1 and a != b]
+    kept = ["seed", *(factor for factor in values if factor not in along)]
+    ours, theirs = split(reference, kept), split(other, kept)
+    both = [(ours[key], theirs[key]) for key in ours if key in theirs]
+    return [(a[0], b[0]) for a, b in both if len(a) == len(b) == 1], along
+
+
+def _of_pairs(measure: Measure, reference: FloatArray, other: FloatArray) -> dict[str, Any]:
+    """What the second is against the first; (N,) each."""
+    statistic = np.mean if measure.is_rate else np.median
+    is_tie = np.isclose(reference, other, rtol=_SAME, atol=0.0)
+    apart = np.where(is_tie, 0.0, other - reference)
+    more, less = int(np.sum(apart > 0.0)), int(np.sum(apart < 0.0))
+    percent: tuple[float | None, ...] = (None, None, None)
+    p = 1.0
+    if more + less and measure.is_rate:
+        p = float(binomtest(more, more + less).pvalue)
+    elif more + less:
+        p = float(wilcoxon(apart[~is_tie], method="auto").pvalue)
+    if not measure.is_rate and reference.all():
+        percent = bootstrapped(np.median, np.sort(100.0 * apart / np.abs(reference)))
+    value, low, high = bootstrapped(
+        lambda a, b, axis=-1: statistic(b, axis=axis) - statistic(a, axis=axis), reference, other
     )
-
-
-def _count(
-    sides: tuple[dict[Label, list[Row]], dict[Label, list[Row]]], wanted: Callable[[Label], bool]
-) -> tuple[int, int]:
-    first, second = (sum(len(s[key]) for key in s if wanted(key)) for s in sides)
-    return first, second
-
-
-def _difference(measure: Measure, pairs: Sequence[tuple[Row, Row]]) -> Difference | None:
-    """None: in no pair have both a value."""
-    values = [(measure.value(ours), measure.value(theirs)) for ours, theirs in pairs]
-    known = [(a, b) for a, b in values if a is not None and b is not None]
-    if not known:
-        return None
-    reference, other = np.array(sorted(known)).T
-    ties = np.isclose(reference, other, rtol=_SAME, atol=0.0)
-    apart = np.where(ties, 0.0, other - reference)
-    wins = int(np.sum(apart > 0.0 if measure.better == "more" else apart < 0.0))
-    losses = int(np.sum(~ties)) - wins
-    if wins + losses == 0:
-        p = 1.0
-    elif measure.is_rate:
-        p = float(binomtest(wins, wins + losses).pvalue)
-    else:
-        p = float(wilcoxon(apart[~ties], method="auto").pvalue)
-    means = bootstrapped(_between(_mean), reference, other)
-    return Difference(
-        measure=measure,
-        pairs=len(known),
-        reference=float((_mean if measure.is_rate else _median)(reference)),
-        medians=means if measure.is_rate else bootstrapped(_between(_median), reference, other),
-        means=means,
-        relative=None
-        if measure.is_rate or not reference.all()
-        else bootstrapped(_median, np.sort(apart / np.abs(reference))),
-        wins=wins,
-        ties=int(np.sum(ties)),
-        losses=losses,
-        p=p,
+    wins, losses = (more, less) if measure.more_is_better else (less, more)
+    names = ("percent", "percent_low", "percent_high")
+    found = {"value": value, "low": low, "high": high, "p": p} | dict(
+        zip(names, percent, strict=True)
     )
+    return found | {"wins": wins, "ties": int(np.sum(is_tie)), "losses": losses}
+
+
+def _corrected(figures: Iterable[Figure], measure: Measure) -> list[Figure]:
+    """Those of a measure, corrected for how many they are."""
+    tested = [figure for figure in figures if figure.measure is measure]
+    corrected = holm([figure.p or 0.0 for figure in tested])
+    return [replace(f, p_holm=p_holm) for f, p_holm in zip(tested, corrected, strict=True)]
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -13,7 +13,9 @@ flown again, and is the same.  Two writers at once are refused.
 import fcntl
 import json
 import os
+import shutil
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self, final
@@ -42,49 +44,38 @@ class Store:
         """
         need("campaign", "companion campaign", str(folder))
         self.folder = folder
-        try:
-            (folder / ROWS).mkdir(parents=True, exist_ok=True)
-            self._lock = (folder / _LOCK).open("w")
-            self._take_lock()
-            self._begin(text, {"digest": digest, "runs": count, "source": [*source]})
-            self._remove_unfinished()
-            self.done = {row["run"] for row in read_rows("--out", folder, ["run"])}
-            """The runs whose rows are there."""
-        except OSError as error:
-            rule = f"it cannot be written to ({error.strerror})"
-            raise InputError("--out", str(folder), rule, "Give a folder that can be.") from error
-        except InputError:
-            self._lock.close()
-            raise
+        with ExitStack() as broken:
+            try:
+                (folder / ROWS).mkdir(parents=True, exist_ok=True)
+                self._lock = broken.enter_context((folder / _LOCK).open("w"))
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if not (folder / _RUNS).exists():
+                    self._begin(text, {"digest": digest, "runs": count, "source": [*source]})
+                elif facts_of(folder).get("digest") != digest:
+                    known = "digest" in facts_of(folder)
+                    rule = "it holds another campaign, or the same with other options"
+                    raise self._refused(rule if known else f"its {_RUNS} cannot be read")
+                self._remove_unfinished()
+                self.done = {row["run"] for row in read_rows("--out", folder, ["run"])}
+                """The runs whose rows are there."""
+            except BlockingIOError:
+                raise self._refused("another process is at this campaign") from None
+            except OSError as error:
+                raise self._refused(f"it cannot be written to ({error.strerror})") from error
+            broken.pop_all()
         self._parts = len(list((folder / ROWS).glob("*.parquet")))
 
-    def _take_lock(self) -> None:
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            rule = "another process is at this campaign"
-            remedy = "Wait for it, or give another folder."
-            raise InputError("--out", str(self.folder), rule, remedy) from None
+    def _refused(self, rule: str) -> InputError:
+        return InputError("--out", str(self.folder), rule, "Give another folder.")
 
     def _begin(self, text: str, facts: dict[str, Any]) -> None:
-        runs = self.folder / _RUNS
-        if runs.exists():
-            known = facts_of(self.folder).get("digest")
-            if known != facts["digest"]:
-                rule = "it holds another campaign, or the same with other options"
-                rule = rule if known else f"its {_RUNS} cannot be read"
-                raise InputError("--out", str(self.folder), rule, "Give a new folder.")
-            return
         if any((self.folder / ROWS).iterdir()):
-            rule = "it holds rows of something else"
-            raise InputError("--out", str(self.folder), rule, "Give a new folder.")
+            raise self._refused("it holds rows of something else")
         _write(self.folder / _FILE, text.encode())
-        _write(runs, json.dumps(facts).encode())
+        _write(self.folder / _RUNS, json.dumps(facts).encode())
 
     def _remove_unfinished(self) -> None:
         """What a killed process was writing: it has the lock no more."""
-        import shutil
-
         for path in (self.folder / ROWS).glob(".*.new"):
             path.unlink()
         for path in (self.folder / "runs").glob(".new-*"):
@@ -138,9 +129,7 @@ def read_rows(field: str, folder: Path, columns: Sequence[str]) -> list[dict[str
         found = ds.dataset(parts, schema=schema()).to_table(columns=[*columns]) if parts else None
     except (OSError, pa.ArrowException) as error:
         rule = f"its rows cannot be read ({str(error).splitlines()[0].rstrip('.')})"
-        remedy = (
-            "Remove that part: its runs are flown again by the command that began the campaign."
-        )
+        remedy = "Remove that part: the command that began the campaign flies its runs again."
         raise InputError(field, str(folder), rule, remedy) from error
     return [] if found is None else list(found.to_pylist())
 

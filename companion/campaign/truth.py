@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+import shapely
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates, maximum_filter
 from scipy.spatial import cKDTree
 
 from companion.geodesy import FloatArray
-from companion.path.limits import Limits
 from companion.planner.settings import Task
 from companion.world.radars import Radar
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
@@ -289,16 +289,9 @@ def keep_out_distance_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
     at = points_nea_m[:, :2]
     if isinstance(zone, CircleZone):
         return np.linalg.norm(at - (zone.north_m, zone.east_m), axis=-1) - zone.radius_m
-    corners = np.asarray(zone.vertices_ne_m)
-    nearest = np.full(len(at), np.inf)
-    winding = np.zeros(len(at))
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        side = b - a
-        along = np.clip((at - a) @ side / max(float(side @ side), 1e-12), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(at - a - along[:, None] * side, axis=-1))
-        p, q = a - at, b - at
-        winding += np.arctan2(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0], np.sum(p * q, axis=-1))
-    return np.where(np.abs(winding) > math.pi, -nearest, nearest)
+    area, points = shapely.Polygon(zone.vertices_ne_m), shapely.points(at)
+    away_m = np.asarray(shapely.distance(points, area.exterior), dtype=np.float64)
+    return np.where(shapely.contains(area, points), -away_m, away_m)
 
 
 def radar_m(points_nea_m: FloatArray, radars: tuple[Radar, ...], length_m: float) -> float:
@@ -315,7 +308,6 @@ def radar_m(points_nea_m: FloatArray, radars: tuple[Radar, ...], length_m: float
 class Measures:
     """The worst of everything over one curve."""
 
-    length_m: float
     clearance_m: float
     """True distance to the terrain; at most twice what is required."""
     keep_out_m: float
@@ -325,16 +317,14 @@ class Measures:
     lowest_amsl_m: float
     highest_amsl_m: float
     off_map_m: float
-    radar_m: float
 
-    def violations(
-        self, limits: Limits, required_clearance_m: float, band_inset_m: float
-    ) -> tuple[str, ...]:
-        """The bounds that are broken by more than rounding."""
-        inset, little = band_inset_m, 1e-6
+    def violations(self, task: Task) -> tuple[str, ...]:
+        """The bounds of a task that are broken by more than rounding."""
+        limits, required_m = task.limits, task.required_clearance_m
+        inset, little = task.error_m, 1e-6
         bounds = (
-            ("terrain clearance", self.clearance_m >= required_clearance_m - 0.01),
-            ("keep-out zone", self.keep_out_m >= required_clearance_m - 0.01),
+            ("terrain clearance", self.clearance_m >= required_m - 0.01),
+            ("keep-out zone", self.keep_out_m >= required_m - 0.01),
             ("turn radius", self.turn_radius_m >= limits.turn_radius_m * (1.0 - little)),
             ("climb angle", self.climb_rad <= limits.climb_angle_rad + little),
             ("dive angle", self.dive_rad <= limits.dive_angle_rad + little),
@@ -345,26 +335,16 @@ class Measures:
         return tuple(name for name, kept in bounds if not kept)
 
 
-def measure(
-    curve: Curve,
-    *,
-    terrain: PeakTerrain | ArrayTerrain,
-    limits: Limits,
-    radars: tuple[Radar, ...],
-    zones: tuple[Zone, ...],
-    required_clearance_m: float,
-) -> Measures:
+def measure(curve: Curve, terrain: PeakTerrain | ArrayTerrain, task: Task) -> Measures:
     """Everything about one sampled curve."""
-    points = curve.points_nea_m
-    clearance = terrain_distance_m(points, terrain, 2.0 * required_clearance_m)
-    aside = [float(keep_out_distance_m(points, zone).min()) for zone in zones]
+    points, climb = curve.points_nea_m, curve.climb_rad
+    clearance = terrain_distance_m(points, terrain, 2.0 * task.required_clearance_m)
+    aside = [float(keep_out_distance_m(points, zone).min()) for zone in task.zones]
     beyond = [
         max(edges[0] - float(points[:, axis].min()), float(points[:, axis].max()) - edges[1])
-        for axis, edges in enumerate((limits.north_m, limits.east_m))
+        for axis, edges in enumerate((task.limits.north_m, task.limits.east_m))
     ]
-    climb = curve.climb_rad
     return Measures(
-        length_m=float(curve.length_m[-1]),
         clearance_m=float(clearance.min()),
         keep_out_m=min(aside, default=math.inf),
         turn_radius_m=float(1.0 / max(np.abs(curve.curvature_1_m).max(), 1e-9)),
@@ -373,5 +353,4 @@ def measure(
         lowest_amsl_m=float(points[:, 2].min()),
         highest_amsl_m=float(points[:, 2].max()),
         off_map_m=max(*beyond, 0.0),
-        radar_m=radar_m(points, radars, float(curve.length_m[-1])),
     )

@@ -132,11 +132,8 @@ class Page:
         charts.set_width(300)
 
     def _add_chart(self, title: str, lines: dict[str, str]) -> Any:
-        series = [uplot.Series(label="time, s")]
-        for name, colour in lines.items():
-            shows = "ms" in title  # each plan is a point
-            line = uplot.Series(label=name, stroke=colour, width=2, points={"show": shows})
-            series.append(line)
+        lines_of = [uplot.Series(label=name, stroke=c, width=2) for name, c in lines.items()]
+        series = [uplot.Series(label="time, s"), *lines_of]
         nothing = np.zeros(0)
         return self._server.gui.add_uplot(
             tuple(nothing for _ in series),

@@ -156,27 +156,20 @@ class Chart(NamedTuple):
 
 CHARTS: Final = (
     Chart("altitude and known ground, m AMSL", {"altitude": "#0050b5", "ground": "#8a6a3a"}),
-    Chart("clearance, m", {"clearance": "#00705a"}),
     Chart("off the path, m", {"off the path": "#c2389b"}),
-    Chart("planning time, ms", {"planning": "#e8590c"}),
 )
 
 
 def charts_of(recording: Recording, replica: Replica | None) -> tuple[tuple[FloatArray, ...], ...]:
     """All of a flight so far, at a few hundred points: of each chart the times, then its lines."""
-    flight, plans = recording.flight, recording.plans
+    flight = recording.flight
     count = len(flight.times_s)
     rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.intp))
     times_s = flight.times_s[rows]
-    clearance_m, under_m = near_ground(recording, replica, times_s)
-    took_s = planning_of(recording, replica)
-    plan_times_s = np.array([time_s for time_s, _ in plans])
-    planning_ms = np.array([took_s.get(plan.plan_id, math.nan) * 1e3 for _, plan in plans])
+    _, under_m = near_ground(recording, replica, times_s)
     return (
         (times_s, flight.places_nea_m[rows, 2], under_m),
-        (times_s, clearance_m),
         (times_s, _aside_m(flight, rows)),
-        (plan_times_s, planning_ms),
     )
 
 

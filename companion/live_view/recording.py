@@ -112,15 +112,6 @@ class Recording:
         times_s = self.flight.times_s
         return float(times_s[-1]) if len(times_s) else 0.0
 
-    @property
-    def plans(self) -> list[tuple[float, noted.PlanReady]]:
-        """All subpaths that were found, by the time from which they were known."""
-        return [
-            (self.flight.time_of(boot, t_s), entry)
-            for boot, t_s, entry in self.flight.entries
-            if isinstance(entry, noted.PlanReady)
-        ]
-
     def rate_hz(self, time_s: float) -> float:
         """How often positions came, lately."""
         times_s = [time_s - _RATE_OVER_S, time_s]

@@ -2,16 +2,15 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from itertools import groupby
 from typing import Any, Final, NamedTuple, final
 
 import msgspec
 from msgspec import Struct
 from msgspec.structs import asdict, replace
 from rich.console import RenderableType
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from companion.telemetry.logs import Missing
@@ -240,59 +239,56 @@ class ShadowReport(Struct, kw_only=True):
 
 def renderables(report: ShadowReport) -> list[RenderableType]:
     """The report, part by part, in the order in which a person wants to know."""
-    plans = [list(run) for _, run in groupby(report.plans, key=_alike)]
-    return [
-        *map(Text, _head(report)),
-        *_table(
+    observed = ("from", "to", "what", "where")
+    tables = [
+        _table(
             "where it would have held",
             ("let go", "why", "position good", "goes on", "the vehicle itself"),
             [_hold_row(hold, report) for hold in report.holds],
         ),
-        *_observed("health", report.health, report),
-        *_observed("where the mission does not allow it to be", report.outside, report),
-        *_table(
+        _table("health", observed, [_observed_row(each) for each in report.health]),
+        _table(
+            "where the mission does not allow it to be",
+            observed,
+            [_observed_row(each) for each in report.outside],
+        ),
+        _table(
             "where it would have planned",
             ("at", "where", "why", "answer", "flown track off it, max / rms"),
-            list(map(_plans_row, plans)),
+            [_plan_row(asked) for asked in report.plans],
         ),
-        *map(Text, _tail(report)),
     ]
+    shown = [table for table in tables if table.row_count]
+    return [*map(Text, _head(report)), *shown, *map(Text, _tail(report))]
 
 
-_Row = Sequence[str | Text]
-
-
-def _table(title: str, headings: Sequence[str | Column], rows: Sequence[_Row]) -> Iterator[Table]:
-    """The first rows as a table, if there are any."""
+def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """The first rows as a table."""
     table = Table(*headings, title=title, title_justify="left")
     for row in rows[:_MAX_ROWS]:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))
     if (more := len(rows) - _MAX_ROWS) > 0:
         table.caption = f"{more} more: --json has them"
-    if rows:
-        yield table
+    return table
 
 
 def _head(report: ShadowReport) -> list[str]:
     air = f", {report.in_air_s:,.0f} s of it in the air" if report.in_air_s else ""
-    lines = [
+    mission = f"mission {report.mission}" + ("" if report.planned else ": nothing was planned")
+    ready = "the companion would never have been ready"
+    if report.watched_from_s is not None:
+        ready = f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s"
+        if not report.holds:
+            ready += "; it would never have let go: the position could always be believed"
+    return [
         f"{report.file}: {report.vehicle}, system {report.system_id}; {_began(report)}"
         f"{report.length_s:,.1f} s{air}",
         "times: seconds after the log's first record; places: latitude, longitude, altitude AMSL",
+        mission
+        if report.mission is not None
+        else "no mission was given: only the vehicle's health was looked at",
+        ready,
     ]
-    if report.mission is None:
-        lines.append("no mission was given: only the vehicle's health was looked at")
-    elif not report.planned:
-        lines.append(f"mission {report.mission}: nothing was planned")
-    else:
-        lines.append(f"mission {report.mission}")
-    if report.watched_from_s is None:
-        lines.append("the companion would never have been ready")
-    else:
-        lines.append(f"ready, with a position to be believed, at {report.watched_from_s:,.1f} s")
-        if not report.holds:
-            lines.append("it would never have let go: the position could always be believed")
-    return lines
 
 
 def _began(report: ShadowReport) -> str:
@@ -303,120 +299,54 @@ def _began(report: ShadowReport) -> str:
     return f"{when:%Y-%m-%d %H:%M:%S}Z, " if when.year > 1970 else ""
 
 
-def _hold_row(hold: Hold, report: ShadowReport) -> _Row:
-    """When it would have held, and what the vehicle did meanwhile."""
-    return (
-        f"{hold.let_go_s:,.2f} s" + ("" if hold.in_air else "\n(on the ground)"),
-        _why(hold),
-        "never" if hold.trusted_s is None else f"{hold.trusted_s:,.1f} s",
-        "never" if hold.went_on_s is None else f"{hold.went_on_s:,.1f} s",
-        Text(_itself(hold, report)),
-    )
-
-
-def _why(hold: Hold) -> str:
-    """The reasons one after the other; those that come and go are told once more and counted."""
+def _hold_row(hold: Hold, report: ShadowReport) -> list[str]:
+    """When it would have held and why, and what the vehicle did and said by itself meanwhile."""
     first, *later = hold.why
-    lines = [first.text]
-    counted = Counter(why.text for why in later if why.text != first.text)
-    begins = {why.text: why.at_s for why in reversed(later)}
-    for text, count in counted.most_common(_SHORT_REASONS):
-        times = f", {count} times" if count > 1 else ""
-        lines.append(f"{begins[text]:,.1f} s: {text}{times}")
-    lines.append(f"-> {first.remedy}")
-    return "\n".join(lines)
+    begins = {why.text: why.at_s for why in reversed(later) if why.text != first.text}
+    reasons = sorted((at_s, text) for text, at_s in begins.items())[:_SHORT_REASONS]
+    until_s = hold.let_go_s + _NEAR_S if hold.went_on_s is None else hold.went_on_s
+    said = [
+        f"{each.at_s:,.1f} s {f'“{each.text}”' if each.what == 'says' else _did(each)}"
+        for each in report.said
+        if hold.let_go_s - _MOMENT_S <= each.at_s <= until_s
+    ]
+    more = [f"{len(said) - _MAX_SAID} more"] if len(said) > _MAX_SAID else []
+    return [
+        f"{hold.let_go_s:,.2f} s" + ("" if hold.in_air else "\n(on the ground)"),
+        "\n".join([first.text, *(f"{at_s:,.1f} s: {text}" for at_s, text in reasons),
+                   f"-> {first.remedy}"]),
+        _or_never(hold.trusted_s),
+        _or_never(hold.went_on_s),
+        "\n".join([*said[:_MAX_SAID], *more]) or "nothing",
+    ]  # fmt: skip
 
 
-def _itself(hold: Hold, report: ShadowReport) -> str:
-    """What the vehicle did and said by itself meanwhile."""
-    until_s = hold.went_on_s if hold.went_on_s is not None else hold.let_go_s + _NEAR_S
-    said = [each for each in report.said if hold.let_go_s - _MOMENT_S <= each.at_s <= until_s]
-    lines = [_said(each) for each in said[:_MAX_SAID]]
-    if len(said) > _MAX_SAID:
-        lines.append(f"{len(said) - _MAX_SAID} more")
-    return "\n".join(lines) or "nothing"
+def _did(said: VehicleReport) -> str:
+    return f"{said.what} {said.text}".rstrip()
 
 
-def _said(said: VehicleReport) -> str:
-    words = {"mode": f"mode {said.text}", "says": f"“{said.text}”"}.get(said.what, said.what)
-    return f"{said.at_s:,.1f} s {words}"
+def _or_never(at_s: float | None) -> str:
+    return "never" if at_s is None else f"{at_s:,.1f} s"
 
 
-def _observed(title: str, found: Sequence[Observed], report: ShadowReport) -> Iterator[Table]:
-    """Times at which something was so; those of one kind that follow at once are one row."""
-    headings = (Column("from", justify="right"), Column("to", justify="right"), "what", "where")
-    return _table(title, headings, [_run_row(run, report.length_s) for run in _runs(found)])
+def _observed_row(seen: Observed) -> list[str]:
+    far = "" if seen.worst_m is None else f", by {seen.worst_m:,.1f} m"
+    ground = "" if seen.in_air else " (on the ground)"
+    until = "the end" if seen.until_s is None else f"{seen.until_s:,.1f} s"
+    return [f"{seen.from_s:,.1f} s", until, f"{seen.kind}{far}{ground}", _where(seen.place)]
 
 
-def _run_row(run: list[Observed], length_s: float) -> _Row:
-    first, last, count = run[0], run[-1], len(run)
-    worst_m = max((each.worst_m for each in run if each.worst_m is not None), default=None)
-    far = "" if worst_m is None else f", by {worst_m:,.1f} m" + " at most" * (count > 1)
-    times = f", {count} times" if count > 1 else ""
-    ground = "" if first.in_air else " (on the ground)"
-    until_s = length_s if last.until_s is None else last.until_s
-    end = "" if until_s - first.from_s < 0.05 else f"{until_s:,.1f} s"
-    return (
-        f"{first.from_s:,.1f} s",
-        f"{end} (end)" if last.until_s is None else end,
-        Text(f"{first.kind}{far}{times}{ground}"),
-        _where(first.place),
-    )
-
-
-def _runs(found: Sequence[Observed]) -> Iterator[list[Observed]]:
-    for _, group in groupby(found, key=lambda each: (each.kind, each.in_air)):
-        run: list[Observed] = []
-        for each in group:
-            before = run[-1].until_s if run else None
-            if run and (before is None or each.from_s - before > _MOMENT_S):
-                yield run
-                run = []
-            run.append(each)
-        yield run
-
-
-def _plans_row(run: list[PlanAttempt]) -> _Row:
-    """Where it would have planned, and how far the flown track was from that.
-
-    Plans one after the other for the same reason, with the same answer, are one row.
-    """
-    first, last = run[0], run[-1]
-    at, why = f"{first.at_s:,.1f} s", first.why
-    if len(run) > 1:
-        at += f" to {last.at_s:,.1f} s\n{len(run)} times"
-    if last.why != why:  # in its numbers
-        why += f" ... {last.why}"
-    off = TrackDeviation.of([each for asked in run for each in asked.samples])
-    return at, _where(first.place), Text(why), Text(_answers(run)), _off_words(off)
-
-
-def _alike(asked: PlanAttempt) -> tuple[str, str, str]:
-    return "".join(c for c in asked.why if not c.isdigit()), asked.outcome, asked.reason
-
-
-def _answers(run: list[PlanAttempt]) -> str:
-    first = run[0]
-    if first.outcome == "refused":
-        return "refused: " + first.reason.lower().replace("_", " ")
-    lengths = [asked.length_m for asked in run if asked.length_m is not None]
-    if first.outcome != "ready" or not lengths:
-        return first.outcome
-    low, high = f"{min(lengths):,.0f}", f"{max(lengths):,.0f}"
-    words = f"{low} m" if low == high else f"{low} to {high} m"
-    if all(asked.reaches_target for asked in run):
-        words += ", to the target"
-    clear = [asked.clearance_m for asked in run if asked.clearance_m is not None]
-    return words + (f", clear by {math.floor(min(clear) + 1e-6):,} m" if clear else "")
-
-
-def _off_words(off: TrackDeviation | None) -> str:
-    if off is None:
-        return ""
-    return (
-        f"{off.max_m:,.1f} / {off.rms_m:,.1f} m\n{off.from_s:,.1f} to {off.until_s:,.1f} s, "
-        f"{off.from_m:,.0f} to {off.until_m:,.0f} m"
-    )
+def _plan_row(asked: PlanAttempt) -> list[str]:
+    answer = asked.outcome
+    if asked.reason:
+        answer += f": {asked.reason.lower().replace('_', ' ')}"
+    if asked.length_m is not None:
+        answer = f"{asked.length_m:,.0f} m" + (", to the target" if asked.reaches_target else "")
+    if asked.clearance_m is not None:
+        answer += f", clear by {math.floor(asked.clearance_m + 1e-6):,} m"
+    off = asked.off
+    away = "" if off is None else f"{off.max_m:,.1f} / {off.rms_m:,.1f} m to {off.until_s:,.1f} s"
+    return [f"{asked.at_s:,.1f} s", _where(asked.place), asked.why, answer, away]
 
 
 def _tail(report: ShadowReport) -> list[str]:
@@ -433,16 +363,17 @@ def _tail(report: ShadowReport) -> list[str]:
             f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions and "
             f"{own.until_m:,.0f} m of path"
         )
-    lines += [f"could not {each}" for each in report.could_not]
-    recorded_input = {each.message for each in report.could_not}
-    for missing in sorted(report.missing, key=lambda each: not each.vital):
-        if missing.message not in recorded_input:
-            lines.append(f"{missing}")
-    lines += [f"note: {note}" for note in report.notes]
-    lines += [f"log: {finding}" for finding in report.log_findings]
-    heard = f"{report.heard:,} of {report.records:,} messages were of use"
-    lines.append(f"{heard}; {report.times_real_time:,.0f}x real time")
-    return lines
+    told = {each.message for each in report.could_not}
+    missing = sorted(report.missing, key=lambda each: not each.vital)
+    return [
+        *lines,
+        *(f"could not {each}" for each in report.could_not),
+        *(f"{each}" for each in missing if each.message not in told),
+        *(f"note: {note}" for note in report.notes),
+        *(f"log: {finding}" for finding in report.log_findings),
+        f"{report.heard:,} of {report.records:,} messages were of use; "
+        f"{report.times_real_time:,.0f}x real time",
+    ]
 
 
 def _where(place: Place | None) -> str:

@@ -12,14 +12,13 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colorbar import Colorbar
-from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.colors import LightSource, LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from companion.geodesy import BoolArray, FloatArray
+from companion.geodesy import FloatArray
 from companion.telemetry.export import shapes
 from companion.world.known_map import KnownMap
 from companion.world.radars import Radar
@@ -28,12 +27,12 @@ from companion.world.zones import Zone
 SIZE_IN = (14.0, 10.0)
 DPI = 150
 _BLOCKS = 110  # a side of the terrain seen at an angle: each block is a polygon
-_POINTS = 800  # of the path in that view
-_AZIMUTHS_DEG = (-60, -45, -75, -30, -105, -120, -135, -150)  # of the viewer, from the east, left
+_AZIMUTH_DEG = -60.0  # of the viewer, from the east, left
 _ELEVATION_DEG = 40
 _SHOWN_IN_KM_M = 2e3  # from this width on
 _HEIGHT = 0.3  # of the box of that view, in its longest side
-_LIGHT = np.array([-0.64, -0.1, 0.76])  # from the west: east, north, up
+_SUN = LightSource(azdeg=279.0, altdeg=50.0)  # in the west
+_ABOVE = 1_000  # all surfaces
 _TINTS = LinearSegmentedColormap.from_list(
     "heights", ["#fbf8ef", "#e9dfc3", "#cdb78c", "#a98d60", "#7d6542", "#55432a"]
 )  # darker is higher: readable whatever colours the reader sees
@@ -41,8 +40,6 @@ PATH, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#c2389b", "#e8590c", "#c9ccd1"
 _Style = dict[str, Any]
 _HALO = [withStroke(linewidth=4.6, foreground="white")]
 _LINE: _Style = {"color": PATH, "lw": 2.4, "path_effects": _HALO, "label": "planned path"}
-_BEHIND: _Style = {"color": PATH, "lw": 1.6, "ls": ":"}
-_BEHIND["path_effects"] = [withStroke(linewidth=3.0, foreground="white")]
 _FLOWN: _Style = {"color": "black", "lw": 0.9, "label": "flown track"}
 _MARK: _Style = {"ls": "", "mec": "black"}
 _SCAN = _MARK | {"marker": "o", "ms": 5.5, "mfc": "white", "mec": PATH, "label": "scan (p_scan)"}
@@ -293,10 +290,10 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
     axes.set(xlabel=f"distance along the path over ground, {unit}", ylabel=f"altitude, {unit} AMSL")
 
 
-def draw_oblique(axes: Any, figure: FlightFigure, azimuth_deg: int | None = None) -> None:
-    """Terrain, radars and keep-outs in one collection, sorted by depth, and the path over it.
+def draw_oblique(axes: Any, figure: FlightFigure, azimuth_deg: float = _AZIMUTH_DEG) -> None:
+    """Terrain, radars and keep-outs as surfaces, and the path over them, wherever it is hidden.
 
-    azimuth_deg: from where it is seen, from the east, left; None: where most of the path is seen.
+    azimuth_deg: from where it is seen, from the east, left.
     """
     unit_m, unit = figure.unit
     terrain = figure.terrain.coarser()
@@ -304,73 +301,36 @@ def draw_oblique(axes: Any, figure: FlightFigure, azimuth_deg: int | None = None
     least = np.array([terrain.east_edges_m[0], terrain.north_edges_m[0], low])
     most = np.array([terrain.east_edges_m[-1], terrain.north_edges_m[-1], high])
     spans = most - least
-    aspect = np.array([*spans[:2] / spans[:2].max(), _HEIGHT])
     stretch = _HEIGHT * spans[:2].max() / spans[2]
-    quads, colours = _terrain_facets(terrain, least, most, stretch)
-    edges = colours
+    known = np.isfinite(terrain.heights_m)
+    heights = np.where(known, terrain.heights_m, low).clip(max=high)
+    north, east = (
+        np.linspace(edges[0], edges[-1], count)  # the outermost cells reach to the edge
+        for edges, count in zip(
+            (terrain.north_edges_m, terrain.east_edges_m), heights.shape, strict=True
+        )
+    )
+    steps = {"dx": np.ptp(east) / len(east), "dy": np.ptp(north) / len(north)}
+    colours = _SUN.shade(
+        heights, _TINTS, blend_mode="soft", vmin=low, vmax=high, vert_exag=stretch, **steps
+    )
+    colours[~known] = to_rgba(_UNKNOWN)
+    surface: _Style = {"rstride": 1, "cstride": 1, "linewidth": 0.0, "rasterized": True}
+    place = (*np.meshgrid(east / unit_m, north / unit_m), heights / unit_m)
+    axes.plot_surface(*place, facecolors=colours, shade=False, antialiased=False, **surface)
     threats = [(shapes.ball_nea_m(radar, (low, high), 30), _RADAR) for radar in figure.radars]
     threats += [(shapes.walls_nea_m(zone, (low, high)), _KEEP_OUT) for zone in figure.zones]
     for grid, colour in threats:
-        threat = _quads(np.clip(grid[..., [1, 0, 2]], least, most))
-        quads = np.concatenate([quads, threat])
-        colours = np.concatenate([colours, np.tile(to_rgba(colour, 0.22), (len(threat), 1))])
-        edges = np.concatenate([edges, np.tile(to_rgba(colour, 0.0), (len(threat), 1))])
-    facets: _Style = {"facecolors": colours, "edgecolors": edges, "linewidths": 0.2}
-    axes.add_collection3d(Poly3DCollection(quads / unit_m, rasterized=True, **facets))
-    path = figure.path_nea_m
-    path = path[np.linspace(0, len(path) - 1, min(len(path), _POINTS)).astype(int)]
-    views = _AZIMUTHS_DEG if azimuth_deg is None else (azimuth_deg,)
-    hidden = {azimuth: _is_hidden(path, terrain, azimuth, stretch) for azimuth in views}
-    azimuth = min(hidden, key=lambda it: round(float(hidden[it].sum()) / (len(path) + 1), 1))
-    seen = np.where(hidden[azimuth][:, None], np.nan, path)
-    for points_nea_m, style in [(path, _BEHIND), (seen, _LINE), *_marks(figure)]:
-        axes.plot(*(points_nea_m.T[[1, 0, 2]] / unit_m), **(style | {"zorder": 5}))
+        corners = np.clip(grid[..., [1, 0, 2]], least, most) / unit_m
+        axes.plot_surface(*np.moveaxis(corners, -1, 0), color=colour, alpha=0.22, **surface)
+    for points_nea_m, style in [(figure.path_nea_m, _LINE), *_marks(figure)]:
+        axes.plot(*(points_nea_m.T[[1, 0, 2]] / unit_m), **(style | {"zorder": _ABOVE}))
     limits = np.stack([least, most], axis=-1) / unit_m
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}", zlabel=f"altitude, {unit} AMSL")
     axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.set_proj_type("ortho")
-    axes.view_init(_ELEVATION_DEG, azimuth)
-    axes.set_box_aspect(aspect, zoom=1.0)
+    axes.view_init(_ELEVATION_DEG, azimuth_deg)
+    axes.set_box_aspect(np.array([*spans[:2] / spans[:2].max(), _HEIGHT]), zoom=1.0)
     note = f"Seen at an angle; heights stretched {stretch:.1f} times"
     axes.text2D(0.5, 0.0, note, transform=axes.transAxes, ha="center", fontsize=12)
-
-
-def _is_hidden(
-    path_nea_m: FloatArray, terrain: TerrainPicture, azimuth_deg: float, stretch: float
-) -> BoolArray:
-    """Which points of a path have terrain between them and the viewer.  (S, 3) -> (S,)."""
-    azimuth, rise = math.radians(azimuth_deg), math.tan(math.radians(_ELEVATION_DEG))
-    towards = np.array([math.sin(azimuth), math.cos(azimuth), rise / stretch])
-    cell_m = float(np.diff(terrain.east_edges_m).max())
-    far_m = float(np.ptp(terrain.east_edges_m) + np.ptp(terrain.north_edges_m))
-    rays = path_nea_m[:, None] + np.arange(cell_m, far_m, cell_m)[:, None] * towards  # (S, K, 3)
-    return np.any(terrain.under_m(rays[..., :2]) > rays[..., 2], axis=1)
-
-
-def _terrain_facets(
-    terrain: TerrainPicture, least: FloatArray, most: FloatArray, stretch: float
-) -> tuple[FloatArray, FloatArray]:
-    """The terrain and walls around it: quads (Q, 4, 3) east, north, up, and colours (Q, 4)."""
-    north, east = (
-        np.concatenate([edges[[0, 0]], (edges[1:] + edges[:-1]) / 2, edges[[-1, -1]]])
-        for edges in (terrain.north_edges_m, terrain.east_edges_m)
-    )
-    known = np.pad(np.isfinite(terrain.heights_m), 2, mode="edge")
-    heights = np.pad(terrain.heights_m, 1, mode="edge")
-    heights = np.pad(heights, 1, constant_values=least[2])
-    heights = np.where(known, heights, least[2]).clip(max=most[2])
-    quads = _quads(np.stack([*np.meshgrid(east, north), heights], axis=-1))
-    upwards = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]) / [1.0, 1.0, stretch]
-    steep = np.maximum(np.linalg.norm(upwards, axis=1), 1e-9)
-    light = 0.55 + 0.47 * np.clip(upwards @ _LIGHT / steep, 0.0, 1.0)
-    colours = _TINTS((quads[..., 2].mean(axis=1) - least[2]) / (most[2] - least[2]))
-    colours[:, :3] *= light[:, None]
-    colours[~_quads(known[..., None]).all(axis=(1, 2))] = to_rgba(_UNKNOWN)
-    return quads, colours.clip(max=1.0)
-
-
-def _quads(grid: FloatArray | BoolArray) -> Any:
-    """The cells of a grid by their corners.  (M, N, k) -> ((M - 1) (N - 1), 4, k)."""
-    corners = [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]]
-    return np.stack(corners, axis=-2).reshape(-1, 4, grid.shape[-1])

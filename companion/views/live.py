@@ -24,8 +24,7 @@ _SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
 _LOSS_S = 10.0  # of which the share of lost frames is told
 _CRASHED, _INTERRUPTED = 70, 130
 
-_CELL, _CELLS = 40, 3  # columns that a value takes with its heading, and values in a row at most
-_HEADING = 9
+_CELLS, _HEADING = 2, 9  # values in a row of 80 columns, and columns of what each is
 _SEVERE, _NOTABLE = "bold red", "yellow"
 _PHASES: Final = {
     **dict.fromkeys(("flying", "arrived", "done", "returning"), "bold green"),
@@ -67,8 +66,7 @@ class Progress:
         self._shown_s = now_s
         self._frames.append((status.frames_heard, status.frames_lost))
         if redraws and not self._output.is_behind:
-            width = self._console.width
-            self._live.update(status_table(status, width, self._lost()), refresh=True)
+            self._live.update(status_table(status, self._lost()), refresh=True)
 
     def _lines(self, status: FlightStatus) -> Iterator[str]:
         """What is new, in lines that stay."""
@@ -181,8 +179,8 @@ def progress_line(status: FlightStatus) -> str:
     return "  ".join(parts)
 
 
-def status_table(status: FlightStatus, width: int, lost: float) -> Group:
-    """All that a person flies by, in a terminal of so many columns.
+def status_table(status: FlightStatus, lost: float) -> Group:
+    """All that a person flies by, in a terminal of 80 columns or more.
 
     lost: share of the autopilot's frames that were lost of late.
     """
@@ -191,16 +189,15 @@ def status_table(status: FlightStatus, width: int, lost: float) -> Group:
         f"  to target {status.target} of {status.targets}" if status.targets else "",
         f", subpath {status.subpaths_flown}" if status.subpaths_flown else "",
     )
-    count = max(min(width // _CELL, _CELLS), 1)
     table = Table.grid(padding=(0, 1, 0, 0), expand=True)
-    for _ in range(count):
+    for _ in range(_CELLS):
         table.add_column(style="dim", width=_HEADING, no_wrap=True)
         table.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
     cells = list[str | Text]()
     for heading, text, style in _values(status, lost):
         cells += [heading, Text(text, style)]
-    for first in range(0, len(cells), 2 * count):
-        table.add_row(*cells[first : first + 2 * count])
+    for first in range(0, len(cells), 2 * _CELLS):
+        table.add_row(*cells[first : first + 2 * _CELLS])
     head = Rule(title, style="dim", align="left")
     return Group(head, table, *_notes(status))
 

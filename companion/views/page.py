@@ -1,8 +1,7 @@
 """Pages that open without a network and print: what reports of flights and campaigns share.
 
 The page loads nothing and runs nothing; templates escape all that they are given.  Figures are SVG
-that stands in it, in light, dark and print: what is drawn in the colours below takes its colour
-from the page (`var(--...)`).
+that stands in it, on white as on paper.
 """
 
 import io
@@ -15,27 +14,13 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.views.figure import DPI, PATH
+from companion.views.figure import DPI
 from companion.views.words import metres, metres_at_least, rounded_down
 
-_INK: Final = "#010203"
-THEME: Final = {_INK: "currentColor"}
-THEME_OF_CHARTS: Final = THEME | {
-    "#000000": "currentColor",
-    "#222222": "currentColor",
-    "#ffffff": "var(--page)",
-    PATH: "var(--path)",
-}
-_INKED: Final = (
-    *("text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor"),
-    *("xtick.color", "ytick.color"),
-)
 STYLE: Final[Any] = {
     "svg.fonttype": "none",  # text stays text: it can be searched, and is small
     "svg.hashsalt": "companion",
-    "savefig.transparent": False,
     "font.size": 10.0,
-    **dict.fromkeys(_INKED, _INK),
 }
 _NO_METADATA: Final = dict.fromkeys(("Date", "Creator", "Format", "Type"))
 
@@ -75,16 +60,11 @@ def _degrees(angle_rad: float) -> str:
     return f"{number(math.degrees(angle_rad), 1)}°"
 
 
-def svg(
-    name: str, size_in: tuple[float, float], draw: Callable[[Figure], None], theme: dict[str, str]
-) -> str:
-    """A figure as an element of a page: no prologue, ids of its own, colours of the page."""
+def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None]) -> str:
+    """A figure as an element of a page: no prologue, and ids of its own."""
     canvas, file = Figure(figsize=size_in), io.StringIO()
     FigureCanvasAgg(canvas)
-    canvas.patch.set_alpha(0.0)
     draw(canvas)
     canvas.savefig(file, format="svg", dpi=DPI, metadata=_NO_METADATA)
     text = file.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{name}-", text)
-    return re.sub("|".join(theme), lambda found: theme[found[0]], text)
+    return re.sub(r'(\bid="|href="#|url\(#)', rf"\1{name}-", text[text.index("<svg") :])

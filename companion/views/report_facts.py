@@ -12,7 +12,6 @@ import numpy as np
 from companion.geodesy import BoolArray, FloatArray
 from companion.mission import journal as noted
 from companion.mission.state import IN_AIR, Phase, Reason
-from companion.planner.field import cost_to_go
 from companion.telemetry.export.health import FlightHealth
 from companion.telemetry.flight import Flight, IntArray, Moment
 from companion.world.columns import distances_to_terrain_m
@@ -174,23 +173,6 @@ class FlightFacts:
     def left_m(self) -> float:
         """Straight from where it was last to the last target."""
         return math.dist(self.route_nea_m[-1, :2], self.stations_ne_m[-1])
-
-    @cached_property
-    def hindsight_m(self) -> float | None:
-        """Length of the cheapest route over what was known at the end; None: there is none.
-
-        That of the planner's guidance: it weighs height and radars against length as the mission
-        does, and knows neither turn radius nor what was never seen.
-        """
-        if self.known is None:
-            return None
-        length_m = 0.0
-        for here, there in itertools.pairwise(self.stations_ne_m):
-            found = cost_to_go(self.known, self.flight.mission.task, here, there)
-            if found.is_barred:
-                return None
-            length_m += sum(math.dist(a, b) for a, b in itertools.pairwise(found.route_ne_m))
-        return length_m
 
     @cached_property
     def clearances_m(self) -> FloatArray:

@@ -1,7 +1,4 @@
-"""The figures of a report: SVG that stands in the page, in light, dark and print.
-
-Maps stay as light as paper: only what stands around them takes its colours from the page.
-"""
+"""The figures of a report: SVG that stands in the page."""
 
 from typing import Any, Final
 
@@ -14,7 +11,7 @@ from companion.geodesy import BoolArray, FloatArray
 from companion.mission.journal import ScanAsked
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
-from companion.views.page import STYLE, THEME, THEME_OF_CHARTS, svg
+from companion.views.page import STYLE, svg
 from companion.views.report_facts import FlightFacts
 from companion.world.known_map import empty_map
 
@@ -32,7 +29,6 @@ def svg_figures(facts: FlightFacts) -> dict[str, str]:
 
     def oblique(canvas: Figure) -> None:
         axes = canvas.add_axes((0.0, 0.06, 0.97, 0.94), projection="3d", label="oblique")
-        axes.patch.set_alpha(0.0)
         views.draw_oblique(axes, shown)
 
     def plan(canvas: Figure) -> None:
@@ -46,10 +42,10 @@ def svg_figures(facts: FlightFacts) -> dict[str, str]:
 
     with rc_context(STYLE):
         return {
-            "oblique": svg("oblique", (5.6, 4.6), oblique, THEME),
-            "plan": svg("plan", (5.6, 4.6), plan, THEME),
-            "profile": svg("profile", (11.0, 3.6), profile, THEME_OF_CHARTS),
-            "charts": svg("charts", (11.0, 5.6), lambda c: _charts(c, facts), THEME_OF_CHARTS),
+            "oblique": svg("oblique", (5.6, 4.6), oblique),
+            "plan": svg("plan", (5.6, 4.6), plan),
+            "profile": svg("profile", (11.0, 3.6), profile),
+            "charts": svg("charts", (11.0, 5.6), lambda c: _charts(c, facts)),
         }
 
 

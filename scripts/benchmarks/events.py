@@ -28,8 +28,7 @@ from running import Bar, Found, Some, main, most
 
 from companion.campaign import drawn_files, families
 from companion.campaign.drawn_world import DrawnWorld
-from companion.campaign.flight import Flight, FlightFiles
-from companion.campaign.in_process import Flying
+from companion.campaign.in_process import Flight, FlightFiles, Flying
 from companion.geodesy import FloatArray
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mission import checkpoint, entries, machine
@@ -132,11 +131,11 @@ def fly(
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         often = {"position_rate_hz": _RATE_HZ}
         world, mission = drawn_files.write(drawn, Path(folder), autopilot, often)  # type: ignore[arg-type]
-        files = FlightFiles(world=world, mission=mission, faults="", folder=Path(folder))
+        files = FlightFiles(world=world, mission=mission, faults="", folder=Path(folder) / "run")
         for each in patches:
             stack.enter_context(each)
         stack.enter_context(prompt_threads())  # as in flight
-        flying = Flying(files, seed=1, limit_s=900.0, recorded=False)
+        flying = Flying(files, seed=1, limit_s=900.0)
         session = flying.loop.session
         while flying.flies and session.state.phase is not Phase.FLYING:
             flying.fly_on(1e6 * (flying.now_s + 0.1))

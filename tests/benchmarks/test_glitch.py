@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from companion.campaign import drawn_files, families
-from companion.campaign.flight import FlightFiles
-from companion.campaign.in_process import Flying
+from companion.campaign.in_process import FlightFiles, Flying
 from companion.mavlink.frames import number_of
 from companion.mavlink.link import Output
 from companion.mission.mission import AutopilotName
@@ -59,9 +58,9 @@ def flown(
     drawn = families.world(f"short-{kind}", 1, 2)
     world, mission = drawn_files.write(drawn, folder, autopilot)
     glitch = f"at {BEGINS_S:g} s for {GLITCH_S:g} s: gps_glitch 50 m north\n"
-    files = FlightFiles(world=world, mission=mission, faults=glitch, folder=folder)
+    files = FlightFiles(world=world, mission=mission, faults=glitch, folder=folder / "run")
     until_s = BEGINS_S + GLITCH_S + GIVES_IN_S + CLEARS_S + 5.0
-    flying = Flying(files, seed=1, limit_s=until_s, recorded=False)
+    flying = Flying(files, seed=1, limit_s=until_s)
     flying.loop.writer = writer = Setpoints(flying.loop.writer)
     seen = []
     while flying.flies and flying.now_s < until_s:

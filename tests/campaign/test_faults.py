@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from flights import one_target
 
-from companion.campaign import drawn_faults, families, judge, run
+from companion.campaign import drawn_faults, drawn_world, families, judge
 from companion.campaign.drawn_faults import FAMILIES, ROWS, FaultScript, Subject
 from companion.campaign.drawn_files import mission_of
 from companion.campaign.file import load_campaign, runs_of
-from companion.campaign.flight import Flight, FlightFiles
+from companion.campaign.in_process import Flight
 from companion.campaign.run import fly_run
 from companion.config import load_mission
 from companion.world.zones import CircleZone
@@ -114,7 +114,9 @@ def frame(number: int, component: int, body: bytes) -> bytes:
 
 
 def violated(flown: Flight, timeline: str = "") -> list[str]:
-    found: list[str] = judge.judged(flown, DRAWN, timeline)["violated"]
+    row = judge.judged(flown, DRAWN, timeline)
+    found = str(row["violated"] or "").split("; ") if row["violated"] else []
+    assert len(found) == row["violations"]
     return found
 
 
@@ -141,6 +143,14 @@ def test_who_is_nearer_than_the_safety_distance_violates_it(
 ) -> None:
     assert DRAWN.task.settings.safety_distance_m == 12.0
     assert len(violated(flight(tmp_path, [*[beside(gap_m)] * 3, TARGET]))) == count
+
+
+def test_who_leaves_a_keep_in_violates_it(tmp_path: Path) -> None:
+    fence = CircleZone(name="in", north_m=-1_200.0, east_m=0.0, radius_m=50.0, keep_in=True)
+    world = replace(DRAWN, task=replace(DRAWN.task, zones=(fence,)))
+    for off_m, count in ((37.0, 0), (39.0, 1), (60.0, 1)):
+        flown = flight(tmp_path, [(-1_200.0, off_m)] * 3, kind="say")
+        assert judge.judged(flown, world, None)["violations"] == count
 
 
 @pytest.mark.parametrize(("off_m", "count"), [(3.5, 0), (2.5, 1)])
@@ -170,17 +180,15 @@ def test_a_crash_violates_unless_somebody_else_flew_or_it_was_landing(
     assert ("hit the ground at 9.1 m/s, 3.0 s" in after) == bool(count)
 
 
-def test_without_faults_a_crash_is_a_violation_wherever_it_was(tmp_path: Path) -> None:
-    at = Path(families.__file__).parents[1] / "environments" / "environment-1"
-    files = FlightFiles(
-        world=at / "world.toml", mission=at / "mission.toml", faults="", folder=tmp_path
-    )
-    flown = flight(tmp_path, [TARGET] * 2)
-    rows = [run._judged(flown, files, with_faults=False)]
-    flown.truth[-1]["crash"] = CRASH
-    rows.append(run._judged(flown, files, with_faults=False))
-    assert rows[1]["violations"] == rows[0]["violations"] + 1
-    assert "flown: hit the ground at 9.1 m/s" in rows[1]["violated"]
+def test_without_faults_a_crash_is_a_violation_wherever_it_was_and_no_ending_is(
+    tmp_path: Path,
+) -> None:
+    flown = flight(tmp_path, [TARGET] * 2, mode="LAND", kind="say")
+    row = judge.judged(flown, DRAWN, None)
+    assert (row["violations"], row["violated"], "ending" in row) == (0, None, False)
+    flown.truth[-1]["crash"] = CRASH | {"t_s": 2.0}
+    row = judge.judged(flown, DRAWN, None)
+    assert (row["violations"], row["violated"]) == (1, "hit the ground at 9.1 m/s, 2.0 s")
 
 
 def test_an_excuse_ends_with_its_grace(tmp_path: Path) -> None:
@@ -203,6 +211,8 @@ def test_a_new_fence_is_known_after_ten_seconds_and_then_has_to_be_left_once(
     line = "at 2.0 s: ground_fence 30 m"
     assert not violated(flight(tmp_path, [*[inside] * 11, TARGET]), line)
     assert len(violated(flight(tmp_path, [*[inside] * 40, TARGET]), line)) == 1
+    unknown = [inside] * 3 + [outside] * 2 + [inside] * 2 + [outside] * 10
+    assert not violated(flight(tmp_path, [*unknown, TARGET]), line)
     leaves = [inside] * 16 + [outside] * 10
     assert not violated(flight(tmp_path, [*leaves, TARGET]), line)
     assert len(violated(flight(tmp_path, [*leaves, inside, TARGET]), line)) == 1
@@ -235,7 +245,7 @@ def test_an_ending_is_explained_by_a_reason_and_a_safe_mode(
 ) -> None:
     found = judge.judged(flight(tmp_path, [TARGET] * 3, **end), DRAWN, "")
     assert found["ending"] == ending
-    assert len(found["violated"]) == ending.startswith("unexplained")
+    assert found["violations"] == ending.startswith("unexplained")
 
 
 @pytest.mark.parametrize(
@@ -249,6 +259,15 @@ def test_a_copter_that_no_command_could_reach_at_the_end_holds(
     assert judge.judged(flown, DRAWN, lost)["ending"] == ending
 
 
+@pytest.mark.parametrize(("timeline", "count"), [("", 1), ("at 0.1 s: turbulence 1 m/s", 0)])
+def test_to_hold_for_good_with_nothing_wrong_violates(
+    timeline: str, count: int, tmp_path: Path
+) -> None:
+    flown = flight(tmp_path, [TARGET] * 3, mode="BRAKE", outcome="failed", reason="no way")
+    found = judge.judged(flown, DRAWN, timeline)
+    assert (found["ending"], found["violations"]) == ("held for good", count)
+
+
 def test_who_says_that_it_arrived_somewhere_else_is_found_out(tmp_path: Path) -> None:
     flown = flight(tmp_path, [(TARGET[0] - 200.0, TARGET[1])] * 3)
     assert judge.judged(flown, DRAWN, "")["ending"] == "unexplained: arrived elsewhere"
@@ -258,27 +277,25 @@ def test_who_says_that_it_arrived_somewhere_else_is_found_out(tmp_path: Path) ->
 
 def test_faults_are_judged_in_lidar_missions_too(tmp_path: Path) -> None:
     """Who says nothing of its end, or touches something that it could know of, violates."""
-    forest, files = (
-        load_mission("forest"),
-        FlightFiles(world=Path("forest"), mission=Path("forest"), faults="", folder=tmp_path),
-    )
+    forest, world = load_mission("forest"), drawn_world.bundled("forest")
     there = forest.targets_ne_m[-1]
     up_m = forest.task.limits.floor_amsl_m + 3.0
     made = flight(tmp_path, [there] * 4, told_off_m=up_m - HIGH_M, kind="say")
     plain = replace(made, mission=forest)
     for row in plain.truth:
         row |= {"altitude_amsl_m": up_m, "near_m": 2.0}
-    row = run._judged(plain, files, with_faults=True)
+    row = judge.judged(plain, world, "")
     assert (row["violations"], row["ending"]) == (1, "unexplained: no end")
     assert row["clearance_least_m"] == 2.0
     end = plain.journal[-1] | {"kind": "end"}
     touching = replace(plain, journal=[*plain.journal[:-1], end])
     touching.truth[20]["near_m"] = 0.0
-    said = "flown: touched something at 2.1 s"
-    assert said in run._judged(touching, files, with_faults=True)["violated"]
+    said = "touched something at 2.1 s"
+    assert said in judge.judged(touching, world, "")["violated"]
+    assert judge.judged(touching, world, None)["violated"] == said
     for row in touching.truth:
         row["mode"] = "LOITER"  # a pilot
-    found = run._judged(touching, files, with_faults=True)
+    found = judge.judged(touching, world, "")
     assert (said in str(found["violated"]), said in found["excused"]) == (False, True)
 
 
@@ -296,7 +313,7 @@ def test_a_companion_that_is_killed_goes_on(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     table, _, base = load_campaign(str(tmp_path / "campaign.toml"))
-    [run] = runs_of(table, base, "process", "all")
+    [run] = runs_of(table, base)
     row = fly_run(run, tmp_path)
     assert (row.arrived, row.violations, row.violated) == (True, 0, None)
     assert row.ending in ("arrived", "held and resumed")

@@ -20,7 +20,7 @@ import typer
 from flights import one_target
 
 from companion.campaign import bundled_campaigns
-from companion.campaign.execute import fly_locally, fly_on_cluster
+from companion.campaign.execute import fly
 from companion.campaign.file import Run, load_campaign, runs_of
 from companion.campaign.report import read_campaign, replay_command
 from companion.campaign.row import TIMING, Row
@@ -56,6 +56,7 @@ name = "dead"
 faults = "at 45 s: battery 1 %"
 """
 WORLD_ALONE = 'world = "sitl-arducopter"\nmission = "mission.toml"'
+PX4, COPTERS = 'vehicle = "px4-copter"\n', 'vehicle = ["ardupilot-copter"]'
 WORLD, DENSE = 'world = "sitl-arducopter"', 'family = "dense"\n'
 COMMAND = [sys.executable, "-c", "from companion.cli import main; main()", "campaign"]
 PATIENCE_S = 120.0
@@ -70,7 +71,7 @@ def campaign_file(folder: Path, text: str) -> Path:
 
 def runs(folder: Path, text: str) -> list[Run]:
     table, _, base = load_campaign(str(campaign_file(folder, text)))
-    return runs_of(table, base, table.over, table.keep)
+    return runs_of(table, base)
 
 
 def same(rows: Any) -> list[dict[str, Any]]:
@@ -85,7 +86,7 @@ def campaign_command(*words: str) -> None:
     typer.main.get_command(app)(["campaign", *words], standalone_mode=False)
 
 
-def fly_in_this_process(runs: list[Run], out: Path, _jobs: int) -> Iterator[Row]:
+def fly_in_this_process(runs: list[Run], out: Path, **_: object) -> Iterator[Row]:
     yield from (fly_run(run, out) for run in runs)
 
 
@@ -105,13 +106,22 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 
 def test_a_local_worker_that_is_killed_takes_no_run_with_it(planned: Any, tmp_path: Path) -> None:
-    flying = fly_locally(runs(tmp_path, PLANNED), tmp_path, 1)
+    flying = fly(runs(tmp_path, PLANNED), tmp_path, scheduler=None, jobs=1)
     rows = [next(flying)]
     os.kill(int(rows[0].worker.rpartition("/")[2]), signal.SIGKILL)
     rows += flying
     assert same(rows) == planned
     assert len({row.worker for row in rows}) > 1
     assert all(row.arrived and row.violations == 0 for row in rows)
+
+
+@pytest.mark.nightly
+def test_a_run_that_kills_each_worker_becomes_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.campaign.execute.fly_run", lambda *_, **__: os._exit(1))
+    [row] = fly(runs(tmp_path, PLANNED)[:1], tmp_path, scheduler=None, jobs=1)
+    assert (row.outcome, row.error) == ("error", "its worker died 3 times and more")
 
 
 @pytest.fixture
@@ -154,7 +164,7 @@ def test_a_cluster_that_loses_a_worker_half_way_brings_the_same(
     address, workers = cluster
     todo = runs(tmp_path, PLANNED)
     rows = list[Row]()
-    for row in fly_on_cluster(todo, tmp_path, address):
+    for row in fly(todo, tmp_path, scheduler=address, jobs=1):
         rows.append(row)
         if len(rows) == len(todo) // 2:
             of = {int(row.worker.rpartition("/")[2]) for row in rows}
@@ -176,7 +186,7 @@ def test_killed_and_started_again_it_is_as_if_it_had_not_been(
         wait_until(lambda: list((out / "rows").glob("part-*.parquet")))
         first.kill()
     there = len(read_campaign(out).rows)
-    monkeypatch.setattr("companion.campaign.execute.fly_locally", fly_in_this_process)
+    monkeypatch.setattr("companion.campaign.execute.fly", fly_in_this_process)
     campaign_command(*command[4:])
     if there < len(planned):
         assert f"{there} of {len(planned)} runs are there already" in capsys.readouterr().out
@@ -216,8 +226,8 @@ def test_what_arrives_is_judged_and_only_files_of_what_does_not_are_kept(flown_h
     ],
 )
 def test_the_first_run_of_a_bundled_campaign_flies(name: str, tmp_path: Path) -> None:
-    table, _, base = load_campaign(name)
-    first = runs_of(table, base, table.over, "none")[0]
+    table, _, base = load_campaign(name, {"keep": "none"})
+    first = runs_of(table, base)[0]
     row = fly_run(first, tmp_path)
     assert row.error is None
     assert row.arrived or row.ending, row.reason  # faults may end a flight
@@ -245,7 +255,7 @@ def test_a_full_disk_is_one_line_and_no_result(
 
     file = campaign_file(tmp_path, PLANNED)
     command = ["run", str(file), "--out", str(tmp_path / "out"), "--only", "0"]
-    monkeypatch.setattr("companion.campaign.execute.fly_locally", fly_in_this_process)
+    monkeypatch.setattr("companion.campaign.execute.fly", fly_in_this_process)
     with monkeypatch.context() as filled:
         filled.setattr(place, full)
         with pytest.raises(InputError, match=r"No space left.*goes on from 0 of 1 runs") as refused:
@@ -259,71 +269,62 @@ def test_a_full_disk_is_one_line_and_no_result(
     ("was", "now", "says"),
     [
         ("schema = 1", "", "schema"),
+        ("schema = 1", "schema = [", "not TOML"),
         ('name = "flown"', 'nmae = "flown"', "Did you mean name?"),
-        ('world = "sitl-arducopter"', "", "either a world or a family"),
-        ('world = "sitl-arducopter"', 'family = "hills"', "places[0].family"),
-        ('world = "sitl-arducopter"', 'world = "nowhere.toml"', "no such file"),
+        (WORLD, "", "either a world or a family"),
+        (WORLD, 'family = "hills"', "places[0].family"),
+        (WORLD, 'world = "nowhere.toml"', "no such file"),
         ('"none", "dead"', '"none", "dade"', "Did you mean dead?"),
         ("battery 1 %", "battery much", "battery"),
-        ('keep = "failures"', 'over = "planner"', "the planner alone has no vehicle"),
+        ('keep = "failures"', 'over = "udp"', "over"),
         ("[factors]", '[factors]\noptimiser = ["luck"]', "refined-de"),
         ("[factors]", "[factors]\nbudget = [1]", "budget"),
+        ("[factors]", "[factors]\nbudget = []", "factors.budget"),
         ("[factors]", "vehicles = [2]\n[factors]", "places[0].vehicles"),
         ("[factors]", 'over = "planner"\n[factors]', "places[0].over"),
-        ('keep = "failures"', 'over = "udp"', "over"),
-        ("[factors]", '[factors]\nknowledge = ["elevation"]', "of the planner alone"),
-        ("schema = 1", "schema = [", "not TOML"),
-        ("[factors]", "seed = 3\n[factors]", "places[0].seed = 3: it is of a family"),
-        ("[factors]", "first = 3\n[factors]", "places[0].first = 3: it is of a family"),
-        ("[factors]", "count = 3\n[factors]", "places[0].count = 3: it is of a family"),
-        ("[factors]", "indices = [3]\n[factors]", "places[0].indices = [3]: it is of a family"),
-        (WORLD, DENSE, "places[0].mission = 'mission.toml': a family draws its own"),
-        (WORLD_ALONE, f"{DENSE}first = 3\nindices = [1]", "places[0].first = 3: indices says"),
-        (WORLD_ALONE, f"{DENSE}count = 3\nindices = [1]", "places[0].count = 3: indices says"),
+        ("[factors]", '[factors]\nknowledge = ["full"]', "of the planner alone"),
+        ("[factors]", "seed = 3\n[factors]", "places[0].seed = 3: it has no effect"),
+        ("[factors]", "count = 3\n[factors]", "places[0].count = 3: it has no effect"),
+        ("[factors]", "indices = [3]\n[factors]", "places[0].indices = [3]: it has no effect"),
+        (WORLD, DENSE, "places[0].mission = 'mission.toml': it has no effect"),
+        (WORLD_ALONE, f"{DENSE}first = 3\nindices = [1]", "places[0].first = 3: it has no effect"),
         (WORLD_ALONE, f"{DENSE}indices = []", "places[0].indices"),
-        (
-            "[factors]",
-            'vehicle = "px4-copter"\n[factors]\nvehicle = ["ardupilot-copter"]',
-            "places[0].vehicle = 'px4-copter': the factor vehicle",
-        ),
-        ("[factors]", "[factors]\nbudget = []", "factors.budget"),
-        ("[factors]", "[factors]\nprofile = []", "factors.profile"),
+        ("[factors]", f"{PX4}[factors]\n{COPTERS}", "places[0].vehicle = 'px4-copter': the factor"),
         ('faults = ["none", "dead"]', "", "choices[0].name = 'dead': no factor"),
-        ("[[choices]]", '[[choices]]\nname = "none"\n[[choices]]', "stands for no choice"),
-        ("[[choices]]", '[[choices]]\nname = "dead"\n[[choices]]', "another choice has this name"),
+        ("[[choices]]", '[[choices]]\nname = "none"\n[[choices]]', "stands for another already"),
+        ("[[choices]]", '[[choices]]\nname = "dead"\n[[choices]]', "stands for another already"),
+        ('keep = "failures"', 'over = "planner"', "factors.faults = ['none', 'dead']: the planner"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said_in_one_line(
     was: str, now: str, says: str, tmp_path: Path
 ) -> None:
-    assert was in FLOWN
-    path = campaign_file(tmp_path, FLOWN.replace(was, now))
-    with pytest.raises(InputError) as refused:
-        campaign_command("run", str(path), "--out", str(tmp_path / "out"))
-    assert says in str(refused.value)
-    assert "\n" not in str(refused.value)
-    assert not (tmp_path / "out").exists()
+    refused(FLOWN, was, now, says, tmp_path)
 
 
 @pytest.mark.parametrize(
     ("was", "now", "says"),
     [
-        (
-            "[factors]",
-            'vehicle = "px4-copter"\n[factors]',
-            "places[0].vehicle = 'px4-copter': the planner alone has no vehicle",
-        ),
+        ("[factors]", f"{PX4}[factors]", "places[0].vehicle = 'px4-copter': the planner alone has"),
         ("seeds = 2", "limit_s = 60", "limit_s = 60.0: the planner alone has no vehicle"),
         ("[factors]", '[factors]\nplanner = ["a-star"]\noptimiser = ["pso"]', "factors.optimiser"),
+        ("[factors]", '[factors]\nplanner = ["a-stra"]', "Did you mean a-star?"),
     ],
 )
-def test_keys_that_the_planner_alone_has_no_use_for_are_refused(
+def test_so_is_what_the_planner_alone_has_no_use_for(
     was: str, now: str, says: str, tmp_path: Path
 ) -> None:
-    path = campaign_file(tmp_path, PLANNED.replace(was, now))
-    with pytest.raises(InputError) as refused:
-        campaign_command("run", str(path), "--out", str(tmp_path / "out"))
-    assert says in str(refused.value)
+    refused(PLANNED, was, now, says, tmp_path)
+
+
+def refused(text: str, was: str, now: str, says: str, folder: Path) -> None:
+    assert was in text
+    path = campaign_file(folder, text.replace(was, now))
+    with pytest.raises(InputError) as error:
+        campaign_command("run", str(path), "--out", str(folder / "out"))
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+    assert not (folder / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -331,9 +332,10 @@ def test_keys_that_the_planner_alone_has_no_use_for_are_refused(
     [
         (["--only", "0", "--most", "1"], "--most = 1: --only says which runs"),
         (["--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs = 2"),
+        (["--over", "udp"], "over = 'udp': it must be"),
     ],
 )
-def test_options_of_which_one_has_no_effect_are_refused(
+def test_options_that_have_no_effect_or_make_no_campaign_are_refused(
     options: list[str], says: str, tmp_path: Path
 ) -> None:
     path = campaign_file(tmp_path, PLANNED)
@@ -358,7 +360,7 @@ def test_no_room_for_a_folder_ends_a_campaign_on_a_cluster_too(tmp_path: Path) -
         LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
         pytest.raises(FileExistsError),
     ):
-        list(fly_on_cluster([run], tmp_path, cluster.scheduler_address))
+        list(fly([run], tmp_path, scheduler=cluster.scheduler_address, jobs=1))
 
 
 def test_a_folder_of_something_else_and_a_busy_one_are_refused(tmp_path: Path) -> None:

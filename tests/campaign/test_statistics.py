@@ -3,9 +3,7 @@
 import itertools
 import math
 import random
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,22 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, t
 
-from companion.campaign.statistics import (
-    Comparison,
-    Difference,
-    bootstrapped,
-    compare,
-    group,
-    holm,
-    rate,
-    spread,
-)
+from companion.campaign.row import Row
+from companion.campaign.statistics import Figure, bootstrapped, groups, holm, pairs, rate
 
 DRAWS = 400
 
 
-def of(comparison: Comparison, name: str) -> Difference:
-    return next(each for each in comparison.differences if each.measure.name == name)
+def of(figures: list[Figure], measure: str) -> Figure:
+    return next(figure for figure in figures if figure.measure.name == measure)
+
+
+def shuffled(rows: list[Row]) -> list[Row]:
+    return random.Random(3).sample(rows, len(rows))
 
 
 # --- one sample
@@ -40,97 +34,93 @@ def test_the_interval_of_a_rate_holds_the_rates_that_its_score_test_does_not_rej
     runs: int, share: float
 ) -> None:
     successes = round(share * runs)
-    found = rate(successes, runs)
-    assert found.low is not None
-    assert found.high is not None
+    value, low, high = rate(successes, runs)
+    assert low is not None
+    assert high is not None
+    assert value == successes / runs
     z = 1.959963984540054
-    for end, is_bound in ((found.low, successes > 0), (found.high, successes < runs)):
+    for end, is_bound in ((low, successes > 0), (high, successes < runs)):
         if is_bound:  # where (k - n p)^2 = z^2 n p (1 - p)
             apart = (successes - runs * end) ** 2 - z**2 * runs * end * (1.0 - end)
             assert apart == pytest.approx(0.0, abs=1e-6 * runs**2)
         else:
-            assert end == pytest.approx(successes / runs, abs=1e-12)
+            assert end == pytest.approx(value, abs=1e-12)
 
 
-def test_of_no_runs_no_rate_is_known() -> None:
-    found = rate(0, 0)
-    assert math.isnan(found.value)
-    assert (found.low, found.high) == (0.0, 1.0)
-
-
-@pytest.mark.parametrize("statistic", [np.mean, pytest.param(np.median, marks=pytest.mark.nightly)])
-def test_bootstrap_intervals_cover_the_truth_as_often_as_they_say(
-    statistic: Callable[..., Any],
-) -> None:
+def test_bootstrap_intervals_cover_the_truth_as_often_as_they_say() -> None:
     size, rng = 60, np.random.default_rng(11)
-    inside = 0
-    for _ in range(DRAWS):
-        found = bootstrapped(statistic, rng.normal(size=size))
-        assert found.low is not None
-        assert found.high is not None
-        inside += found.low <= 0.0 <= found.high
+    found = [bootstrapped(np.mean, rng.normal(size=size)) for _ in range(DRAWS)]
+    inside = sum(
+        low is not None and high is not None and low <= 0 <= high for _, low, high in found
+    )
     # A bootstrap of n values takes z for t and n for n - 1: what that covers is known.
     covers = 1.0 - 2.0 * t.sf(1.96 * math.sqrt((size - 1) / size), size - 1)
     low, high = binom.ppf([0.001, 0.999], DRAWS, [covers - 0.01, 0.96])
     assert low <= inside <= high, inside
 
 
-@pytest.mark.parametrize("size", [1, 2, 5])
-def test_a_handful_of_values_has_no_interval(size: int) -> None:
-    found = bootstrapped(np.median, np.arange(float(size)))
-    assert (found.low, found.high) == (None, None)
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        (np.arange(5.0), (2.0, None, None)),  # a handful has no interval
+        (np.full(6, 7.0), (7.0, 7.0, 7.0)),
+        (np.full(2000, 7.0), (7.0, 7.0, 7.0)),
+    ],
+)
+def test_of_few_values_and_of_equal_ones(
+    values: np.ndarray, expected: tuple[float | None, ...]
+) -> None:
+    assert bootstrapped(np.median, values) == expected
 
 
-@pytest.mark.parametrize("size", [6, 2000])
-def test_values_that_are_all_alike_are_known_exactly(size: int) -> None:
-    found = bootstrapped(np.median, np.full(size, 7.0))
-    assert (found.value, found.low, found.high) == (7.0, 7.0, 7.0)
+def test_pairs_are_drawn_together() -> None:
+    first = np.random.default_rng(2).normal(size=30)
+    found = bootstrapped(lambda a, b, axis=-1: np.mean(b - a, axis=axis), first, first - 1.0)
+    assert found == pytest.approx((-1.0, -1.0, -1.0))
 
 
-def test_a_large_sample_is_drawn_in_parts_and_tells_its_median() -> None:
-    values = np.random.default_rng(1).normal(size=4000)
-    found = spread(values.tolist())
-    assert found is not None
-    assert found.median.low is not None
-    assert found.median.high is not None
+def test_a_group_has_its_rates_its_medians_and_the_middle_of_its_runs() -> None:
+    values = np.random.default_rng(1).normal(10.0, size=4000)
+    rows = [row(n, cost=float(v), arrived=n >= 40) for n, v in enumerate(values)]
+    figures = groups(shuffled(rows), ())
+    assert figures == groups(rows, ())
+    cost, arrived = of(figures, "cost"), of(figures, "arrived")
+    assert (cost.group, cost.n, arrived.n, arrived.value) == ("all", 3960, 4000, 0.99)
+    assert cost.value == np.median(values[40:])
+    assert (cost.tenth, cost.ninetieth) == pytest.approx((10.0 - 1.2816, 10.0 + 1.2816), abs=0.1)
+    assert cost.low is not None
+    assert cost.high is not None
     width = 1.2533 / math.sqrt(4000) * 2 * 1.96  # of a normal median, asymptotically
-    assert found.median.high - found.median.low == pytest.approx(width, rel=0.25)
+    assert cost.high - cost.low == pytest.approx(width, rel=0.25)
 
 
-def test_groups_do_not_depend_on_the_order_of_the_rows() -> None:
-    rows = paired_rows()
-    shuffled = random.Random(3).sample(rows, len(rows))
-    assert group((), rows) == group((), shuffled)
+def test_a_measure_that_no_run_has_is_no_figure() -> None:
+    names = {figure.measure.name for figure in groups([row(0, violations=None, cost=None)], ())}
+    assert names == {"arrived", "error", "detour", "length_m", "clearance_least_m"}
 
 
 # --- pairs
 
 
-def test_comparisons_do_not_depend_on_the_order_of_the_rows() -> None:
+def test_pairs_are_counted_and_the_difference_is_that_of_their_medians() -> None:
     rows = paired_rows()
-    shuffled = random.Random(3).sample(rows, len(rows))
-    assert compare(rows, ["optimiser"]) == compare(shuffled, ["optimiser"])
-
-
-def test_pairs_are_counted_and_their_means_are_the_mean_of_their_differences() -> None:
-    rows = paired_rows()
-    (found,) = compare(rows, ["optimiser"])
-    costs = [(a.cost, b.cost) for a, b in zip(rows[::2], rows[1::2], strict=True)]
-    cost = of(found, "cost")
-    assert (found.pairs, cost.pairs) == (40, 37)
-    apart = np.array([b - a for a, b in costs if a is not None and b is not None])
-    assert cost.means.value == pytest.approx(apart.mean())
-    assert (cost.wins, cost.ties, cost.losses) == (sum(apart < 0), 0, sum(apart > 0))
-    assert cost.is_told
-    assert cost.means.high is not None
-    assert cost.means.high < 0.0
-
-
-def test_arrivals_are_compared_by_the_exact_test_of_those_that_differ() -> None:
-    arrived = of(compare(paired_rows(), ["optimiser"])[0], "arrived")
+    figures, notes = pairs(shuffled(rows), ["optimiser"])
+    assert (figures, notes) == pairs(rows, ["optimiser"])
+    cost, arrived = of(figures, "cost"), of(figures, "arrived")
+    assert (cost.group, cost.against, cost.n, arrived.n) == ("l-shade", "refined-de", 37, 40)
+    first, second = np.array([(a.cost, b.cost) for a, b in zip(rows[::2], rows[1::2], strict=True)
+                              if b.cost is not None]).T  # fmt: skip
+    assert cost.value == pytest.approx(np.median(second) - np.median(first))
+    assert cost.percent == pytest.approx(100.0 * np.median(second / first - 1.0))
+    assert (cost.wins, cost.ties, cost.losses) == (sum(second < first), 0, sum(second > first))
+    assert cost.p_holm is not None
+    assert cost.p_holm < 0.05
+    assert cost.percent_low is not None
+    assert cost.percent_high is not None
+    assert cost.percent_low < cost.percent < cost.percent_high < 0.0
+    assert arrived.value == pytest.approx(-3 / 40)
     assert (arrived.wins, arrived.ties, arrived.losses) == (0, 37, 3)
     assert arrived.p == pytest.approx(2 * 0.5**3)
-    assert not arrived.can_tell
 
 
 def test_signed_ranks_of_few_pairs_are_those_of_all_signs() -> None:
@@ -146,37 +136,39 @@ def test_signed_ranks_of_few_pairs_are_those_of_all_signs() -> None:
         for ups in itertools.product([False, True], repeat=len(apart))
     ]
     expected = np.mean([s <= told for s in sums])
-    assert of(compare(rows, ["budget"])[0], "cost").p == pytest.approx(expected)
+    assert of(pairs(rows, ["budget"])[0], "cost").p == pytest.approx(expected)
 
 
-def test_runs_without_a_partner_are_counted_on_their_side() -> None:
+def test_runs_without_a_partner_and_with_several_are_left_out_and_counted() -> None:
     rows = [each for each in paired_rows() if each.run not in (1, 3, 4)]
-    (found,) = compare(rows, ["optimiser"])
-    assert (found.pairs, found.alone, found.ambiguous) == (37, (2, 1), (0, 0))
-
-
-def test_runs_with_several_partners_are_left_out_and_counted() -> None:
-    rows = paired_rows(10)
-    (found,) = compare([*rows, replace(rows[1], run=99)], ["optimiser"])
-    assert (found.pairs, found.alone, found.ambiguous) == (9, (0, 0), (1, 2))
+    figures, notes = pairs([*rows, replace(rows[-1], run=99)], ["optimiser"])
+    assert of(figures, "arrived").n == 36
+    assert notes == ["l-shade against refined-de: 3 and 3 runs have no partner, or several."]
 
 
 def test_what_differs_along_with_a_factor_is_named() -> None:
-    rows = paired_rows(8)
-    rivals = [
-        replace(r, run=100 + r.run, planner="bit-star", optimiser="none")
-        for r in rows
-        if r.optimiser == "refined-de"
-    ]
-    ours = [r for r in rows if r.optimiser == "refined-de"]
-    (found,) = compare(ours + rivals, ["planner"])
-    assert found.entailed == (("optimiser", "refined-de", "none"),)
-    assert (found.pairs, of(found, "cost").ties) == (8, 8)
+    ours = paired_rows(8)[::2]
+    rivals = [replace(r, run=100 + r.run, planner="bit-star", optimiser="none") for r in ours]
+    figures, (note,) = pairs(ours + rivals, ["planner"])
+    assert note == "bit-star against ours: optimiser differs with it: either may be the reason."
+    assert of(figures, "cost").ties == 8
 
 
-def test_worlds_are_not_compared_in_pairs() -> None:
-    rows = [row(0), row(1, world="valley", seed=0)]
-    assert compare(rows, ["world"]) == []
+def test_more_than_one_difference_leaves_nothing_to_pair_and_worlds_are_not_compared() -> None:
+    rows = [row(0, seed=0), row(1, seed=0, budget=1), row(2, seed=0, budget=2, planner="a-star")]
+    figures, notes = pairs(rows, ["planner"])
+    assert not figures
+    assert "nothing to pair" in notes[-1]
+    assert pairs([row(0), row(1, world="valley", seed=0)], ["world"]) == ([], [])
+
+
+def test_comparisons_of_one_measure_are_corrected_together() -> None:
+    rows = paired_rows()
+    third = [replace(r, run=r.run + 200, optimiser="pso") for r in rows if r.optimiser == "l-shade"]
+    figures, _ = pairs([*rows, *third], ["optimiser"])
+    both = [figure for figure in figures if figure.measure.name == "cost"]
+    assert [f.p_holm for f in both] == pytest.approx(holm([f.p or 0.0 for f in both]))
+    assert both[0].p_holm == pytest.approx(2.0 * (both[0].p or 0.0))
 
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=6))

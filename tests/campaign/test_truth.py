@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from planning import LARGE
 from scipy.spatial import cKDTree
 
-from companion.campaign import drawn_world, truth
+from companion.campaign import drawn_world, judge, truth
 from companion.world.radars import Radar
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.zones import CircleZone, PolygonZone
 
 FloatArray = NDArray[np.float64]
@@ -21,7 +21,9 @@ TERRAIN = PeakTerrain(
     ),
     ground_amsl_m=0.0,
 )
-LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3), tracking_error_m=15.0)
+TASK = drawn_world.bundled("environment-2").task
+LIMITS = replace(LARGE, north_m=(-20e3, 20e3), east_m=(-20e3, 20e3),
+                 tracking_error_m=15.0, navigation_error_m=0.0)  # fmt: skip
 
 
 def surface_samples(terrain: PeakTerrain, spacing_m: float) -> FloatArray:
@@ -135,20 +137,13 @@ def level(altitude_m: float, *, bend_m: float = 0.0, climb_m: float = 0.0) -> Fl
     ],
 )
 def test_each_broken_bound_is_named(control: FloatArray, names: tuple[str, ...]) -> None:
-    found = truth.measure(
-        truth.sampled(control, 1.0),
-        terrain=TERRAIN,
-        limits=LIMITS,
-        radars=(),
-        zones=(),
-        required_clearance_m=515.0,
-    )
-    assert found.violations(LIMITS, 515.0, 15.0) == names
+    task = replace(TASK, limits=LIMITS, zones=())
+    assert task.required_clearance_m == 515.0
+    assert truth.measure(truth.sampled(control, 1.0), TERRAIN, task).violations(task) == names
 
 
 CURVE = np.array([[0.0, 0, 3_100], [6e3, 0, 3_100], [9e3, 4e3, 3_400], [12e3, 11e3, 3_300]])
 LINE = np.array([[n, 0.0, 3_100.0] for n in (0.0, 3e3, 6e3, 9e3)])
-TASK = drawn_world.bundled("environment-2").task
 
 
 def rest_of(control: FloatArray, at: float) -> FloatArray:
@@ -192,3 +187,30 @@ def test_a_join_beside_the_curve_jumps_in_position_and_a_stop_does_not() -> None
     from_rest = LINE[-1] + (LINE - LINE[0])[:, [1, 0, 2]]  # a right angle, where the first ends
     assert truth.jumps(LINE, from_rest, TASK) is None
     assert truth.goes_over(LINE, from_rest, TASK)
+
+
+def test_the_distance_to_an_array_of_heights_is_that_to_its_plane() -> None:
+    """A slope of 0.5: the distance is the height over it times cos(atan 0.5)."""
+    nodes = 50.0 * np.arange(60.0)
+    terrain = ArrayTerrain(heights_m=np.add.outer(0.5 * nodes, 0.0 * nodes), spacing_m=50.0)
+    rng = np.random.default_rng(1)
+    at = rng.uniform(1_000.0, 2_000.0, (50, 2))
+    above = rng.uniform(20.0, 150.0, 50) * np.where(np.arange(50) % 3, 1.0, -1.0)
+    points = np.column_stack([at, 0.5 * at[:, 0] + above])
+    found = truth.terrain_distance_m(points, terrain, 200.0)
+    expected = np.where(above > 0.0, above / math.hypot(1.0, 0.5), above)
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=0.2)
+    assert (found >= expected - 1e-6).all()
+
+
+def test_only_subpaths_that_follow_each_other_have_to_join() -> None:
+    world = drawn_world.bundled("environment-2")
+    there = np.array([8e3, 20e3, 3_100.0])
+    first, aside = LINE + there, LINE + there + [7e3, 300.0, 0.0]
+    alone = judge.checked([first, aside], world)
+    joined = judge.checked([first, aside], world, joined=True)
+    assert "join" not in str(alone["violated"])
+    assert "leg 2: join" in str(joined["violated"])
+    assert joined["violations"] == alone["violations"] + (
+        str(alone["violated"]).count("leg 2") == 0
+    )

@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 from programs import BIN, ROOT, Program, free_port
 
-from companion.campaign.flight import FlightFiles
-from companion.campaign.in_process import fly_here
+from companion.campaign.in_process import FlightFiles, fly_here
 
 ENVIRONMENTS = ROOT / "companion" / "environments"
 HILLS = str(Path(__file__).parent / "hills" / "world.toml")
@@ -120,7 +119,7 @@ def flown_here(
 ) -> Recorded:
     """A flight in this process, in lockstep, recorded until it ends or is stopped by then."""
     files = FlightFiles(world=Path(world), mission=Path(mission), faults=faults, folder=folder)
-    fly_here(files, seed=1, limit_s=limit_s, recorded=True)
+    fly_here(files, seed=1, limit_s=limit_s)
     return Recorded(folder=folder)
 
 

@@ -17,7 +17,7 @@ from companion.errors import InputError
 from companion.live_view.command import Asked
 from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
 from companion.live_view.page import Page, Shown
-from companion.live_view.panel import charts_of
+from companion.live_view.panel import charts_of, near_ground
 from companion.live_view.recording import Recording
 from companion.live_view.server import serve
 from companion.session import Session
@@ -101,7 +101,7 @@ def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
     assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size
 
 
-def test_charts_tell_the_clearance_and_the_way_off_the_path(
+def test_charts_tell_the_known_ground_and_the_way_off_the_path(
     run_dir: tuple[Path, Session],
 ) -> None:
     folder, _ = run_dir
@@ -110,15 +110,16 @@ def test_charts_tell_the_clearance_and_the_way_off_the_path(
     while flight.replica.advance(_PATIENCE_S):
         pass
     with flight.recording:
-        height, clearance, aside, _ = charts_of(flight.recording, flight.replica)
+        height, aside = charts_of(flight.recording, flight.replica)
         phases = [flight.recording.flight.decided_at(float(t)).phase for t in aside[0]]
+        clear_m, under_m = near_ground(flight.recording, flight.replica, height[0])
     down = np.array([phase in ("landing", "done") for phase in phases])
     assert down.any()
     assert np.isnan(aside[1][down]).all()
-    told = np.isfinite(clearance[1])
-    above_m = (height[1] - height[2])[told]
+    told = np.isfinite(clear_m)
     assert told.any()
-    assert (clearance[1][told] <= above_m + 1e-6).all()  # straight down is one way
+    assert np.array_equal(height[2], under_m, equal_nan=True)
+    assert (clear_m[told] <= (height[1] - height[2])[told] + 1e-6).all()  # straight down is one way
     assert np.nanmax(aside[1]) < flight.recording.flight.mission.task.limits.tracking_error_m
 
 

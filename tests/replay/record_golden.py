@@ -16,8 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
 from recordings import recording
 
-from companion.campaign.flight import FlightFiles
-from companion.campaign.in_process import Flying
+from companion.campaign.in_process import FlightFiles, Flying
 from companion.config import load_mission
 from companion.mavlink.link import Output
 from companion.mission.state import Phase
@@ -99,7 +98,7 @@ def _try_out(how: dict[str, Any], scratch: Path, run: Path) -> None:
     """A short flight in this process, with faults so long after it began to fly."""
     world, mission = scratch / "world.toml", scratch / "mission.toml"
     files = FlightFiles(world=world, mission=mission, faults="", folder=run)
-    flying = Flying(files, seed=how["seed"], limit_s=900.0, recorded=True)
+    flying = Flying(files, seed=how["seed"], limit_s=900.0)
     while flying.loop.session.state.phase is not Phase.FLYING:
         flying.fly_on(1e6 * (flying.now_s + 0.1))
     began_s = flying.now_s

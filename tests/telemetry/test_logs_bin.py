@@ -134,7 +134,6 @@ def test_an_unknown_date_unknown_arming_and_what_is_missing_are_told(tmp_path: P
     assert set(counts(log)) == {Odd.NO_DATE}
     assert any("taken for disarmed" in each for each in log.findings)
     missing = {each.message: each for each in log.missing()}
-    assert "LOG_BITMASK" in missing["GLOBAL_POSITION_INT"].remedy
     assert missing["EKF_STATUS_REPORT"].vital
     assert {"HEARTBEAT", "PARAM_VALUE", "STATUSTEXT", "ESTIMATOR_STATUS"}.isdisjoint(missing)
 

@@ -201,8 +201,7 @@ def test_a_small_log_is_told(tmp_path: Path) -> None:
     assert "".join(m.text for m in texts[1:]) == "x" * 120
     assert [m.chunk_seq for m in texts[1:]] == [0, 1, 2]
     assert counts(log) == {Odd.NO_DATE: 1, Odd.LOST_TIME: 250}
-    missing = {each.message: each.remedy for each in log.missing()}
-    assert "estimator_status (SDLOG_PROFILE bit 0)" in missing["ESTIMATOR_STATUS"]
+    assert "ESTIMATOR_STATUS" in {each.message for each in log.missing()}
 
 
 def test_a_mode_that_is_none_costs_the_heartbeat_alone(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import lxml.etree
 import matplotlib._pylab_helpers
 import numpy as np
 import pytest
-from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from companion.geodesy import FloatArray
 from companion.views import figure as views
@@ -217,43 +216,6 @@ def test_coarser_terrain_is_nowhere_lower_and_has_the_same_extent() -> None:
     known = np.isfinite(fine.heights_m)
     assert (above[known] >= 0.0).all()
     assert np.nanmax(coarse.heights_m) == fine.heights_m[known].max()
-
-
-def test_what_the_view_calls_hidden_is_behind_terrain_in_the_picture() -> None:
-    middles = np.arange(CELL_M / 2, 5000.0, CELL_M)
-    north, east = np.meshgrid(middles, middles, indexing="ij")
-    heights = 100.0 + 800.0 * np.exp(-(((north - 2500) / 300) ** 2) - ((east - 2000) / 300) ** 2)
-    flight = a_flight()
-    flight = replace(flight, terrain=replace(flight.terrain, heights_m=heights))
-    oblique = axes_of(flight)["oblique"]
-    picture_of = oblique.get_proj()
-
-    def on_the_picture(north_m: FloatArray, east_m: FloatArray, up_m: FloatArray) -> FloatArray:
-        """Across, up and away from the viewer."""
-        return np.stack(
-            proj_transform(east_m / 1e3, north_m / 1e3, up_m / 1e3, picture_of), axis=-1
-        )
-
-    viewer = math.radians(oblique.azim)
-    aside = np.linspace(-1500.0, 1500.0, 60)  # along a line behind the peak
-    line = np.stack(
-        [
-            2500.0 - 500.0 * math.sin(viewer) + aside * math.cos(viewer),
-            2000.0 - 500.0 * math.cos(viewer) - aside * math.sin(viewer),
-            np.full(60, 350.0),
-        ],
-        axis=-1,
-    )
-    stretch = 0.3 * 5.0 / np.ptp(oblique.get_zlim())
-    hidden = views._is_hidden(line, flight.terrain.coarser(), oblique.azim, stretch)
-    ground = on_the_picture(north.ravel(), east.ravel(), heights.ravel())
-    points = on_the_picture(*line.T)
-    covered = [
-        ((np.hypot(*(ground[:, :2] - point[:2]).T) < 5e-4) & (ground[:, 2] < point[2] - 2e-3)).any()
-        for point in points
-    ]
-    assert 5 < np.count_nonzero(covered) < 55
-    assert np.count_nonzero(hidden != covered) <= 2  # at the edges of the peak
 
 
 @pytest.mark.usefixtures("coarse")

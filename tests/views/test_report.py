@@ -221,13 +221,6 @@ def test_plans_that_time_has_cut_are_told_with_the_remedy(copy: Path) -> None:
     assert "plan 9 refused: OUT_OF_TIME; time was up after 341 candidates" in words
 
 
-def test_the_cheapest_route_in_hindsight_is_no_shorter_than_the_straight_line(
-    facts: FlightFacts,
-) -> None:
-    assert facts.hindsight_m is not None
-    assert facts.straight_m * (1.0 - 1e-6) <= facts.hindsight_m <= 1.5 * facts.straight_m
-
-
 def records_of(run: Path) -> list[tuple[int, bytes]]:
     """Stamp and frame of each record of the log."""
     log, records, at = (run / "flight.tlog").read_bytes(), [], 0
@@ -328,7 +321,7 @@ def test_the_page_is_whole_and_loads_nothing(page: str) -> None:
     assert len(read.ids) == len(set(read.ids))
 
 
-def test_each_figure_is_valid_xml_and_takes_its_ink_from_the_page(page: str) -> None:
+def test_each_figure_is_valid_xml_and_holds_what_it_refers_to(page: str) -> None:
     figures = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
     assert len(figures) == 4
     for figure in figures:
@@ -337,26 +330,6 @@ def test_each_figure_is_valid_xml_and_takes_its_ink_from_the_page(page: str) -> 
         ids = set(root.xpath("//@id"))
         wanted = set(re.findall(r'(?:href="#|url\(#)([^")]*)', figure))
         assert wanted <= ids
-        assert "currentColor" in figure
-        assert "#010203" not in figure
-    profile, charts = figures[2:]
-    assert "var(--path)" in profile
-    assert "#000000" not in profile + charts
-
-
-def test_dark_light_and_print_define_the_same_colours(page: str) -> None:
-    blocks = re.findall(r":root \{(.*?)\}", page, flags=re.DOTALL)
-    names = [set(re.findall(r"(--\w+):", block)) for block in blocks]
-    assert len(names) == 3
-    assert names[0] == names[1] == names[2]
-    assert set(re.findall(r"var\((--\w+)\)", page)) - {"--share"} <= names[0]
-
-
-def test_the_rules_of_print_come_last_so_that_they_hold(page: str) -> None:
-    style = page[page.index("<style>") : page.index("</style>")]
-    printed = style.rindex("@media print")
-    assert "max-height: none" in style[printed:]
-    assert all(style.rindex(rule, 0, printed) for rule in ("body {", "table {", "th, td {"))
 
 
 def test_what_comes_from_the_flight_is_text_and_no_markup(copy: Path) -> None:

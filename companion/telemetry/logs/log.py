@@ -100,7 +100,7 @@ class Log:
     def missing(self) -> tuple[Missing, ...]:
         """What the companion listens to and never came; once `records` has come to the end."""
         names = {KINDS[each].msgname for each in self.heard if each in wire.mavlink_map}
-        return missing_of(self.kind, self.autopilot, names)
+        return missing_of(self.autopilot, names)
 
     def records(self) -> Iterator[Record]:
         """All of it, in order; each call begins again, and so do the findings.

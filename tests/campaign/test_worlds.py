@@ -1,0 +1,194 @@
+"""Laws of drawn worlds: what they follow from, that there is a way, that files tell the same."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from companion.campaign import drawn_world, families, truth
+from companion.campaign.drawn_files import write
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.route_cost import Rates, curve_cost
+from companion.config import bundled, load_mission, load_world
+from companion.world.radars import Radar
+from companion.world.terrain import Peak
+from vehicle_sim.world import read_world
+
+BASE = families.world("dense", 0, 0)
+
+
+@pytest.mark.parametrize("family", families.FAMILIES)
+def test_a_world_follows_from_family_seed_and_index_alone(family: str) -> None:
+    families.world.cache_clear()
+    last, first = families.world(family, 5, 1), families.world(family, 5, 0)
+    families.world.cache_clear()
+    assert families.world(family, 5, 0).fingerprint == first.fingerprint
+    assert families.world(family, 5, 1).fingerprint == last.fingerprint
+    others = {families.world(family, *pair).fingerprint for pair in ((5, 2), (6, 0))}
+    assert len(others | {first.fingerprint, last.fingerprint}) == 4
+
+
+@pytest.mark.parametrize("family", families.FAMILIES)
+def test_every_world_has_a_way_by_an_independent_search(family: str) -> None:
+    world = families.world(family, 5, 0)
+    task = world.task
+    step = task.settings.scan_range_m / 60.0
+    axes = [np.arange(low, high, step) for low, high in (task.limits.north_m, task.limits.east_m)]
+    north, east = np.meshgrid(*axes, indexing="ij")
+    height = world.terrain.height_m(north, east)  # not what the proof of the way uses
+    aside = distance_transform_edt(height < world.floor_amsl_m) * step
+    free = height < world.floor_amsl_m - task.required_clearance_m
+    free &= aside > task.required_clearance_m
+    for radar in task.radars:
+        n, e, z = radar.centre_nea_m
+        free &= np.hypot(np.hypot(north - n, east - e), world.floor_amsl_m - z) > radar.range_m
+    for zone in task.zones:
+        free &= truth.keep_out_distance_m(
+            np.stack([north.ravel(), east.ravel(), 0.0 * north.ravel()], axis=-1), zone
+        ).reshape(free.shape) > task.required_clearance_m  # fmt: skip
+    cell = np.arange(free.size).reshape(free.shape)
+    pairs = [(cell[:-1], cell[1:]), (cell[:, :-1], cell[:, 1:])]
+    edges = np.concatenate([np.stack([a.ravel(), b.ravel()]) for a, b in pairs], axis=1)
+    edges = edges[:, free.ravel()[edges].all(axis=0)]
+    graph = csr_array((np.ones(edges.shape[1]), edges), shape=(free.size, free.size))
+    _, pools = connected_components(graph, directed=False)
+    start, target = (
+        cell[tuple(int(np.argmin(np.abs(a - p))) for a, p in zip(axes, end, strict=True))]
+        for end in (world.start_nea_m[:2], world.targets_ne_m[0])
+    )
+    assert pools[start] == pools[target]
+    assert not drawn_world.is_straight_line_free(world)
+
+
+def ridge(gap_m: float) -> tuple[Peak, ...]:
+    """A wall across the map, open over about gap_m in the middle."""
+    away = 0.5 * gap_m + 4_000.0 * math.sqrt(math.log(6_000.0 / 2_500.0)) + 515.0
+    return tuple(
+        families.mountain(50_000.0, 50_000.0 + side * (away + step), 6_000.0, (4e3, 4e3))
+        for side in (-1, 1)
+        for step in np.arange(0.0, 60_000.0, 2_000.0)
+    )
+
+
+@pytest.mark.parametrize(("gap_m", "open_"), [(-3_000.0, False), (800.0, False), (4_000.0, True)])
+def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
+    gap_m: float, open_: bool
+) -> None:
+    terrain = replace(BASE.terrain, peaks=ridge(gap_m))
+    world = replace(BASE, terrain=terrain, task=replace(BASE.task, radars=()))
+    assert families.has_way(world) is open_
+    watched = Radar(name="r", centre_nea_m=(50_000.0, 50_000.0, 0.0), range_m=9_000.0)
+    closed = replace(world, task=replace(world.task, radars=(watched,)))
+    assert not families.has_way(closed)
+
+
+def test_the_lowest_safe_altitude_over_a_summit_is_the_clearance_above_it() -> None:
+    summit = families.mountain(50_000.0, 50_000.0, 4_000.0, (5e3, 5e3))
+    world = replace(BASE, terrain=replace(BASE.terrain, peaks=(summit,)))
+    need = drawn_world.lowest_safe_m(world, 250.0, 500.0)
+    assert need[220, 220] == 4_500.0  # -5 km + 220 cells: the summit, the centre of curvature below
+    assert need[0, 0] == pytest.approx(500.0, abs=0.1)
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_worlds_have_the_promised_obstacles_ranges_and_free_ends(number: int) -> None:
+    world = families.world("dense", 0, number)
+    assert 12 <= len(world.terrain.peaks) <= 28
+    assert 10 <= len(world.task.radars) <= 14
+    for end in (world.start_nea_m, (*world.targets_ne_m[0], world.floor_amsl_m)):
+        height = world.terrain.height_m(np.array([end[0]]), np.array([end[1]]))[0]
+        assert height < world.floor_amsl_m - 2.0 * world.task.required_clearance_m
+        assert all(math.dist(end, r.centre_nea_m) > r.range_m for r in world.task.radars)
+    task = families.world("copter", 5, number).task
+    assert 300.0 <= task.settings.scan_range_m <= 1_500.0
+    assert 8.0 <= task.limits.speed_m_s <= 12.0
+    assert task.required_clearance_m < 15.0
+    assert task.cell_m <= 19.0
+    plane = families.world("plane", 5, number).task
+    assert 3_000.0 <= plane.settings.scan_range_m <= 5_000.0
+    assert 110.0 <= plane.limits.turn_radius_m <= 150.0
+    assert not plane.limits.hovers
+
+
+# --- worlds that grow
+
+
+def places(world: DrawnWorld) -> list[tuple[float, float]]:
+    found = [(p.north_m, p.east_m) for p in world.terrain.peaks]
+    return found + [r.centre_nea_m[:2] for r in world.task.radars]
+
+
+@pytest.mark.parametrize("count", [10, 1_000, 10_000])
+def test_growing_worlds_keep_their_density_and_the_length_of_the_way(count: int) -> None:
+    world = families.world("spread", 0, count)
+    obstacles = np.array(places(world))
+    assert len(obstacles) == count
+    assert np.abs(obstacles).max() <= 500.0 * math.sqrt(count / 0.004) + 5.0
+    inner = np.sum(np.abs(obstacles).max(axis=1) <= 500.0 * math.sqrt(0.1 * count / 0.004) + 5.0)
+    assert inner == pytest.approx(0.1 * count, abs=1 + 0.002 * count)
+    way_m = math.dist(world.start_nea_m[:2], world.targets_ne_m[0])
+    assert way_m == pytest.approx(40_000.0 * math.sqrt(2.0))
+    (low, high), most = world.task.limits.north_m, 5_000  # cells that a mission may have, a side
+    assert (high - low) / world.task.cell_m <= most
+
+
+def test_a_growing_world_holds_the_smaller_one_unchanged() -> None:
+    small, large = families.world("spread", 0, 10), families.world("spread", 0, 1_000)
+    near = [place for place in places(large) if max(map(abs, place)) < 24_990.0]
+    assert sorted(near) == sorted(places(small))
+    assert set(places(families.world("spread", 1, 10))).isdisjoint(places(small))
+
+
+def test_a_world_at_another_size_costs_the_same() -> None:
+    world = families.world("plane", 0, 0)
+    larger = drawn_world.scaled(world, 7.0)
+    line = np.linspace(world.start_nea_m, (*world.targets_ne_m[0], world.ceiling_amsl_m), 4)
+    small, large = (truth.sampled(control, 0.5 * k) for control, k in ((line, 1), (7 * line, 7)))
+    assert curve_cost(large, larger) == pytest.approx(curve_cost(small, world), rel=1e-9)
+    assert Rates.of(world).unit == pytest.approx(7.0 * Rates.of(larger).unit)
+    at = np.array([[1_000.0, 2_000.0]])
+    assert truth.height_m(larger.terrain, 7 * at[:, 0], 7 * at[:, 1]) == pytest.approx(
+        7.0 * truth.height_m(world.terrain, at[:, 0], at[:, 1])
+    )
+
+
+# --- files
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_every_bundled_world_is_judged_by_its_own_heights(name: str) -> None:
+    drawn, terrain = drawn_world.bundled(name), load_world(name).terrain
+    (south, north), (west, east) = drawn.task.limits.north_m, drawn.task.limits.east_m
+    share = np.array([0.2, 0.5, 0.7])
+    north_m, east_m = south + share * (north - south), west + share * (east - west)
+    found, expected = (
+        truth.height_m(drawn.terrain, north_m, east_m),
+        terrain.height_m(north_m, east_m),
+    )
+    np.testing.assert_allclose(found, expected, atol=3.0)
+
+
+@pytest.mark.parametrize("family", families.FAMILIES)
+def test_what_is_read_back_is_what_was_drawn(family: str, tmp_path: Path) -> None:
+    drawn = families.world(family, 5, 0)
+    world_path, mission_path = write(drawn, tmp_path)
+    mission, world = load_mission(str(mission_path)), load_world(str(world_path))
+    task, limits = mission.task, drawn.task.limits
+    assert task.radars == drawn.task.radars
+    assert task.zones == drawn.task.zones
+    assert replace(task.settings, position_period_s=0.1) == drawn.task.settings
+    assert task.settings.position_period_s in (0.05, 0.1)
+    assert mission.targets_ne_m == drawn.targets_ne_m
+    assert world.start_ne_m == drawn.start_nea_m[:2]
+    for name in limits.__slots__:
+        assert getattr(task.limits, name) == pytest.approx(getattr(limits, name), rel=1e-12), name
+    rng = np.random.default_rng(1)
+    north, east = rng.uniform(*limits.north_m, 3_000), rng.uniform(*limits.east_m, 3_000)
+    theirs = read_world(world_path).truth().height_amsl_m(north, east)
+    for heights in (world.terrain.height_m(north, east), theirs):
+        np.testing.assert_allclose(heights, truth.height_m(drawn.terrain, north, east), atol=1e-3)
