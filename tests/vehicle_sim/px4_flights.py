@@ -129,22 +129,6 @@ def origins() -> tuple[int, int]:
     return unasked, len(vehicle.of("GPS_GLOBAL_ORIGIN"))
 
 
-@functools.cache
-def companion_lost() -> Seen:
-    """A companion's heartbeats have ended, a ground station's go on; it still streams."""
-    flight = hover()
-    flight.heartbeats = (COMPANION, GROUND_STATION)
-    flight.run(4.0)
-    since_s = flight.now_s
-    flight.heartbeats = (GROUND_STATION,)
-    flight.run(8.0)
-    return {
-        "texts": " ".join(text.strip() for text in flight.texts(since_s)),
-        "mode": flight.mode,
-        "status": flight.status,
-    }
-
-
 def texts(*heartbeats: int) -> bool:
     """Whether arming brings STATUSTEXTs to one with these heartbeats."""
     vehicle = ground()

@@ -102,8 +102,6 @@ LINKS = [
     case("1.9", "HEARTBEAT stays at 1 Hz", about(1.0, 0.1), links.rate_after, "HEARTBEAT", 0, 2e4),
     case("1.9", "436 at 20 Hz: 2 Hz", about(2.0, 0.1), links.rate_after, "CURRENT_MODE", 436, 5e4),
     case("1.9", "436 at 20 Hz: at once on a change", between(0.0, 0.1), links.mode_is_told_after),
-    *looks("2", links.companion_lost, texts="Connection to mission computer lost", mode=OFFBOARD),
-    *looks("2", links.companion_lost, status=4),
     case("1.3", "no STATUSTEXT to a companion", False, links.texts),
     case("1.3", "nor for its own heartbeat", False, links.texts, 18),
     case("1.3", "STATUSTEXT to a ground station", True, links.texts, 6),

@@ -12,9 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from vehicle_sim.autopilot import arducopter, arduplane, ideal, px4copter, px4plane
-from vehicle_sim.autopilot.ardupilot import ArduPilot
-from vehicle_sim.autopilot.core import Autopilot, Firmware
-from vehicle_sim.autopilot.px4 import Px4
+from vehicle_sim.autopilot.core import Autopilot, Boot, Firmware
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
@@ -44,9 +42,8 @@ _STEEPEST_CDEG: Final = 8000.0
 class Personality:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    family: Callable[..., Autopilot]
+    make: Callable[[Boot], Autopilot]
     firmware: Firmware
-    flight: Callable[[Any], Any]
     receiver: Receiver
     battery: Model
     limits: Limits | PlaneLimits
@@ -61,7 +58,7 @@ class Personality:
         rng: np.random.Generator,
     ) -> Autopilot:
         """One that boots now.  InputError names a parameter that it does not have."""
-        return self.family(self.firmware, self.flight, vehicle, parameters, plans, rng)
+        return self.make(Boot(self.firmware, vehicle, parameters, plans, rng))
 
     @property
     def id_parameters(self) -> tuple[str, str | None]:
@@ -76,9 +73,8 @@ class Personality:
 
 
 _ARDUCOPTER: Final = Personality(
-    ArduPilot,
+    arducopter.ArduCopter,
     arducopter.FIRMWARE,
-    arducopter.CopterFlight,
     gps.ARDUCOPTER,
     "ardupilot copter",
     _COPTER,
@@ -86,20 +82,19 @@ _ARDUCOPTER: Final = Personality(
 )
 PERSONALITIES: Final = {
     ("ardupilot", "copter"): _ARDUCOPTER,
-    ("ideal", "copter"): replace(_ARDUCOPTER, flight=ideal.IdealFlight, drag=(0.0, 0.0)),
+    ("ideal", "copter"): replace(_ARDUCOPTER, make=ideal.Ideal, drag=(0.0, 0.0)),
     ("ardupilot", "plane"): Personality(
-        ArduPilot,
+        arduplane.ArduPlane,
         arduplane.FIRMWARE,
-        arduplane.ArduPlaneFlight,
         gps.ARDUPLANE,
         "ardupilot plane",
         PlaneLimits(),
     ),
     ("px4", "copter"): Personality(
-        Px4, px4copter.FIRMWARE, px4copter.Px4CopterFlight, gps.PX4, "px4", _COPTER
+        px4copter.Px4Copter, px4copter.FIRMWARE, gps.PX4, "px4", _COPTER
     ),
     ("px4", "plane"): Personality(
-        Px4, px4plane.FIRMWARE, px4plane.Px4PlaneFlight, gps.PX4, "px4", px4plane.SIH_AIRPLANE
+        px4plane.Px4Plane, px4plane.FIRMWARE, gps.PX4, "px4", px4plane.SIH_AIRPLANE
     ),
 }
 """By vehicle.autopilot and vehicle.kind of the world file."""
@@ -197,7 +192,7 @@ def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
     """
     personality = personality_of(vehicle)
     overrides: dict[str, float] = {personality.id_parameters[0]: vehicle.system_id}
-    if vehicle.kind == "copter" and personality.family is ArduPilot:
+    if vehicle.kind == "copter" and personality.firmware.profile.firmware == "ardupilot":
         given = ((name, getattr(vehicle, key), scale) for key, name, scale in _FOLLOWING)
         overrides |= {name: limit * scale for name, limit, scale in given if limit is not None}
         if vehicle.acceleration_max_m_s2 is not None:
