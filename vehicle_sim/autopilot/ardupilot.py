@@ -93,6 +93,7 @@ EKF3: Final = Timing(
     lag_s=0.1,
     follows=0.02,
     drift_m_s2=0.01,
+    velocity_ratio=0.012,
 )
 _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""

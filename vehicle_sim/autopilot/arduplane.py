@@ -87,8 +87,6 @@ FIRMWARE: Final = Firmware(
     cannot_arm="Arm: {}",
     crashes="Crash detected",
 )
-_ORIGIN_SAID_S: Final = 2.261
-"""From setting the origin to saying it and home."""
 _HOME_SET_S: Final = 0.85
 """From the first fix to home."""
 
@@ -143,18 +141,13 @@ class ArduPlane(ArduPilot):
         self._control = PlaneControl(self._plane, self.estimate)
         self._control.slowing_m_s2 = _SLOWING_M_S2
         self._first_fix_s: float | None = None
-        self._origin_due_s = math.inf
         self._start = self._place = self.estimate.place
         """Where it goes, and where from."""
         self._straight = False
         """Along the way between the two, and not to circle at once."""
-        self._passed: Place | None = None
-        """The last waypoint of the mission, from which the next leg leads on."""
         self._radius_m, self._left = 0.0, False
         """Asked for, 0: WP_LOITER_RAD; counter-clockwise."""
         self._arrived = False
-        self._slope_m = 0.0
-        """Next height less the one that the way began at, where that is followed as a slope."""
         self._course: tuple[float, float] | None = None
         """GUIDED_CHANGE_HEADING, instead of the point: course and most bank, in radians."""
         self._cruise_m_s: float | None = None
@@ -166,8 +159,8 @@ class ArduPlane(ArduPilot):
         """On the runway."""
         self._roll_s = 0.0
         """Since when it is to take off."""
-        self._climbing = self._settling = False
-        """After lifting off, at full throttle; then with the speed that is left of that."""
+        self._climbing = False
+        """After lifting off, at full throttle."""
         self.handlers |= {
             22: lambda _: Result.FAILED,  # there is the mode TAKEOFF for that
             178: self._do_change_speed,
@@ -198,12 +191,10 @@ class ArduPlane(ArduPilot):
         self, place: Place, *, straight: bool = False, radius_m: float = 0.0, left: bool = False
     ) -> None:
         """To this point, at its height: along the way if that goes down (or is straight) enough."""
-        self._place, self._start = place, self._passed or self.estimate.place
-        self._passed = None
+        # a leg leads on from the last waypoint
+        self._start = self._place if straight and self._straight else self.estimate.place
+        self._place = place
         self._straight, self._radius_m, self._left, self._arrived = straight, radius_m, left, False
-        change_m = place.altitude_amsl_m - self._start.altitude_amsl_m
-        steep = abs(change_m) >= self.parameters["GLIDE_SLOPE_MIN"]
-        self._slope_m = change_m if steep and (straight or change_m < 0.0) else 0.0
 
     def _aim_ahead(self, away_m: float, up_m: float) -> None:
         """To the point so far ahead and so much higher."""
@@ -242,7 +233,6 @@ class ArduPlane(ArduPilot):
         leg = self.route.leg
         if leg is not None and self._is_done(leg):
             self.reached(self.route.current)
-            self._passed = self._place if leg.does is Does.GO else None
             self.seek(self.route.current + 1)
         if self.route.leg is None and not self._plane.stands:
             self.set_mode("RTL")
@@ -363,7 +353,7 @@ class ArduPlane(ArduPilot):
             if height_m is not None:
                 self.say(2, _NO_HEIGHT.format("a setpoint"))
             return self.taken()
-        self._place, self._slope_m = self._place.at(height_m), 0.0
+        self._place = self._place.at(height_m)
         return ()
 
     def on_disarmed(self) -> None:
@@ -394,16 +384,13 @@ class ArduPlane(ArduPilot):
             self.send(HOME_POSITION)
 
     def on_origin(self, origin: Place) -> None:
-        """It is told two seconds later."""
+        """It is told, and home again."""
         del origin
-        self._origin_due_s = self.now_s + _ORIGIN_SAID_S
+        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
 
     def check(self) -> None:
         """How fast and how high, where to, and how to bank for it."""
         super().check()
-        if self.now_s >= self._origin_due_s:
-            self._origin_due_s = math.inf
-            self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
         self._choose_speed()
         if not self.estimator.ok or self.mode.flies in ("glides", "cruises"):
             self._control.bank_rad = 0.0
@@ -444,8 +431,6 @@ class ArduPlane(ArduPilot):
             if self.mode.name == "GUIDED" and not self.landed:
                 self.reached(0)
         control.height_amsl_m = self._place.altitude_amsl_m
-        if not self._arrived and along < 1.0:
-            control.height_amsl_m -= self._slope_m * (1.0 - max(along, 0.0))
         if self._course is not None:
             course_rad, most_rad = self._course
             error_rad = math.remainder(course_rad - cmath.phase(control.velocity), math.tau)
@@ -485,7 +470,7 @@ class ArduPlane(ArduPilot):
             self.took_off()
 
     def _end_climb(self) -> None:
-        self._climbing, self._settling = False, True
+        self._climbing = False
         self._choose_speed()
 
     # --- in each step -------------------------------------------------------------------------
@@ -501,11 +486,7 @@ class ArduPlane(ArduPilot):
 
     def move(self, dt_s: float) -> None:
         """In the air."""
-        plane, control, least_m_s = self._plane, self._control, -math.inf
-        if self._settling:
-            excess_m_s = plane.airspeed_m_s - control.airspeed_m_s - 1.0
-            self._settling, least_m_s = excess_m_s > 0.0, _EXCESS_CLIMB * excess_m_s
-        control.advance(dt_s, at_least_m_s=least_m_s)
+        self._control.advance(dt_s)
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway."""

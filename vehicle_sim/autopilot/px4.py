@@ -137,13 +137,12 @@ _TIMING: Final = Timing(
     trusted_s=1.0,  # Land: at 113.21 s
     precise_s=1.2,  # all else: at 113.4 s
     follows=0.06,  # at 8 Hz: smooths over about two seconds
-    first_share=0.06,
     drift_m_s=0.2,
     drift_m_s2=0.05,  # 31 m after 31 s
     sink_m_s=-0.05,  # 1.2 m below the truth after 26 s
     jump_s=0.25,  # 31 m in a second
     noise_m_s=0.1,  # hover of px4-offboard-8mps.tlog, whose position wanders by 0.13 m
-    stays=False,
+    velocity_ratio=0.05,
     freezes=False,
 )
 

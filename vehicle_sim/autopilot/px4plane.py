@@ -53,6 +53,8 @@ _LANDS_FASTER_M_S: Final = 0.5
 """Flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3."""
 _SLOPE_FLOWN: Final = 0.98
 """Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
+_SINKS_FASTER_1_S: Final = 0.15
+"""Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
 _ROLL_OUT_S: Final = 0.8
 """Time constant of the speed on the wheels without throttle, so that it stands when and where the
 recorded one does, whose flare brakes it from 10.8 to 6.8 m/s before contact (then 1.33 s)."""
@@ -168,7 +170,6 @@ class Px4Plane(Px4):
         self._sink_m_s = (
             slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
         )
-        self._control.climb_m_s = -self._sink_m_s
 
     def _asked_or(self, here: Place) -> Place:
         """What of a place was asked for, and here what was not."""
@@ -243,6 +244,9 @@ class Px4Plane(Px4):
                 control.climb_m_s = -_DESCEND_M_S if late else 0.0
             case _:
                 pass
+        if self._sink_m_s is not None:
+            excess_m_s = max(plane.airspeed_m_s - control.airspeed_m_s, 0.0)
+            control.climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * excess_m_s
         if self._goal is not None:
             energy = plane.airspeed_m_s**2 - control.airspeed_m_s**2
             more_m = bounded(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M, _TRADED_M)
