@@ -278,6 +278,22 @@ def test_rtl_climbs_to_15_m_comes_home_waits_and_lands() -> None:
     assert abs(it.local_m()[0]) < 0.5
 
 
+@pytest.mark.parametrize(("behaviour", "looks_home"), [(1.0, True), (2.0, False), (0.0, False)])
+def test_on_its_way_home_the_nose_looks_where_the_parameter_says(
+    behaviour: float, looks_home: bool
+) -> None:
+    it = hovering()
+    it.autopilot.parameters["WP_YAW_BEHAVIOR"] = behaviour
+    it.give((0.0, 60.0, -30.0), mask=POSITION)
+    it.run(15.0)
+    before_rad = it.copter.heading_rad
+    assert before_rad == pytest.approx(math.pi / 2 if behaviour else 0.0, abs=0.05)
+    it.command(176, 1, RTL)
+    it.run(10.0)
+    turned_rad = abs(math.remainder(it.copter.heading_rad - before_rad, math.tau))
+    assert turned_rad == pytest.approx(math.pi if looks_home else 0.0, abs=0.1)
+
+
 def test_brake_stops_and_ignores_setpoints() -> None:
     it = tracking_copter.airborne(height_m=60.0)
     it.copter.velocity_north_m_s = 15.0
@@ -419,6 +435,19 @@ def test_a_change_of_speed_limits_a_place_alone_and_is_forgotten_with_the_submod
         it.give((north_m + 0.6 * k, 0.0, -30.0), (6.0, 0.0, 0.0), mask=POSITION_VELOCITY)
         it.run(0.1)
     assert it.speed_m_s == pytest.approx(6.0, abs=0.2)
+
+
+def test_up_down_and_along_have_speeds_of_their_own_and_the_slower_sets_the_pace() -> None:
+    it = hovering(45.0)
+    it.give((40.0, 0.0, -50.0), mask=POSITION)
+    it.run_until(lambda: it.height_m > 40.0)  # half of the way up at 2.5 m/s
+    assert it.local_m()[0] == pytest.approx(20.0, abs=4.0)
+    for kind, speed_m_s, down_m in ((2, 1.0, -70.0), (3, 0.5, -10.0)):
+        it.give((40.0, 0.0, down_m), (0.1, 0.0, 0.0), mask=POSITION_VELOCITY)
+        it.give((40.0, 0.0, down_m), mask=POSITION)
+        assert it.command(178, kind, speed_m_s) == ACCEPTED
+        it.run(6.0)
+        assert abs(it.copter.velocity_up_m_s) == pytest.approx(speed_m_s, abs=0.05)
 
 
 def test_a_setpoint_of_nothing_stops_it_from_5_m_s_as_measured() -> None:

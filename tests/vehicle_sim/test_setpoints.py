@@ -184,7 +184,7 @@ def test_what_is_not_finite_is_not_given_and_half_of_a_place_cannot_be_flown() -
     target = read_by_px4(given(0xDC0, velocity=odd), EAST_RAD)
     assert target is not None
     assert vectors(target) == P
-    for mask in (0xDFE, 0xDFC):
+    for mask in (0xDFE, 0xDFC, 0xDEA):  # of the last north is a place and east a velocity
         target = read_by_px4(given(mask), EAST_RAD)
         assert target is not None
         assert not is_flyable(target)

@@ -345,13 +345,13 @@ class Autopilot(abc.ABC):
                 self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
 
     @property
-    def rates_rad_s(self) -> tuple[float, float, float]:
+    def rates_rad_s(self) -> tuple[float, ...]:
         """Of roll, pitch and heading, as gyroscopes feel them: a point mass has none."""
-        roll, pitch, yaw = (
-            min(max(math.remainder(now - was, math.tau) / self._step_s, -_MAX_RAD_S), _MAX_RAD_S)
+        turned = (
+            math.remainder(now - was, math.tau)
             for was, now in zip(*self._attitudes_rad, strict=True)
         )
-        return roll, pitch, yaw
+        return tuple(min(max(t / self._step_s, -_MAX_RAD_S), _MAX_RAD_S) for t in turned)
 
     def local_ned_m(self) -> Vector | None:
         """Position in the estimator's frame."""

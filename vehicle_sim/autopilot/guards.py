@@ -83,15 +83,17 @@ class Fence:
         """Which kinds of fence this place would breach: bits of FENCE_TYPE."""
         if not self.enabled or home is None:
             return 0
-        p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
-        union = bool(int(p["FENCE_OPTIONS"]) & 2)
-        beyond = {
-            ALTITUDE_MAX: above_m >= p["FENCE_ALT_MAX"],
-            CIRCLE: abs(way_m(home, place)) >= p["FENCE_RADIUS"],
-            POLYGON: self._zones.forbid(frame, place, union=union),
-            ALTITUDE_MIN: self.has_floor and above_m <= p["FENCE_ALT_MIN"],
-        }
-        return int(p["FENCE_TYPE"]) & sum(kind for kind, is_beyond in beyond.items() if is_beyond)
+        p, above_m, found = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m, 0
+        kinds, union = int(p["FENCE_TYPE"]), bool(int(p["FENCE_OPTIONS"]) & 2)
+        if kinds & ALTITUDE_MAX and above_m >= p["FENCE_ALT_MAX"]:
+            found |= ALTITUDE_MAX
+        if kinds & ALTITUDE_MIN and self.has_floor and above_m <= p["FENCE_ALT_MIN"]:
+            found |= ALTITUDE_MIN
+        if kinds & CIRCLE and abs(way_m(home, place)) >= p["FENCE_RADIUS"]:
+            found |= CIRCLE
+        if kinds & POLYGON and self._zones.forbid(frame, place, union=union):
+            found |= POLYGON
+        return found
 
     def check(self, place: Place, home: Place, frame: Frame, now_s: float, *, lands: bool) -> int:
         """Look where the vehicle is; returns the kinds that are breached since just now."""

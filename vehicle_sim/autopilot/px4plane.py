@@ -72,9 +72,6 @@ _TRADED_M: Final = 15.0
 """Of height for airspeed that it lacks, at most: told 15 m/s, which the simulated one does not
 reach, it stands 2 m low (TECS)."""
 _ON_CIRCLE_M: Final = 15.0
-_LEVEL_THROTTLE_S_M, _CLIMB_THROTTLE_S_M = 0.0875, 0.1
-"""Throttle for each m/s of airspeed and of climb: 86 % at 12.3 m/s, 100 % at 13.9, 64 % at 10.7
-and 0.85 m/s of sink (px4-fixedwing-offboard.tlog)."""
 _ECHO_MASK: Final = 3576
 
 
@@ -332,11 +329,7 @@ class Px4Plane(Px4):
 
     def move(self, dt_s: float) -> None:
         """With what it was steered to."""
-        plane = self._plane
         self._control.advance(dt_s)
-        effort = (plane.airspeed_m_s - plane.limits.airspeed_max_m_s) * _LEVEL_THROTTLE_S_M
-        effort += 1.0 + plane.velocity_up_m_s * _CLIMB_THROTTLE_S_M
-        plane.throttle = bounded(effort, 0.0, 1.0)
 
     # --- on the wheels ------------------------------------------------------------------------
 
