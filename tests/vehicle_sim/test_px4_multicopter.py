@@ -16,6 +16,7 @@ from harness import NAN, ZERO, Vector
 from tracking_px4 import TABLE, Rig, Row
 
 from vehicle_sim.autopilot.values import Ack, Landed, Reboot, Result, Sender
+from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
 
 ACCEPTED, REJECTED, DENIED = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
@@ -427,7 +428,7 @@ def test_it_stops_from_12_m_s(
     ("action", "mode", "sinks_m_s", "metres"),
     [
         (0, "Position", (0.6, 0.8), (5.0, 20.0)),
-        (1, "Altitude", (0.45, 0.77), None),
+        (1, "Altitude", (0.5, 0.8), None),  # 0.5 to 0.7, of which the EKF wanders by 0.1
         (3, "Return", None, None),
         (4, "Land", (1.26, 1.54), None),
         (5, "Hold", None, (5.8, 8.6)),  # about 4 m there, 7.2 in px4-offboard-short.tlog
@@ -537,6 +538,34 @@ def test_a_ground_station_is_missed_only_after_it_was_heard() -> None:
     assert rig.px4.mode_name == "Land"
 
 
+def test_hold_without_a_position_is_a_descent() -> None:
+    rig = hover()
+    to_mode(rig, HOLD)
+    rig.gps_conditions = GpsConditions(enabled=False)
+    assert rig.run_until(lambda: rig.px4.mode_name == "Descend", 10.0) == about(5.2, 0.4)
+
+
+@pytest.mark.parametrize("limit", ["GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"])
+def test_beyond_the_cylinder_about_home_it_does_what_gf_action_says(limit: str) -> None:
+    rig = hover(GF_ACTION=3.0, **{limit: 20.0})
+    rig.stream(3.0, position=UP)
+    assert rig.px4.mode_name == "Offboard"
+    rig.stream(8.0, velocity=(3.0, 0.0, 0.0) if "HOR" in limit else (0.0, 0.0, -1.5))
+    assert rig.px4.mode_name == "Return"
+    assert rig.px4.status().fence_breaches == 1
+
+
+def test_a_return_from_nearby_climbs_no_higher_than_the_cone_of_45_degrees() -> None:
+    for north_m, highest_m in ((20.0, 20.0), (60.0, 30.0)):
+        rig, highest = hover(), 0.0
+        rig.stream(20.0, position=(north_m, 0.0, -15.0))
+        to_mode(rig, RETURN)
+        for _ in range(1500):
+            rig.step()
+            highest = max(highest, rig.height_m)
+        assert highest == about(highest_m, 1.0)
+
+
 # --- 3, 7: places, mission and fence --------------------------------------------------------------
 
 
@@ -565,6 +594,11 @@ def test_a_reposition_switches_to_hold_and_one_into_the_fence_is_refused() -> No
     rig.stream(20.0, velocity=ZERO)
     assert rig.px4.mode_name == "Hold"
     assert rig.px4.local_m == about((-30.0, 0.0, -20.0), 1.0)
+    assert abs(rig.copter.heading_rad) == about(math.pi, 0.1)  # where it flew to
+    rig.command(178, 1.0, 2.0, -1.0)  # in AUTO modes it counts
+    reposition(rig, -60.0, 20.0)
+    rig.run(6.0)
+    assert rig.speed_m_s == about(2.0, 0.3)
 
 
 def test_it_flies_a_mission() -> None:

@@ -114,8 +114,6 @@ _TURN_EFFICIENCY: Final = 0.745
 0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
 _SLOWING_M_S2: Final = 2.2
 """How fast it loses speed with the throttle slewing down."""
-_EXCESS_CLIMB: Final = 0.9
-"""After a take-off the excess of speed is turned into height: climb for each m/s of it."""
 _GLIDE_M_S: Final = 2.5
 _LANDING_SINK_M_S: Final = 1.5
 """Wings level from the place of a landing on: no approach and no flare."""

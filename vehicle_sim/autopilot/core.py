@@ -298,10 +298,6 @@ class Autopilot(abc.ABC):
         self._attitudes_rad, self._step_s = (self._attitudes_rad[1], attitude_rad), dt_s
         return self.taken() if self._said else ()
 
-    def check_now(self) -> None:
-        """Do not wait for the next check, but have it with the next step."""
-        self._check_us = round(self.now_s * 1e6)
-
     def _advance(self, dt_s: float) -> None:
         """Steer and move the vehicle, or let it stand; the simulation judges its contacts."""
         vehicle = self.vehicle

@@ -4,6 +4,7 @@ Source: px4.md 1 to 3 and 6 to 8, and the recorded flights (1.17).  Results of c
 not measured are those of the source: a mode that cannot run is TEMPORARILY_REJECTED.
 """
 
+import abc
 import enum
 import math
 from collections.abc import Sequence
@@ -277,11 +278,6 @@ class Px4(Autopilot):
         """Home, or what comes nearest to it."""
         return self.home or self.reference
 
-    def took_off(self) -> None:
-        """The land detector sees it in the air."""
-        if self.landed:
-            self.take_to_the_air()
-
     def check(self) -> None:
         """Ten times a second: arming checks, incidents."""
         now_s, p = self.now_s, self.parameters
@@ -532,9 +528,9 @@ class Px4(Autopilot):
 
     # --- missions -----------------------------------------------------------------------------
 
+    @abc.abstractmethod
     def fly_leg(self) -> None:
         """Another leg of the mission that is no return, or none any more."""
-        raise NotImplementedError
 
     def begin_leg(self, speed_m_s: float | None) -> None:
         """Another leg of the mission, or none any more; the speed that was asked for before it."""
@@ -579,9 +575,7 @@ class Px4(Autopilot):
         target = read_by_px4(setpoint, self.vehicle.heading_rad)
         if target is not None:
             self._signal_s = self.now_s
-            if not self.offboard_signal:  # the arming checks run at once for it
-                self.offboard_signal = True
-                self.check_now()
+            self.offboard_signal = True  # the arming checks run at once for it
             if self.mode.name == "Offboard":
                 self.target = self._in_local_frame(target)
         return ()

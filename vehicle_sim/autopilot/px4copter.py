@@ -212,7 +212,7 @@ class Px4Copter(Px4):
             return most
         since_s = self.now_s - self._ramp_s
         if since_s >= _DETECTED_S:
-            self.took_off()
+            self.take_to_the_air()
         ramp_s = max(self.parameters["MPC_TKO_RAMP_T"], 0.1)
         if since_s >= ramp_s:
             self._ramp_s = None

@@ -358,7 +358,7 @@ class Px4Plane(Px4):
             plane.roll_on_ground(push_m_s2, dt_s)
             plane.throttle = push_m_s2 / _FULL_M_S2
             if plane.airspeed_m_s >= _TAKEOFF_SEEN_M_S:
-                self.took_off()
+                self.take_to_the_air()
             return
         plane.throttle = 0.0
         if speed_m_s > 0.0:
