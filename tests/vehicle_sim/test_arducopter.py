@@ -442,6 +442,9 @@ def test_up_down_and_along_have_speeds_of_their_own_and_the_slower_sets_the_pace
     it.give((40.0, 0.0, -50.0), mask=POSITION)
     it.run_until(lambda: it.height_m > 40.0)  # half of the way up at 2.5 m/s
     assert it.local_m()[0] == pytest.approx(20.0, abs=4.0)
+    it.give((140.0, 0.0, -56.0), mask=POSITION)
+    it.run_until(lambda: it.local_m()[0] > 90.0)  # at 10 m/s 70 m of 120, and of 16 m up
+    assert it.height_m == pytest.approx(40.0 + 16.0 * 70.0 / 120.0, abs=1.5)
     for kind, speed_m_s, down_m in ((2, 1.0, -70.0), (3, 0.5, -10.0)):
         it.give((40.0, 0.0, down_m), (0.1, 0.0, 0.0), mask=POSITION_VELOCITY)
         it.give((40.0, 0.0, down_m), mask=POSITION)

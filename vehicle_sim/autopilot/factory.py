@@ -109,7 +109,7 @@ def personality_of(vehicle: VehicleTable) -> Personality:
 def ids_of(personality: Personality, parameters: Readable) -> tuple[int, int]:
     """System and component that an autopilot boots as; what is out of range counts as 1."""
     ids = [int(parameters[name]) for name in personality.id_parameters]
-    system, component = ([*(i if 1 <= i <= personality.highest_id else 1 for i in ids), 1])[:2]
+    system, component, *_ = (i if 1 <= i <= personality.highest_id else 1 for i in (*ids, 1))
     return system, component
 
 
