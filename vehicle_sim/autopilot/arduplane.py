@@ -87,8 +87,6 @@ FIRMWARE: Final = Firmware(
     cannot_arm="Arm: {}",
     crashes="Crash detected",
 )
-_HOME_SET_S: Final = 0.85
-"""From the first fix to home."""
 
 # Its take-off from a runway: arduplane-guided-reposition.tlog, 26 to 35 s.
 _FULL_THRUST_M_S2, _DRAG_1_S = 14.5, 0.55
@@ -138,7 +136,6 @@ class ArduPlane(ArduPilot):
         self._plane.turn_efficiency = _TURN_EFFICIENCY
         self._control = PlaneControl(self._plane, self.estimate)
         self._control.slowing_m_s2 = _SLOWING_M_S2
-        self._first_fix_s: float | None = None
         self._start = self._place = self.estimate.place
         """Where it goes, and where from."""
         self._straight = False
@@ -367,17 +364,13 @@ class ArduPlane(ArduPilot):
     # --- ten times a second -------------------------------------------------------------------
 
     def look(self, fix: Fix) -> None:
-        """Home is where the first fix was, a moment later: plane does not wait for the EKF."""
+        """Home is where the first fix was: plane does not wait for the EKF."""
         if self.home is not None:
             return
         if self.mode.name == "INITIALISING" and self.now_s >= FIRMWARE.ready_s:
             self.mode = self.modes["MANUAL"]
             self.send(HEARTBEAT)
-        if not fix.usable:
-            return
-        if self._first_fix_s is None:
-            self._first_fix_s = self.now_s
-        elif self.now_s - self._first_fix_s >= _HOME_SET_S:
+        if fix.usable:
             self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
 
