@@ -1,9 +1,8 @@
 """The one harness: a vehicle that is told what to do, by values, by messages or by frames.
 
 `Rig` is an autopilot alone over level ground, told by values: what tracking is measured with.
-`Link` is a whole vehicle of which nothing is seen but its frames; `Wire` and `Companion` know the
-words of ArduPilot and of PX4, `Flown` is flown into things.  Vehicles that have booted or fly
-already are made once and handed out as copies.
+`Link` is a whole vehicle of which nothing is seen but its frames, `Flown` is flown into things.
+Vehicles that have booted or fly already are made once and handed out as copies.
 """
 
 import copy
@@ -11,10 +10,9 @@ import copyreg
 import functools
 import json
 import math
-import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self, final
+from typing import Any, Final, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -36,10 +34,12 @@ METRES_PER_DEG_NORTH = 110_955.0
 """Of the meridian there; ArduPilot's own flat earth has 111,318.8."""
 VEHICLE, GCS, COMPANION = (1, 1), (255, 190), (1, 191)
 ZERO: Vector = (0.0, 0.0, 0.0)
+NAN: Final = math.nan
 POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
 GUIDED, COPTER_LAND, BRAKE = 4, 9, 17
 PLANE_GUIDED, PLANE_TAKEOFF = 15, 13
-LOCAL_POSITION, ECHO, ATTITUDE = 32, 85, 30
+MISSION = 0x04040000
+ATTITUDE = 30
 QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
 """What PX4 streams and is rarely looked at."""
 _STEPS_PER_S = 100
@@ -259,31 +259,6 @@ def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
 
 
-def over_ground(
-    north_m: float,
-    east_m: float,
-    altitude_m: float,
-    velocity: Vector = ZERO,
-    acceleration: Vector = ZERO,
-    *,
-    mask: int = POSITION,
-    frame: int = 6,
-) -> Any:
-    """SET_POSITION_TARGET_GLOBAL_INT of a place so far from home."""
-    return mavlink.MAVLink_set_position_target_global_int_message(
-        0,
-        *VEHICLE,
-        frame,
-        mask,
-        *place_e7(north_m, east_m),
-        altitude_m,
-        *velocity,
-        *acceleration,
-        0.0,
-        0.0,
-    )
-
-
 def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
     """Of a client."""
     return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
@@ -496,187 +471,6 @@ class Link:
         return [e.message.text for e in self.all("STATUSTEXT", since_s=since_s, link=link)]
 
 
-class Wire(Link):
-    """The three links of one ArduPilot."""
-
-    def __init__(self, kind: VehicleKind = "copter", **parameters: float) -> None:
-        super().__init__(kind, "ardupilot", (*HOME_DEG, HOME_M), links=3, parameters=parameters)
-
-    @property
-    def not_survived(self) -> str | None:
-        """What came in that the real autopilot does not survive."""
-        return self.simulation.not_survived
-
-    def takes_new_port(self) -> bool:
-        """Whether it sends from another UDP port since the last call."""
-        return self.simulation.take_port_change()
-
-    def interval(
-        self, number: int, hz: float, link: int = 0, source: Ids | None = None
-    ) -> int | None:
-        """SET_MESSAGE_INTERVAL."""
-        return self.command(511, number, 1e6 / hz if hz > 0 else hz, link=link, source=source)
-
-    def parameter(self, name: str, value: float | None = None) -> float:
-        """The value that PARAM_VALUE tells, after it has been set if one is given."""
-        message: Any
-        if value is None:
-            message = mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
-        else:
-            message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 9)
-        self.send(message)
-        (told,) = [
-            each.message.param_value
-            for each in self.run(0.02)
-            if each.kind == "PARAM_VALUE" and each.link == 0 and each.message.param_id == name
-        ]
-        return float(told)
-
-    def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
-        """Until this is so; how long that took."""
-        begun_s = self.now_s
-        while not reached():
-            assert self.now_s - begun_s < within_s, "it never came to that"
-            self.run(0.05)
-        return self.now_s - begun_s
-
-    def said_s(self, text: str) -> list[float]:
-        """When a text with this in it was said."""
-        return [each.at_s for each in self.all("STATUSTEXT") if text in each.message.text]
-
-    @property
-    def ned_m(self) -> Vector:
-        """The newest LOCAL_POSITION_NED."""
-        m = self.last("LOCAL_POSITION_NED")
-        return m.x, m.y, m.z
-
-    @property
-    def level_m_s(self) -> float:
-        """The horizontal speed in it."""
-        m = self.last("LOCAL_POSITION_NED")
-        return math.hypot(m.vx, m.vy)
-
-    @property
-    def mode(self) -> int:
-        """Of the newest heartbeat."""
-        return int(self.last("HEARTBEAT").custom_mode)
-
-    def echo_of(self, setpoint: Any, **how: Any) -> Any:
-        """Send it; the POSITION_TARGET_LOCAL_NED that a ground station then asks for."""
-        self.send(setpoint, **how)
-        self.run(0.02)
-        return self.echo()
-
-    def echo(self) -> Any:
-        """POSITION_TARGET_LOCAL_NED, asked for by a ground station."""
-        assert self.command(512, ECHO, source=GCS) == 0
-        return self.last("POSITION_TARGET_LOCAL_NED")
-
-
-# --- vehicles that are ready made -----------------------------------------------------------------
-
-
-@functools.cache
-def _booted(kind: VehicleKind) -> Wire:
-    wire = Wire(kind)
-    wire.run(45.0 if kind == "copter" else 25.0)
-    return wire
-
-
-def booted(kind: VehicleKind = "copter") -> Wire:
-    """One that may be armed, and that has heard nobody yet."""
-    return _booted(kind).copy()
-
-
-@functools.cache
-def _hovering(lean_deg: int) -> Wire:
-    wire = booted()
-    wire.parameter("ANGLE_MAX", lean_deg * 100.0)
-    for number, hz in ((LOCAL_POSITION, 20), (33, 10), (245, 5), (ATTITUDE, 20)):
-        assert wire.interval(number, hz) == 0
-    assert [wire.command(176, 1, GUIDED), wire.command(400, 1)] == [0, 0]
-    assert wire.command(22, 0, 0, 0, 0, 0, 0, 30) == 0
-    wire.run(22.0)
-    assert wire.ned_m[2] < -29.5
-    return wire
-
-
-def hovering(lean_deg: int = 30) -> Wire:
-    """A copter in GUIDED, 30 m above home, with its telemetry on link 0."""
-    return _hovering(lean_deg).copy()
-
-
-@functools.cache
-def _cruising(speed_m_s: float, mask: int) -> Wire:
-    wire = hovering(45)
-    route = straight(speed_m_s)
-    for _ in range(round(2.5 * speed_m_s + (10.0 if mask == POSITION else 2.0)) * 10):
-        wire.send(next(route)(mask))
-        wire.run(0.1)
-    return wire
-
-
-def straight(speed_m_s: float) -> Iterator[Callable[[int], Any]]:
-    """Northwards from above home, ten setpoints a second, by the mask that they are to have."""
-    north_m = t = 0.0
-    ramp_s = 1.5 * speed_m_s
-    while True:
-        ramp = min(t / ramp_s, 1.0)
-        v = speed_m_s * ramp * ramp * (3.0 - 2.0 * ramp)
-        yield functools.partial(_ahead, north_m, v)
-        for k in range(10):  # as fine as the vehicle's own steps
-            ramp = min((t + 0.01 * k) / ramp_s, 1.0)
-            north_m += speed_m_s * ramp * ramp * (3.0 - 2.0 * ramp) * 0.01
-        t += 0.1
-
-
-def _ahead(north_m: float, v: float, mask: int) -> Any:
-    return local((north_m, 0.0, -30.0), (v, 0.0, 0.0), mask=mask)
-
-
-def cruising(speed_m_s: float, mask: int) -> tuple[Wire, float]:
-    """A copter in mid-stream, northwards, and how far north its next setpoint would lie."""
-    wire = _cruising(speed_m_s, mask).copy()
-    route = straight(speed_m_s)
-    for _ in range(round(2.5 * speed_m_s + (10.0 if mask == POSITION else 2.0)) * 10):
-        next(route)
-    return wire, float(next(route)(mask).x)
-
-
-@functools.cache
-def _circling() -> Wire:
-    wire = booted("plane")
-    for number, hz in ((LOCAL_POSITION, 10), (33, 10), (87, 5)):
-        assert wire.interval(number, hz) == 0
-    assert [wire.command(176, 1, PLANE_TAKEOFF), wire.command(400, 1)] == [0, 0]
-    wire.run(14.0)
-    assert reposition(wire, 0.0, 0.0, 80.0) == 0
-    wire.run(40.0)
-    return wire
-
-
-def circling() -> Wire:
-    """A plane in GUIDED about home, 80 m up."""
-    return _circling().copy()
-
-
-def reposition(
-    wire: Wire,
-    north_m: float,
-    east_m: float,
-    up_m: float,
-    *,
-    radius_m: float = 0.0,
-    ccw: float = 0.0,
-    frame: int = 3,
-    flags: float = 1.0,
-) -> int | None:
-    """COMMAND_INT DO_REPOSITION."""
-    height_m = up_m if frame in (3, 6, 10, 11) else up_m + HOME_M
-    place = place_e7(north_m, east_m)
-    return wire.command(192, -1.0, flags, radius_m, ccw, *place, height_m, frame=frame)
-
-
 # --- one client for all four ----------------------------------------------------------------------
 
 KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
@@ -734,130 +528,6 @@ def _flying(firmware: Firmware, kind: VehicleKind) -> Link:
 def flying(firmware: Firmware, kind: VehicleKind) -> Link:
     """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
     return _flying(firmware, kind).copy()
-
-
-# --- a PX4 ----------------------------------------------------------------------------------------
-
-NAN: Final = math.nan
-LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M = 47.397742, 8.545594, 488.0
-NORTH_M_PER_DEG, EAST_M_PER_DEG = 111_191.0, 75_470.0
-OFFBOARD, POSCTL, ALTCTL = 0x00060000, 0x00030000, 0x00020000
-TAKEOFF, HOLD, MISSION, RETURN, LAND = 0x02040000, 0x03040000, 0x04040000, 0x05040000, 0x06040000
-Aim = Callable[[float], Any]
-"""The setpoint of a time in seconds, as a message."""
-Seen = dict[str, Any]
-"""What an experiment saw, by name."""
-
-
-def place(north_m: float, east_m: float) -> tuple[float, float]:
-    """Latitude and longitude of a point of the local frame, in degrees."""
-    return LATITUDE_DEG + north_m / NORTH_M_PER_DEG, LONGITUDE_DEG + east_m / EAST_M_PER_DEG
-
-
-def worldwide(
-    north_m: float,
-    east_m: float,
-    altitude_m: float,
-    velocity: Vector = (0.0, 0.0, 0.0),
-    *,
-    mask: int = 0xDF8,
-    frame: int = 5,
-) -> Any:
-    """SET_POSITION_TARGET_GLOBAL_INT."""
-    degrees = (round(value * 1e7) for value in place(north_m, east_m))
-    return mavlink.MAVLink_set_position_target_global_int_message(
-        0, 1, 1, frame, mask, *degrees, altitude_m, *velocity, 0.0, 0.0, 0.0, 0.0, 0.0
-    )
-
-
-@final
-class Companion(Link):
-    """A PX4 and one client."""
-
-    def __init__(self, kind: VehicleKind = "copter", *, links: int = 1) -> None:
-        super().__init__(kind, "px4", (LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M), links=links)
-
-    def set_parameter(self, name: str, value: float) -> None:
-        """PARAM_SET, whole numbers bytewise."""
-        whole = isinstance(value, int)
-        bits = struct.unpack("<f", struct.pack("<i", value))[0] if whole else value
-        kind = 6 if whole else 9
-        self.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), bits, kind))
-
-    def parameter(self, name: str) -> float | None:
-        """PARAM_REQUEST_READ; None if it does not answer."""
-        since_s = self.now_s
-        self.send(mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1))
-        self.run(0.1)
-        found = [m for m in self.of("PARAM_VALUE", since_s) if m.param_id == name]
-        if not found:
-            return None
-        value: float = found[-1].param_value
-        if found[-1].param_type == 6:
-            value = struct.unpack("<i", struct.pack("<f", value))[0]
-        return value
-
-    def of(self, kind: str, since_s: float = 0.0) -> list[Any]:
-        return [heard.message for heard in self.times(kind, since_s)]
-
-    def times(self, kind: str, since_s: float = 0.0) -> list[Heard]:
-        """After this time."""
-        return [heard for heard in self.all(kind) if heard.at_s > since_s]
-
-    def modes(self, since_s: float = 0.0) -> list[tuple[float, int]]:
-        """Changes of the mode, by CURRENT_MODE."""
-        found = list[tuple[float, int]]()
-        for heard in self.times("CURRENT_MODE", since_s):
-            mode = heard.message.custom_mode
-            if not found or found[-1][1] != mode:
-                found.append((heard.at_s, mode))
-        return found
-
-    @property
-    def mode(self) -> int:
-        return int(self.last("CURRENT_MODE").custom_mode)
-
-    @property
-    def status(self) -> int:
-        """system_status of the newest heartbeat."""
-        return int(self.last("HEARTBEAT").system_status)
-
-    @property
-    def position(self) -> Vector:
-        here = self.last("LOCAL_POSITION_NED")
-        return here.x, here.y, here.z
-
-    @property
-    def velocity(self) -> Vector:
-        here = self.last("LOCAL_POSITION_NED")
-        return here.vx, here.vy, here.vz
-
-    @property
-    def speed(self) -> float:
-        return math.hypot(*self.velocity[:2])
-
-    # --- common beginnings --------------------------------------------------------------------
-
-    def booted(self, **parameters: float) -> "Companion":
-        """On the ground and armable, with only the needed messages switched on."""
-        self.run(1.0)
-        for number in QUIET:
-            self.command(511, number, -1)
-        self.command(511, 436, 50_000)
-        self.command(511, 30, 100_000)
-        for name, value in parameters.items():
-            self.set_parameter(name, value)
-        self.run(6.0)
-        return self
-
-    def flying(self, height_m: float = 15.0) -> "Companion":
-        """Up there in OFFBOARD, above the origin."""
-        self.aim = lambda _: local((0.0, 0.0, -height_m), yaw=0.0)
-        self.run(0.5)
-        self.set_mode(OFFBOARD)
-        self.command(400, 1)
-        self.run(8.0 + height_m / 2.0)
-        return self
 
 
 # --- into things ----------------------------------------------------------------------------------

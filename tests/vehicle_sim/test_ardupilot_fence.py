@@ -106,7 +106,6 @@ FLOOR = {"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 15.0}
 @pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (4, "BRAKE")])
 def test_below_the_floor_is_a_breach(action: int, mode: str) -> None:
     it = fenced(FENCE_ACTION=float(action), **FLOOR)  # through it, up to 30 m: no breach
-    assert len(it.when("Min Alt fence enabled (auto enable)")) == 1
     assert it.when("Min Alt fence breached") == []
     while it.height_m > 15.0:
         assert not it.autopilot.status().fence_breached
@@ -133,7 +132,6 @@ def test_the_floor_comes_with_the_height_and_goes_with_the_landing() -> None:
     assert it.when("Min Alt fence breached") == []
     it.airborne(12.0)  # not yet 2 m above it
     assert not it.autopilot.status().fence_breached
-    assert len(it.when("Min Alt fence enabled (auto enable)")) == 1
 
 
 def test_autoenable_3_is_a_fence_while_armed() -> None:
@@ -163,12 +161,61 @@ def test_a_take_off_that_ends_below_the_floor_is_a_breach_then() -> None:
     assert len(it.when("Min Alt fence breached")) == 1
 
 
-def test_a_fence_that_is_switched_off_is_not_breached() -> None:
-    it = fenced(FENCE_ACTION=0.0)
+def test_one_uploaded_around_it_is_breached_after_half_a_second_unless_it_is_off() -> None:
+    it = fenced()
     it.autopilot.plans[PlanKind.FENCE] = polygon(5001, (50.0, 0.0), (90.0, 0.0), (90.0, 40.0))
     it.autopilot.on_plan(PlanKind.FENCE)
-    it.run(0.5)
-    assert it.autopilot.status().fence_breached
+    begun_s = it.now_s
+    it.run(1.0)
+    assert it.when("Polygon fence breached") == [pytest.approx(begun_s + 0.5, abs=0.15)]
+    assert it.autopilot.mode_name == "RTL"
+    assert it.command(176, 1, 4) == 0  # GUIDED can be had again
+    it.run(1.0)
+    assert (it.autopilot.mode_name, it.autopilot.status().fence_breached) == ("GUIDED", True)
     it.command(207, 0)
     it.run(0.2)
     assert not it.autopilot.status().fence_breached
+
+
+@pytest.mark.parametrize(
+    ("kinds", "items", "beyond"),
+    [
+        (7.0, (), (200.0, 0.0, -30.0)),
+        (7.0, (), (0.0, 0.0, -110.0)),
+        (4.0, (circle(80.0, 0.0, 15.0),), (80.0, 0.0, -30.0)),
+        (4.0, (circle(0.0, 0.0, 60.0, 5003),), (80.0, 0.0, -30.0)),
+    ],
+)
+def test_a_target_beyond_it_is_dropped_without_a_word(
+    kinds: float, items: tuple[PlanItem, ...], beyond: tuple[float, float, float]
+) -> None:
+    it = fenced(*items, FENCE_TYPE=kinds)
+    texts = len(it.texts)
+    for place in ((40.0, 0.0, -30.0), beyond):
+        it.setpoint(place, kind="position")
+        echo = it.autopilot.target_echo()
+        assert echo is not None
+        assert echo.position_ned_m == pytest.approx((40.0, 0.0, -30.0), abs=0.1)
+    assert len(it.texts) == texts
+
+
+@pytest.mark.parametrize(
+    ("east_m", "enabled", "deep_m"), [(0.0, True, 14.5), (16.0, True, -1.0), (0.0, False, 15.0)]
+)
+def test_streaming_at_8_m_s_through_an_exclusion_ends_14_5_m_deep_and_beside_it_does_not(
+    east_m: float, enabled: bool, deep_m: float
+) -> None:
+    it = fenced(circle(80.0, east_m, 15.0), FENCE_ENABLE=float(enabled))
+    deepest_m = -math.inf
+    for k in range(2200):
+        if k % 10 == 0:
+            north_m = 0.8 * (k * 0.01) ** 2 if k < 500 else 20.0 + 8.0 * (k * 0.01 - 5.0)
+            v = min(1.6 * k * 0.01, 8.0)
+            it.setpoint((north_m, 0.0, -30.0), (v, 0.0, 0.0), kind="pos+vel+acc")
+        it.step()
+        here_m = it.local_m()
+        deepest_m = max(deepest_m, 15.0 - math.dist(here_m[:2], (80.0, east_m)))
+    assert deepest_m == pytest.approx(deep_m, abs=1.5 if deep_m > 0.0 else 0.1)
+    breached = enabled and deep_m > 0.0
+    assert bool(it.when("Polygon fence breached")) is breached
+    assert it.autopilot.mode_name == ("RTL" if breached else "GUIDED")

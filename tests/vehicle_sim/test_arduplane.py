@@ -12,11 +12,11 @@ from tracking_plane import (
     off_path_m,
 )
 
-from vehicle_sim.autopilot.values import Result, Sender, Setpoint
+from vehicle_sim.autopilot.values import Result, Sender
 from vehicle_sim.conditions import GpsConditions
 from vehicle_sim.plans import PlanItem, PlanKind
 
-MANUAL, CIRCLE, FBWA, CRUISE, AUTO, RTL, LOITER, GUIDED = 0, 1, 5, 7, 10, 11, 12, 15
+MANUAL, FBWA, CRUISE, AUTO, RTL, LOITER, GUIDED = 0, 5, 7, 10, 11, 12, 15
 
 # --- boot, arming, take-off -----------------------------------------------------------------------
 
@@ -154,30 +154,54 @@ def test_speeds_out_of_range_or_over_ground_are_denied() -> None:
     assert rig.command(178, 0.0, 20.0) is Result.FAILED
 
 
-def setpoint(frame: int, z: float, mask: int = 0xDF8) -> Setpoint:
-    zero = (0.0, 0.0, 0.0)
-    return Setpoint(
-        is_global=True,
-        frame=frame,
-        type_mask=mask,
-        position=(10.0, 10.0, z),
-        velocity_ned_m_s=zero,
-        acceleration_ned_m_s2=zero,
-        yaw_rad=0.0,
-    )
-
-
-def test_of_a_global_setpoint_only_the_height_is_taken() -> None:
+def test_of_setpoints_only_heights_are_taken_and_increments_add_up() -> None:
     rig = flying(settle_s=90.0)
-    rig.take(rig.autopilot.on_setpoint(setpoint(6, 90.0)))
+    place = (10.0, 10.0)
+    rig.give((*place, 90.0), mask=0xDF8, frame=6, is_global=True)
+    for _ in range(5):
+        rig.give((0.0, 0.0, -1.0), mask=0xDF8, frame=7)
     rig.run(40.0)
-    assert rig.height_m == pytest.approx(90.0, abs=1.0)
+    assert rig.height_m == pytest.approx(95.0, abs=1.0)
     assert math.hypot(*rig.ne_m) < 150.0
-    for ignored in (setpoint(6, 50.0, mask=0xDFC), setpoint(7, 50.0), setpoint(5, math.nan)):
-        rig.take(rig.autopilot.on_setpoint(ignored))
+    rig.give((*place, 50.0), mask=0xDFC, frame=6, is_global=True)
+    rig.give((*place, 50.0), mask=0xDF8, frame=7, is_global=True)
+    rig.give((3000.0, 0.0, -150.0), mask=0xDF8)
+    rig.give((*place, math.nan), mask=0xDF8, frame=5, is_global=True)
     assert rig.texts[-1].startswith("SIM:")
     rig.run(20.0)
-    assert rig.height_m == pytest.approx(90.0, abs=1.0)
+    assert rig.height_m == pytest.approx(95.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("asked_m", "flown_m", "ccw"), [(40.0, 60.0, 0.0), (80.0, 97.0, 1.0), (150.0, 167.0, 0.0)]
+)
+def test_a_circle_is_wider_than_asked_by_what_was_measured(
+    asked_m: float, flown_m: float, ccw: float
+) -> None:
+    rig = flying()
+    for radius_m in (asked_m, -40.0, math.nan):  # what is no radius leaves the one before
+        assert rig.reposition(0.0, 0.0, 80.0, radius_m, ccw) is Result.ACCEPTED
+    rig.run(40.0)
+    places = list[tuple[float, float]]()
+    rig.run(15.0, lambda: places.append(rig.ne_m))
+    assert sum(math.hypot(*p) for p in places) / len(places) == pytest.approx(flown_m, abs=3.0)
+    (n0, e0), (n1, e1) = places[0], places[100]
+    assert (n0 * e1 - e0 * n1 < 0.0) is bool(ccw)
+
+
+def test_a_stream_of_points_that_ends_leaves_it_on_the_last_one_without_a_word() -> None:
+    rig = flying()
+    said, texts = len(rig.reached()), len(rig.texts)
+    for k in range(20):
+        north_m, east_m = rig.ne_m
+        rig.reposition(north_m + 20.0, east_m, 80.0, 60.0)
+        rig.run(0.98)
+        assert rig.autopilot.mode_name == "GUIDED", k
+    last = rig.frame.to_local(*rig.autopilot.status().waypoint.place[:2])
+    assert len(rig.reached()) - said == pytest.approx(20, abs=4)  # a near point is reached at once
+    rig.run(60.0)
+    assert math.dist(rig.ne_m, last) == pytest.approx(78.0, abs=5.0)
+    assert len(rig.texts) == texts
 
 
 def test_a_course_is_followed_for_ever_and_out_of_range_denied() -> None:
@@ -201,6 +225,9 @@ def test_a_course_is_followed_for_ever_and_out_of_range_denied() -> None:
     assert took_s == pytest.approx(math.radians(45.0) * 23.45 / (0.745 * 3.0), rel=0.15)
     rig.run(60.0)
     assert off_deg() < 0.5
+    assert rig.reposition(0.0, 0.0, 80.0) is Result.ACCEPTED  # which ends it
+    rig.run(30.0)
+    assert off_deg() > 5.0
     rig.set_mode(LOITER)
     assert rig.command(CHANGE_HEADING, 0.0, 90.0, 3.0) is Result.FAILED
 
@@ -218,11 +245,8 @@ def test_it_returns_climbing_and_circles_home() -> None:
     assert rig.height_m == pytest.approx(100.0, abs=1.0)
 
 
-def test_without_a_pilot_it_banks_holds_height_or_glides() -> None:
+def test_without_a_pilot_it_holds_height_or_glides() -> None:
     rig = flying()
-    rig.set_mode(CIRCLE)
-    rig.run(10.0)
-    assert math.degrees(rig.plane.roll_rad) == pytest.approx(65.0 / 3.0, abs=0.5)
     rig.set_mode(CRUISE)
     rig.run(20.0)
     assert rig.height_m == pytest.approx(80.0, abs=5.0)

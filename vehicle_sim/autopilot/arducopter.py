@@ -5,21 +5,21 @@ Source: ardupilot.md 2 to 5 and the recorded flights; submodes and their changes
 
 import enum
 import math
-from typing import ClassVar, Final
+from collections.abc import Sequence
+from typing import Final
 
-from vehicle_sim.autopilot.ardupilot import EKF3, ArduFlight, ArduPilot, profile
+from vehicle_sim.autopilot.ardupilot import EKF3, ArduPilot, profile
 from vehicle_sim.autopilot.copter_control import Horizontal, Tuning, Vertical, bounded, rate_for
-from vehicle_sim.autopilot.core import Firmware, Handler, Mode
+from vehicle_sim.autopilot.core import Boot, Firmware, Mode
 from vehicle_sim.autopilot.earth import FlatEarth, way_m
 from vehicle_sim.autopilot.legs import RETURN, Does, back
 from vehicle_sim.autopilot.setpoints import Stop, Target, given, read_by_arducopter
 from vehicle_sim.autopilot.values import (
     Command,
-    Landed,
     Place,
+    Reply,
     Result,
     Setpoint,
-    State,
     TargetEcho,
     Waypoint,
     height_amsl_m,
@@ -35,8 +35,8 @@ _HOLDS: Final = 0x59
 """Custom mode and manual input enabled, stabilised, and "guided" while it holds a position."""
 _BY_HAND: Final = 0x51
 MODES: Final = (
-    Mode("STABILIZE", 0, "fall", needs_position=False, base=_BY_HAND),
-    Mode("ACRO", 1, "fall", needs_position=False, base=_BY_HAND),
+    Mode("STABILIZE", 0, "sink", needs_position=False, base=_BY_HAND),
+    Mode("ACRO", 1, "sink", needs_position=False, base=_BY_HAND),
     Mode("ALT_HOLD", 2, "sink", needs_position=False, base=_BY_HAND),
     Mode("AUTO", 3, "fly_legs", armable=False, base=_HOLDS),
     Mode("GUIDED", 4, "fly_target", base=_HOLDS),
@@ -55,14 +55,14 @@ FIRMWARE: Final = Firmware(
     holds="LOITER",
     returns="RTL",
     pilot="LOITER",
+    missions="AUTO",
+    first_item=1,
     timing=EKF3,
     frame=FlatEarth,
     ready_s=2.45,
     prearm_s=23.3,
     believes_landing_s=1.57,
     refused=Result.FAILED,
-    missions="AUTO",
-    first_item=1,
     arms="Arming motors",
     disarms="Disarming motors",
     cannot_arm="Arm: {}",
@@ -85,7 +85,6 @@ _RETURN_STAGE_S: Final = 1.55
 _CLIMBED_M: Final = 2.0
 _OVER_LANDING_M: Final = 1.0
 _BRAKE_M_S2: Final = 7.5
-_FALL_1_S: Final = 4.0
 _SLEW_RAD_S: Final = math.radians(60.0)
 """ATC_SLEW_YAW."""
 _TURN_1_S: Final = 4.5
@@ -97,7 +96,7 @@ _TAKE_OFF_FRAME: Final = 3
 
 
 class Kind(enum.Enum):
-    """What GUIDED steers for: its submodes; the type_mask of the echo."""
+    """What GUIDED steers for: its submodes."""
 
     TAKEOFF = enum.auto()
     POSITION = enum.auto()
@@ -109,36 +108,31 @@ class Kind(enum.Enum):
     """An acceleration alone."""
 
 
-_ECHO_MASKS: Final = {
-    Kind.TAKEOFF: 0xDF8,
-    Kind.POSITION: 0xDF8,
-    Kind.PATH: 0xC00,
-    Kind.VELOCITY: 0xC07,
-    Kind.PUSH: 0xC3F,
-}
+_ECHO_MASKS: Final = dict(zip(Kind, (0xDF8, 0xDF8, 0xC00, 0xC07, 0xC3F), strict=True))
 """type_mask of POSITION_TARGET_LOCAL_NED."""
 Order = tuple[complex, float]
-"""Acceleration of the thrust: level, north + east j, and up."""
+"""A velocity or an acceleration (of the thrust): level, north + east j, and up."""
+_STILL: Final[Order] = (0j, 0.0)
 
 
 def _degrees(place: Place) -> complex:
     return complex(place.latitude_deg, place.longitude_deg)
 
 
-class CopterFlight(ArduFlight):
-    """An ArduCopter: its modes, on the position controller."""
+class ArduCopter(ArduPilot):
+    """Its modes, on the position controller."""
 
-    GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
+    GCS_FAILSAFE = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
-    def __init__(self, autopilot: ArduPilot) -> None:
-        super().__init__(autopilot)
-        assert isinstance(autopilot.vehicle, Copter)
-        self.copter = autopilot.vehicle
-        self._flown_in = {mode.name: getattr(self, mode.flies) for mode in autopilot.firmware.modes}
+    def __init__(self, boot: Boot) -> None:
+        super().__init__(boot)
+        assert isinstance(boot.vehicle, Copter)
+        self.copter = boot.vehicle
+        self._flown_in = {mode.name: getattr(self, mode.flies) for mode in self.firmware.modes}
         self.kind = Kind.VELOCITY
         self._place_deg, self._altitude_m = 0j, 0.0
-        self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
-        """What GUIDED was told, as it has run on since."""
+        self._moves, self._feed = _STILL, _STILL
+        """Place, velocity and acceleration that GUIDED was told, as they have run on since."""
         self._heard_s = 0.0
         self._takeoff_s: float | None = None
         """When the take-off that is going on was commanded."""
@@ -151,122 +145,113 @@ class CopterFlight(ArduFlight):
         self._pauses_until_s = 0.0
         self._ekf_failures = 0
         self._was_glitching = False
-        self.read_parameters()
+        self.tuning = self._tuned()
         self.level, self.up = Horizontal(self.tuning), Vertical(self.tuning)
+        self.read_parameters()
         self._restart(Kind.VELOCITY)
+        self.handlers |= {
+            21: self.to_mode("LAND"),
+            22: self._do_take_off,
+            115: self._turn,
+            178: self._do_change_speed,
+            192: self._do_reposition,
+            300: self._do_start_mission,
+        }
 
     def read_parameters(self) -> None:
         """They are read live; the speeds of a submode when it begins."""
+        self.tuning = self.level.tuning = self.up.tuning = self._tuned()
+        self._timeout_s = max(self.parameters["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
+        self._set_looks_ahead()
+
+    def _tuned(self) -> Tuning:
         p, limits = self.parameters, self.copter.limits
         lean_rad = math.radians(bounded(p["ANGLE_MAX"] / 100.0, 10.0, 85.0))
-        most_up, lift = limits.speed_vertical_m_s, limits.acceleration_vertical_m_s2
-        self.tuning = Tuning(
-            speed_m_s=max(p["WPNAV_SPEED"], 10.0) / 100.0,
-            acceleration_m_s2=min(max(p["WPNAV_ACCEL"], 10.0) / 100.0, limits.acceleration_m_s2),
+
+        def metres(name: str, most: float = math.inf) -> float:
+            return min(max(p[name], 10.0) / 100.0, most)
+
+        return Tuning(
+            speed_m_s=metres("WPNAV_SPEED"),
+            acceleration_m_s2=metres("WPNAV_ACCEL", limits.acceleration_m_s2),
             jerk_m_s3=max(p["PSC_JERK_XY"], 1.0),
-            speed_up_m_s=min(max(p["WPNAV_SPEED_UP"], 10.0) / 100.0, most_up),
-            speed_down_m_s=min(max(p["WPNAV_SPEED_DN"], 10.0) / 100.0, most_up),
-            acceleration_up_m_s2=min(max(p["WPNAV_ACCEL_Z"], 10.0) / 100.0, lift),
+            speed_up_m_s=metres("WPNAV_SPEED_UP", limits.speed_vertical_m_s),
+            speed_down_m_s=metres("WPNAV_SPEED_DN", limits.speed_vertical_m_s),
+            acceleration_up_m_s2=metres("WPNAV_ACCEL_Z", limits.acceleration_vertical_m_s2),
             jerk_up_m_s3=max(p["PSC_JERK_Z"], 1.0),
             lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
         )
-        if hasattr(self, "level"):
-            self.level.tuning = self.up.tuning = self.tuning
-        self._timeout_s = max(p["GUID_TIMEOUT"], _MIN_TIMEOUT_S)
-        self._set_looks_ahead()
 
     # --- modes --------------------------------------------------------------------------------
 
-    @property
-    def _mode(self) -> str:
-        return self.autopilot.mode.name
-
     def cannot_fly_in(self, name: str) -> str | None:
         """Checks are only made in flight, as the real one does."""
-        autopilot = self.autopilot
-        if not autopilot.armed:
+        if not self.armed:
             return None
-        if autopilot.modes[name].needs_position and not self.estimator.ok:
+        if self.modes[name].needs_position and not self.estimator.ok:
             return "requires position"
-        no_mission = name == "AUTO" and len(autopilot.plans[PlanKind.MISSION]) < 2
-        nowhere = name == "RTL" and autopilot.home is None
+        no_mission = name == "AUTO" and len(self.plans[PlanKind.MISSION]) < 2
+        nowhere = name == "RTL" and self.home is None
         return "init failed" if no_mission or nowhere else None
 
     def begin(self, before: Mode) -> None:
-        """Fly the autopilot's mode from now on."""
+        """Fly the mode from now on."""
         del before
-        autopilot, route, name = self.autopilot, self.route, self._mode
-        self._abandon_takeoff()
+        route, name = self.route, self.mode.name
         self._set_looks_ahead()
-        self._yaw_rad = self._yaw_rate_rad_s = None
-        self._stand_still()
+        self._stop_target()
         route.stop()
         if name == "LAND":
             self._lands_with_position = self.estimator.ok
         elif name == "RTL":
             self._begin_return()
         elif name == "AUTO":
-            count = len(autopilot.plans[PlanKind.MISSION])
+            count = len(self.plans[PlanKind.MISSION])
             again = self.parameters["MIS_RESTART"] or not 1 <= route.current < count
             route.forget_jumps()
-            autopilot.seek(1 if again else route.current)
+            self.seek(1 if again else route.current)
 
-    def _stand_still(self) -> None:
-        """Reset to zero velocity: mode_guided.init."""
+    def _stop_target(self) -> None:
+        """No take-off, no yaw, zero velocity: mode_guided.init."""
+        self._takeoff_s = self._reached_s = self._yaw_rad = self._yaw_rate_rad_s = None
         self._restart(Kind.VELOCITY)
-        self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
 
     def _restart(self, kind: Kind) -> None:
         """Another submode: from what the vehicle does now, with the parameters' speeds."""
-        self.kind, tuning = kind, self.tuning
-        self.speed_m_s = tuning.speed_m_s
-        self._speeds_up_down = (tuning.speed_up_m_s, tuning.speed_down_m_s)
+        self.kind, self.speed_m_s = kind, self.tuning.speed_m_s
+        self._moves, self._feed = _STILL, _STILL
+        self._speeds_up_down = (self.tuning.speed_up_m_s, self.tuning.speed_down_m_s)
         self.level.start(self._here_deg, self._flown)
         self._start_vertical()
 
     def _start_vertical(self) -> None:
-        estimate = self.estimate
-        self.up.start(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+        self.up.start(self.estimate.altitude_amsl_m, self.estimate.velocity_up_m_s)
 
     @property
     def _here_deg(self) -> complex:
-        estimate = self.estimate
-        return complex(estimate.latitude_deg, estimate.longitude_deg)
+        return complex(self.estimate.latitude_deg, self.estimate.longitude_deg)
 
     @property
     def _flown(self) -> complex:
         """Velocity over the ground."""
-        estimate = self.estimate
-        return complex(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        return complex(self.estimate.velocity_north_m_s, self.estimate.velocity_east_m_s)
 
     @property
     def lands(self) -> bool:
         """In LAND, at the end of RTL, and where AUTO lands."""
         leg = self.route.leg
         if leg is None or leg.does is not Does.LAND:
-            return self._mode == "LAND"
+            return self.mode.name == "LAND"
         return leg.command == RETURN or self.route.arrived_s is not None
-
-    # --- arming -------------------------------------------------------------------------------
-
-    def arming_refusal(self) -> str | None:
-        """Why it may not be armed now."""
-        autopilot = self.autopilot
-        if not autopilot.mode.armable:
-            return f"{self._mode} mode not armable"
-        if autopilot.mode.needs_position and not self.estimator.ok:
-            return "Need Position Estimate"
-        if autopilot.now_s < autopilot.firmware.prearm_s:
-            return "AHRS: waiting for home"
-        return autopilot.common_refusal()
 
     def on_disarmed(self) -> None:
         """A take-off that was going on is over."""
-        self._abandon_takeoff()
+        super().on_disarmed()
+        self._takeoff_s = self._reached_s = None
 
     def disarms_after_s(self) -> float | None:
         """Soon after a landing, or after DISARM_DELAY."""
-        if self.lands and self.autopilot.landed_s is not None:
+        if self.lands and self.landed_s is not None:
             return _DISARMS_S
         return self.parameters["DISARM_DELAY"] or None
 
@@ -274,72 +259,65 @@ class CopterFlight(ArduFlight):
 
     def check(self) -> None:
         """Ten times a second: it cannot fly without a position."""
-        autopilot, estimator = self.autopilot, self.estimator
+        super().check()
+        estimator = self.estimator
         if estimator.glitching is not self._was_glitching:
             self._was_glitching = estimator.glitching
             glitches = estimator.glitching
-            autopilot.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
-        bad = autopilot.armed and estimator.origin is not None and not estimator.ok
-        before, self._ekf_failures = self._ekf_failures, self._ekf_failures + (1 if bad else -1)
-        self._ekf_failures = min(max(self._ekf_failures, 0), _EKF_CHECKS)
+            self.say(2, "GPS Glitch or Compass error" if glitches else "Glitch cleared")
+        is_bad = self.armed and estimator.origin is not None and not estimator.ok
+        before = self._ekf_failures
+        self._ekf_failures = min(max(before + (1 if is_bad else -1), 0), _EKF_CHECKS)
         if self._ekf_failures == _EKF_CHECKS > before:
-            autopilot.say(2, "EKF variance")
-            autopilot.failsafe = True
-            needy = autopilot.mode.needs_position or self._mode == "LAND"
+            self.say(2, "EKF variance")
+            self.failsafe = True
+            needy = self.mode.needs_position or self.mode.name == "LAND"
             if needy and self.parameters["FS_EKF_ACTION"]:
-                autopilot.set_mode("LAND")
+                self._land_later()
                 self._lands_with_position = False
-                self._pauses_until_s = autopilot.now_s + _FAILSAFE_PAUSE_S
-                autopilot.say(2, "EKF Failsafe: changed to LAND Mode")
-        elif self._ekf_failures == 0 and autopilot.failsafe:
-            autopilot.failsafe = False
-            autopilot.say(2, "EKF Failsafe Cleared")
+                self.say(2, "EKF Failsafe: changed to LAND Mode")
+        elif self._ekf_failures == 0 and self.failsafe:
+            self.failsafe = False
+            self.say(2, "EKF Failsafe Cleared")
 
     def on_failsafe(self, cause: str, action: int) -> None:
         """FS_GCS_ENABLE 5, BATT_FS_*_ACT 1 and 4, FENCE_ACTION 2: land; 5 of a battery: stop.
 
         FENCE_ACTION 4: brake, or land.  All else: return, or land.
         """
-        autopilot = self.autopilot
         if cause != "Fence":
-            autopilot.say(4, f"{cause} Failsafe")
-        if autopilot.landed or (cause, action) == ("Battery", 5):
-            autopilot.disarm()
+            self.say(4, f"{cause} Failsafe")
+        if self.landed or (cause, action) == ("Battery", 5):
+            self.disarm()
             return
         first = "BRAKE" if (cause, action) == ("Fence", 4) else "RTL"
         lands = action in {"GCS": (5,), "Battery": (1, 4), "Fence": (2,)}[cause]
-        if lands or not autopilot.set_mode(first):
-            autopilot.set_mode("LAND")
-            self._pauses_until_s = autopilot.now_s + _FAILSAFE_PAUSE_S
+        if lands or not self.set_mode(first):
+            self._land_later()
+
+    def _land_later(self) -> None:
+        self.set_mode("LAND")
+        self._pauses_until_s = self.now_s + _FAILSAFE_PAUSE_S
 
     # --- commands -----------------------------------------------------------------------------
 
-    def handlers(self) -> dict[int, Handler]:
-        """NAV_LAND, CONDITION_YAW, MISSION_START."""
-        to_mode = self.autopilot.to_mode
-        return {21: to_mode("LAND"), 115: self._turn, 300: self._start_mission}
-
-    def take_off(self, command: Command) -> Result:
+    def _do_take_off(self, command: Command) -> Result:
         """Straight up, in GUIDED."""
-        autopilot, home = self.autopilot, self.autopilot.home
         if command.frame not in (None, _TAKE_OFF_FRAME):
             return Result.DENIED
-        ready = autopilot.armed and autopilot.landed and self._mode == "GUIDED"
-        if not ready or home is None or self._takeoff_s is not None or not self.estimator.ok:
+        ready = self.armed and self.landed and self.mode.name == "GUIDED" and self.estimator.ok
+        if not ready or self.home is None or self._takeoff_s is not None:
             return Result.FAILED
-        altitude_m = home.altitude_amsl_m + command.parameters[6]
+        altitude_m = self.home.altitude_amsl_m + command.parameters[6]
         if not self.estimate.altitude_amsl_m < altitude_m < math.inf:
             return Result.FAILED
-        self._stand_still()
-        self.kind = Kind.TAKEOFF
+        self._restart(Kind.TAKEOFF)
         self._place_deg, self._altitude_m = self._here_deg, altitude_m
-        self._takeoff_s, self._reached_s = autopilot.now_s, None
+        self._takeoff_s, self._reached_s = self.now_s, None
         return Result.ACCEPTED
 
-    def _abandon_takeoff(self) -> None:
-        self._takeoff_s = self._reached_s = None
-
     def _turn(self, command: Command) -> Result:
+        """CONDITION_YAW."""
         angle_deg, _, direction, relative = command.parameters[:4]
         if not 0.0 <= angle_deg <= 360.0 or relative not in (0.0, 1.0):
             return Result.FAILED
@@ -349,7 +327,7 @@ class CopterFlight(ArduFlight):
         self._yaw_rad, self._yaw_rate_rad_s = angle_rad, None
         return Result.ACCEPTED
 
-    def change_speed(self, command: Command) -> Result:
+    def _do_change_speed(self, command: Command) -> Result:
         """Of the present submode only: beginning another one reads the parameters again."""
         kind, speed_m_s = command.parameters[:2]
         if not 0.0 < speed_m_s < math.inf:
@@ -363,143 +341,145 @@ class CopterFlight(ArduFlight):
             self.speed_m_s = speed_m_s
         return Result.ACCEPTED
 
-    def reposition(self, command: Command) -> Result:
+    def _do_reposition(self, command: Command) -> Result:
         """COMMAND_INT only; p2 bit 0 changes to GUIDED first."""
         if command.frame is None:
             return Result.UNSUPPORTED
         flags = command.parameters[1]
         changes = math.isfinite(flags) and bool(int(flags) & 1)
-        place = self.autopilot.place_of(command)
-        if (self._mode != "GUIDED" and not changes) or isinstance(place, Result):
+        place = self.place_of(command)
+        if (self.mode.name != "GUIDED" and not changes) or isinstance(place, Result):
             return Result.DENIED
-        if not self.autopilot.set_mode("GUIDED"):
+        if not self.set_mode("GUIDED"):
             return Result.FAILED
-        return Result.ACCEPTED if self._take(Target(), place) else Result.FAILED
+        return Result.ACCEPTED if self.take(Target(), place) else Result.FAILED
 
-    def _start_mission(self, command: Command) -> Result:
-        return self.autopilot.to_mode("AUTO")(command) if self.autopilot.armed else Result.FAILED
+    def _do_start_mission(self, command: Command) -> Result:
+        return self.to_mode("AUTO")(command) if self.armed else Result.FAILED
 
     # --- setpoints ----------------------------------------------------------------------------
 
-    def on_setpoint(self, setpoint: Setpoint) -> None:
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Steer for this from now on; outside GUIDED it is not even read."""
-        autopilot, home = self.autopilot, self.autopilot.home
-        if self._mode != "GUIDED" or home is None:
-            return
+        if self.mode.name != "GUIDED" or self.home is None:
+            return ()
         target = read_by_arducopter(setpoint, self.copter.heading_rad)
         if isinstance(target, Stop):
-            self._abandon_takeoff()
-            self._stand_still()
-            self._yaw_rad = self._yaw_rate_rad_s = None
-            told, self._refused_text = self._refused_text, target.text
-            if target.text and target.text != told:
-                autopilot.say(2, target.text)
-            return
+            self._stop_target()
+            if target.text and target.text != self._refused_text:
+                self.say(2, target.text)
+            self._refused_text = target.text
+            return self.taken()
         place: Place | None = None
         if given(target.position):
             x, y, z = target.position
             if target.is_global:
-                height_m = height_amsl_m(target.frame, z, home.altitude_amsl_m)
+                height_m = height_amsl_m(target.frame, z, self.home.altitude_amsl_m)
                 assert height_m is not None
                 place = Place(x, y, height_m)
             elif target.is_offset:
                 place = FlatEarth(self.estimate.place).place(x, y, z)
             else:
-                place = autopilot.frame.place(x, y, z)
-        if self._take(target, place):
+                place = self.frame.place(x, y, z)
+        if self.take(target, place):
             self._refused_text = ""
+        return ()
 
-    def _take(self, target: Target, place: Place | None) -> bool:
+    def take(self, target: Target, place: Place | None) -> bool:
         """Steer for it, unless it lies where the fence forbids: that is dropped in silence."""
-        if place is not None and self.autopilot.outside_fence(place):
+        if place is not None and self.outside_fence(place):
             return False
-        self._abandon_takeoff()
+        self._takeoff_s = self._reached_s = None
         moves = given(target.velocity)
         if place is None:
             kind = Kind.VELOCITY if moves else Kind.PUSH
         else:
             kind = Kind.PATH if moves else Kind.POSITION
             self._place_deg, self._altitude_m = _degrees(place), place.altitude_amsl_m
-        north, east, down = target.velocity if moves else (0.0, 0.0, 0.0)
-        a_n, a_e, a_d = target.acceleration if given(target.acceleration) else (0.0, 0.0, 0.0)
-        velocity, feed = (complex(north, east), -down), (complex(a_n, a_e), -a_d)
         if kind is not self.kind:
             self._restart(kind)
-        (self._velocity, self._climb_m_s), (self._feed, self._feed_up) = velocity, feed
-        self._heard_s = self.autopilot.now_s
+        north, east, down = target.velocity if moves else (0.0, 0.0, 0.0)
+        a_n, a_e, a_d = target.acceleration if given(target.acceleration) else (0.0, 0.0, 0.0)
+        self._moves, self._feed = (complex(north, east), -down), (complex(a_n, a_e), -a_d)
+        self._heard_s = self.now_s
         yaw_rad, rate_rad_s = target.yaw_rad, target.yaw_rate_rad_s
         self._yaw_rad = None if yaw_rad != yaw_rad else yaw_rad
         turns = self._yaw_rad is None and rate_rad_s == rate_rad_s
         self._yaw_rate_rad_s = rate_rad_s if turns else None
         return True
 
-    def _run_on(self, dt_s: float) -> None:
-        """The target goes on with its velocity, until GUID_TIMEOUT."""
-        if self.kind in (Kind.TAKEOFF, Kind.POSITION):
+    @property
+    def _age_s(self) -> float:
+        """Since the last setpoint."""
+        return self.now_s - self._heard_s
+
+    def steer(self, dt_s: float) -> None:
+        """The target of GUIDED goes on with its velocity, until GUID_TIMEOUT; on the ground too."""
+        if self.mode.name != "GUIDED" or self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return
         if self._age_s > self._timeout_s:
-            self._velocity, self._climb_m_s, self._feed, self._feed_up = 0j, 0.0, 0j, 0.0
+            self._moves, self._feed = _STILL, _STILL
             self.kind = Kind.VELOCITY if self.kind is Kind.PUSH else self.kind
             return
+        (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
         if self.kind is Kind.PATH:
             half = 0.5 * dt_s * dt_s
-            step = self._velocity * dt_s + self._feed * half
+            step = velocity * dt_s + feed * half
             north_m, east_m = metres_per_degree(self._place_deg.real)
             self._place_deg += complex(step.real / north_m, step.imag / east_m)
-            self._altitude_m += self._climb_m_s * dt_s + self._feed_up * half
+            self._altitude_m += climb_m_s * dt_s + feed_up * half
         if self.kind is not Kind.PUSH:
-            self._velocity += self._feed * dt_s
-            self._climb_m_s += self._feed_up * dt_s
+            self._moves = velocity + feed * dt_s, climb_m_s + feed_up * dt_s
 
     # --- on the ground ------------------------------------------------------------------------
 
     def lifts_off(self) -> bool:
         """When a take-off has spooled up."""
-        autopilot, now_s = self.autopilot, self.autopilot.now_s
-        if self._mode == "AUTO" and self._takeoff_s is None and self._climbs_out:
-            self._takeoff_s = now_s
-        if self._takeoff_s is None or now_s - autopilot.armed_s < _LIFTS_AFTER_ARMING_S:
+        if self._takeoff_s is None and self._auto_climbs:
+            self._takeoff_s = self.now_s
+        if self._takeoff_s is None or self.now_s - self.armed_s < _LIFTS_AFTER_ARMING_S:
             return False
-        if now_s - self._takeoff_s < _LIFTS_AFTER_COMMAND_S:
+        if self.now_s - self._takeoff_s < _LIFTS_AFTER_COMMAND_S:
             return False
-        autopilot.take_to_the_air()
+        self.take_to_the_air()
         self.level.rest()
-        self._restart(self.kind)
+        self.level.start(self._here_deg, self._flown)
+        self._start_vertical()
         return True
 
     @property
-    def _climbs_out(self) -> bool:
+    def _auto_climbs(self) -> bool:
         """AUTO's item is a take-off."""
         leg = self.route.leg
-        return leg is not None and leg.does is Does.CLIMB
+        return self.mode.name == "AUTO" and leg is not None and leg.does is Does.CLIMB
+
+    @property
+    def climbs_out(self) -> bool:
+        """Whether a take-off goes on."""
+        return self._takeoff_s is not None or self._auto_climbs
 
     def takes_off(self) -> bool:
         """Until it has come to the height that it was told."""
         return self._takeoff_s is not None and self._reached_s is None
 
-    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+    def stand(self, dt_s: float) -> None:
         """It stands."""
         del dt_s
-        self.copter.altitude_amsl_m = ground_amsl_m
+        self.copter.altitude_amsl_m = self.ground_m
 
-    def touch_down(self, ground_amsl_m: float) -> None:
+    def touch_down(self) -> None:
         """Come to rest on the terrain, or in it."""
-        self.copter.stand(ground_amsl_m)
-        self._abandon_takeoff()
+        self.copter.stand(self.ground_m)
+        self._takeoff_s = self._reached_s = None
         self.level.rest()
         self.estimator.follow()
-        self._stand_still()
+        self._restart(Kind.VELOCITY)
 
     # --- flying -------------------------------------------------------------------------------
 
-    def steer(self, dt_s: float) -> None:
-        """The target of GUIDED runs on, also on the ground."""
-        if self._mode == "GUIDED":
-            self._run_on(dt_s)
-
     def move(self, dt_s: float) -> None:
         """Thrust, and turn the nose."""
-        level, up = self._flown_in[self._mode](dt_s)
+        level, up = self._flown_in[self.mode.name](dt_s)
         self.copter.advance(level.real, level.imag, up, dt_s)
         self.copter.heading_rad = self._heading_rad(dt_s)
 
@@ -508,25 +488,22 @@ class CopterFlight(ArduFlight):
         return self.level.lean(self._here_deg, self._flown, dt_s), self._lift()
 
     def _lift(self) -> float:
-        estimate = self.estimate
-        return self.up.lift(estimate.altitude_amsl_m, estimate.velocity_up_m_s)
+        return self.up.lift(self.estimate.altitude_amsl_m, self.estimate.velocity_up_m_s)
 
     def _move_desired(self, dt_s: float) -> None:
         here_deg = self._here_deg
         self.level.scale = metres_per_degree(here_deg.real)
         self.level.move(here_deg, dt_s)
 
-    def _stop(self, climb_m_s: float, dt_s: float) -> Order:
-        """Come to a standstill, climbing at this rate."""
+    def _hold(self, climb_m_s: float, dt_s: float, *, level: bool = False) -> Order:
+        """To a standstill, climbing at this rate; without a position only the lean goes."""
+        if level:
+            self.up.towards_climb(climb_m_s, 0.0, dt_s)
+            return self.level.levelled(dt_s), self._lift()
         self._move_desired(dt_s)
         self.level.towards_velocity(0j, 0j, dt_s)
         self.up.towards_climb(climb_m_s, 0.0, dt_s)
         return self._follow(dt_s)
-
-    def _level_out(self, climb_m_s: float, dt_s: float) -> Order:
-        """Without a position there is nothing to hold: only the lean goes."""
-        self.up.towards_climb(climb_m_s, 0.0, dt_s)
-        return self.level.levelled(dt_s), self._lift()
 
     def _go(self, place_deg: complex, altitude_m: float, dt_s: float) -> Order:
         """To a place that does not move: the climb and the way there in proportion."""
@@ -551,44 +528,37 @@ class CopterFlight(ArduFlight):
         if self._takeoff_s is not None:
             self._watch_takeoff()
         if not self.estimator.aiding:
-            return self._level_out(0.0, dt_s)
+            return self._hold(0.0, dt_s, level=True)
         if self.kind in (Kind.TAKEOFF, Kind.POSITION):
             return self._go(self._place_deg, self._altitude_m, dt_s)
         self._move_desired(dt_s)
+        (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
         if self.kind is Kind.PUSH:
-            self.level.push(self._feed, dt_s)
-            self.up.towards_climb(self.up.climb_m_s, self._feed_up, dt_s)
+            self.level.push(feed, dt_s)
+            self.up.towards_climb(self.up.climb_m_s, feed_up, dt_s)
         elif self.kind is Kind.VELOCITY:
-            self.level.towards_velocity(self._velocity, self._feed, dt_s)
-            self.up.towards_climb(self._climb_m_s, self._feed_up, dt_s)
+            self.level.towards_velocity(velocity, feed, dt_s)
+            self.up.towards_climb(climb_m_s, feed_up, dt_s)
         else:
-            self.level.towards_place(
-                self._place_deg, self._velocity, self._feed, self.speed_m_s, dt_s
-            )
-            climb, speeds = self._climb_m_s, self._speeds_up_down
-            self.up.towards_altitude(self._altitude_m, climb, self._feed_up, speeds, dt_s)
+            self.level.towards_place(self._place_deg, velocity, feed, self.speed_m_s, dt_s)
+            speeds = self._speeds_up_down
+            self.up.towards_altitude(self._altitude_m, climb_m_s, feed_up, speeds, dt_s)
         return self._follow(dt_s)
-
-    @property
-    def _age_s(self) -> float:
-        """Since the last setpoint."""
-        return self.autopilot.now_s - self._heard_s
 
     def _watch_takeoff(self) -> None:
         """The take-off is over some time after the height was nearly reached."""
-        autopilot = self.autopilot
         if self._reached_s is None:
             if self.estimate.altitude_amsl_m > self._altitude_m - _REACHED_M:
-                self._reached_s = autopilot.now_s
-        elif autopilot.now_s - self._reached_s >= _REACHED_S:
-            self._abandon_takeoff()
-            autopilot.took_off()
+                self._reached_s = self.now_s
+        elif self.now_s - self._reached_s >= _REACHED_S:
+            self._takeoff_s = self._reached_s = None
+            self.took_off()
 
     def brake(self, dt_s: float) -> Order:
         """BRAKE."""
         speed = abs(self._flown)
         if speed < 0.5:
-            return self._stop(0.0, dt_s)
+            return self._hold(0.0, dt_s)
         most = min(_BRAKE_M_S2, self.copter.limits.acceleration_m_s2, 4.0 * speed)
         asked = self._flown * (self.copter.drag_1_s - most / speed)
         self.up.towards_climb(0.0, 0.0, dt_s)
@@ -599,35 +569,29 @@ class CopterFlight(ArduFlight):
         """The modes that a pilot holds it in: the stick is at its lower end."""
         p = self.parameters
         climb_m_s = -(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0
-        holds = self.autopilot.mode.needs_position
-        return self._stop(climb_m_s, dt_s) if holds else self._level_out(climb_m_s, dt_s)
-
-    def fall(self, dt_s: float) -> Order:
-        """STABILIZE, ACRO: no stick input, the motors idle."""
-        fastest = self.copter.limits.speed_vertical_m_s
-        return self.level.levelled(dt_s), _FALL_1_S * (-fastest - self.copter.velocity_up_m_s)
+        return self._hold(climb_m_s, dt_s, level=not self.mode.needs_position)
 
     def land(self, dt_s: float) -> Order:
         """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
         p, tuning = self.parameters, self.tuning
-        height_m = self.copter.altitude_amsl_m - self.autopilot.ground_m  # by a rangefinder
+        height_m = self.copter.altitude_amsl_m - self.ground_m  # by a rangefinder
         slow = max(p["LAND_SPEED"], 20.0) / 100.0
         low_m = max(p["LAND_ALT_LOW"], 100.0) / 100.0
         rate = rate_for(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, dt_s)
         rate = bounded(rate, -max(tuning.speed_down_m_s, slow), -slow)
-        if self.autopilot.now_s < self._pauses_until_s:
+        if self.now_s < self._pauses_until_s:
             rate = 0.0
         self._lands_with_position &= self.estimator.aiding
-        return self._stop(rate, dt_s) if self._lands_with_position else self._level_out(rate, dt_s)
+        return self._hold(rate, dt_s, level=not self._lands_with_position)
 
     # --- legs ---------------------------------------------------------------------------------
 
     def _begin_return(self) -> None:
         """Home, first up to RTL_ALT."""
         p, here, route = self.parameters, self.estimate.place, self.route
-        home, number = self.autopilot.home or here, route.number
+        home, number = self.home or here, route.number
         height_m = max(here.altitude_amsl_m, home.altitude_amsl_m + p["RTL_ALT"] / 100.0)
-        route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.autopilot.now_s)
+        route.fly(back(here, home, height_m, p["RTL_LOIT_TIME"] / 1000.0), self.now_s)
         route.number, self._lands_with_position = number, True
 
     def begin_leg(self, speed_m_s: float | None) -> None:
@@ -637,7 +601,7 @@ class CopterFlight(ArduFlight):
         self._start_vertical()
         self._lands_with_position = True
         if leg is None:
-            self._stand_still()
+            self._restart(Kind.VELOCITY)
         elif leg.does is Does.RETURN:
             self._begin_return()
         elif leg.does is Does.LAND:
@@ -645,18 +609,13 @@ class CopterFlight(ArduFlight):
         elif leg.does is Does.CLIMB:
             height_m = max(leg.place.altitude_amsl_m, here.altitude_amsl_m)
             route.leg = leg._replace(place=here.at(height_m), hold_s=_REACHED_S)
-            self._takeoff_s = self.autopilot.now_s
+            self._takeoff_s = self.now_s
 
     def fly_legs(self, dt_s: float) -> Order:
         """AUTO, RTL: a place after the other."""
-        autopilot, route, leg, now_s = (
-            self.autopilot,
-            self.route,
-            self.route.leg,
-            self.autopilot.now_s,
-        )
+        route, leg, now_s = self.route, self.route.leg, self.now_s
         if leg is None or not self.estimator.aiding:
-            return self._level_out(0.0, dt_s) if leg else self._stop(0.0, dt_s)
+            return self._hold(0.0, dt_s, level=leg is not None)
         returns, lands = leg.command == RETURN, leg.does is Does.LAND
         if lands and (returns or route.arrived_s is not None):
             return self.land(dt_s)
@@ -675,24 +634,23 @@ class CopterFlight(ArduFlight):
         if returns:
             route.go_on(now_s)
         elif route.number is not None and not lands:
-            autopilot.reached(route.number)
+            self.reached(route.number)
             if leg.does is Does.CLIMB:
-                self._abandon_takeoff()
-                autopilot.took_off()
-            autopilot.seek(route.number + 1)
+                self._takeoff_s = self._reached_s = None
+                self.took_off()
+            self.seek(route.number + 1)
         return order
 
     # --- the nose -----------------------------------------------------------------------------
 
     def _set_looks_ahead(self) -> None:
         """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
-        behaviour = int(self.parameters["WP_YAW_BEHAVIOR"])
-        self._looks_ahead = behaviour != 0 and self._mode in ("GUIDED", "AUTO")
-        if self._mode == "RTL":
-            self._looks_ahead = behaviour in (1, 3)
+        behaviour, name = int(self.parameters["WP_YAW_BEHAVIOR"]), self.mode.name
+        ahead = behaviour in (1, 3) if name == "RTL" else behaviour != 0
+        self._looks_ahead = ahead and name in ("GUIDED", "AUTO", "RTL")
 
     @property
-    def _way_m_s(self) -> complex:
+    def looks_along(self) -> complex:
         """The velocity that the nose looks along."""
         return self.level.velocity
 
@@ -702,7 +660,7 @@ class CopterFlight(ArduFlight):
         if wanted_rad is None and self._yaw_rate_rad_s is not None:
             return (now_rad + self._yaw_rate_rad_s * dt_s) % math.tau
         if wanted_rad is None:
-            way = self._way_m_s
+            way = self.looks_along
             if not self._looks_ahead or abs(way) < _MOVING_SHARE * self.tuning.speed_m_s:
                 return now_rad
             wanted_rad = math.atan2(way.imag, way.real)
@@ -713,66 +671,42 @@ class CopterFlight(ArduFlight):
 
     def base_mode(self) -> int:
         """Whether it holds a position depends on more than the mode."""
-        autopilot, holds = self.autopilot, False
-        if autopilot.now_s < autopilot.firmware.ready_s:
-            holds = True
-        elif self._mode == "LAND":
-            holds = self._lands_with_position
-        elif self._mode == "RTL":
-            holds = autopilot.armed
-        return autopilot.mode.base | (_HOLDS if holds else 0)
-
-    def system_status(self) -> State:
-        """Of a copter that has ended its landing: STANDBY, also while armed."""
-        autopilot = self.autopilot
-        if autopilot.now_s < autopilot.firmware.ready_s:
-            return State.BOOT
-        if autopilot.failsafe:
-            return State.CRITICAL
-        return State.STANDBY if autopilot.landed else State.ACTIVE
-
-    def landed_state(self) -> Landed:
-        """What EXTENDED_SYS_STATE says."""
-        if self.autopilot.landed:
-            return Landed.ON_GROUND
-        if self.lands:
-            return Landed.LANDING
-        climbs = self._takeoff_s is not None or (self._mode == "AUTO" and self._climbs_out)
-        return Landed.TAKEOFF if climbs else Landed.IN_AIR
+        holds = self.now_s < self.firmware.ready_s
+        holds = holds or (self.mode.name == "LAND" and self._lands_with_position)
+        holds = holds or (self.mode.name == "RTL" and self.armed)
+        return self.mode.base | (_HOLDS if holds else 0)
 
     @property
     def _target_place(self) -> Place:
-        longitude_deg = around(self._place_deg.imag)
-        return Place(self._place_deg.real, longitude_deg, self._altitude_m)
+        return Place(self._place_deg.real, around(self._place_deg.imag), self._altitude_m)
 
-    def echo(self) -> TargetEcho | None:
+    def target_echo(self) -> TargetEcho | None:
         """What GUIDED steers for; in other modes nothing is sent."""
-        autopilot = self.autopilot
-        if self._mode != "GUIDED" or self.estimator.origin is None:
+        if self.mode.name != "GUIDED" or self.estimator.origin is None:
             return None
         position = None
         if self.kind is Kind.TAKEOFF:
             position = (0.0, 0.0, 0.0)  # the take-off's height is not told
         elif self.kind in (Kind.POSITION, Kind.PATH):
-            position = autopilot.frame.ned_m(self._target_place)
+            position = self.frame.ned_m(self._target_place)
+        (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
         return TargetEcho(
             position_ned_m=position,
-            velocity_ned_m_s=(self._velocity.real, self._velocity.imag, -self._climb_m_s),
-            acceleration_ned_m_s2=(self._feed.real, self._feed.imag, -self._feed_up),
+            velocity_ned_m_s=(velocity.real, velocity.imag, -climb_m_s),
+            acceleration_ned_m_s2=(feed.real, feed.imag, -feed_up),
             yaw_rad=0.0,
             type_mask=_ECHO_MASKS[self.kind],
         )
 
     def waypoint(self) -> Waypoint | None:
         """While it flies to a place that does not move."""
-        leg, place = self.route.leg, None
-        if self._mode == "GUIDED" and self.kind is Kind.POSITION:
+        leg, here, place = self.route.leg, self.estimate.place, None
+        if self.mode.name == "GUIDED" and self.kind is Kind.POSITION:
             place = self._target_place
         elif leg is not None and (leg.does is not Does.LAND or leg.command != RETURN):
             place = leg.place
         if place is None:
             return None
-        here = self.estimate.place
         way = way_m(here, place)
         return Waypoint(
             place=place,

@@ -5,10 +5,8 @@ Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights (4.7).
 
 import abc
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar, Final, final
-
-import numpy as np
+from collections.abc import Sequence
+from typing import ClassVar, Final
 
 from vehicle_sim.autopilot.core import (
     AUTOPILOT_VERSION,
@@ -16,9 +14,7 @@ from vehicle_sim.autopilot.core import (
     HEARTBEAT,
     HOME_POSITION,
     Autopilot,
-    Firmware,
-    Flight,
-    Handler,
+    Boot,
 )
 from vehicle_sim.autopilot.earth import Vector
 from vehicle_sim.autopilot.estimator import State as Estimates
@@ -32,14 +28,11 @@ from vehicle_sim.autopilot.values import (
     Reply,
     Result,
     Sender,
-    Setpoint,
     State,
     Status,
     height_amsl_m,
 )
-from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.plans import PlanKind, Plans
-from vehicle_sim.sensors.gps import Fix
+from vehicle_sim.plans import PlanKind
 
 TOLD: Final = frozenset(
     {0, 1, 2, 24, 30, 31, 32, 33, 42, 49, 62, 74, 85, 87, 132, 147, 148, 162, 164, 168, 173, 193}
@@ -100,6 +93,7 @@ EKF3: Final = Timing(
     lag_s=0.1,
     follows=0.02,
     drift_m_s2=0.01,
+    velocity_ratio=0.012,
 )
 _FOR_THE_FLIGHT, _FROM_TAKE_OFF, _ONLY_WHEN_ARMED = 1.0, 2.0, 3.0
 """FENCE_AUTOENABLE: from an automatic take-off to the landing, from it on, or while armed."""
@@ -107,98 +101,17 @@ _RECOVERY_S: Final = 10.0
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
 _GCS_EARLY_S: Final = 0.1
 """The failsafe comes after 4.9 s where 5 is set (measured)."""
-_NO_RC_S: Final = 3.0
 
 
-class ArduFlight(Flight):
-    """How an ArduPilot flies, and what it does where the two kinds differ."""
+class ArduPilot(Autopilot):
+    """One vehicle's autopilot."""
 
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
 
-    @property
-    @abc.abstractmethod
-    def lands(self) -> bool:
-        """Whether it comes down to land: the fence has no floor then."""
-
-    @abc.abstractmethod
-    def handlers(self) -> dict[int, Handler]:
-        """The answers to commands that only this kind knows."""
-
-    @abc.abstractmethod
-    def cannot_fly_in(self, name: str) -> str | None:
-        """Why it cannot fly in this mode now."""
-
-    @abc.abstractmethod
-    def arming_refusal(self) -> str | None:
-        """Why it may not be armed now."""
-
-    @abc.abstractmethod
-    def check(self) -> None:
-        """Ten times a second: what only this kind looks at."""
-
-    @abc.abstractmethod
-    def on_failsafe(self, cause: str, action: int) -> None:
-        """Of "GCS", "Battery" or "Fence", what its parameter asks for."""
-
-    @abc.abstractmethod
-    def on_setpoint(self, setpoint: Setpoint) -> None:
-        """Take a setpoint."""
-
-    @abc.abstractmethod
-    def landed_state(self) -> Landed:
-        """What EXTENDED_SYS_STATE says."""
-
-    @abc.abstractmethod
-    def begin_leg(self, speed_m_s: float | None) -> None:
-        """Another leg of the mission, or none any more; the speed that was asked for before it."""
-
-    @abc.abstractmethod
-    def base_mode(self) -> int:
-        """Of the heartbeat, but for the bit that says whether it is armed."""
-
-    @abc.abstractmethod
-    def system_status(self) -> State:
-        """Of the heartbeat."""
-
-    def airspeed_m_s(self) -> float | None:
-        """Indicated; None: there is no pitot tube."""
-        return None
-
-    def unaided_ned_m(self) -> Vector | None:
-        """Position in the local frame while the estimator has none; None: nor has this."""
-        return None
-
-    def on_origin(self, origin: Place) -> None:
-        """The estimator's origin is set, and home with it."""
-        self.autopilot.home = origin
-        self.autopilot.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
-
-    def look(self, fix: Fix) -> None:
-        """In every step, before the checks."""
-
-    def __init__(self, autopilot: "ArduPilot") -> None:
-        super().__init__(autopilot)
-        self.autopilot = autopilot
-
-
-@final
-class ArduPilot(Autopilot):
-    """One vehicle's autopilot."""
-
-    flight: ArduFlight
-
-    def __init__(
-        self,
-        firmware: Firmware,
-        make_flight: Callable[["ArduPilot"], ArduFlight],
-        vehicle: Vehicle,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        rng: np.random.Generator,
-    ) -> None:
-        super().__init__(firmware, vehicle, parameters, plans, rng)
-        self.fence = Fence(self.parameters, plans)
+    def __init__(self, boot: Boot) -> None:
+        super().__init__(boot)
+        self.fence = Fence(self.parameters, self.plans)
         self.failsafe = False
         """For which the heartbeat says CRITICAL."""
         self.gcs_lost = False
@@ -208,48 +121,63 @@ class ArduPilot(Autopilot):
         self._gcs_s: float | None = None
         self._battery_low_s: float | None = None
         self._fence_left_alone_s = 0.0
-        self.flight = flight = make_flight(self)
         self.handlers |= {
-            17: self.to_mode(firmware.holds),
-            22: flight.take_off,
+            17: self.to_mode(self.firmware.holds),
             176: self._do_set_mode,
-            178: flight.change_speed,
             179: self._do_set_home,
-            192: flight.reposition,
             207: self._do_fence_enable,
             401: self._run_prearm_checks,
             410: self._get_home,
             520: self._capabilities,
-        } | flight.handlers()
+        }
+
+    # --- where the two kinds differ -----------------------------------------------------------
+
+    @property
+    @abc.abstractmethod
+    def lands(self) -> bool:
+        """Whether it comes down to land: the fence has no floor then."""
+
+    @abc.abstractmethod
+    def cannot_fly_in(self, name: str) -> str | None:
+        """Why it cannot fly in this mode now."""
+
+    @abc.abstractmethod
+    def on_failsafe(self, cause: str, action: int) -> None:
+        """Of "GCS", "Battery" or "Fence", what its parameter asks for."""
+
+    @property
+    @abc.abstractmethod
+    def climbs_out(self) -> bool:
+        """Whether a take-off goes on."""
+
+    def base_mode(self) -> int:
+        """Of the heartbeat, but for the bit that says whether it is armed."""
+        return self.mode.base
+
+    def airspeed_m_s(self) -> float | None:
+        """Indicated; None: there is no pitot tube."""
+        return None
 
     # --- each step ----------------------------------------------------------------------------
 
     def on_origin(self, origin: Place) -> None:
-        """The estimator's origin is set."""
-        self.flight.on_origin(origin)
-
-    def look(self, fix: Fix) -> None:
-        """In every step, before the checks."""
-        self.flight.look(fix)
+        """The estimator's origin is set, and home with it."""
+        self.home = origin
+        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
 
     def check(self) -> None:
         """Ten times a second: failsafes, fence."""
-        aiding = self.estimator.aiding
-        if aiding is not self._was_aiding:
-            self._was_aiding = aiding
-            self.say(6, f"EKF3 IMU0 {'is using GPS' if aiding else 'stopped aiding'}")
+        if self.estimator.aiding is not self._was_aiding:
+            self._was_aiding = self.estimator.aiding
+            self.say(6, f"EKF3 IMU0 {'is using GPS' if self._was_aiding else 'stopped aiding'}")
         self._check_fence()
-        self._check_gcs()
+        enabled, timeout_s = (self.parameters[name] for name in self.GCS_FAILSAFE)
+        if enabled and self.armed and self._gcs_s is not None and not self.gcs_lost:
+            self.gcs_lost = self.now_s - self._gcs_s >= timeout_s - _GCS_EARLY_S
+            if self.gcs_lost:
+                self.on_failsafe("GCS", int(enabled))
         self._check_battery()
-        self.flight.check()
-
-    def _check_gcs(self) -> None:
-        enabled, timeout_s = (self.parameters[name] for name in self.flight.GCS_FAILSAFE)
-        if self._gcs_s is None or self.gcs_lost or not enabled or not self.armed:
-            return
-        if self.now_s - self._gcs_s >= timeout_s - _GCS_EARLY_S:
-            self.gcs_lost = True
-            self.flight.on_failsafe("GCS", int(enabled))
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """Only those of MAV_GCS_SYSID count."""
@@ -262,72 +190,62 @@ class ArduPilot(Autopilot):
         return self.taken()
 
     def _check_battery(self) -> None:
-        battery, parameters = self.battery, self.parameters
-        if not parameters["BATT_MONITOR"] or self.battery_acted == 2:
-            return
-        left_mah = parameters["BATT_CAPACITY"] - battery.consumed_mah
-        for level, name, action in ((2, "CRT", "BATT_FS_CRT_ACT"), (1, "LOW", "BATT_FS_LOW_ACT")):
-            volts, mah = parameters[f"BATT_{name}_VOLT"], parameters[f"BATT_{name}_MAH"]
-            low = (volts > 0.0 and battery.voltage_v < volts) or (mah > 0.0 and left_mah < mah)
-            if not low or level <= self.battery_acted:
+        battery, p = self.battery, self.parameters
+        left_mah = p["BATT_CAPACITY"] - battery.consumed_mah
+        for level, name, how in ((2, "CRT", "critical"), (1, "LOW", "low")):
+            volts, mah = p[f"BATT_{name}_VOLT"], p[f"BATT_{name}_MAH"]
+            is_low = (volts > 0.0 and battery.voltage_v < volts) or (mah > 0.0 and left_mah < mah)
+            if not (is_low and p["BATT_MONITOR"] and level > self.battery_acted):
                 continue
             if self._battery_low_s is None:
                 self._battery_low_s = self.now_s
-            if self.now_s - self._battery_low_s >= parameters["BATT_LOW_TIMER"]:
-                self.battery_acted = level
-                how = "critical" if level == 2 else "low"
+            if self.now_s - self._battery_low_s >= p["BATT_LOW_TIMER"]:
+                self.battery_acted, action = level, int(p[f"BATT_FS_{name}_ACT"])
                 used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
                 self.say(4, f"Battery 1 is {how} {used}")
-                if self.armed and parameters[action]:
-                    self.flight.on_failsafe("Battery", int(parameters[action]))
+                if self.armed and action:
+                    self.on_failsafe("Battery", action)
             return
         self._battery_low_s = None
 
     def took_off(self) -> None:
         """An automatic take-off is over (AC_Fence::auto_enable_fence_after_takeoff)."""
         if self.parameters["FENCE_AUTOENABLE"] in (_FOR_THE_FLIGHT, _FROM_TAKE_OFF):
-            self.fence.enabled = True
-            self.fence.has_floor = True  # whatever its height; not if there is none
+            self.fence.enabled = self.fence.has_floor = True  # whatever its height
 
     def _check_fence(self) -> None:
-        fence, home, lands = self.fence, self.home, self.flight.lands
+        fence, home, lands = self.fence, self.home, self.lands
         down = not self.armed or self.landed
         if self.parameters["FENCE_AUTOENABLE"] == _FOR_THE_FLIGHT and (down or lands):
             fence.enabled = False
         if not fence.enabled or home is None or down:
-            fence.forget()
-            return
-        if not self.estimator.ok:
+            fence.breached, fence.has_floor = 0, False
+        elif not self.estimator.ok:
             fence.breached = 0
-            return
-        here = self.estimate.place
-        if fence.raises_floor(here.altitude_amsl_m - home.altitude_amsl_m, lands=lands):
-            self.say(5, "Min Alt fence enabled (auto enable)")
-        new = fence.check(here, home, self.frame, self.now_s)
-        if new and self.now_s >= self._fence_left_alone_s:
-            *first, last = named(new)
-            joined = f"{', '.join(first)} and {last} fences" if first else f"{last} fence"
-            self.say(5, f"{joined} breached")
-            if self.parameters["FENCE_ACTION"]:
-                self.flight.on_failsafe("Fence", int(self.parameters["FENCE_ACTION"]))
+        else:
+            new = fence.check(self.estimate.place, home, self.frame, self.now_s, lands=lands)
+            if new and self.now_s >= self._fence_left_alone_s:
+                self.say(5, f"{named(new)} fence breached")
+                if action := int(self.parameters["FENCE_ACTION"]):
+                    self.on_failsafe("Fence", action)
 
     def outside_fence(self, place: Place) -> int:
         """Which kinds of fence this place would breach."""
         return self.fence.outside(place, self.home, self.frame)
 
-    # --- modes --------------------------------------------------------------------------------
+    # --- modes and arming ---------------------------------------------------------------------
 
     def set_mode(self, name: str) -> bool:
         """Fly in this mode from now on, if it can be."""
         mode, before = self.modes[name], self.mode
         if mode is before:
             return True
-        refusal = self.flight.cannot_fly_in(name)
+        refusal = self.cannot_fly_in(name)
         if refusal is not None:
             self.say(4, f"Mode change to {name} failed: {refusal}")
             return False
         self.mode = mode
-        self.flight.begin(before)
+        self.begin(before)
         self.send(HEARTBEAT)
         return True
 
@@ -343,6 +261,30 @@ class ArduPilot(Autopilot):
             self._fence_left_alone_s = self.now_s + _RECOVERY_S
             self.fence.breached = was_breached
         return Result.ACCEPTED
+
+    def refusal(self) -> str | None:
+        """Why it may not be armed now."""
+        if not self.mode.armable:
+            return f"{self.mode.name} mode not armable"
+        if self.mode.needs_position and not self.estimator.ok:
+            return "Need Position Estimate"
+        if self.now_s < self.firmware.prearm_s:
+            return "AHRS: waiting for home"
+        outside = self.outside_fence(self.estimate.place) if self.estimator.ok else 0
+        return f"Vehicle breaching {named(outside)}" if outside else None
+
+    def on_armed(self) -> None:
+        """Home is told; a mission begins where it stands."""
+        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+            self.fence.enabled = True
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
+        if self.mode.name == self.firmware.missions:
+            self.seek(self.firmware.first_item)
+
+    def on_disarmed(self) -> None:
+        """The motors have stopped."""
+        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
+            self.fence.enabled = False
 
     # --- commands -----------------------------------------------------------------------------
 
@@ -375,8 +317,7 @@ class ArduPilot(Autopilot):
         self.fence.enabled = command.parameters[0] == 1.0
         return Result.ACCEPTED
 
-    def _get_home(self, command: Command) -> Result:
-        del command
+    def _get_home(self, _: Command) -> Result:
         if self.home is None:
             return Result.FAILED
         self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
@@ -387,8 +328,7 @@ class ArduPilot(Autopilot):
             self.answer(AUTOPILOT_VERSION)(command)
         return Result.ACCEPTED
 
-    def _run_prearm_checks(self, command: Command) -> Result:
-        del command
+    def _run_prearm_checks(self, _: Command) -> Result:
         if self.armed:
             return Result.TEMPORARILY_REJECTED
         refusal = self.refusal()
@@ -396,45 +336,7 @@ class ArduPilot(Autopilot):
             self.say(2, f"PreArm: {refusal}")
         return Result.ACCEPTED
 
-    # --- arming -------------------------------------------------------------------------------
-
-    def refusal(self) -> str | None:
-        """Why it may not be armed now."""
-        return self.flight.arming_refusal()
-
-    def common_refusal(self) -> str | None:
-        """Why neither kind may be armed now."""
-        if self.now_s < self.firmware.prearm_s:
-            return "Waiting for RC" if self.now_s < _NO_RC_S else "EKF attitude is bad"
-        if self.home is not None and self.estimator.ok:
-            outside = self.outside_fence(self.estimate.place)
-            if outside:
-                return "Vehicle breaching " + ", ".join(named(outside))
-        return None
-
-    def on_armed(self) -> None:
-        """Home is told; a mission begins where it stands."""
-        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-            self.fence.enabled = True
-        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
-        if self.mode.name == self.firmware.missions:
-            self.seek(self.firmware.first_item)
-
-    def on_leg(self, speed_m_s: float | None) -> None:
-        """Another leg of the mission, or none any more; the speed that was asked for before it."""
-        self.flight.begin_leg(speed_m_s)
-
-    def on_disarmed(self) -> None:
-        """The motors have stopped."""
-        if self.parameters["FENCE_AUTOENABLE"] == _ONLY_WHEN_ARMED:
-            self.fence.enabled = False
-
     # --- the rest of the protocol -------------------------------------------------------------
-
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
-        """Take a setpoint."""
-        self.flight.on_setpoint(setpoint)
-        return self.taken() if self._said else ()
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
         """A parameter has been set from outside."""
@@ -450,25 +352,34 @@ class ArduPilot(Autopilot):
         self.parameters[names.get(kind, "RALLY_TOTAL")] = len(self.plans[kind])
         return ()
 
-    # --- telling ------------------------------------------------------------------------------
-
     def local_ned_m(self) -> Vector | None:
         """Position in the estimator's frame, while it has one."""
         if self.estimator.origin is None or not self.estimator.aiding:
-            return self.flight.unaided_ned_m()
-        return self.frame.ned_m(self.estimate.place)
+            return None
+        return super().local_ned_m()
 
     def status(self) -> Status:
         """The status for telemetry."""
-        fence, flight = self.fence, self.flight
+        fence, landed, state = self.fence, Landed.IN_AIR, State.ACTIVE
+        if self.landed:
+            landed, state = Landed.ON_GROUND, State.STANDBY
+        elif self.lands:
+            landed = Landed.LANDING
+        elif self.climbs_out:
+            landed = Landed.TAKEOFF
+        is_plane = self.profile.vehicle_type == 1
+        if self.failsafe or (is_plane and (self.gcs_lost or self.battery_acted)):
+            state = State.CRITICAL
+        if self.now_s < self.firmware.ready_s:
+            state = State.CALIBRATING if is_plane else State.BOOT
         return Status(
             mode=self.mode.number,
-            base_mode=flight.base_mode() | (0x80 if self.armed else 0),
-            system_status=flight.system_status(),
-            landed_state=flight.landed_state(),
+            base_mode=self.base_mode() | (0x80 if self.armed else 0),
+            system_status=state,
+            landed_state=landed,
             prearm_ok=self.now_s >= self.firmware.prearm_s,
             origin=self.estimator.origin,
-            waypoint=flight.waypoint(),
+            waypoint=self.waypoint(),
             mission_current=self.route.current,
             mission_state=self.mission_state(),
             mission_total=max(len(self.plans[PlanKind.MISSION]) - 1, 0),
@@ -478,5 +389,5 @@ class ArduPilot(Autopilot):
             fence_breach_type=fence.breach_type,
             fence_breach_ms=round(fence.breach_s * 1e3),
             failsafe=self.failsafe,
-            airspeed_m_s=flight.airspeed_m_s(),
+            airspeed_m_s=self.airspeed_m_s(),
         )

@@ -75,6 +75,18 @@ def dot(one: complex, other: complex) -> float:
     return one.real * other.real + one.imag * other.imag
 
 
+def turned_first(wanted: complex, velocity: complex, most: float, across_most: float) -> complex:
+    """Limit an acceleration: what turns goes before what drives or brakes."""
+    speed = abs(velocity)
+    if speed < 1e-3:
+        return clipped(wanted, most)
+    way = velocity / speed
+    along = dot(wanted, way)
+    across = clipped(wanted - along * way, across_most)
+    room = math.sqrt(max(most * most - abs(across) ** 2, 0.0))
+    return across + bounded(along, -room, room) * way
+
+
 def off_deg(from_: complex, to: complex) -> complex:
     """From one place to another in degrees, the shorter way round the earth."""
     return complex(to.real - from_.real, degrees_east(from_.imag, to.imag))
@@ -139,16 +151,10 @@ class Horizontal:
     def _cornered(self, wanted: complex, velocity: complex) -> complex:
         """Limit an acceleration so that enough is left for turning (limit_accel_corner_xy)."""
         most, speed = self.tuning.acceleration_m_s2, abs(velocity)
-        if speed < 1e-6:
+        along = dot(wanted, velocity) / speed if speed > 1e-6 else 0.0
+        if 2.0 * along * along <= abs(wanted) ** 2:  # more across than along
             return clipped(wanted, most)
-        way = velocity / speed
-        along = dot(wanted, way)
-        across = wanted - along * way
-        if abs(along) <= abs(across):
-            return clipped(wanted, most)
-        across = clipped(across, _CORNER_SHARE * most)
-        room = math.sqrt(max(most * most - abs(across) ** 2, 0.0))
-        return across + bounded(along, -room, room) * way
+        return turned_first(wanted, velocity, most, _CORNER_SHARE * most)
 
     def towards_place(
         self, place_deg: complex, velocity: complex, feed: complex, speed_m_s: float, dt_s: float
@@ -187,23 +193,11 @@ class Horizontal:
         asked += VELOCITY_D * self._derivative
         self._limited = 0j
         if abs(asked) > self.tuning.lean_m_s2:
-            self._limited, asked = asked, self._tilted(asked)
+            most = self.tuning.lean_m_s2
+            self._limited, asked = asked, turned_first(asked, self.velocity, most, most)
         self._asked = asked
         self._lean += dt_s / (LEAN_S + dt_s) * (asked - self._lean)
         return self._lean
-
-    def _tilted(self, asked: complex) -> complex:
-        """Limit an acceleration by the lean: what turns goes before what drives or brakes."""
-        most, speed = self.tuning.lean_m_s2, abs(self.velocity)
-        if speed < 1e-3:
-            return clipped(asked, most)
-        way = self.velocity / speed
-        along = dot(asked, way)
-        across = asked - along * way
-        if abs(across) >= most:
-            return clipped(across, most)
-        room = math.sqrt(most * most - abs(across) ** 2)
-        return across + bounded(along, -room, room) * way
 
     def _integrate(self, step: complex) -> None:
         grown = clipped(self._integral + step, INTEGRATOR_M_S2)
@@ -229,19 +223,13 @@ class Vertical:
 
     def start(self, altitude_amsl_m: float, climb_m_s: float) -> None:
         """From what the vehicle does now."""
-        self.altitude_amsl_m, self.climb_m_s, self.acceleration_m_s2 = (
-            altitude_amsl_m,
-            climb_m_s,
-            0.0,
-        )
+        self.altitude_amsl_m, self.climb_m_s = altitude_amsl_m, climb_m_s
+        self.acceleration_m_s2 = 0.0
 
     def towards_climb(self, climb_m_s: float, feed_m_s2: float, dt_s: float) -> None:
         """Shape towards a vertical velocity, and move the desired height."""
-        most, jerk, pushed = (
-            self.tuning.acceleration_up_m_s2,
-            self.tuning.jerk_up_m_s3,
-            self.acceleration_m_s2,
-        )
+        most, jerk = self.tuning.acceleration_up_m_s2, self.tuning.jerk_up_m_s3
+        pushed = self.acceleration_m_s2
         self.altitude_amsl_m += self.climb_m_s * dt_s + 0.5 * pushed * dt_s * dt_s
         self.climb_m_s += pushed * dt_s
         wanted = rate_for(climb_m_s - self.climb_m_s, jerk / most, jerk, dt_s)

@@ -1,7 +1,7 @@
 """The engine: what every autopilot does, from step to step and from message to message.
 
-A `Firmware` is a value: all that differs as data.  An `Autopilot` of a family (ardupilot.py,
-px4.py) answers and decides; its `Flight`, a class for each way to fly, steers the vehicle.
+A `Firmware` is a value: all that differs as data.  Two families answer and decide (ardupilot.py,
+px4.py); a kind of vehicle is a class of one of them that says how it is flown.
 """
 
 import abc
@@ -9,7 +9,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
@@ -41,13 +41,14 @@ from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
-DO_SET_MODE: Final = 176
 HEARTBEAT, GPS_GLOBAL_ORIGIN, AUTOPILOT_VERSION, HOME_POSITION = 0, 49, 148, 242
+_DO_SET_MODE: Final = 176
 _FORCE, _FORCE_ARM = 21196.0, 2989.0
 """Second parameter of COMPONENT_ARM_DISARM: without asking; and of arming alone."""
 _CHECK_US: Final = 100_000
 """What need not be looked at in every step is looked at so often."""
 _MAX_RAD_S: Final = 10.0
+"""Beyond what a gyroscope is told to feel: a heading that is set anew jumps."""
 Handler = Callable[[Command], Result]
 
 
@@ -60,7 +61,7 @@ class Mode:
     number: int
     """custom_mode of the heartbeat."""
     flies: str
-    """The method of the Flight that flies it."""
+    """How: of a copter the method that does; of a plane a name for what it does."""
     needs_position: bool = True
     armable: bool = True
     base: int = 0
@@ -79,7 +80,10 @@ class Firmware:
     holds: str
     returns: str
     pilot: str
-    """Modes that LOITER_UNLIM, RETURN_TO_LAUNCH and the pilot ask for."""
+    missions: str
+    """Modes that LOITER_UNLIM, RETURN_TO_LAUNCH, the pilot and a mission ask for."""
+    first_item: int
+    """Of a mission: ArduPilot keeps home as item 0."""
     timing: Timing
     frame: Callable[[Place], Frame]
     ready_s: float
@@ -91,49 +95,83 @@ class Firmware:
     """From touching the ground to believing it."""
     refused: Result
     """The answer to what cannot be done now."""
-    missions: str
-    """Mode that flies them."""
-    first_item: int
-    """Of a mission: ArduPilot keeps home as item 0."""
     arms: str
     disarms: str
     cannot_arm: str
     crashes: str = ""
     """Texts; with a gap for what it is disarmed by, or why it cannot be armed."""
-    acks_modes_twice: bool = False
-    """DO_SET_MODE is accepted whatever it asks for; the real result follows (px4.md 1, item 1)."""
 
 
-class Flight(abc.ABC):
-    """How a kind of vehicle is flown.  It steers by the estimate; only the ground is true."""
+@final
+class Boot(NamedTuple):
+    """What an autopilot boots with."""
 
-    def __init__(self, autopilot: "Autopilot") -> None:
-        self.parameters, self.route = autopilot.parameters, autopilot.route
-        self.estimator, self.estimate = autopilot.estimator, autopilot.estimate
+    firmware: Firmware
+    vehicle: Vehicle
+    parameters: Mapping[str, float]
+    plans: Plans
+    rng: np.random.Generator
+
+
+class Autopilot(abc.ABC):
+    """One vehicle's autopilot.
+
+    It steers the vehicle by its estimate, and reads the true position only through the GPS fix;
+    only the ground is true.
+    """
+
+    def __init__(self, boot: Boot) -> None:
+        self.firmware = firmware = boot.firmware
+        self.profile, self.vehicle, self.plans = firmware.profile, boot.vehicle, boot.plans
+        self.parameters = Parameters(firmware.table, boot.parameters)
+        self.battery = Battery()
+        """The power module's measurements; the simulation puts its own here."""
+        self.estimator = Estimator(boot.vehicle, firmware.timing, boot.rng)
+        self.estimate = self.estimator.estimate
+        self.frame = firmware.frame(self.estimate.place)
+        """Its local frame: about the origin, once there is one."""
+        self.modes = {mode.name: mode for mode in firmware.modes}
+        self.mode = firmware.modes[0]
+        self.route = Route(firmware.first_item)
+        self.home: Place | None = None
+        self.now_s, self.ground_m = 0.0, boot.vehicle.altitude_amsl_m
+        self.armed = False
+        self.landed = True
+        """It believes to be on the ground."""
+        self.armed_s = 0.0
+        self.touched_s: float | None = None
+        self.landed_s: float | None = None
+        self._said: list[Reply] = []
+        self._version = -1
+        self._check_us = round(firmware.first_check_s * 1e6)
+        self._attitudes_rad = ((0.0, 0.0, boot.vehicle.heading_rad),) * 2
+        """Before the last step and after it."""
+        self._step_s = 0.01
+        self.handlers: dict[int, Handler] = {
+            20: self.to_mode(firmware.returns),
+            224: self._do_set_mission_current,
+            246: self._reboot,
+            400: self._arm_or_disarm,
+        }
+        """What answers which MAV_CMD; families and kinds add theirs."""
+
+    # --- how it is flown ----------------------------------------------------------------------
 
     @abc.abstractmethod
     def begin(self, before: Mode) -> None:
-        """Fly the autopilot's mode from now on; the same one again if it was commanded again."""
+        """Fly the mode from now on; the same one again if it was commanded again."""
+
+    @abc.abstractmethod
+    def begin_leg(self, speed_m_s: float | None) -> None:
+        """Another leg of the mission, or none any more; the speed that was asked for before it."""
 
     @abc.abstractmethod
     def read_parameters(self) -> None:
         """Some parameter has changed; also called before the first step."""
 
-    @abc.abstractmethod
-    def take_off(self, command: Command) -> Result:
-        """NAV_TAKEOFF."""
-
-    @abc.abstractmethod
-    def reposition(self, command: Command) -> Result:
-        """DO_REPOSITION."""
-
-    @abc.abstractmethod
-    def change_speed(self, command: Command) -> Result:
-        """DO_CHANGE_SPEED."""
-
-    @abc.abstractmethod
     def steer(self, dt_s: float) -> None:
         """While armed, in each step, on the ground too: look where to go."""
+        del dt_s
 
     @abc.abstractmethod
     def lifts_off(self) -> bool:
@@ -144,12 +182,12 @@ class Flight(abc.ABC):
         """In the air, armed, after `steer`: move the vehicle."""
 
     @abc.abstractmethod
-    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+    def stand(self, dt_s: float) -> None:
         """One step on the ground; a plane may roll."""
 
-    def touch_down(self, ground_amsl_m: float) -> None:
+    @abc.abstractmethod
+    def touch_down(self) -> None:
         """It comes to the ground with this step."""
-        self.stand(ground_amsl_m, 0.0)
 
     def takes_off(self) -> bool:
         """Whether it wants up from the ground: a gust that presses it down ends no take-off."""
@@ -164,199 +202,30 @@ class Flight(abc.ABC):
         """On the ground, armed: seconds since it landed or was armed; None: never."""
 
     @abc.abstractmethod
-    def on_disarmed(self) -> None:
-        """The motors have stopped."""
-
-    @abc.abstractmethod
-    def echo(self) -> TargetEcho | None:
-        """What it steers for."""
-
-    @abc.abstractmethod
     def waypoint(self) -> Waypoint | None:
         """The place that it goes to."""
 
+    def target_echo(self) -> TargetEcho | None:
+        """Its target, if that is told."""
+        return None
 
-class Autopilot(abc.ABC):
-    """One vehicle's autopilot.
-
-    It steers the vehicle by its estimate, and reads the true position only through the GPS fix.
-    """
-
-    flight: Flight
-    """Of the subclass, which makes it last."""
-
-    def __init__(
-        self,
-        firmware: Firmware,
-        vehicle: Vehicle,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        rng: np.random.Generator,
-    ) -> None:
-        self.firmware, self.profile = firmware, firmware.profile
-        self.vehicle, self.plans = vehicle, plans
-        self.parameters = Parameters(firmware.table, parameters)
-        self.battery = Battery()
-        """The power module's measurements; the simulation puts its own here."""
-        self.estimator = Estimator(vehicle, firmware.timing, rng)
-        self.estimate = self.estimator.estimate
-        self.frame = firmware.frame(self.estimate.place)
-        """Its local frame: about the origin, once there is one."""
-        self.modes = {mode.name: mode for mode in firmware.modes}
-        self.mode = firmware.modes[0]
-        self.route = Route(firmware.first_item)
-        self.home: Place | None = None
-        self.now_s, self.ground_m = 0.0, vehicle.altitude_amsl_m
-        self.armed = False
-        self.landed = True
-        """It believes to be on the ground."""
-        self.armed_s = 0.0
-        self.touched_s: float | None = None
-        self.landed_s: float | None = None
-        self._said: list[Reply] = []
-        self._version = -1
-        self._check_us = round(firmware.first_check_s * 1e6)
-        self._attitudes_rad = ((0.0, 0.0, vehicle.heading_rad),) * 2
-        """Before the last step and after it."""
-        self._step_s = 0.01
-        self._any_component = firmware.profile.firmware == "px4"  # its own may be any
-        self.handlers: dict[int, Handler] = {
-            20: self.to_mode(firmware.returns),
-            224: self._do_set_mission_current,
-            246: self.reboot,
-            400: self._arm_or_disarm,
-        }
-        """What answers which MAV_CMD; the families and flights add theirs."""
-
-    # --- saying -------------------------------------------------------------------------------
-
-    def say(self, severity: int, text: str) -> None:
-        """A STATUSTEXT."""
-        self._said.append(Text(severity=severity, text=text))
-
-    def send(self, *messages: int) -> None:
-        """Send these telemetry messages once, to all links."""
-        self._said.extend(SendTelemetry(message=message) for message in messages)
-
-    def reply(self, reply: Reply) -> None:
-        """Anything else."""
-        self._said.append(reply)
-
-    def taken(self) -> list[Reply]:
-        """What there is to say, once."""
-        said, self._said = self._said, []
-        return said
-
-    # --- each step ----------------------------------------------------------------------------
-
-    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
-        """Fly on to now_us, over ground of this height, with the newest GPS fix."""
-        self.now_s, self.ground_m = now_us * 1e-6, ground_amsl_m
-        estimator = self.estimator
-        origin = estimator.origin
-        estimator.step(self.now_s, dt_s, fix)
-        if estimator.origin is not None and estimator.origin is not origin:
-            self.frame = self.firmware.frame(estimator.origin)
-            self.on_origin(estimator.origin)
-        if self.parameters.version != self._version:
-            self._version = self.parameters.version
-            self.flight.read_parameters()
-        self.look(fix)
-        if now_us >= self._check_us:
-            self._check_us = now_us + _CHECK_US
-            self.check()
-        self._fly(dt_s)
-        estimator.follow()
-        vehicle = self.vehicle
-        attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
-        self._attitudes_rad, self._step_s = (self._attitudes_rad[1], attitude_rad), dt_s
-        return self.taken() if self._said else ()
+    # --- how it decides -----------------------------------------------------------------------
 
     @abc.abstractmethod
     def on_origin(self, origin: Place) -> None:
         """The estimator's origin is set."""
 
-    @abc.abstractmethod
     def look(self, fix: Fix) -> None:
         """In every step, before the checks."""
+        del fix
 
     @abc.abstractmethod
     def check(self) -> None:
         """Ten times a second: whatever may end the flight."""
 
-    def check_now(self) -> None:
-        """Do not wait for the next check, but have it with the next step."""
-        self._check_us = round(self.now_s * 1e6)
-
-    def _fly(self, dt_s: float) -> None:
-        """Steer and move the vehicle, or let it stand; the simulation judges its contacts."""
-        vehicle, flight = self.vehicle, self.flight
-        if self.armed:
-            flight.steer(dt_s)
-        if vehicle.stands and self.armed and flight.lifts_off():
-            vehicle.stands, self.touched_s = False, None
-        if vehicle.stands:
-            flight.stand(self.ground_m, dt_s)
-            self._wait_on_ground()
-            return
-        if self.armed:
-            flight.move(dt_s)
-        else:
-            vehicle.fall(dt_s)
-        if vehicle.altitude_amsl_m <= self.ground_m:
-            if self.armed and flight.takes_off():  # the ground carries it until it rises
-                vehicle.altitude_amsl_m = self.ground_m
-                vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
-                return
-            self.touched_s = self.now_s
-            flight.touch_down(self.ground_m)
-
-    def take_to_the_air(self) -> None:
-        """It believes to fly."""
-        self.landed, self.landed_s = False, None
-
-    def _wait_on_ground(self) -> None:
-        """Believe the landing after a while, and disarm."""
-        if not self.landed:
-            if not self.flight.lies():
-                self.touched_s = None
-            else:
-                self.touched_s = self.now_s if self.touched_s is None else self.touched_s
-                waited_s = self.now_s - self.touched_s
-                if not self.armed or waited_s >= self.firmware.believes_landing_s:
-                    self.landed, self.landed_s = True, self.now_s
-        if self.armed and self.landed:
-            wait_s = self.flight.disarms_after_s()
-            since_s = self.armed_s if self.landed_s is None else self.landed_s
-            if wait_s is not None and self.now_s - since_s >= wait_s:
-                self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
-
-    @property
-    def rates_rad_s(self) -> tuple[float, float, float]:
-        """Of roll, pitch and heading, as gyroscopes feel them: a point mass has none."""
-        roll, pitch, yaw = (
-            min(max(math.remainder(now - was, math.tau) / self._step_s, -_MAX_RAD_S), _MAX_RAD_S)
-            for was, now in zip(*self._attitudes_rad, strict=True)
-        )
-        return roll, pitch, yaw
-
-    # --- modes and arming ---------------------------------------------------------------------
-
-    @property
-    def mode_name(self) -> str:
-        """Name of the flight mode."""
-        return self.mode.name
-
     @abc.abstractmethod
     def set_mode(self, name: str) -> bool:
         """Fly in this mode from now on, if it can be."""
-
-    def to_mode(self, name: str) -> Handler:
-        """The answer to a command that asks for a mode."""
-        return functools.partial(self._enter, name)
-
-    def _enter(self, name: str, _: Command) -> Result:
-        return Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
 
     @abc.abstractmethod
     def refusal(self) -> str | None:
@@ -369,6 +238,134 @@ class Autopilot(abc.ABC):
     @abc.abstractmethod
     def on_disarmed(self) -> None:
         """The motors have stopped."""
+
+    @abc.abstractmethod
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+        """Take a setpoint."""
+
+    @abc.abstractmethod
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """A heartbeat of another component."""
+
+    @abc.abstractmethod
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
+        """A mission, fence or rally list was replaced by a client."""
+
+    def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
+        """A parameter was set by a client."""
+        return ()
+
+    @abc.abstractmethod
+    def status(self) -> Status:
+        """What else there is to tell."""
+
+    # --- saying -------------------------------------------------------------------------------
+
+    def say(self, severity: int, text: str) -> None:
+        """A STATUSTEXT."""
+        self._said.append(Text(severity=severity, text=text))
+
+    def send(self, *messages: int) -> None:
+        """Send these telemetry messages once, to all links."""
+        self._said.extend(SendTelemetry(message=message) for message in messages)
+
+    def taken(self) -> Sequence[Reply]:
+        """What there is to say, once."""
+        said, self._said = self._said, []
+        return said
+
+    # --- each step ----------------------------------------------------------------------------
+
+    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
+        """Fly on to now_us, over ground of this height, with the newest GPS fix."""
+        self.now_s, self.ground_m = now_us * 1e-6, ground_amsl_m
+        estimator, vehicle = self.estimator, self.vehicle
+        origin = estimator.origin
+        estimator.step(self.now_s, dt_s, fix)
+        if estimator.origin is not None and estimator.origin is not origin:
+            self.frame = self.firmware.frame(estimator.origin)
+            self.on_origin(estimator.origin)
+        if self.parameters.version != self._version:
+            self._version = self.parameters.version
+            self.read_parameters()
+        self.look(fix)
+        if now_us >= self._check_us:
+            self._check_us = now_us + _CHECK_US
+            self.check()
+        self._advance(dt_s)
+        estimator.follow()
+        attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
+        self._attitudes_rad, self._step_s = (self._attitudes_rad[1], attitude_rad), dt_s
+        return self.taken() if self._said else ()
+
+    def _advance(self, dt_s: float) -> None:
+        """Steer and move the vehicle, or let it stand; the simulation judges its contacts."""
+        vehicle = self.vehicle
+        if self.armed:
+            self.steer(dt_s)
+        if vehicle.stands and self.armed and self.lifts_off():
+            vehicle.stands, self.touched_s = False, None
+        if vehicle.stands:
+            self.stand(dt_s)
+            self._wait_on_ground()
+            return
+        if self.armed:
+            self.move(dt_s)
+        else:
+            vehicle.fall(dt_s)
+        if vehicle.altitude_amsl_m <= self.ground_m:
+            if self.armed and self.takes_off():  # the ground carries it until it rises
+                vehicle.altitude_amsl_m = self.ground_m
+                vehicle.velocity_up_m_s = max(vehicle.velocity_up_m_s, 0.0)
+                return
+            self.touched_s = self.now_s
+            self.touch_down()
+
+    def take_to_the_air(self) -> None:
+        """It believes to fly."""
+        self.landed, self.landed_s = False, None
+
+    def _wait_on_ground(self) -> None:
+        """Believe the landing after a while, and disarm."""
+        if not self.landed:
+            if not self.lies():
+                self.touched_s = None
+            else:
+                self.touched_s = self.now_s if self.touched_s is None else self.touched_s
+                waited_s = self.now_s - self.touched_s
+                if not self.armed or waited_s >= self.firmware.believes_landing_s:
+                    self.landed, self.landed_s = True, self.now_s
+        if self.armed and self.landed and (wait_s := self.disarms_after_s()) is not None:
+            since_s = self.armed_s if self.landed_s is None else self.landed_s
+            if self.now_s - since_s >= wait_s:
+                self.disarm("auto preflight disarming" if self.landed_s is None else "landing")
+
+    @property
+    def rates_rad_s(self) -> tuple[float, ...]:
+        """Of roll, pitch and heading, as gyroscopes feel them: a point mass has none."""
+        turned = (
+            math.remainder(now - was, math.tau)
+            for was, now in zip(*self._attitudes_rad, strict=True)
+        )
+        return tuple(min(max(t / self._step_s, -_MAX_RAD_S), _MAX_RAD_S) for t in turned)
+
+    def local_ned_m(self) -> Vector | None:
+        """Position in the estimator's frame."""
+        return self.frame.ned_m(self.estimate.place)
+
+    # --- modes and arming ---------------------------------------------------------------------
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the flight mode."""
+        return self.mode.name
+
+    def to_mode(self, name: str) -> Handler:
+        """The answer to a command that asks for a mode."""
+        return functools.partial(self._enter, name)
+
+    def _enter(self, name: str, _: Command) -> Result:
+        return Result.ACCEPTED if self.set_mode(name) else self.firmware.refused
 
     def arm(self, *, forced: bool = False) -> Result:
         """Start the motors, or say why not; home is here then."""
@@ -390,7 +387,6 @@ class Autopilot(abc.ABC):
         if self.armed:
             self.armed = False
             self.say(6, self.firmware.disarms.format(by))
-            self.flight.on_disarmed()
             self.on_disarmed()
 
     def _arm_or_disarm(self, command: Command) -> Result:
@@ -417,15 +413,10 @@ class Autopilot(abc.ABC):
     def seek(self, number: int) -> None:
         """Fly the mission from this item on; what is above terrain is above the ground below."""
         items, here = self.plans[PlanKind.MISSION], self.estimate.place
-        home, ground_m = self.home or here, self.ground_m
-        speed_m_s = self.route.seek(
-            items, number, lambda item: leg_of(item, here, home, ground_m), self.now_s
+        leg_at = functools.partial(
+            leg_of, here=here, home=self.home or here, ground_amsl_m=self.ground_m
         )
-        self.on_leg(speed_m_s)
-
-    @abc.abstractmethod
-    def on_leg(self, speed_m_s: float | None) -> None:
-        """Another leg of the mission, or none any more; the speed that was asked for before it."""
+        self.begin_leg(self.route.seek(items, number, leg_at, self.now_s))
 
     def jump(self, number: int) -> bool:
         """Make this the current item, in a mission fly it; tells whether there is such an item."""
@@ -446,7 +437,8 @@ class Autopilot(abc.ABC):
 
     def reached(self, number: int) -> None:
         """Send MISSION_ITEM_REACHED to all links."""
-        self.reply(SendMessage(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
+        message = mavlink.MAVLink_mission_item_reached_message(seq=number)
+        self._said.append(SendMessage(message=message))
 
     def mission_state(self) -> int:
         """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
@@ -462,13 +454,17 @@ class Autopilot(abc.ABC):
     # --- commands -----------------------------------------------------------------------------
 
     def on_command(self, command: Command) -> Sequence[Reply]:
-        """Handle a command; returns the replies."""
+        """Handle a command; returns the replies.
+
+        PX4 answers for whatever component it is; it accepts DO_SET_MODE whatever that asks for,
+        and lets the real result follow (px4.md 1, item 1).
+        """
         number, sender, result = command.number, command.sender, Result.UNSUPPORTED
-        handler = self.handlers.get(number)
-        if handler is not None and (self._any_component or command.target_component in (0, 1)):
+        handler, is_px4 = self.handlers.get(number), self.profile.firmware == "px4"
+        if handler is not None and (is_px4 or command.target_component in (0, 1)):
             result = handler(command)
         said = [Ack(to=sender, command=number, result=result), *self.taken()]
-        if number == DO_SET_MODE and self.firmware.acks_modes_twice:
+        if number == _DO_SET_MODE and is_px4:
             self._said = said
             return [Ack(to=sender, command=number, result=Result.ACCEPTED)]
         return said
@@ -483,65 +479,37 @@ class Autopilot(abc.ABC):
 
     def answer(self, message: int) -> Handler:
         """An old command that asks for one message."""
-        return functools.partial(self._send, message)
+        return functools.partial(self._answer, message)
 
-    def _send(self, message: int, command: Command) -> Result:
-        self.reply(SendTelemetry(message=message, to=command.sender))
+    def _answer(self, message: int, command: Command) -> Result:
+        self._said.append(SendTelemetry(message=message, to=command.sender))
         return Result.ACCEPTED
 
-    def reboot(self, command: Command) -> Result:
+    def _reboot(self, command: Command) -> Result:
         """PREFLIGHT_REBOOT_SHUTDOWN: only while disarmed."""
         if self.armed:
             return self.firmware.refused
         if command.parameters[0] not in (1.0, 3.0):
             return Result.UNSUPPORTED
-        self.reply(Reboot())
+        self._said.append(Reboot())
         return Result.ACCEPTED
 
-    # --- the rest of the protocol -------------------------------------------------------------
-
-    @abc.abstractmethod
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
-        """Take a setpoint."""
-
-    @abc.abstractmethod
-    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """A heartbeat of another component."""
-
-    @abc.abstractmethod
-    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list was replaced by a client."""
-
-    @abc.abstractmethod
-    def status(self) -> Status:
-        """What else there is to tell."""
-
-    def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - they are read live
-        """A parameter was set by a client."""
-        return ()
+    # --- faults -------------------------------------------------------------------------------
 
     def pilot_takes(self) -> Sequence[Reply]:
-        """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""
+        """The pilot changes to the mode that pilots of this firmware hold the vehicle in."""
         self.set_mode(self.firmware.pilot)
         return self.taken()
 
     def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
-        """Fault: the estimator resets and its position jumps by this much."""
+        """The estimator resets and its position jumps by this much."""
         self.estimator.shift(north_m, east_m)
         return ()
 
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
-        """Fault: the origin moves: local positions change, global ones do not."""
+        """The origin moves: local positions change, global ones do not."""
         if self.estimator.origin is not None:
             self.estimator.origin = origin = self.frame.place(north_m, east_m, -up_m)
             self.frame = self.firmware.frame(origin)
             self.send(GPS_GLOBAL_ORIGIN)
         return self.taken()
-
-    def local_ned_m(self) -> Vector | None:
-        """Position in the estimator's frame."""
-        return self.frame.ned_m(self.estimate.place)
-
-    def target_echo(self) -> TargetEcho | None:
-        """Its target, if that is told."""
-        return self.flight.echo()

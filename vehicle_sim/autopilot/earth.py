@@ -29,34 +29,30 @@ class FlatEarth:
     def ned_m(self, place: Place) -> Vector:
         """Where it is, as Location::get_distance_NED says it."""
         origin = self.origin
-        scale = _longitude_scale(0.5 * (origin.latitude_deg + place.latitude_deg))
-        east_m = degrees_east(origin.longitude_deg, place.longitude_deg) * ARDUPILOT_M_PER_DEG
-        return (
-            (place.latitude_deg - origin.latitude_deg) * ARDUPILOT_M_PER_DEG,
-            east_m * scale,
-            origin.altitude_amsl_m - place.altitude_amsl_m,
-        )
+        north_deg = place.latitude_deg - origin.latitude_deg
+        east_deg = degrees_east(origin.longitude_deg, place.longitude_deg)
+        east_m = east_deg * ARDUPILOT_M_PER_DEG * self._scale(north_deg)
+        down_m = origin.altitude_amsl_m - place.altitude_amsl_m
+        return north_deg * ARDUPILOT_M_PER_DEG, east_m, down_m
 
     def place(self, north_m: float, east_m: float, down_m: float) -> Place:
         """The inverse."""
         origin, north_deg = self.origin, north_m / ARDUPILOT_M_PER_DEG
-        scale = _longitude_scale(origin.latitude_deg + 0.5 * north_deg)
+        east_deg = east_m / (ARDUPILOT_M_PER_DEG * self._scale(north_deg))
+        longitude_deg = around(origin.longitude_deg + east_deg)
         return Place(
-            origin.latitude_deg + north_deg,
-            around(origin.longitude_deg + east_m / (ARDUPILOT_M_PER_DEG * scale)),
-            origin.altitude_amsl_m - down_m,
+            origin.latitude_deg + north_deg, longitude_deg, origin.altitude_amsl_m - down_m
         )
 
-
-def _longitude_scale(latitude_deg: float) -> float:
-    """How much shorter a degree of longitude is than one of latitude; 0.01 at least."""
-    return max(math.cos(math.radians(latitude_deg)), 0.01)
+    def _scale(self, north_deg: float) -> float:
+        """How much shorter a degree of longitude is there than one of latitude; at least 0.01."""
+        between_deg = self.origin.latitude_deg + 0.5 * north_deg
+        return max(math.cos(math.radians(between_deg)), 0.01)
 
 
 def way_m(one: Place, other: Place) -> complex:
     """From one place to another, as ArduPilot measures it."""
-    north_m, east_m, _ = FlatEarth(one).ned_m(other)
-    return complex(north_m, east_m)
+    return complex(*FlatEarth(one).ned_m(other)[:2])
 
 
 _RADIUS_M: Final = 6_371_000.0

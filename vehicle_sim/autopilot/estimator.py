@@ -32,6 +32,7 @@ _KEEPS, _KEEPS_UP = math.exp(-0.125 / 0.8), math.exp(-0.125 / 1.5)
 (hover of px4-offboard-8mps.tlog)."""
 _NOISE_ON_GROUND: Final = 0.15
 _BLOCK: Final = 256
+"""Random numbers are drawn so many at a time."""
 
 
 class State(enum.Enum):
@@ -85,8 +86,6 @@ class Timing:
     """Latency that it takes the receiver to have."""
     follows: float
     """Share of a fix's error that is taken over."""
-    first_share: float = 1.0
-    """The same, of the first one."""
     drift_m_s: float = 0.0
     drift_m_s2: float = 0.0
     """Without GPS the horizontal error begins with this velocity and acceleration."""
@@ -96,10 +95,11 @@ class Timing:
     """Time constant with which the output follows a jump of the state."""
     noise_m_s: float = 0.0
     """Standard deviation of the velocity's error on each axis; with it the height errs as well."""
-    stays: bool = True
-    """A reset that a fault brings about stays: GPS counts as off by it."""
+    velocity_ratio: float
+    """The least test ratio of velocities that is told."""
     freezes: bool = True
-    """Without GPS the position stands still, and at first there is none."""
+    """Without GPS the position stands still, and at first there is none; a reset that a fault
+    brings about stays: GPS counts as off by it."""
 
 
 @final
@@ -119,11 +119,11 @@ class Estimator:
         self.used_s = 0.0
         """When it was used last."""
         self._vehicle, self._rng = vehicle, rng
-        knows = not timing.freezes
+        knows = 0.0 if timing.freezes else 1.0
         self.estimate = Estimate(
-            latitude_deg=vehicle.latitude_deg if knows else 0.0,
-            longitude_deg=vehicle.longitude_deg if knows else 0.0,
-            altitude_amsl_m=vehicle.altitude_amsl_m if knows else 0.0,
+            latitude_deg=vehicle.latitude_deg * knows,
+            longitude_deg=vehicle.longitude_deg * knows,
+            altitude_amsl_m=vehicle.altitude_amsl_m * knows,
             flags=timing.stages[0][1],
         )
         self._fix: Fix | None = None
@@ -197,7 +197,12 @@ class Estimator:
 
     def _take(self, fix: Fix) -> None:
         """A new fix with a position."""
-        timing, estimate, now_s = self.timing, self.estimate, self._now_s
+        timing, estimate, now_s, refused_s = (
+            self.timing,
+            self.estimate,
+            self._now_s,
+            self._refused_s,
+        )
         self._scale = metres_per_degree(self._vehicle.latitude_deg)
         if self.state not in _FLYING:
             self._seen_s = now_s if self._seen_s is None else self._seen_s
@@ -205,9 +210,8 @@ class Estimator:
                 estimate.latitude_deg, estimate.longitude_deg = fix.latitude_deg, fix.longitude_deg
             return
         gap_s, self.used_s = now_s - self.used_s, now_s
-        off, refused_s = self._innovation(fix), self._refused_s
-        grown_m = 0.0 if refused_s is None else timing.gate_growth_m_s * (now_s - refused_s)
-        gate_m = timing.gate_m + grown_m
+        off, gate_m = self._innovation(fix), timing.gate_m
+        gate_m += 0.0 if refused_s is None else timing.gate_growth_m_s * (now_s - refused_s)
         self._tell(abs(off) / gate_m)
         if self._drifts:
             self._drifts, self._rate, self._climb_m_s = False, 0j, 0.0
@@ -219,9 +223,8 @@ class Estimator:
             self._accept(timing.follows * off)
             if timing.noise_m_s:
                 up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * self.lag_s
-                up_m -= self._vehicle.altitude_amsl_m
-                self._up_m += timing.follows * (up_m - self._up_m)
-        if timing.noise_m_s and estimate.position_ok:
+                self._up_m += timing.follows * (up_m - self._vehicle.altitude_amsl_m - self._up_m)
+        if estimate.position_ok:
             self._stir()
 
     def _innovation(self, fix: Fix) -> complex:
@@ -251,31 +254,29 @@ class Estimator:
 
     def _tell(self, ratio: float) -> None:
         """The test ratios: of the velocity's what noise makes of it."""
-        if self.timing.noise_m_s:
-            errs = abs(self._rate.real) + abs(self._rate.imag)
-            self.estimate.velocity_variance = 0.05 + 0.5 * errs
-        else:
-            self.estimate.velocity_variance = 0.004 + 0.016 * self._rng.random()
+        errs = abs(self._rate.real) + abs(self._rate.imag)
+        self.estimate.velocity_variance = self.timing.velocity_ratio + 0.5 * errs
         self.estimate.horizontal_variance = ratio
 
     def _stir(self) -> None:
         """The errors that are always there: velocities wander, and the position with them."""
+        if not self.timing.noise_m_s:
+            return
         if len(self._noise) < 3:
             self._noise = self._rng.standard_normal(3 * _BLOCK).tolist()
         draw, size = self._noise.pop, self.timing.noise_m_s
         size *= _NOISE_ON_GROUND if self.still else 1.0
-        fresh = size * math.sqrt(1.0 - _KEEPS * _KEEPS)
+        fresh, fresh_up = (size * math.sqrt(1.0 - k * k) for k in (_KEEPS, _KEEPS_UP))
         self._rate = _KEEPS * self._rate + fresh * complex(draw(), draw())
-        fresh = size * math.sqrt(1.0 - _KEEPS_UP * _KEEPS_UP)
-        self._climb_m_s = _KEEPS_UP * self._climb_m_s + fresh * draw()
+        self._climb_m_s = _KEEPS_UP * self._climb_m_s + fresh_up * draw()
 
     # --- what time brings ---------------------------------------------------------------------
 
     def _watch(self, silent_s: float, fix: Fix, dt_s: float) -> None:
         """Starting, refusing GPS, or without it."""
-        timing, state, now_s = self.timing, self.state, self._now_s
+        timing, state, now_s, e = self.timing, self.state, self._now_s, self.estimate
         if state is State.START:
-            self.estimate.flags = next(f for at_s, f in reversed(timing.stages) if now_s >= at_s)
+            e.flags = next(flags for at_s, flags in reversed(timing.stages) if now_s >= at_s)
         if state not in _FLYING:
             if self._seen_s is not None:
                 self._wait(now_s - self._seen_s, fix)
@@ -283,12 +284,12 @@ class Estimator:
                 self._be(State.STOPPED)
                 self.aiding = False
                 if timing.freezes:
-                    self.estimate.frozen_altitude_amsl_m = self.estimate.altitude_amsl_m
-                    self.estimate.velocity_north_m_s = self.estimate.velocity_east_m_s = 0.0
+                    e.frozen_altitude_amsl_m = e.altitude_amsl_m
+                    e.velocity_north_m_s = e.velocity_east_m_s = 0.0
         elif silent_s >= timing.lost_s:
             self._be(State.LOST)
             self._refused_s = self.returned_s = None
-            self.estimate.position_ok = False
+            e.position_ok = False
         elif self._refused_s is not None:
             self._judge(now_s - self._refused_s, fix)
         elif state is State.GLITCH and now_s >= self._calm_s:
@@ -308,19 +309,17 @@ class Estimator:
             self.origin = self.estimate.place
         if self.origin is None or since_s < (timing.good_s if first else timing.back_s):
             return
-        off = self._innovation(fix)
         if first:
-            self._error += timing.first_share * off
-            if timing.noise_m_s:
-                self._stir()
+            self._error += self._innovation(fix) * (1.0 if timing.freezes else timing.follows)
+            self._stir()
         else:
-            self._jump(off)
+            self._jump(self._innovation(fix))
             self.returned_s = now_s
             self._trusted_s = now_s + timing.trusted_s
             self._precise_s = now_s + timing.precise_s
         self.aiding, self._drifts, self.used_s, self._seen_s = True, False, now_s, None
         self._be(State.GOOD)
-        self._tell(0.0001)
+        self._tell(0.0)
 
     def _judge(self, refused_s: float, fix: Fix) -> None:
         """GPS has been refused for so long."""
@@ -328,7 +327,7 @@ class Estimator:
         if refused_s >= timing.yields_s:
             self._jump(self._innovation(fix))
             self._be(State.GLITCH if timing.calm_s else State.GOOD)
-            self._tell(0.017)
+            self._tell(0.0)
         elif refused_s >= timing.yields_s - _GIVES_UP_S and timing.calm_s:
             self._be(State.YIELDS)
         elif refused_s >= timing.glitch_s and self.state is State.GOOD:
@@ -344,5 +343,5 @@ class Estimator:
     def shift(self, north_m: float, east_m: float) -> None:
         """The position jumps by this much at once."""
         self._error += complex(north_m, east_m)
-        if self.timing.stays:
+        if self.timing.freezes:
             self._bias += complex(north_m, east_m)

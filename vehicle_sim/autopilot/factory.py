@@ -1,7 +1,7 @@
 """Which autopilot a world asks for, and the vehicle that it flies.
 
-Another one is a row of PERSONALITIES: a `Firmware` value, and a `Flight` of its own only if its law
-is new (simulator.md).
+Another one is a row of PERSONALITIES: a `Firmware` value, and a class of its own only if its law is
+new (simulator.md).
 """
 
 import math
@@ -12,9 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from vehicle_sim.autopilot import arducopter, arduplane, ideal, px4copter, px4plane
-from vehicle_sim.autopilot.ardupilot import ArduPilot
-from vehicle_sim.autopilot.core import Autopilot, Firmware
-from vehicle_sim.autopilot.px4 import Px4
+from vehicle_sim.autopilot.core import Autopilot, Boot, Firmware
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
@@ -44,9 +42,8 @@ _STEEPEST_CDEG: Final = 8000.0
 class Personality:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
-    family: Callable[..., Autopilot]
+    make: Callable[[Boot], Autopilot]
     firmware: Firmware
-    flight: Callable[[Any], Any]
     receiver: Receiver
     battery: Model
     limits: Limits | PlaneLimits
@@ -61,45 +58,39 @@ class Personality:
         rng: np.random.Generator,
     ) -> Autopilot:
         """One that boots now.  InputError names a parameter that it does not have."""
-        return self.family(self.firmware, self.flight, vehicle, parameters, plans, rng)
+        return self.make(Boot(self.firmware, vehicle, parameters, plans, rng))
 
     @property
-    def id_parameters(self) -> tuple[str, str | None]:
-        """Which hold system and component; None: it is always 1."""
-        is_px4 = self.firmware.profile.firmware == "px4"
-        return ("MAV_SYS_ID", "MAV_COMP_ID") if is_px4 else ("MAV_SYSID", None)
+    def is_px4(self) -> bool:
+        """Or ArduPilot."""
+        return self.firmware.profile.firmware == "px4"
+
+    @property
+    def id_parameters(self) -> tuple[str, ...]:
+        """Which hold the system, and of PX4 the component, which otherwise is 1."""
+        return ("MAV_SYS_ID", "MAV_COMP_ID") if self.is_px4 else ("MAV_SYSID",)
 
     @property
     def highest_id(self) -> int:
         """Of both; the least is 1.  Of PX4 as Mavlink::set_system_id has it."""
-        return 254 if self.firmware.profile.firmware == "px4" else 255
+        return 254 if self.is_px4 else 255
 
 
 _ARDUCOPTER: Final = Personality(
-    ArduPilot,
-    arducopter.FIRMWARE,
-    arducopter.CopterFlight,
-    gps.ARDUCOPTER,
-    "ardupilot copter",
-    _COPTER,
+    *(arducopter.ArduCopter, arducopter.FIRMWARE, gps.ARDUCOPTER, "ardupilot copter", _COPTER),
     _ARDUCOPTER_DRAG,
 )
 PERSONALITIES: Final = {
     ("ardupilot", "copter"): _ARDUCOPTER,
-    ("ideal", "copter"): replace(_ARDUCOPTER, flight=ideal.IdealFlight, drag=(0.0, 0.0)),
+    ("ideal", "copter"): replace(_ARDUCOPTER, make=ideal.Ideal, drag=(0.0, 0.0)),
     ("ardupilot", "plane"): Personality(
-        ArduPilot,
-        arduplane.FIRMWARE,
-        arduplane.ArduPlaneFlight,
-        gps.ARDUPLANE,
-        "ardupilot plane",
-        PlaneLimits(),
+        *(arduplane.ArduPlane, arduplane.FIRMWARE, gps.ARDUPLANE, "ardupilot plane", PlaneLimits())
     ),
     ("px4", "copter"): Personality(
-        Px4, px4copter.FIRMWARE, px4copter.Px4CopterFlight, gps.PX4, "px4", _COPTER
+        *(px4copter.Px4Copter, px4copter.FIRMWARE, gps.PX4, "px4", _COPTER)
     ),
     ("px4", "plane"): Personality(
-        Px4, px4plane.FIRMWARE, px4plane.Px4PlaneFlight, gps.PX4, "px4", px4plane.SIH_AIRPLANE
+        *(px4plane.Px4Plane, px4plane.FIRMWARE, gps.PX4, "px4", px4plane.SIH_AIRPLANE)
     ),
 }
 """By vehicle.autopilot and vehicle.kind of the world file."""
@@ -117,8 +108,8 @@ def personality_of(vehicle: VehicleTable) -> Personality:
 
 def ids_of(personality: Personality, parameters: Readable) -> tuple[int, int]:
     """System and component that an autopilot boots as; what is out of range counts as 1."""
-    ids = [1 if name is None else int(parameters[name]) for name in personality.id_parameters]
-    system, component = (each if 1 <= each <= personality.highest_id else 1 for each in ids)
+    ids = [int(parameters[name]) for name in personality.id_parameters]
+    system, component, *_ = (i if 1 <= i <= personality.highest_id else 1 for i in (*ids, 1))
     return system, component
 
 
@@ -127,21 +118,20 @@ def with_own_ids(vehicle: VehicleTable) -> VehicleTable:
 
     InputError for a system or component id that there cannot be, or that another part has.
     """
-    personality, parameters = personality_of(vehicle), vehicle.parameters
-    most, system_id = personality.highest_id, personality.id_parameters[0]
+    personality, parameters = personality_of(vehicle), dict(vehicle.parameters)
+    most = personality.highest_id
     for name in personality.id_parameters:
-        value = parameters.get(name or "", 1.0)
+        value = parameters.get(name, 1.0)
         if not (1 <= value <= most and value == int(value)):
             rule = f"must be a whole number from 1 to {most}"
             raise InputError(f"parameter {name}", value, rule, "Try 2.")
-    given = parameters.get(system_id)
-    if given is None and vehicle.system_id > most:
+    given = parameters.pop(personality.id_parameters[0], None)
+    if given is not None:
+        return replace(vehicle, system_id=int(given), parameters=parameters)
+    if vehicle.system_id > most:
         rule = f"must be from 1 to {most} with {vehicle.autopilot}"
         raise InputError("vehicle.system_id", vehicle.system_id, rule, "Give a smaller one.")
-    if given is None:
-        return vehicle
-    rest = {name: value for name, value in parameters.items() if name != system_id}
-    return replace(vehicle, system_id=int(given), parameters=rest)
+    return vehicle
 
 
 def make_vehicle(
@@ -180,12 +170,12 @@ def _own_drag_1_s(vehicle: VehicleTable) -> float | None:
     return vehicle.drag_1_s
 
 
-_FOLLOWING: Final = (
-    ("speed_vertical_max_m_s", "WPNAV_SPEED_UP", 100.0),
-    ("speed_vertical_max_m_s", "WPNAV_SPEED_DN", 100.0),
-    ("acceleration_vertical_max_m_s2", "WPNAV_ACCEL_Z", 100.0),
-)
-"""Limits of a copter, and the parameters in cm/s and cm/s2 that follow them."""
+_FOLLOWING: Final = {
+    "WPNAV_SPEED_UP": "speed_vertical_max_m_s",
+    "WPNAV_SPEED_DN": "speed_vertical_max_m_s",
+    "WPNAV_ACCEL_Z": "acceleration_vertical_max_m_s2",
+}
+"""Parameters in cm/s and cm/s2, and the limits of a copter that they follow."""
 
 
 def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
@@ -197,9 +187,10 @@ def overrides_of(vehicle: VehicleTable) -> dict[str, float]:
     """
     personality = personality_of(vehicle)
     overrides: dict[str, float] = {personality.id_parameters[0]: vehicle.system_id}
-    if vehicle.kind == "copter" and personality.family is ArduPilot:
-        given = ((name, getattr(vehicle, key), scale) for key, name, scale in _FOLLOWING)
-        overrides |= {name: limit * scale for name, limit, scale in given if limit is not None}
+    if vehicle.kind == "copter" and not personality.is_px4:
+        for name, key in _FOLLOWING.items():
+            if (limit := getattr(vehicle, key)) is not None:
+                overrides[name] = limit * 100.0
         if vehicle.acceleration_max_m_s2 is not None:
             overrides["ANGLE_MAX"] = _STEEPEST_CDEG
     elif vehicle.kind == "copter" and (drag_1_s := _own_drag_1_s(vehicle)) is not None:

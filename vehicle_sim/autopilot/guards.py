@@ -27,32 +27,26 @@ class Zones:
             )
         if not self._zones:
             return False
-        north_m, east_m, _ = frame.ned_m(place)
+        here_m = frame.ned_m(place)[:2]
 
         def inside(zone: Zone) -> bool:
             if zone.radius_m > 0.0:
-                centre_n, centre_e = zone.corners[0]
-                return math.hypot(north_m - centre_n, east_m - centre_e) <= zone.radius_m
-            return zone.surrounds((north_m, east_m))
+                return math.dist(here_m, zone.corners[0]) <= zone.radius_m
+            return zone.surrounds(here_m)
 
         return forbidden(self._zones, inside, union=union)
 
 
 ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
-NAMES: Final = {
-    ALTITUDE_MAX: "Max Alt",
-    CIRCLE: "Circle",
-    POLYGON: "Polygon",
-    ALTITUDE_MIN: "Min Alt",
-}
+_NAMES: Final = {1: "Max Alt", 2: "Circle", 4: "Polygon", 8: "Min Alt"}
 """By the bits of FENCE_TYPE, as the texts call them."""
 _LOADING_S: Final = 0.45
 """A fence uploaded around the vehicle is breached after half a second (ardupilot.md 4)."""
 
 
-def named(kinds: int) -> list[str]:
+def named(kinds: int) -> str:
     """The kinds of fence of these bits."""
-    return [name for bit, name in NAMES.items() if kinds & bit]
+    return " and ".join(name for bit, name in _NAMES.items() if kinds & bit)
 
 
 @final
@@ -89,34 +83,23 @@ class Fence:
         """Which kinds of fence this place would breach: bits of FENCE_TYPE."""
         if not self.enabled or home is None:
             return 0
-        parameters = self._parameters
-        kinds, found = int(parameters["FENCE_TYPE"]), 0
-        above_m = place.altitude_amsl_m - home.altitude_amsl_m
-        if kinds & ALTITUDE_MAX and above_m >= parameters["FENCE_ALT_MAX"]:
+        p, above_m, found = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m, 0
+        kinds, union = int(p["FENCE_TYPE"]), bool(int(p["FENCE_OPTIONS"]) & 2)
+        if kinds & ALTITUDE_MAX and above_m >= p["FENCE_ALT_MAX"]:
             found |= ALTITUDE_MAX
-        if kinds & ALTITUDE_MIN and self.has_floor and above_m <= parameters["FENCE_ALT_MIN"]:
+        if kinds & ALTITUDE_MIN and self.has_floor and above_m <= p["FENCE_ALT_MIN"]:
             found |= ALTITUDE_MIN
-        if kinds & CIRCLE and abs(way_m(home, place)) >= parameters["FENCE_RADIUS"]:
+        if kinds & CIRCLE and abs(way_m(home, place)) >= p["FENCE_RADIUS"]:
             found |= CIRCLE
-        if kinds & POLYGON and self._plans[PlanKind.FENCE]:
-            union = bool(int(parameters["FENCE_OPTIONS"]) & 2)
-            found |= POLYGON if self._zones.forbid(frame, place, union=union) else 0
+        if kinds & POLYGON and self._zones.forbid(frame, place, union=union):
+            found |= POLYGON
         return found
 
-    def forget(self) -> None:
-        """It is not in the air, or the fence is off."""
-        self.breached, self.has_floor = 0, False
-
-    def raises_floor(self, above_home_m: float, *, lands: bool) -> bool:
-        """Whether FENCE_ALT_MIN counts from now on; of one that lands it does not."""
-        parameters, had = self._parameters, self.has_floor
-        safe_m = parameters["FENCE_ALT_MIN"] + parameters["FENCE_MARGIN"]
-        configured = bool(int(parameters["FENCE_TYPE"]) & ALTITUDE_MIN)
-        self.has_floor = configured and not lands and (had or above_home_m >= safe_m)
-        return self.has_floor and not had
-
-    def check(self, place: Place, home: Place, frame: Frame, now_s: float) -> int:
+    def check(self, place: Place, home: Place, frame: Frame, now_s: float, *, lands: bool) -> int:
         """Look where the vehicle is; returns the kinds that are breached since just now."""
+        p, above_m = self._parameters, place.altitude_amsl_m - home.altitude_amsl_m
+        is_safe = above_m >= p["FENCE_ALT_MIN"] + p["FENCE_MARGIN"]
+        self.has_floor = not lands and (self.has_floor or is_safe)
         if now_s < self._looks_s:
             return 0
         found = self.outside(place, home, frame)

@@ -7,7 +7,7 @@ the real controller correct so hard.
 
 from typing import Final, final
 
-from vehicle_sim.autopilot.arducopter import CopterFlight, Kind, Order
+from vehicle_sim.autopilot.arducopter import ArduCopter, Kind, Order
 from vehicle_sim.autopilot.copter_control import bounded, clipped
 from vehicle_sim.autopilot.setpoints import Target
 from vehicle_sim.autopilot.values import Place
@@ -20,7 +20,7 @@ _STREAM_GAP_S: Final = 0.5
 
 
 @final
-class IdealFlight(CopterFlight):
+class Ideal(ArduCopter):
     """With a position and a velocity streamed it accelerates by the errors in both.
 
         a = KP (p_target - p) + KV (v_target - v),
@@ -48,21 +48,23 @@ class IdealFlight(CopterFlight):
         felt = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
         self.level.follow(self._here_deg, self._flown, felt)
 
-    def _take(self, target: Target, place: Place | None) -> bool:
+    def take(self, target: Target, place: Place | None) -> bool:
         """Steer for it, and see how the velocity has changed since the one before."""
-        kind, velocity, climb_m_s = self.kind, self._velocity, self._climb_m_s
-        gap_s = self._age_s
-        if not super()._take(target, place):
+        kind, gap_s, (velocity, climb_m_s) = self.kind, self._age_s, self._moves
+        if not super().take(target, place):
             return False
         if gap_s >= 1e-3:
-            slope = (self._velocity - velocity) / gap_s, (self._climb_m_s - climb_m_s) / gap_s
-            limits, feeds = self.copter.limits, bool(self._feed or self._feed_up)
-            streams = kind is self.kind is Kind.PATH and not feeds and gap_s <= _STREAM_GAP_S
-            level_ok = abs(slope[0]) <= limits.acceleration_m_s2
-            if streams and level_ok and abs(slope[1]) <= limits.acceleration_vertical_m_s2:
-                self._slope, self._interval_s = slope, gap_s
-            else:
-                self._slope, self._interval_s = (0j, 0.0), 0.0
+            slope, slope_up = (
+                (self._moves[0] - velocity) / gap_s,
+                (self._moves[1] - climb_m_s) / gap_s,
+            )
+            limits = self.copter.limits
+            streams = kind is self.kind is Kind.PATH and not any(self._feed)
+            is_steady = abs(slope) <= limits.acceleration_m_s2
+            is_steady = is_steady and abs(slope_up) <= limits.acceleration_vertical_m_s2
+            self._slope, self._interval_s = (0j, 0.0), 0.0
+            if streams and is_steady and gap_s <= _STREAM_GAP_S:
+                self._slope, self._interval_s = (slope, slope_up), gap_s
         return True
 
     def fly_target(self, dt_s: float) -> Order:
@@ -83,16 +85,17 @@ class IdealFlight(CopterFlight):
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
         off_m = self.level.metres(here_deg, self._place_deg)
         rise_m = self._altitude_m - estimate.altitude_amsl_m
-        late, late_up = self._velocity - self._flown, self._climb_m_s - estimate.velocity_up_m_s
+        (velocity, climb_m_s), (feed, feed_up) = self._moves, self._feed
+        late, late_up = velocity - self._flown, climb_m_s - estimate.velocity_up_m_s
         level = clipped(off_m * KP_1_S2, KV_1_S * tuning.speed_m_s)
         most_up = KV_1_S * tuning.speed_up_m_s
         up = bounded(rise_m * KP_1_S2, -most_up, most_up)
         return (
-            level + KV_1_S * (late + self._slope[0] * ahead_s) + self._feed,
-            up + KV_1_S * (late_up + self._slope[1] * ahead_s) + self._feed_up,
+            level + KV_1_S * (late + self._slope[0] * ahead_s) + feed,
+            up + KV_1_S * (late_up + self._slope[1] * ahead_s) + feed_up,
         )
 
     @property
-    def _way_m_s(self) -> complex:
+    def looks_along(self) -> complex:
         """The nose looks where the vehicle goes."""
         return complex(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)

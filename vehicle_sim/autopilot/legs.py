@@ -18,16 +18,12 @@ _WALKS_MOST: Final = 1000
 _HIGHEST_M: Final = 1e5
 _E7_MOST: Final = 900_000_000
 
-
-class Does(enum.Enum):
-    """What there is to do at a leg's place."""
-
-    CLIMB = enum.auto()
-    """Up or down to its height, without going there."""
-    GO = enum.auto()
-    LAND = enum.auto()
-    RETURN = enum.auto()
-    """Whatever the vehicle does to come home."""
+Does = enum.Enum("Does", "CLIMB GO LAND RETURN")
+"""What there is to do at a leg's place: come to its height without going there, pass or stay,
+land, or whatever the vehicle does to come home."""
+_DOES: Final = dict.fromkeys((WAYPOINT, LOITER_UNLIM, LOITER_TIME), Does.GO) | dict(
+    zip((TAKEOFF, LAND, RETURN), (Does.CLIMB, Does.LAND, Does.RETURN), strict=True)
+)
 
 
 @final
@@ -55,11 +51,9 @@ def back(here: Place, home: Place, altitude_amsl_m: float, hold_s: float) -> lis
 
 def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Leg | None:
     """What an item is to fly; None: nothing.  Without coordinates it is here."""
-    kinds = {TAKEOFF: Does.CLIMB, LAND: Does.LAND, RETURN: Does.RETURN}
-    does = kinds.get(item.command, Does.GO)
-    if does is Does.GO and item.command not in (WAYPOINT, LOITER_UNLIM, LOITER_TIME):
+    command, (first, second, _, yaw_deg) = item.command, item.parameters
+    if command not in _DOES:
         return None
-    first, second, _, yaw_deg = item.parameters
     z_m = item.z_m if abs(item.z_m) <= _HIGHEST_M else math.nan
     height_m = height_amsl_m(item.frame, z_m, home.altitude_amsl_m, ground_amsl_m)
     if height_m is None or height_m != height_m:
@@ -67,14 +61,13 @@ def leg_of(item: PlanItem, here: Place, home: Place, ground_amsl_m: float) -> Le
     place = here.at(height_m)
     if (item.x or item.y) and abs(item.x) <= _E7_MOST:
         place = Place(item.x * 1e-7, item.y * 1e-7, height_m)
-    is_waypoint = item.command == WAYPOINT
-    hold_s = first if (is_waypoint or item.command == LOITER_TIME) and first > 0.0 else 0.0
+    hold_s = first if command in (WAYPOINT, LOITER_TIME) and first > 0.0 else 0.0
     return Leg(
-        does,
+        _DOES[command],
         place,
-        math.inf if item.command == LOITER_UNLIM else hold_s,
-        item.command,
-        second if is_waypoint and second > 0.0 else math.nan,
+        math.inf if command == LOITER_UNLIM else hold_s,
+        command,
+        second if command == WAYPOINT and second > 0.0 else math.nan,
         math.radians(yaw_deg) if math.isfinite(yaw_deg) else math.nan,
     )
 

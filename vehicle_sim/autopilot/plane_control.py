@@ -7,10 +7,11 @@ straight line it is a damped oscillator of that period and damping in the distan
 is PX4's own law (NPFG), which is not imitated further.
 """
 
-import bisect
 import cmath
 import math
 from typing import Final, NamedTuple, final
+
+import numpy as np
 
 from vehicle_sim.autopilot.copter_control import bounded
 from vehicle_sim.autopilot.earth import way_m
@@ -20,8 +21,8 @@ from vehicle_sim.dynamics.plane import Plane
 
 # --- airspeeds ------------------------------------------------------------------------------------
 
-_DEMANDED_M_S = (10.0, 20.0, 22.0, 25.0, 30.0)
-_HELD_M_S = (10.17, 20.34, 22.70, 26.83, 33.0)
+_DEMANDED_M_S = (0.0, 10.0, 20.0, 22.0, 25.0, 30.0, 300.0)
+_HELD_M_S = (0.0, 10.17, 20.34, 22.70, 26.83, 33.0, 330.0)
 """What ArduPlane flies at these demands, at sea level: 18 m/s demanded is flown at 18.9, 20 at 21,
 22 at 23.5, 25 at 27.7 m/s, all at 600 m above the sea (ardupilot.md 7); thin air adds 3 %."""
 
@@ -35,23 +36,14 @@ def eas_to_tas(altitude_amsl_m: float) -> float:
 
 def true_airspeed_m_s(demanded_m_s: float, altitude_amsl_m: float) -> float:
     """What ArduPlane flies when it is asked for this airspeed."""
-    return _interpolated(demanded_m_s, _DEMANDED_M_S, _HELD_M_S) * eas_to_tas(altitude_amsl_m)
+    held_m_s = float(np.interp(demanded_m_s, _DEMANDED_M_S, _HELD_M_S))
+    return held_m_s * eas_to_tas(altitude_amsl_m)
 
 
 def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
     """What its pitot tube says then: the inverse."""
-    return _interpolated(true_m_s / eas_to_tas(altitude_amsl_m), _HELD_M_S, _DEMANDED_M_S)
-
-
-def _interpolated(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> float:
-    """Linear between the points, and beyond them in the ratio of the last one."""
-    if x <= xs[0]:
-        return x * ys[0] / xs[0]
-    if x >= xs[-1]:
-        return x * ys[-1] / xs[-1]
-    k = bisect.bisect_right(xs, x)
-    share = (x - xs[k - 1]) / (xs[k] - xs[k - 1])
-    return ys[k - 1] + share * (ys[k] - ys[k - 1])
+    equivalent_m_s = true_m_s / eas_to_tas(altitude_amsl_m)
+    return float(np.interp(equivalent_m_s, _HELD_M_S, _DEMANDED_M_S))
 
 
 # --- where to: lateral accelerations --------------------------------------------------------------
@@ -231,8 +223,8 @@ class PlaneControl:
     def _turn(self, lateral_m_s2: float) -> None:
         self.bank_rad = math.atan(lateral_m_s2 / (GRAVITY_M_S2 * math.cos(self._plane.pitch_rad)))
 
-    def advance(self, dt_s: float, *, at_least_m_s: float = -math.inf) -> None:
-        """One step in the air; climb at least so fast."""
+    def advance(self, dt_s: float) -> None:
+        """One step in the air."""
         plane, height_m, climb = self._plane, self._estimate.altitude_amsl_m, self.climb_m_s
         if climb is None:
             climb = self.heights.climb_m_s(self.height_amsl_m, height_m, dt_s)
@@ -240,6 +232,6 @@ class PlaneControl:
             self.heights.begin(height_m)
         self._speed_m_s = max(self.airspeed_m_s, self._speed_m_s - self.slowing_m_s2 * dt_s)
         bank_rad = bounded(self.bank_rad, -self.bank_most_rad, self.bank_most_rad)
-        plane.advance(bank_rad, max(climb, at_least_m_s), self._speed_m_s, dt_s)
+        plane.advance(bank_rad, climb, self._speed_m_s, dt_s)
         if self.climb_m_s is not None:
             plane.throttle = 1.0 if self.climb_m_s > 0.0 else 0.0

@@ -7,18 +7,16 @@ not measured are those of the source: a mode that cannot run is TEMPORARILY_REJE
 import abc
 import enum
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Final, final
-
-import numpy as np
+from collections.abc import Sequence
+from typing import Final
 
 from vehicle_sim.autopilot.core import (
     AUTOPILOT_VERSION,
     GPS_GLOBAL_ORIGIN,
     HOME_POSITION,
     Autopilot,
+    Boot,
     Firmware,
-    Flight,
     Mode,
 )
 from vehicle_sim.autopilot.earth import Projection, Vector
@@ -41,9 +39,8 @@ from vehicle_sim.autopilot.values import (
     height_amsl_m,
 )
 from vehicle_sim.conditions import SIM_PARAMETERS_PX4
-from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.parameters import Parameter, table
-from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix
 
 _NAN: Final = math.nan
@@ -141,13 +138,12 @@ _TIMING: Final = Timing(
     trusted_s=1.0,  # Land: at 113.21 s
     precise_s=1.2,  # all else: at 113.4 s
     follows=0.06,  # at 8 Hz: smooths over about two seconds
-    first_share=0.06,
     drift_m_s=0.2,
     drift_m_s2=0.05,  # 31 m after 31 s
     sink_m_s=-0.05,  # 1.2 m below the truth after 26 s
     jump_s=0.25,  # 31 m in a second
     noise_m_s=0.1,  # hover of px4-offboard-8mps.tlog, whose position wanders by 0.13 m
-    stays=False,
+    velocity_ratio=0.05,
     freezes=False,
 )
 
@@ -163,6 +159,8 @@ def firmware(
         holds="Hold",
         returns="Return",
         pilot=pilot,
+        missions="Mission",
+        first_item=0,
         timing=_TIMING,
         frame=Projection,
         ready_s=ARMABLE_S,
@@ -170,12 +168,9 @@ def firmware(
         first_check_s=0.06,  # events at x.06 s in the logs
         believes_landing_s=1.8,  # contact to "landing detected": 54.6 to 56.4 s of offboard-short
         refused=Result.TEMPORARILY_REJECTED,
-        missions="Mission",
-        first_item=0,
         arms="Armed by external command\t",
         disarms="Disarmed by {}\t",
         cannot_arm="Arming denied: {}\t",
-        acks_modes_twice=True,
     )
 
 
@@ -189,10 +184,6 @@ class Action(enum.IntEnum):
     RETURN, LAND, DESCEND, DISARM, TERMINATE = range(6, 11)
 
 
-_INSTEAD: Final = {
-    action: action.name.title() for action in Action if Action.WARN < action < Action.DISARM
-}
-"""The mode that is flown then."""
 _CHOICES: Final = {
     name: [Action[action.upper()] for action in actions.split()]
     for name, actions in {
@@ -207,82 +198,18 @@ _STILL_S: Final = 2.0
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _STILL_FLAG, _HEIGHT_FLAG = 0x080, 0x040
-_GROUND_STATION, _ONBOARD_CONTROLLER = 6, 18
+_GROUND_STATION: Final = 6
 _HIGHEST_M: Final = 1e5
 """Altitudes beyond count as not given: they do not fit into any answer."""
 Asked = tuple[float, float, float, float]
 """Latitude, longitude, altitude AMSL and yaw in radians of a command; NaN: not given."""
 
 
-class Px4Flight(Flight):
-    """How a PX4 flies.  What was commanded it finds at the autopilot."""
-
-    def __init__(self, autopilot: "Px4") -> None:
-        super().__init__(autopilot)
-        self.autopilot = autopilot
-
-    @abc.abstractmethod
-    def begin_leg(self) -> None:
-        """Another leg of the mission, or none any more."""
-
-    @property
-    def home(self) -> Place:
-        """Home, or what comes nearest to it."""
-        return self.autopilot.home or self.autopilot.reference
-
-    @property
-    def takeoff_altitude_m(self) -> float:
-        """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
-        autopilot = self.autopilot
-        if autopilot.takeoff is not None and math.isfinite(autopilot.takeoff[2]):
-            return max(autopilot.takeoff[2], self.estimate.altitude_amsl_m)
-        return self.home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
-
-    def take_off(self, command: Command) -> Result:
-        """NAV_TAKEOFF: a mode."""
-        return self.autopilot.command_mode("Takeoff", takeoff=self.autopilot.asked_by(command))
-
-    def reposition(self, command: Command) -> Result:
-        """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
-        autopilot, (_, flags, _, yaw_rad) = self.autopilot, command.parameters[:4]
-        asked = autopilot.asked_by(command, yaw_rad)
-        if asked[0] == asked[0] and autopilot.forbidden(Place(asked[0], asked[1], 0.0)):
-            return Result.DENIED
-        switches = math.isfinite(flags) and bool(int(flags) & 1)
-        if not switches and autopilot.mode.name != "Hold":
-            return Result.UNSUPPORTED
-        return autopilot.command_mode("Hold", asked=asked)
-
-    def change_speed(self, command: Command) -> Result:
-        """Accepted always, of effect in AUTO modes only (px4.md 3)."""
-        speed_m_s = command.parameters[1]
-        if math.isfinite(speed_m_s):
-            self.autopilot.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
-        return Result.ACCEPTED
-
-    def disarms_after_s(self) -> float | None:
-        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
-        landed = self.autopilot.landed_s is not None
-        wait_s = self.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
-        return wait_s if wait_s > 0.0 else None
-
-
-@final
 class Px4(Autopilot):
     """One vehicle's autopilot."""
 
-    flight: Px4Flight
-
-    def __init__(
-        self,
-        firmware: Firmware,
-        make_flight: Callable[["Px4"], Px4Flight],
-        vehicle: Vehicle,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        rng: np.random.Generator,
-    ) -> None:
-        super().__init__(firmware, vehicle, parameters, plans, rng)
+    def __init__(self, boot: Boot) -> None:
+        super().__init__(boot)
         self.intended = self.mode
         """The mode that is wanted; `mode` is flown."""
         self.action = Action.NONE
@@ -290,9 +217,8 @@ class Px4(Autopilot):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest one that OFFBOARD flies, in the local frame; None: none since it began."""
-        self.takeoff: Asked | None = None
         self.asked: Asked | None = None
-        """Where DO_REPOSITION or NAV_LAND, which brought about the mode, wants it."""
+        """Where NAV_TAKEOFF, DO_REPOSITION or NAV_LAND, which brought about the mode, wants it."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
         self.pilot_present = False
@@ -300,27 +226,24 @@ class Px4(Autopilot):
         self.offboard_signal = False
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
         self.fence_breached, self.fence_breaches = False, 0
-        self.zones = Zones(plans)
-        self._system = int(self.parameters["MAV_SYS_ID"])
-        """As it has booted; a change counts from the next boot on."""
-        self._signal_s = self._station_s = self._companion_s = -math.inf
-        """When a setpoint and these two were heard."""
+        self.zones = Zones(self.plans)
+        self._signal_s = self._station_s = -math.inf
+        """When a setpoint and a ground station were heard."""
+        self._ill: dict[str, Action] = {}
+        """What fence, ground station and battery ask for now."""
         self._incidents: dict[str, Action] = {}
-        """What fence, ground station and battery have brought about: it stays when they are well
-        again, until another mode is commanded."""
-        self._ill: set[str] = set()
+        """What they have brought about: it stays when they are well again, until another mode is
+        commanded."""
         self._after_disarming = self.mode
-        self._flown = self._fused = self._select_due = False
         self._disarmed_s = -_STILL_S
-        self.flight = flight = make_flight(self)
         self.handlers |= {
-            21: self._land,
-            22: flight.take_off,
+            21: self._do_land,
+            22: self._do_take_off,
             176: self._do_set_mode,
-            178: flight.change_speed,
+            178: self._do_change_speed,
             179: self._do_set_home,
-            192: flight.reposition,
-            300: self._start_mission,
+            192: self._do_reposition,
+            300: self._do_start_mission,
             401: lambda _: Result.ACCEPTED,
             410: self.answer(HOME_POSITION),
             519: self.answer(300),
@@ -337,8 +260,6 @@ class Px4(Autopilot):
     def look(self, fix: Fix) -> None:
         """In every step, before the checks."""
         del fix
-        if self._select_due:
-            self._select()
         if self.estimator.origin is not None:
             self.local_m = self.frame.ned_m(self.estimate.place)
 
@@ -352,41 +273,32 @@ class Px4(Autopilot):
         """The origin, or where it is before there is one."""
         return self.estimator.origin or self.estimate.place
 
-    def say_event(self, severity: int, words: str) -> None:
-        """A STATUSTEXT; PX4 ends those that are events as well with a tab."""
-        self.say(severity, words + "\t")
-
-    def took_off(self) -> None:
-        """The land detector sees it in the air."""
-        if self.landed:
-            self._flown = True
-            self.take_to_the_air()
+    @property
+    def base(self) -> Place:
+        """Home, or what comes nearest to it."""
+        return self.home or self.reference
 
     def check(self) -> None:
-        """Ten times a second: arming checks, incidents; what follows is done in the next step."""
-        now_s, parameters = self.now_s, self.parameters
+        """Ten times a second: arming checks, incidents."""
+        now_s, p = self.now_s, self.parameters
         self._check_estimate()
-        if 0.0 < now_s - self._companion_s - parameters["COM_OBC_LOSS_T"] < math.inf:
-            self._companion_s = -math.inf
-            self.say_event(2, "Connection to mission computer lost")
-        self.offboard_signal = now_s - self._signal_s <= parameters["COM_OF_LOSS_T"]
+        self.offboard_signal = now_s - self._signal_s <= p["COM_OF_LOSS_T"]
         if self.armed:
-            silent_s = now_s - self._station_s
-            lost = parameters["COM_DL_LOSS_T"] < silent_s < math.inf
+            lost = p["COM_DL_LOSS_T"] < now_s - self._station_s < math.inf
             self._note("ground station", self._choice("NAV_DLL_ACT") if lost else Action.NONE)
             self._check_fence()
             if self._note("battery", self._battery_action()):
-                self.say_event(2, "Critical battery level, land now")
-        self._select_due = True
+                self.say(2, "Critical battery level, land now\t")
+        self._select()
 
     def _check_estimate(self) -> None:
-        """Flags and accuracies; "fusion started" and "stopped"."""
+        """Flags and accuracies."""
         estimator, estimate, now_s = self.estimator, self.estimate, self.now_s
         estimator.lag_s = self.parameters["EKF2_GPS_DELAY"] * 1e-3
         estimator.still = not self.armed and now_s - self._disarmed_s >= _STILL_S
-        low = self.height_m < _LOW_M and not self.landed and self.mode.name != "Takeoff"
         flags = _TIMING.flags.get(estimator.state, _TIMING.stages[0][1])
         if flags == _TIMING.flags[Estimates.GOOD]:
+            low = self.height_m < _LOW_M and not self.landed and self.mode.name != "Takeoff"
             flags |= _STILL_FLAG if estimator.still else 0
             flags &= ~_HEIGHT_FLAG if low else -1
         estimate.flags = flags
@@ -397,28 +309,22 @@ class Px4(Autopilot):
         estimate.horizontal_accuracy_m = settled_m + silent_s * (0.06 + 0.0335 * silent_s)
         if not estimator.aiding:
             estimate.velocity_variance = estimate.horizontal_variance = _NAN
-        if estimator.aiding != self._fused:
-            self._fused = estimator.aiding
-            if self._flown:
-                self.say_event(6, f"GNSS data fusion {'started' if self._fused else 'stopped'}")
 
     def _check_fence(self) -> None:
-        home, parameters = self.home, self.parameters
+        home, p = self.home, self.parameters
         if home is None or not self.estimator.ok:
             return
-        here, away_m, most_m = self.estimate.place, 0.0, parameters["GF_MAX_HOR_DIST"]
-        if most_m > 0.0:
-            (north_m, east_m, _), (home_n, home_e, _) = self.local_m, self.frame.ned_m(home)
-            away_m = math.hypot(north_m - home_n, east_m - home_e)
+        here, most_m, highest_m = self.estimate.place, p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
+        away_m = math.dist(self.local_m[:2], self.frame.ned_m(home)[:2])
         breached = (
-            away_m > most_m
-            or 0.0 < parameters["GF_MAX_VER_DIST"] < here.altitude_amsl_m - home.altitude_amsl_m
+            0.0 < most_m < away_m
+            or 0.0 < highest_m < here.altitude_amsl_m - home.altitude_amsl_m
             or self.forbidden(here)
         )
         self.fence_breaches += breached and not self.fence_breached
         self.fence_breached = breached
         if self._note("fence", self._choice("GF_ACTION") if breached else Action.NONE):
-            self.say_event(4, "Geofence: approaching or outside geofence")
+            self.say(4, "Geofence: approaching or outside geofence\t")
 
     def forbidden(self, place: Place) -> bool:
         """Whether the fence forbids it; setpoints are never checked, but DO_REPOSITION's place."""
@@ -429,10 +335,9 @@ class Px4(Autopilot):
         left, choice = self.battery.remaining, int(self.parameters["COM_LOW_BAT_ACT"])
         if left > self.parameters["BAT_CRIT_THR"]:
             return Action.NONE
-        if choice == 3:
-            urgent = left <= self.parameters["BAT_EMERGEN_THR"]
-            return Action.LAND if urgent else Action.RETURN
-        return Action.LAND if choice == 2 else Action.WARN
+        if choice == 3 and left > self.parameters["BAT_EMERGEN_THR"]:
+            return Action.RETURN
+        return Action.LAND if choice in (2, 3) else Action.WARN
 
     def _choice(self, name: str) -> Action:
         """What the value of this parameter asks for."""
@@ -440,15 +345,12 @@ class Px4(Autopilot):
         return choices[value if 0 <= value < len(choices) else 0]
 
     def _note(self, cause: str, action: Action) -> bool:
-        """The state of a cause now (NONE: it is well); tells whether it has begun or got worse."""
-        if action is Action.NONE:
-            self._ill.discard(cause)
-            return False
-        worse = cause not in self._ill or action > self._incidents.get(cause, Action.TERMINATE)
-        self._ill.add(cause)
-        if worse:
+        """What a cause asks for now (NONE: it is well); tells whether it has begun or got worse."""
+        is_worse = action > self._ill.get(cause, Action.NONE)
+        self._ill[cause] = action
+        if is_worse:
             self._incidents[cause] = action
-        return worse
+        return is_worse
 
     def _failsafe(self) -> Action:
         """What is to be done instead of the wanted mode; NONE while that can be flown."""
@@ -473,14 +375,14 @@ class Px4(Autopilot):
 
     def _select(self) -> None:
         """Which mode is flown now."""
-        self._select_due = False
         before, self.action = self.action, self._failsafe() if self.armed else Action.NONE
         if self.action > before and self.action > Action.WARN:
-            self.say_event(2, "Failsafe activated")
-        if self.action in (Action.DISARM, Action.TERMINATE):
+            self.say(2, "Failsafe activated\t")
+        if self.action >= Action.DISARM:
             self.disarm("external command")
             return
-        mode = self.modes[_INSTEAD.get(self.action, self.intended.name)]
+        instead = self.action.name.title()
+        mode = self.modes[instead if self.action > Action.WARN else self.intended.name]
         if mode is not self.mode:
             self._change(mode)
 
@@ -495,7 +397,7 @@ class Px4(Autopilot):
             self.route.stop()
         if mode.name == "Mission":
             self.seek(0 if self.route.complete else self.route.current)
-        self.flight.begin(before)
+        self.begin(before)
 
     def intend(self, name: str) -> None:
         """Want this mode from now on; if nothing forbids it, it is flown at once."""
@@ -504,20 +406,17 @@ class Px4(Autopilot):
         if name not in ("Land", "Return", "Takeoff"):
             self._after_disarming = mode
         if mode is self.mode:
-            self.flight.begin(mode)
+            self.begin(mode)
         self._select()
 
-    def command_mode(
-        self, name: str, *, takeoff: Asked | None = None, asked: Asked | None = None
-    ) -> Result:
+    def command_mode(self, name: str, asked: Asked | None = None) -> Result:
         """Request a mode.  On the ground, disarmed, every mode is accepted."""
-        precise = self.estimator.precise
-        able = precise or not self.modes[name].needs_position
+        able = self.estimator.precise or not self.modes[name].needs_position
         if name == "Offboard":
-            able = self.offboard_signal and precise
+            able = self.offboard_signal and self.estimator.precise
         if self.armed and not able:
             return Result.TEMPORARILY_REJECTED
-        self.takeoff, self.asked = takeoff, asked
+        self.asked = asked
         self.intend(name)
         return Result.ACCEPTED
 
@@ -538,15 +437,11 @@ class Px4(Autopilot):
     def armable(self) -> bool:
         """Whether it could be armed now, in the mode that is flown."""
         name, ok = self.mode.name, self.estimator.ok
-        if self.now_s < ARMABLE_S:
+        if self.now_s < ARMABLE_S or (name == "Mission" and not self.plans[PlanKind.MISSION]):
             return False
         if name in MANUAL:
             return self.pilot_present
-        if name == "Mission" and not self.plans[PlanKind.MISSION]:
-            return False
-        if name == "Offboard":
-            return self.offboard_signal and ok
-        return ok or not self.mode.needs_position
+        return ok and self.offboard_signal if name == "Offboard" else ok
 
     def refusal(self) -> str | None:
         """Why it may not be armed now."""
@@ -554,7 +449,7 @@ class Px4(Autopilot):
 
     def on_armed(self) -> None:
         """The mode begins."""
-        self.flight.begin(self.mode)
+        self.begin(self.mode)
 
     def on_disarmed(self) -> None:
         """The mode returns to the one last commanded for flight."""
@@ -566,6 +461,12 @@ class Px4(Autopilot):
         if self.intended is not self.mode:
             self._change(self.intended)
 
+    def disarms_after_s(self) -> float | None:
+        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
+        name = "COM_DISARM_PRFLT" if self.landed_s is None else "COM_DISARM_LAND"
+        wait_s = self.parameters[name]
+        return wait_s if wait_s > 0.0 else None
+
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to Position mode and holds the sticks centred."""
         self.pilot_present = True
@@ -573,7 +474,7 @@ class Px4(Autopilot):
 
     # --- commands -----------------------------------------------------------------------------
 
-    def asked_by(self, command: Command, yaw_rad: float = _NAN) -> Asked:
+    def _asked_by(self, command: Command, yaw_rad: float = _NAN) -> Asked:
         """Where p5 to p7 are; a latitude and longitude of 0 are not given."""
         latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
         known = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0  # NaN is not
@@ -586,26 +487,58 @@ class Px4(Autopilot):
             altitude_m = altitude_m if height_m is None else height_m
         return latitude_deg, longitude_deg, altitude_m, yaw_rad
 
-    def _land(self, command: Command) -> Result:
-        asked = self.asked_by(command)
-        return self.command_mode("Land", asked=asked if asked[0] == asked[0] else None)
+    def _do_land(self, command: Command) -> Result:
+        asked = self._asked_by(command)
+        return self.command_mode("Land", asked if asked[0] == asked[0] else None)
+
+    def _do_take_off(self, command: Command) -> Result:
+        """NAV_TAKEOFF: a mode."""
+        return self.command_mode("Takeoff", self._asked_by(command))
+
+    @property
+    def takeoff_altitude_m(self) -> float:
+        """AMSL: NAV_TAKEOFF's, but never down, or MIS_TAKEOFF_ALT above home."""
+        if self.asked is not None and math.isfinite(self.asked[2]):
+            return max(self.asked[2], self.estimate.altitude_amsl_m)
+        return self.base.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
+
+    def _do_reposition(self, command: Command) -> Result:
+        """p2 bit 0 changes to Hold; a place outside of the fence is refused."""
+        _, flags, _, yaw_rad = command.parameters[:4]
+        asked = self._asked_by(command, yaw_rad)
+        if asked[0] == asked[0] and self.forbidden(Place(asked[0], asked[1], 0.0)):
+            return Result.DENIED
+        if self.mode.name != "Hold" and not (math.isfinite(flags) and int(flags) & 1):
+            return Result.UNSUPPORTED
+        return self.command_mode("Hold", asked)
+
+    def _do_change_speed(self, command: Command) -> Result:
+        """Accepted always, of effect in AUTO modes only (px4.md 3)."""
+        speed_m_s = command.parameters[1]
+        if math.isfinite(speed_m_s):
+            self.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
+        return Result.ACCEPTED
 
     def _do_set_home(self, command: Command) -> Result:
         if command.parameters[0] == 1.0:
             ok = self.estimator.ok
             return self.set_home(self.estimate.place) if ok else Result.TEMPORARILY_REJECTED
-        *place, _ = self.asked_by(command)
+        *place, _ = self._asked_by(command)
         return self.set_home(Place(*place)) if all(map(math.isfinite, place)) else Result.DENIED
 
     # --- missions -----------------------------------------------------------------------------
 
-    def on_leg(self, speed_m_s: float | None) -> None:
+    @abc.abstractmethod
+    def fly_leg(self) -> None:
+        """Another leg of the mission that is no return, or none any more."""
+
+    def begin_leg(self, speed_m_s: float | None) -> None:
         """Another leg of the mission, or none any more; the speed that was asked for before it."""
         self.speed_m_s = speed_m_s or self.speed_m_s
         if self.route.leg is not None and self.route.leg.does is Does.RETURN:
             self.intend("Return")
         else:
-            self.flight.begin_leg()
+            self.fly_leg()
 
     def arrived(self, leg: Leg) -> None:
         """The vehicle is at the leg's place (call it in every step there): wait, then go on."""
@@ -614,7 +547,7 @@ class Px4(Autopilot):
         if self.route.has_waited(self.now_s, leg.hold_s) and leg.does is not Does.LAND:
             self.seek(self.route.current + 1)
 
-    def _start_mission(self, command: Command) -> Result:
+    def _do_start_mission(self, command: Command) -> Result:
         """MISSION_START: AUTO:MISSION, and arm if need be."""
         first = command.parameters[0]
         if not self.plans[PlanKind.MISSION]:
@@ -642,9 +575,7 @@ class Px4(Autopilot):
         target = read_by_px4(setpoint, self.vehicle.heading_rad)
         if target is not None:
             self._signal_s = self.now_s
-            if not self.offboard_signal:  # the arming checks run at once for it
-                self.offboard_signal = True
-                self.check_now()
+            self.offboard_signal = True  # the arming checks run at once for it
             if self.mode.name == "Offboard":
                 self.target = self._in_local_frame(target)
         return ()
@@ -653,8 +584,7 @@ class Px4(Autopilot):
         if not target.is_global or not given(target.position):
             return target
         latitude_deg, longitude_deg, z_m = target.position
-        origin_m = self.reference.altitude_amsl_m
-        home_m = origin_m if self.home is None else self.home.altitude_amsl_m
+        origin_m, home_m = self.reference.altitude_amsl_m, self.base.altitude_amsl_m
         # the sign of the home's height is wrong in PX4 (px4.md 1, item 6), and so it is here
         up_m = {5: z_m - origin_m, 6: z_m - home_m + origin_m}.get(
             target.frame, z_m + self.ground_m - origin_m
@@ -663,37 +593,34 @@ class Px4(Autopilot):
         return target._replace(position=(north_m, east_m, -up_m))
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """Of ground stations, and of companions of this system."""
+        """Of ground stations."""
+        del sender
         if vehicle_type == _GROUND_STATION:
             self._station_s = self.now_s
-        elif vehicle_type == _ONBOARD_CONTROLLER and sender.system == self._system:
-            self._companion_s = self.now_s
         return ()
-
-    def _system_status(self) -> State:
-        if self.armed:
-            return State.CRITICAL if self.action > Action.WARN else State.ACTIVE
-        return State.STANDBY if self.armable else State.UNINIT
 
     def status(self) -> Status:
         """The status for telemetry."""
-        armed, mode = self.armed, self.mode
+        armed, mode, fails = self.armed, self.mode, self.armed and self.action > Action.WARN
         in_air = {"Takeoff": Landed.TAKEOFF, "Land": Landed.LANDING}.get(mode.name, Landed.IN_AIR)
+        state = State.STANDBY if self.armable else State.UNINIT
+        if armed:
+            state = State.CRITICAL if fails else State.ACTIVE
         return Status(
             mode=mode.number,
             base_mode=mode.base | (0x80 if armed else 0),
-            system_status=self._system_status(),
+            system_status=state,
             landed_state=Landed.ON_GROUND if self.landed else in_air,
             prearm_ok=self.armable,
             origin=self.estimator.origin,
-            waypoint=self.flight.waypoint() if armed and mode.name in NAVIGATED else None,
+            waypoint=self.waypoint() if armed and mode.name in NAVIGATED else None,
             intended_mode=self.intended.number,
             mission_current=self.route.current,
             mission_state=self.mission_state(),
             mission_total=len(self.plans[PlanKind.MISSION]) or 65535,
             above_ground_m=self.height_m,
-            fusing=self._fused,
+            fusing=self.estimator.aiding,
             fence_breached=self.fence_breached,
             fence_breaches=self.fence_breaches,
-            failsafe=armed and self.action > Action.WARN,
+            failsafe=fails,
         )

@@ -50,7 +50,8 @@ class Control:
         p = parameters
         self._p, self._p_down = p["MPC_XY_P"], p["MPC_Z_P"]
         self._gain, self._gain_down = (
-            max(p[name], 0.1) for name in ("MPC_XY_VEL_P_ACC", "MPC_Z_VEL_P_ACC")
+            max(p["MPC_XY_VEL_P_ACC"], 0.1),
+            max(p["MPC_Z_VEL_P_ACC"], 0.1),
         )
         self._integrates, self._integrates_down = p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]
         self._damping = p["MPC_XY_VEL_D_ACC"]
@@ -120,9 +121,8 @@ class Control:
             return share + velocity
         way = velocity / abs(velocity)
         along = dot(way, share)
-        return share + way * (
-            math.sqrt(max(along * along - size * size + most * most, 0.0)) - along
-        )
+        more = math.sqrt(max(along * along - size * size + most * most, 0.0)) - along
+        return share + way * more
 
 
 def braking_speed_m_s(distance_m: float, acceleration_m_s2: float, jerk_m_s3: float) -> float:
@@ -186,10 +186,8 @@ class Point:
             speed = min(speeds_m_s[0], braking_speed_m_s(abs(off), most, self._jerk))
             velocity = off * (speed / abs(off))
         if sink_m_s != sink_m_s:
-            sink_m_s = 0.0
-            if off_down == off_down:
-                speed = braking_speed_m_s(abs(off_down), most, self._jerk)
-                sink_m_s = (
-                    min(speed, speeds_m_s[2]) if off_down > 0.0 else -min(speed, speeds_m_s[1])
-                )
+            _, up_m_s, down_m_s = speeds_m_s
+            speed = braking_speed_m_s(abs(off_down), most, self._jerk)
+            sink_m_s = bounded(math.copysign(speed, off_down), -up_m_s, down_m_s)
+            sink_m_s = 0.0 if off_down != off_down else sink_m_s
         self.towards_velocity(velocity, sink_m_s, dt_s)

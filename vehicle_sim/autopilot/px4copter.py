@@ -4,9 +4,9 @@ import math
 from typing import Final, final
 
 from vehicle_sim.autopilot.copter_control import bounded
-from vehicle_sim.autopilot.core import Mode
+from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.legs import Does
-from vehicle_sim.autopilot.px4 import MANUAL, MODES, NAVIGATED, RATES_HZ, Px4, Px4Flight, firmware
+from vehicle_sim.autopilot.px4 import MANUAL, MODES, NAVIGATED, RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.px4_control import NONE, Control, Point, State, given
 from vehicle_sim.autopilot.setpoints import NOTHING, Target, is_flyable
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
@@ -46,14 +46,14 @@ _IDLE: Final = TargetEcho(
 
 
 @final
-class Px4CopterFlight(Px4Flight):
+class Px4Copter(Px4):
     """A quadcopter of PX4's SIH simulator: 1 kg, drag SIH_KDV."""
 
-    def __init__(self, autopilot: Px4) -> None:
-        super().__init__(autopilot)
-        assert isinstance(autopilot.vehicle, Copter)
-        self.copter = copter = autopilot.vehicle
-        self._control, self._point = Control(autopilot.parameters), Point()
+    def __init__(self, boot: Boot) -> None:
+        super().__init__(boot)
+        assert isinstance(boot.vehicle, Copter)
+        self.copter = boot.vehicle
+        self._control, self._point = Control(self.parameters), Point()
         self._ways = {mode.name: getattr(self, mode.flies) for mode in MODES}
         self._goal, self._goal_down = NONE, _NAN
         """Of the AUTO modes, in the local frame; NaN: still braking."""
@@ -69,7 +69,8 @@ class Px4CopterFlight(Px4Flight):
         """Of a return: 0 climbs, 1 flies home, 2 descends and lands."""
         self._up_s: float | None = None
         """When a take-off has come to its height."""
-        self._yaw_rad, self._aim_yaw_rad, self._turn_rad_s = copter.heading_rad, _NAN, 0.0
+        self._yaw_rad, self._aim_yaw_rad = self.copter.heading_rad, _NAN
+        self._turn_rad_s = 0.0
         self._judged: Target | None = None
         self._offboard = _STOPS
 
@@ -77,51 +78,38 @@ class Px4CopterFlight(Px4Flight):
         """They are read live."""
         p, copter = self.parameters, self.copter
         self._control.read(p)
-        self._point.limit(p, manual=self.autopilot.mode.name in MANUAL)
+        self._point.limit(p, manual=self.mode.name in MANUAL)
         copter.drag_1_m, copter.response_s = 0.0, _RESPONSE_S
         copter.drag_1_s = p["SIH_KDV"] / max(p["SIH_MASS"], 0.1)
         copter.hover_throttle = p["MPC_THR_HOVER"]
-        self._turn_1_s = p["MC_YAW_P"]
-        self._turns_most = (
-            math.radians(p["MPC_YAWRAUTO_MAX"]),
-            math.radians(p["MC_YAWRATE_MAX"]),
-        )
 
     @property
     def _flown(self) -> State:
         """Where it believes to be, and what it does."""
-        estimate, copter = self.estimate, self.copter
-        north_m, east_m, down_m = self.autopilot.local_m
-        return State(
-            complex(north_m, east_m),
-            down_m,
-            complex(estimate.velocity_north_m_s, estimate.velocity_east_m_s),
-            -estimate.velocity_up_m_s,
-            complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2),
-        )
+        e, copter = self.estimate, self.copter
+        velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
+        push = complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
+        return State(self._here, self.local_m[2], velocity, -e.velocity_up_m_s, push)
 
     @property
     def _here(self) -> complex:
-        north_m, east_m, _ = self.autopilot.local_m
-        return complex(north_m, east_m)
+        return complex(*self.local_m[:2])
 
     def _level(self, place: Place) -> complex:
         """A place in the local frame."""
-        north_m, east_m, _ = self.autopilot.frame.ned_m(place)
-        return complex(north_m, east_m)
+        return complex(*self.frame.ned_m(place)[:2])
 
     def _down(self, altitude_amsl_m: float) -> float:
         """A height in the local frame."""
-        return self.autopilot.reference.altitude_amsl_m - altitude_amsl_m
+        return self.reference.altitude_amsl_m - altitude_amsl_m
 
     # --- modes --------------------------------------------------------------------------------
 
     def begin(self, before: Mode) -> None:
         """Start the smooth motion of the AUTO modes from what the vehicle does."""
-        autopilot, name, flown = self.autopilot, self.autopilot.mode.name, self._flown
-        p = autopilot.parameters
+        p, name, flown = self.parameters, self.mode.name, self._flown
         self.read_parameters()
-        if before is not autopilot.mode or not self._flying:
+        if before is not self.mode or not self._flying:
             self._point.start(flown)
         self._goal, self._goal_down, self._stage = NONE, _NAN, 0
         self._began, self._began_down = flown.place, flown.down
@@ -134,27 +122,27 @@ class Px4CopterFlight(Px4Flight):
             seconds = abs(flown.velocity) / (2.0 * braking) + braking / jerk
             self._began = self._goal = flown.place + flown.velocity * seconds
             self._goal_down = flown.down
-            if autopilot.asked is not None:
-                *place, altitude_m, self._aim_yaw_rad = autopilot.asked
-                self._goal = flown.place if place[0] != place[0] else self._asked_place
+            if self.asked is not None:
+                altitude_m, self._aim_yaw_rad = self.asked[2:]
+                self._goal = self._asked_place if given(self._asked_place) else flown.place
                 self._goal_down = flown.down if altitude_m != altitude_m else self._down(altitude_m)
-        elif name == "Land" and autopilot.asked is not None:
+        elif name == "Land" and self.asked is not None:
             self._goal = self._asked_place
         elif name == "Return":
-            height_m = self.home.altitude_amsl_m + self._return_height_m()
+            height_m = self.base.altitude_amsl_m + self._return_height_m()
             self._goal, self._goal_down = flown.place, min(flown.down, self._down(height_m))
         elif name == "Mission":
-            self.begin_leg()
+            self.fly_leg()
 
     @property
     def _asked_place(self) -> complex:
-        assert self.autopilot.asked is not None
-        latitude_deg, longitude_deg, _, _ = self.autopilot.asked
-        return self._level(Place(latitude_deg, longitude_deg, 0.0))
+        """NaN: none was asked for."""
+        assert self.asked is not None
+        return self._level(Place(*self.asked[:2], 0.0))
 
     def _return_height_m(self) -> float:
         """Above home: RTL_RETURN_ALT, less within the cone about it."""
-        p, away_m = self.parameters, abs(self._here - self._level(self.home))
+        p, away_m = self.parameters, abs(self._here - self._level(self.base))
         height_m = p["RTL_RETURN_ALT"]
         if away_m < p["RTL_MIN_DIST"]:
             return min(height_m, p["RTL_DESCEND_ALT"])
@@ -163,7 +151,7 @@ class Px4CopterFlight(Px4Flight):
             return min(height_m, max(away_m / math.tan(cone_rad), 10.0))
         return height_m
 
-    def begin_leg(self) -> None:
+    def fly_leg(self) -> None:
         """Another leg of the mission, or none any more."""
         leg = self.route.leg
         self._goal, self._goal_down = NONE, _NAN
@@ -172,13 +160,14 @@ class Px4CopterFlight(Px4Flight):
         self._goal, self._goal_down = self._level(leg.place), self._down(leg.place.altitude_amsl_m)
         if leg.does is Does.LAND:
             self._goal_down = self._point.at.down
-        elif leg.does is Does.CLIMB and self.autopilot.landed:
+        elif leg.does is Does.CLIMB and self.landed:
             self._goal = self._here
         self._aim_yaw_rad = leg.yaw_rad
 
     def on_disarmed(self) -> None:
-        """They stand."""
+        """The motors stand."""
         self._flying, self._ramp_s = False, None
+        super().on_disarmed()
 
     # --- on the ground ------------------------------------------------------------------------
 
@@ -190,36 +179,40 @@ class Px4CopterFlight(Px4Flight):
         """Whether nothing wants up."""
         return self._ramp_s is None
 
-    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+    def stand(self, dt_s: float) -> None:
         """It stands, even if the motors turn."""
         del dt_s
-        self.copter.stand(ground_amsl_m)
+        self.touch_down()
+
+    def touch_down(self) -> None:
+        """It comes to rest."""
+        self.copter.stand(self.ground_m)
         if self._ramp_s is None:
             self._control.forget_wind()
-            self._flying = self._flying and not self.autopilot.landed
+            self._flying = self._flying and not self.landed
 
     def _starts(self) -> bool:
         """Whether the take-off ramp begins: motors spun up and a climb demanded."""
-        autopilot, wanted = self.autopilot, self._wanted
-        if autopilot.now_s - autopilot.armed_s < self.parameters["COM_SPOOLUP_TIME"]:
+        wanted = self._wanted
+        if self.now_s - self.armed_s < self.parameters["COM_SPOOLUP_TIME"]:
             return False
-        climbs = wanted.down < autopilot.local_m[2] - _WANTS_UP or wanted.sink < -_WANTS_UP
+        climbs = wanted.down < self.local_m[2] - _WANTS_UP or wanted.sink < -_WANTS_UP
         climbs = climbs or wanted.push_down < -_WANTS_UP
-        if not climbs or autopilot.mode.name not in ("Takeoff", "Offboard", "Mission"):
+        if not climbs or self.mode.name not in ("Takeoff", "Offboard", "Mission"):
             return False
-        self._ramp_s, self._flying = autopilot.now_s, True
+        self._ramp_s, self._flying = self.now_s, True
         self._control.reset(_HEAVY_M_S2)
         self._point.start(self._flown)
         return True
 
     def _most_up_m_s(self) -> float:
         """MPC_Z_VEL_MAX_UP, in the take-off ramp less, negative at first."""
-        most, autopilot = self._control.fastest_up_m_s, self.autopilot
+        most = self._control.fastest_up_m_s
         if self._ramp_s is None:
             return most
-        since_s = autopilot.now_s - self._ramp_s
+        since_s = self.now_s - self._ramp_s
         if since_s >= _DETECTED_S:
-            autopilot.took_off()
+            self.take_to_the_air()
         ramp_s = max(self.parameters["MPC_TKO_RAMP_T"], 0.1)
         if since_s >= ramp_s:
             self._ramp_s = None
@@ -230,8 +223,8 @@ class Px4CopterFlight(Px4Flight):
 
     def steer(self, dt_s: float) -> None:
         """The mode says what it wants, the position controller what that takes."""
-        self._wanted = self._ways[self.autopilot.mode.name](dt_s)
-        if not self.autopilot.armed or not (self._flying or self._starts()):
+        self._wanted = self._ways[self.mode.name](dt_s)
+        if not self.armed or not (self._flying or self._starts()):
             return
         self._order = self._control.run(self._wanted, self._flown, self._most_up_m_s(), dt_s)
         self._turn(dt_s)
@@ -244,15 +237,17 @@ class Px4CopterFlight(Px4Flight):
     def fly_target(self, dt_s: float) -> State:
         """OFFBOARD: the setpoint goes straight to the controller; what it cannot fly stops it."""
         del dt_s
-        target = self.autopilot.target
+        target = self.target
+        if target is None:
+            return _STOPS
         if target is not self._judged:
             self._judged, self._offboard = target, _STOPS
-            if target is not None and is_flyable(target):
+            if is_flyable(target):
                 (n, e, d), (v_n, v_e, v_d), (a_n, a_e, a_d) = target[:3]
                 self._offboard = State(
                     complex(n, e), d, complex(v_n, v_e), v_d, complex(a_n, a_e), a_d
                 )
-        return _STOPS if target is None else self._offboard
+        return self._offboard
 
     def descend(self, dt_s: float) -> State:
         """Without a position or a pilot: level, and down."""
@@ -261,7 +256,7 @@ class Px4CopterFlight(Px4Flight):
 
     def sink(self, dt_s: float) -> State:
         """By hand: a pilot's sticks are centred; without one it comes down."""
-        if not self.autopilot.pilot_present:
+        if not self.pilot_present:
             return self.descend(dt_s)
         self._point.towards_velocity(0j, 0.0, dt_s)
         return self._point.at
@@ -275,106 +270,105 @@ class Px4CopterFlight(Px4Flight):
         self._point.start(self._flown._replace(velocity=0j, sink=0.0))
         return True
 
+    @property
+    def _cruise_m_s(self) -> float:
+        p = self.parameters
+        return min(self.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
+
     def hold(self, dt_s: float) -> State:
         """To the goal; without one, brake, and stay where that ends."""
+        p, point = self.parameters, self._point
         if self._waits():
-            return self._point.at
-        p, point, autopilot = self.parameters, self._point, self.autopilot
+            return point.at
         if not given(self._goal) and point.stands and abs(point.at.sink) < _STANDS_M_S:
             self._goal, self._goal_down = self._began, self._began_down
-        climbs = p["MPC_TKO_SPEED" if autopilot.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
-        cruise = min(autopilot.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
-        speeds = (cruise, climbs, p["MPC_Z_V_AUTO_DN"])
+        climbs = p["MPC_TKO_SPEED" if self.mode.name == "Takeoff" else "MPC_Z_V_AUTO_UP"]
+        speeds = (self._cruise_m_s, climbs, p["MPC_Z_V_AUTO_DN"])
         point.towards_place(self._goal, self._goal_down, speeds, dt_s)
         return point.at
 
     def climb(self, dt_s: float) -> State:
         """Takeoff; then Hold (COM_TAKEOFF_ACT 0), once it has stood at its height for a moment."""
-        at, autopilot = self.hold(dt_s), self.autopilot
-        below_m = autopilot.local_m[2] - self._goal_down
-        if (
-            autopilot.landed
-            or below_m >= self.parameters["NAV_MC_ALT_RAD"]
-            or abs(at.sink) >= _SLOW_M_S
-        ):
+        at = self.hold(dt_s)
+        is_up = self.local_m[2] - self._goal_down < self.parameters["NAV_MC_ALT_RAD"]
+        if self.landed or not is_up or abs(at.sink) >= _SLOW_M_S:
             self._up_s = None
         elif self._up_s is None:
-            self._up_s = autopilot.now_s
-        elif autopilot.now_s - self._up_s >= _TAKEN_OFF_S:
-            autopilot.intend("Hold")
+            self._up_s = self.now_s
+        elif self.now_s - self._up_s >= _TAKEN_OFF_S:
+            self.asked = None  # it holds where it is
+            self.intend("Hold")
         return at
 
     def land(self, dt_s: float) -> State:
         """Down to the ground, slower the nearer it is."""
-        if self._waits():
-            return self._point.at
         p, point = self.parameters, self._point
+        if self._waits():
+            return point.at
         if not given(self._goal) and point.stands:
             self._goal = point.at.place
-        height_m, slow = self.autopilot.height_m, p["MPC_LAND_SPEED"]
+        height_m, slow = self.height_m, p["MPC_LAND_SPEED"]
         upper_m, lower_m = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
         share = bounded((height_m - lower_m) / max(upper_m - lower_m, 0.1), 0.0, 1.0)
         sink_m_s = slow + (p["MPC_Z_V_AUTO_DN"] - slow) * share
         if height_m < p["MPC_LAND_ALT3"]:
             sink_m_s = min(slow, p["MPC_LAND_CRWL"])
-        cruise = min(self.autopilot.speed_m_s or p["MPC_XY_CRUISE"], p["MPC_XY_VEL_MAX"])
-        point.towards_place(self._goal, _NAN, (cruise, 0.0, 0.0), dt_s, sink_m_s)
+        point.towards_place(self._goal, _NAN, (self._cruise_m_s, 0.0, 0.0), dt_s, sink_m_s)
         return point.at
 
     def fly_back(self, dt_s: float) -> State:
         """Return: up, home, and land from there."""
-        down_m = self.autopilot.local_m[2]
-        if self._stage == 0 and abs(self._goal_down - down_m) < _ARRIVED_M:
-            self._stage, self._goal = 1, self._level(self.home)
+        if self._stage == 0 and abs(self._goal_down - self.local_m[2]) < _ARRIVED_M:
+            self._stage, self._goal = 1, self._level(self.base)
         elif self._stage == 1 and abs(self._goal - self._here) < _ARRIVED_M:
             self._stage = 2
         return self.land(dt_s) if self._stage == 2 else self.hold(dt_s)
 
     def fly_mission(self, dt_s: float) -> State:
         """Leg by leg."""
-        autopilot, leg = self.autopilot, self.route.leg
+        leg, p = self.route.leg, self.parameters
         if leg is None:
             return self.hold(dt_s)
         away_m = abs(self._goal - self._here)
         if leg.does is Does.LAND:
             if away_m < _ARRIVED_M and self.route.arrived_s is None:
-                autopilot.arrived(leg)
+                self.arrived(leg)
             return self.hold(dt_s) if self.route.arrived_s is None else self.land(dt_s)
-        at, p = self.hold(dt_s), autopilot.parameters
+        at = self.hold(dt_s)
         near_m = leg.acceptance_m if leg.acceptance_m == leg.acceptance_m else p["NAV_ACC_RAD"]
-        off_m = abs(self._goal_down - autopilot.local_m[2])
+        off_m = abs(self._goal_down - self.local_m[2])
         if away_m < near_m and off_m < p["NAV_MC_ALT_RAD"]:
-            autopilot.arrived(leg)
+            self.arrived(leg)
         return at
 
     def _turn(self, dt_s: float) -> None:
         """Turn the nose: to the setpoint's yaw, or along the way."""
-        autopilot, copter, name = self.autopilot, self.copter, self.autopilot.mode.name
-        target, by_client = autopilot.target, name == "Offboard"
-        if by_client:
+        p, copter, name, target = self.parameters, self.copter, self.mode.name, self.target
+        fastest_deg_s, gain_1_s = p["MPC_YAWRAUTO_MAX"], p["MC_YAW_P"]
+        if name == "Offboard":
+            fastest_deg_s = p["MC_YAWRATE_MAX"]
             if target is not None and target.yaw_rad == target.yaw_rad:
                 self._yaw_rad = target.yaw_rad
             elif target is not None and target.yaw_rate_rad_s == target.yaw_rate_rad_s:
-                self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / self._turn_1_s
+                self._yaw_rad = copter.heading_rad + target.yaw_rate_rad_s / gain_1_s
         elif name in NAVIGATED and name != "Land":
             way = self._aim[0] - self._here
             if self._aim_yaw_rad == self._aim_yaw_rad:
                 self._yaw_rad = self._aim_yaw_rad
             elif abs(way) > _NEAR_M:
                 self._yaw_rad = math.atan2(way.imag, way.real)
-        most = self._turns_most[by_client]
+        most = math.radians(fastest_deg_s)
         off_rad = math.remainder(self._yaw_rad - copter.heading_rad, math.tau)
-        self._turn_rad_s = bounded(self._turn_1_s * off_rad, -most, most)
+        self._turn_rad_s = bounded(gain_1_s * off_rad, -most, most)
         copter.heading_rad = math.remainder(copter.heading_rad + self._turn_rad_s * dt_s, math.tau)
 
     # --- to tell ------------------------------------------------------------------------------
 
-    def echo(self) -> TargetEcho | None:
+    def target_echo(self) -> TargetEcho:
         """What the controller steers for: its own velocity and acceleration, not those sent."""
-        autopilot, control, wanted = self.autopilot, self._control, self._wanted
-        touched_s = autopilot.touched_s
-        lies = touched_s is not None and autopilot.now_s - touched_s > _LIES_S
-        if lies or not self._flying or (autopilot.landed and self._ramp_s is None):
+        control, wanted = self._control, self._wanted
+        lies = self.touched_s is not None and self.now_s - self.touched_s > _LIES_S
+        if lies or not self._flying or (self.landed and self._ramp_s is None):
             return _IDLE._replace(yaw_rad=self.copter.heading_rad)
         position = (wanted.place.real, wanted.place.imag, wanted.down)
         velocity = (control.velocity.real, control.velocity.imag, control.sink)
@@ -384,14 +378,14 @@ class Px4CopterFlight(Px4Flight):
             velocity_ned_m_s=velocity,
             acceleration_ned_m_s2=(control.asked.real, control.asked.imag, control.asked_down),
             yaw_rad=self._yaw_rad,
-            yaw_rate_rad_s=0.0 if autopilot.mode.name == "Offboard" else self._turn_rad_s,
+            yaw_rate_rad_s=0.0 if self.mode.name == "Offboard" else self._turn_rad_s,
             type_mask=mask,
         )
 
     @property
     def _aim(self) -> tuple[complex, float]:
         """The navigator's place: the goal, or where the mode began."""
-        lands = self.autopilot.mode.name == "Land"
+        lands = self.mode.name == "Land"
         goal = self._began if lands or not given(self._goal) else self._goal
         down = self._goal_down
         return goal, self._began_down if lands or down != down else down
@@ -399,5 +393,5 @@ class Px4CopterFlight(Px4Flight):
     def waypoint(self) -> Waypoint:
         """In AUTO modes."""
         goal, down = self._aim
-        place = self.autopilot.frame.place(goal.real, goal.imag, down)
+        place = self.frame.place(goal.real, goal.imag, down)
         return Waypoint(place=place, distance_m=abs(goal - self._here))

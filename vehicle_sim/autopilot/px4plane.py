@@ -5,8 +5,9 @@ at, straight, and circled tightly when there; a position with a velocity is a po
 its direction there; an acceleration with them bends that path, to the wrong side; without a
 position nothing is steered and the last commands stay.  The speed is always FW_AIRSPD_TRIM.
 
-The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offboard.tlog, 25 to
-150 s), and takes most of a minute to find the last of its throttle.  This one does neither.
+The law is that of both planes (plane_control.py), the modes and speeds are PX4's.  The recorded
+aeroplane sank to the ground after its take-off (px4-fixedwing-offboard.tlog, 25 to 150 s), and
+takes most of a minute to find the last of its throttle.  This one does neither.
 """
 
 import cmath
@@ -14,11 +15,11 @@ import math
 from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.copter_control import bounded
-from vehicle_sim.autopilot.core import Mode
+from vehicle_sim.autopilot.core import Boot, Mode
 from vehicle_sim.autopilot.earth import FlatEarth
 from vehicle_sim.autopilot.legs import Does
 from vehicle_sim.autopilot.plane_control import Circle, PlaneControl, Way, eas_to_tas
-from vehicle_sim.autopilot.px4 import RATES_HZ, Asked, Px4, Px4Flight, firmware
+from vehicle_sim.autopilot.px4 import RATES_HZ, Px4, firmware
 from vehicle_sim.autopilot.setpoints import NOTHING, Target
 from vehicle_sim.autopilot.values import Place, TargetEcho, Waypoint
 from vehicle_sim.dynamics import GRAVITY_M_S2
@@ -57,8 +58,8 @@ _SINKS_FASTER_1_S: Final = 0.15
 _ROLL_OUT_S: Final = 0.8
 """Time constant of the speed on the wheels without throttle, so that it stands when and where the
 recorded one does, whose flare brakes it from 10.8 to 6.8 m/s before contact (then 1.33 s)."""
-_FULL_M_S2, _RAMP_M_S3, _RAMP_S = 6.4, 5.7, 2.0
-"""Acceleration on the runway, and while RWTO_RAMP_TIME opens the throttle."""
+_FULL_M_S2, _RAMP_M_S3 = 6.4, 5.7
+"""Acceleration on the runway, and how it grows while RWTO_RAMP_TIME opens the throttle."""
 _STEER_EVERY: Final = 4
 """Steps: the guidance runs at 25 Hz (the real one at 50, which nothing measured tells apart)."""
 _GLIDE_M_S: Final = 1.6
@@ -71,9 +72,6 @@ _TRADED_M: Final = 15.0
 """Of height for airspeed that it lacks, at most: told 15 m/s, which the simulated one does not
 reach, it stands 2 m low (TECS)."""
 _ON_CIRCLE_M: Final = 15.0
-_LEVEL_THROTTLE_S_M, _CLIMB_THROTTLE_S_M = 0.0875, 0.1
-"""Throttle for each m/s of airspeed and of climb: 86 % at 12.3 m/s, 100 % at 13.9, 64 % at 10.7
-and 0.85 m/s of sink (px4-fixedwing-offboard.tlog)."""
 _ECHO_MASK: Final = 3576
 
 
@@ -87,129 +85,28 @@ class Line(NamedTuple):
 
 
 @final
-class Px4PlaneFlight(Px4Flight):
+class Px4Plane(Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
-    def __init__(self, autopilot: Px4) -> None:
-        super().__init__(autopilot)
-        assert isinstance(autopilot.vehicle, Plane)
-        self._plane = plane = autopilot.vehicle
-        self._control = PlaneControl(plane, self.estimate)
+    def __init__(self, boot: Boot) -> None:
+        super().__init__(boot)
+        assert isinstance(boot.vehicle, Plane)
+        self._plane = boot.vehicle
+        self._control = PlaneControl(self._plane, self.estimate)
         self._control.l1.upright = True
         self._aim: Circle | Way | Line | None = None
         """None: the bank stays."""
         self._goal: Place | None = None
         """The place flown to; the middle of a circle."""
         self._nearest = self.estimate.place, 0j
-        """Of the path: a place and how far from it."""
-        self._settling = False
-        """At its point but not at its height: circles until it is."""
+        """Of circle or line: a place and how far from it."""
         self._sink_m_s: float | None = None
         """It lands: on a slope."""
         self._seen: Target | None = None
-        """The setpoint that it flies by; with a velocity it is not echoed."""
+        """The setpoint that it flies by."""
         self._began_s = 0.0
         """When the mode did."""
         self._steps = 0
-
-    # --- where to -----------------------------------------------------------------------------
-
-    def _circle(self, place: Place) -> None:
-        """About a place, at its height."""
-        self._aim, self._settling = Circle(place, self._radius_m), False
-        self._hold(place)
-
-    def _ahead(self, altitude_amsl_m: float) -> None:
-        """Straight on where the nose points."""
-        here = self.estimate.place.at(altitude_amsl_m)
-        self._aim = Line(here, cmath.rect(1.0, self._plane.heading_rad))
-        self._hold(here)
-
-    def _hold(self, goal: Place) -> None:
-        """At its height."""
-        self._goal, self._control.climb_m_s, self._sink_m_s = goal, None, None
-
-    def _land(self, place: Place) -> None:
-        """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
-        p = self.parameters
-        slow_m_s = p["FW_LND_AIRSPD"] if p["FW_LND_AIRSPD"] > 0.0 else p["FW_AIRSPD_MIN"]
-        self._circle(place)
-        self._control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
-        self._sink_m_s = slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(p["FW_LND_ANG"]))
-
-    @property
-    def _radius_m(self) -> float:
-        """NAV_LOITER_RAD; a negative one turns left."""
-        radius_m = self.parameters["NAV_LOITER_RAD"]
-        return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
-
-    def _true(self, equivalent_m_s: float) -> float:
-        return equivalent_m_s * eas_to_tas(self.estimate.altitude_amsl_m)
-
-    @property
-    def _cruise_m_s(self) -> float:
-        """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
-        p, wanted_m_s = self.parameters, self.parameters["FW_AIRSPD_TRIM"]
-        if self.autopilot.mode.name in ("Hold", "Mission", "Return"):
-            wanted_m_s = self.autopilot.speed_m_s or wanted_m_s
-        least_m_s = p["FW_AIRSPD_MIN"]
-        return self._true(bounded(wanted_m_s, least_m_s, max(p["FW_AIRSPD_MAX"], least_m_s)))
-
-    # --- modes --------------------------------------------------------------------------------
-
-    def begin(self, before: Mode) -> None:
-        """What the mode makes it fly; in the air, and for a take-off on the ground."""
-        autopilot, control, p = self.autopilot, self._control, self.parameters
-        here = self.estimate.place
-        self._began_s, self._seen = autopilot.now_s, None
-        match autopilot.mode.flies:
-            case "fly_target":
-                return  # the last commands stay until a setpoint comes
-            case "climb":
-                self._ahead(self.takeoff_altitude_m)
-                self._goal = self._asked_or(autopilot.takeoff, here.at(self.takeoff_altitude_m))
-            case "hold":
-                asked = autopilot.asked or (autopilot.takeoff if before.name == "Takeoff" else None)
-                self._circle(self._asked_or(asked, here))
-            case "fly_back":
-                height_m = self.home.altitude_amsl_m + p["RTL_RETURN_ALT"]
-                self._circle(self.home.at(max(height_m, here.altitude_amsl_m)))
-            case "sink":
-                self._ahead(here.altitude_amsl_m)
-            case "descend":
-                self._aim, self._sink_m_s, control.climb_m_s = None, None, 0.0
-                control.bank_rad = math.radians(p["NAV_GPSF_R"])
-            case _:
-                pass
-        control.airspeed_m_s = self._cruise_m_s
-        if autopilot.mode.flies == "land":
-            self._land(here)
-        elif autopilot.mode.flies == "fly_mission":
-            self.begin_leg()
-
-    @staticmethod
-    def _asked_or(asked: Asked | None, here: Place) -> Place:
-        """What of a place was asked for, and here what was not."""
-        latitude_deg, longitude_deg, altitude_m, _ = asked or (math.nan,) * 4
-        place = here if altitude_m != altitude_m else here.at(altitude_m)
-        if latitude_deg != latitude_deg:
-            return place
-        return Place(latitude_deg, longitude_deg, place.altitude_amsl_m)
-
-    def begin_leg(self) -> None:
-        """Straight to the leg's place, or about it."""
-        leg, here = self.route.leg, self.estimate.place
-        if leg is None:
-            self._circle(here)
-        elif leg.does is Does.CLIMB:
-            self._ahead(leg.place.altitude_amsl_m)
-            self._control.climb_m_s = _CLIMB_OUT_M_S
-        elif leg.does is Does.LAND:
-            self._land(leg.place)
-        else:
-            self._circle(leg.place)
-            if leg.hold_s == 0.0:
-                self._aim = Way(here, leg.place)
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
@@ -223,20 +120,116 @@ class Px4PlaneFlight(Px4Flight):
         if self._sink_m_s is None:
             control.airspeed_m_s = self._cruise_m_s
 
+    @property
+    def _radius_m(self) -> float:
+        """NAV_LOITER_RAD; a negative one turns left."""
+        radius_m = self.parameters["NAV_LOITER_RAD"]
+        return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
+
+    def _true(self, equivalent_m_s: float) -> float:
+        return equivalent_m_s * eas_to_tas(self.estimate.altitude_amsl_m)
+
+    def _slow_m_s(self, name: str) -> float:
+        """The airspeed of this parameter, if it is set; else FW_AIRSPD_MIN."""
+        p = self.parameters
+        return p[name] if p[name] > 0.0 else p["FW_AIRSPD_MIN"]
+
+    @property
+    def _cruise_m_s(self) -> float:
+        """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
+        p, wanted_m_s = self.parameters, self.parameters["FW_AIRSPD_TRIM"]
+        if self.mode.name in ("Hold", "Mission", "Return"):
+            wanted_m_s = self.speed_m_s or wanted_m_s
+        least_m_s = p["FW_AIRSPD_MIN"]
+        return self._true(bounded(wanted_m_s, least_m_s, max(p["FW_AIRSPD_MAX"], least_m_s)))
+
+    # --- where to -----------------------------------------------------------------------------
+
+    def _fly(self, aim: Circle | Way | Line, goal: Place) -> None:
+        """Along this, at the goal's height."""
+        self._aim, self._goal = aim, goal
+        self._control.climb_m_s = self._sink_m_s = None
+
+    def _circle(self, place: Place) -> None:
+        """About a place, at its height."""
+        self._fly(Circle(place, self._radius_m), place)
+
+    def _ahead(self, altitude_amsl_m: float) -> None:
+        """Straight on where the nose points."""
+        here = self.estimate.place.at(altitude_amsl_m)
+        self._fly(Line(here, cmath.rect(1.0, self._plane.heading_rad)), here)
+
+    def _land(self, place: Place) -> None:
+        """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
+        slow_m_s = self._slow_m_s("FW_LND_AIRSPD")
+        self._circle(place)
+        self._control.airspeed_m_s = self._true(slow_m_s) + _LANDS_FASTER_M_S
+        self._sink_m_s = (
+            slow_m_s * _SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
+        )
+
+    def _asked_or(self, here: Place) -> Place:
+        """What of a place was asked for, and here what was not."""
+        latitude_deg, longitude_deg, altitude_m, _ = self.asked or (math.nan,) * 4
+        altitude_m = here.altitude_amsl_m if altitude_m != altitude_m else altitude_m
+        if latitude_deg != latitude_deg:
+            return here.at(altitude_m)
+        return Place(latitude_deg, longitude_deg, altitude_m)
+
+    def begin(self, before: Mode) -> None:
+        """What the mode makes it fly; in the air, and for a take-off on the ground."""
+        del before
+        here, control = self.estimate.place, self._control
+        self._began_s, self._seen = self.now_s, None
+        if self.mode.flies == "fly_target":
+            return  # the last commands stay until a setpoint comes
+        control.airspeed_m_s = self._cruise_m_s
+        match self.mode.flies:
+            case "climb":
+                self._ahead(self.takeoff_altitude_m)
+                self._goal = self._asked_or(here.at(self.takeoff_altitude_m))
+            case "hold":
+                self._circle(self._asked_or(here))
+            case "fly_back":
+                height_m = self.base.altitude_amsl_m + self.parameters["RTL_RETURN_ALT"]
+                self._circle(self.base.at(max(height_m, here.altitude_amsl_m)))
+            case "land":
+                self._land(here)
+            case "fly_mission":
+                self.fly_leg()
+            case "descend":
+                self._aim, self._sink_m_s, control.climb_m_s = None, None, 0.0
+                control.bank_rad = math.radians(self.parameters["NAV_GPSF_R"])
+            case _:
+                self._ahead(here.altitude_amsl_m)
+
+    def fly_leg(self) -> None:
+        """Straight to the leg's place, or about it."""
+        leg, here = self.route.leg, self.estimate.place
+        if leg is None:
+            self._circle(here)
+        elif leg.does is Does.CLIMB:
+            self._ahead(leg.place.altitude_amsl_m)
+            self._control.climb_m_s = _CLIMB_OUT_M_S
+        elif leg.does is Does.LAND:
+            self._land(leg.place)
+        elif leg.hold_s:
+            self._circle(leg.place)
+        else:
+            self._fly(Way(here, leg.place), leg.place)
+
     # --- in the air ---------------------------------------------------------------------------
 
     def steer(self, dt_s: float) -> None:
-        """Where to and how high."""
+        """Where to and how high, in every fourth step."""
         del dt_s
         self._steps += 1
-        if self._steps % _STEER_EVERY == 0 and not self._plane.stands:
-            self._guide()
-
-    def _guide(self) -> None:
-        autopilot, control, plane = self.autopilot, self._control, self._plane
-        match autopilot.mode.flies:
-            case "fly_target" if autopilot.target is not self._seen:
-                self._take(autopilot.target)
+        if self._steps % _STEER_EVERY or self._plane.stands:
+            return
+        control, plane = self._control, self._plane
+        match self.mode.flies:
+            case "fly_target" if self.target is not self._seen:
+                self._take(self.target)
             case "climb":
                 self._climb_out()
             case "fly_mission":
@@ -244,64 +237,33 @@ class Px4PlaneFlight(Px4Flight):
             case "fly_back":
                 self._return()
             case "descend":
-                late = autopilot.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
+                late = self.now_s - self._began_s > self.parameters["NAV_GPSF_LT"]
                 control.climb_m_s = -_DESCEND_M_S if late else 0.0
             case _:
                 pass
-        excess_m_s = plane.airspeed_m_s - control.airspeed_m_s
         if self._sink_m_s is not None:
-            control.climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * max(excess_m_s, 0.0)
+            excess_m_s = max(plane.airspeed_m_s - control.airspeed_m_s, 0.0)
+            control.climb_m_s = -self._sink_m_s - _SINKS_FASTER_1_S * excess_m_s
         if self._goal is not None:
             energy = plane.airspeed_m_s**2 - control.airspeed_m_s**2
             more_m = bounded(energy / (2.0 * GRAVITY_M_S2), -_TRADED_M, _TRADED_M)
             control.height_amsl_m = self._goal.altitude_amsl_m + more_m
-        self._steer_to(self._aim)
-
-    def _steer_to(self, aim: Circle | Way | Line | None) -> None:
-        """Bank for the nearest point of it, and the direction and the bend there."""
-        control = self._control
-        if isinstance(aim, Way):
-            if not self._settles(aim.end):
-                here = self.estimate.place
-                points = self.autopilot.mode.flies == "fly_target"  # straight there, from anywhere
-                control.steer(aim._replace(start=here) if points else aim)
-                return
-            aim = Circle(aim.end, self._radius_m)
+        aim = self._aim
         if isinstance(aim, Line):
             off_m = control.off_m(aim.place)
             self._nearest = aim.place, (off_m.conjugate() * aim.way).real * aim.way
             control.follow(off_m, aim.way, aim.curvature_1_m)
+        elif isinstance(aim, Way) and self.mode.flies == "fly_target":
+            control.steer(aim._replace(start=self.estimate.place))  # straight there, from anywhere
+        elif isinstance(aim, Way):
+            control.steer(aim)
         elif aim is not None:
             off_m, radius_m = control.off_m(aim.centre), aim.radius_m
             out = off_m if abs(off_m) > 0.1 else control.velocity
             out /= abs(out)
-            nearest_m = abs(radius_m) * out
+            nearest_m, way = abs(radius_m) * out, math.copysign(1.0, radius_m) * 1j * out
             self._nearest = aim.centre, nearest_m
-            control.follow(
-                off_m - nearest_m, math.copysign(1.0, radius_m) * 1j * out, 1.0 / radius_m
-            )
-
-    def _settles(self, place: Place) -> bool:
-        """At its point but off its height by more than NAV_FW_ALT_RAD: circle until it is not."""
-        high = self._control.climb_m_s is None and not self._is_level(place.altitude_amsl_m)
-        self._settling = high and (self._settling or self._is_near(place))
-        return self._settling
-
-    def _is_level(self, altitude_amsl_m: float) -> bool:
-        off_m = abs(self.estimate.altitude_amsl_m - altitude_amsl_m)
-        return off_m < self.parameters["NAV_FW_ALT_RAD"]
-
-    def _is_near(self, place: Place, acceptance_m: float = 0.0) -> bool:
-        """Within the distance at which PX4 switches to the next waypoint: 31 m at 13.9 m/s."""
-        control = self._control
-        near_m = control.l1.length_m(abs(control.velocity))
-        return abs(control.off_m(place)) < (acceptance_m if acceptance_m > near_m else near_m)
-
-    def _is_on_circle(self) -> bool:
-        if not isinstance(self._aim, Circle):
-            return False
-        away_m = abs(self._control.off_m(self._aim.centre))
-        return abs(away_m - abs(self._aim.radius_m)) < _ON_CIRCLE_M
+            control.follow(off_m - nearest_m, way, 1.0 / radius_m)
 
     def _take(self, target: Target | None) -> None:
         """A setpoint of OFFBOARD (px4.md 10)."""
@@ -312,59 +274,62 @@ class Px4PlaneFlight(Px4Flight):
         if not (north_m == north_m and east_m == east_m):
             self._aim = None
             return
-        place = self.autopilot.frame.place(north_m, east_m, down_m if down_m == down_m else 0.0)
+        place = self.frame.place(north_m, east_m, down_m if down_m == down_m else 0.0)
         speed_m_s = math.hypot(v_n, v_e)
-        self._aim = Way(self.estimate.place, place)
+        aim: Way | Line = Way(self.estimate.place, place)
         if speed_m_s > 1e-6:  # not NaN
-            self._aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
+            aim = Line(place, complex(v_n, v_e) / speed_m_s, _bend(target))
+        self._fly(aim, place)
         self._control.airspeed_m_s = self._cruise_m_s
-        self._hold(place)
         if down_m != down_m:
             self._control.climb_m_s = 0.0 if v_d == v_d else -_GLIDE_M_S
 
     def _climb_out(self) -> None:
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
-        autopilot, control, goal_m = self.autopilot, self._control, self.takeoff_altitude_m
+        control, goal_m, here = self._control, self.takeoff_altitude_m, self.estimate.place
         control.climb_m_s, control.airspeed_m_s = _CLIMB_OUT_M_S, self._cruise_m_s
-        if self.estimate.altitude_amsl_m < goal_m:
-            return
-        self._hold((self._goal or self.estimate.place).at(goal_m + _CLEARED_M))
-        if autopilot.takeoff is not None and autopilot.takeoff[0] == autopilot.takeoff[0]:
-            autopilot.intend("Hold")
+        if here.altitude_amsl_m >= goal_m:
+            goal = self._goal or here
+            self._goal, control.climb_m_s = goal.at(goal_m + _CLEARED_M), None
+            if self.asked is not None and self.asked[0] == self.asked[0]:
+                self.intend("Hold")
 
     def _return(self) -> None:
         """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
-        autopilot, home, p = self.autopilot, self.home, self.parameters
-        if self._sink_m_s is not None or not self._is_on_circle():
+        p, control, aim = self.parameters, self._control, self._aim
+        assert isinstance(aim, Circle)
+        off_m = abs(control.off_m(aim.centre)) - abs(aim.radius_m)
+        if self._sink_m_s is not None or abs(off_m) > _ON_CIRCLE_M:
             return
-        height_m = home.altitude_amsl_m + p["RTL_DESCEND_ALT"]
-        self._hold(home.at(height_m))
-        waited = 0.0 <= p["RTL_LAND_DELAY"] < autopilot.now_s - self._began_s
-        if waited and self._is_level(height_m):
-            self._land(home)
+        self._goal = self.base.at(self.base.altitude_amsl_m + p["RTL_DESCEND_ALT"])
+        waited = 0.0 <= p["RTL_LAND_DELAY"] < self.now_s - self._began_s
+        if waited and self._is_level(self._goal):
+            self._land(self.base)
+
+    def _is_level(self, place: Place) -> bool:
+        off_m = abs(self.estimate.altitude_amsl_m - place.altitude_amsl_m)
+        return off_m < self.parameters["NAV_FW_ALT_RAD"]
 
     def _follow_mission(self) -> None:
-        """Fly on along the leg; tell the autopilot when it is done."""
-        leg = self.route.leg
+        """Fly on along the leg, which ends where PX4 switches to the next: 31 m at 13.9 m/s."""
+        leg, control = self.route.leg, self._control
         if leg is None or leg.does is Does.LAND:
             return
-        height_m = leg.place.altitude_amsl_m
+        near_m = control.l1.length_m(abs(control.velocity))
+        near_m = leg.acceptance_m if leg.acceptance_m > near_m else near_m
+        away_m = abs(control.off_m(leg.place))
         if leg.does is Does.CLIMB:
-            there = self.estimate.altitude_amsl_m >= height_m
-        elif isinstance(self._aim, Way):
-            there = self._is_level(height_m) and self._is_near(leg.place, leg.acceptance_m)
+            there = self.estimate.altitude_amsl_m >= leg.place.altitude_amsl_m
+        elif isinstance(self._aim, Circle):
+            there = abs(away_m - abs(self._aim.radius_m)) < _ON_CIRCLE_M
         else:
-            there = self._is_level(height_m) and self._is_on_circle()
+            there = away_m < near_m
         if there:
-            self.autopilot.arrived(leg)
+            self.arrived(leg)
 
     def move(self, dt_s: float) -> None:
         """With what it was steered to."""
-        plane, control = self._plane, self._control
-        control.advance(dt_s)
-        effort = (plane.airspeed_m_s - plane.limits.airspeed_max_m_s) * _LEVEL_THROTTLE_S_M
-        effort += 1.0 + plane.velocity_up_m_s * _CLIMB_THROTTLE_S_M
-        plane.throttle = bounded(effort, 0.0, 1.0)
+        self._control.advance(dt_s)
 
     # --- on the wheels ------------------------------------------------------------------------
 
@@ -373,63 +338,60 @@ class Px4PlaneFlight(Px4Flight):
         """Take-off, by mode or by a mission that begins with one."""
         leg = self.route.leg
         climbs = leg is not None and leg.does is Does.CLIMB
-        return self.autopilot.armed and (self.autopilot.mode.flies == "climb" or climbs)
+        return self.armed and (self.mode.flies == "climb" or climbs)
 
     def lifts_off(self) -> bool:
         """Fast enough on the runway."""
-        p = self.parameters
-        chosen = p["FW_TKO_AIRSPD"]
-        takeoff_m_s = self._true(chosen if chosen > 0.0 else p["FW_AIRSPD_MIN"])
+        takeoff_m_s = self._true(self._slow_m_s("FW_TKO_AIRSPD"))
         if not self._wants_up or self._plane.airspeed_m_s < _LIFTS_OFF_AT * takeoff_m_s:
             return False
         self._control.bank_rad, self._control.climb_m_s = 0.0, _CLIMB_OUT_M_S
         return True
 
-    def stand(self, ground_amsl_m: float, dt_s: float) -> None:
+    def stand(self, dt_s: float) -> None:
         """On the runway: up to speed, or to a halt."""
-        autopilot, plane = self.autopilot, self._plane
-        plane.altitude_amsl_m = ground_amsl_m
-        speed_m_s = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
+        plane, speed_m_s = self._plane, self._speed_m_s
+        plane.altitude_amsl_m = self.ground_m
         if self._wants_up:
-            since_s = autopilot.now_s - max(autopilot.armed_s, self._began_s)
-            plane.roll_on_ground(min(_RAMP_M_S3 * since_s, _FULL_M_S2), dt_s)
-            plane.throttle = min(since_s / _RAMP_S, 1.0)
+            since_s = self.now_s - max(self.armed_s, self._began_s)
+            push_m_s2 = min(_RAMP_M_S3 * since_s, _FULL_M_S2)
+            plane.roll_on_ground(push_m_s2, dt_s)
+            plane.throttle = push_m_s2 / _FULL_M_S2
             if plane.airspeed_m_s >= _TAKEOFF_SEEN_M_S:
-                autopilot.took_off()
+                self.take_to_the_air()
             return
         plane.throttle = 0.0
         if speed_m_s > 0.0:
             plane.roll_on_ground(-max(speed_m_s / _ROLL_OUT_S, 0.05), dt_s)
 
-    def touch_down(self, ground_amsl_m: float) -> None:
+    @property
+    def _speed_m_s(self) -> float:
+        """Over the ground, by its wheels."""
+        return math.hypot(self._plane.velocity_north_m_s, self._plane.velocity_east_m_s)
+
+    def touch_down(self) -> None:
         """It rolls out."""
-        self._plane.touch_down(ground_amsl_m)
+        self._plane.touch_down(self.ground_m)
 
     def lies(self) -> bool:
         """Slow on the runway."""
-        plane = self._plane
-        speed_m_s = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
-        return speed_m_s < _LANDING_SEEN_M_S and not self._wants_up
-
-    def on_disarmed(self) -> None:
-        """The motor stands."""
+        return self._speed_m_s < _LANDING_SEEN_M_S and not self._wants_up
 
     # --- to tell ------------------------------------------------------------------------------
 
-    def echo(self) -> TargetEcho | None:
-        """The nearest point of the path, as PX4 publishes it; nothing while it follows one."""
-        autopilot, flies = self.autopilot, self.autopilot.mode.flies
+    def target_echo(self) -> TargetEcho | None:
+        """The nearest point of a circle, as PX4 publishes it; nothing while it follows a path."""
+        flies, waypoint, origin_m = self.mode.flies, self.waypoint(), self.reference.altitude_amsl_m
         follows = self._seen is None or isinstance(self._aim, Line)
         if flies in ("sink", "descend") or (flies == "fly_target" and follows):
             return None
-        north_m, east_m, down_m = 0.0, 0.0, autopilot.reference.altitude_amsl_m
-        if autopilot.armed and self._goal is not None:
-            place, off_m = self._nearest
-            nearest = FlatEarth(place).place(off_m.real, off_m.imag, 0.0)
-            north_m, east_m, _ = autopilot.frame.ned_m(nearest)
-            down_m -= self._told_m(self._goal)
+        place = (0.0, 0.0, origin_m)
+        if self.armed and waypoint is not None:
+            of, off_m = self._nearest
+            nearest = FlatEarth(of).place(off_m.real, off_m.imag, 0.0)
+            place = self.frame.ned_m(nearest.at(waypoint.place.altitude_amsl_m))
         return TargetEcho(
-            position_ned_m=(north_m, east_m, down_m),
+            position_ned_m=place,
             velocity_ned_m_s=NOTHING,
             acceleration_ned_m_s2=NOTHING,
             yaw_rad=math.nan,
@@ -437,14 +399,12 @@ class Px4PlaneFlight(Px4Flight):
             type_mask=_ECHO_MASK,
         )
 
-    def _told_m(self, goal: Place) -> float:
-        """The navigator's altitude; 0 in a landing, as recorded."""
-        return goal.altitude_amsl_m if self._sink_m_s is None else 0.0
-
     def waypoint(self) -> Waypoint | None:
-        """The place flown to; the middle of a circle."""
+        """The place flown to, or the middle of a circle; of height 0 in a landing (recorded)."""
         goal = self._goal
-        return None if goal is None else Waypoint(place=goal.at(self._told_m(goal)))
+        if goal is None:
+            return None
+        return Waypoint(place=goal if self._sink_m_s is None else goal.at(0.0))
 
 
 def _bend(target: Target) -> float:

@@ -9,18 +9,13 @@ import math
 from typing import Final, NamedTuple, final
 
 from vehicle_sim.autopilot.earth import Vector
-from vehicle_sim.autopilot.values import (
-    FRAMES_ABOVE_HOME,
-    FRAMES_ABOVE_TERRAIN,
-    FRAMES_AMSL,
-    Setpoint,
-    height_amsl_m,
-)
+from vehicle_sim.autopilot.values import FRAMES_ABOVE_TERRAIN, Setpoint, height_amsl_m
 
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
 _FORCE: Final = 0x200
 _LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
+_GLOBAL_INT: Final = (5, 6, 11)
 _NAN: Final = math.nan
 NOTHING: Final = (_NAN, _NAN, _NAN)
 _FARTHEST_M: Final = 1e6
@@ -70,49 +65,37 @@ def turned(vector: Vector, heading_rad: float) -> Vector:
 def read_by_arducopter(setpoint: Setpoint, heading_rad: float) -> Target | Stop:
     """Decode a setpoint as ArduCopter does in GUIDED."""
     mask, is_global, frame = setpoint.type_mask, setpoint.is_global, setpoint.frame
-    position, velocity = not mask & IGNORE_POSITION, not mask & IGNORE_VELOCITY
-    asked = not mask & IGNORE_ACCELERATION
-    acceleration = asked and not (is_global and position and velocity)  # which has none
+    moves, asked = not mask & IGNORE_VELOCITY, not mask & IGNORE_ACCELERATION
+    position = NOTHING if mask & IGNORE_POSITION else setpoint.position
+    velocity = setpoint.velocity_ned_m_s if moves else NOTHING
+    has_place = not mask & IGNORE_POSITION
+    pushes = asked and not (is_global and has_place and moves)  # which has no acceleration
+    push = setpoint.acceleration_ned_m_s2 if pushes else NOTHING
+    yaw_rad = _NAN if mask & IGNORE_YAW else setpoint.yaw_rad
+    yaw_rate_rad_s = _NAN if mask & IGNORE_YAW_RATE else setpoint.yaw_rate_rad_s
     if (
-        (asked and (mask & _FORCE or (position and not velocity)))
-        or (velocity and not all(abs(v) <= _FASTEST_M_S for v in setpoint.velocity_ned_m_s))
-        or not (position or velocity or acceleration)
+        (asked and (mask & _FORCE or (has_place and not moves)))
+        or (moves and not all(abs(v) <= _FASTEST_M_S for v in velocity))
+        or not (has_place or moves or pushes)
         or not (is_global or frame in (_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED))
     ):
         return Stop()
-    yaw_rad = _NAN if mask & IGNORE_YAW else setpoint.yaw_rad
-    yaw_rate_rad_s = _NAN if mask & IGNORE_YAW_RATE else setpoint.yaw_rate_rad_s
-    used = [*(setpoint.position if position else ())]
-    used += [*(setpoint.acceleration_ned_m_s2 if acceleration else ())]
+    used = [*(position if has_place else ()), *(push if pushes else ())]
     used += [] if mask & IGNORE_YAW else [yaw_rad]
     used += [] if mask & IGNORE_YAW_RATE else [yaw_rate_rad_s]
     if not all(map(math.isfinite, used)):
         return Stop("SIM: setpoint not finite refused: aborts ArduPilot")
-    if position and max(map(abs, setpoint.position)) > _FARTHEST_M:
+    if has_place and max(map(abs, position)) > _FARTHEST_M:
         return Stop("SIM: setpoint too far refused: aborts ArduPilot")
-    if is_global and position:
-        latitude_deg, longitude_deg, _ = setpoint.position
+    if is_global and has_place:
         unknown = height_amsl_m(frame, 0.0, 0.0) is None
-        wild = abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0
-        if unknown or wild or (frame in FRAMES_ABOVE_TERRAIN and velocity):
+        wild = abs(position[0]) > 90.0 or abs(position[1]) > 180.0
+        if unknown or wild or (frame in FRAMES_ABOVE_TERRAIN and moves):
             return Stop()
-    vectors: tuple[Vector, ...] = (
-        setpoint.position,
-        setpoint.velocity_ned_m_s,
-        setpoint.acceleration_ned_m_s2,
-    )
     if not is_global and frame in (_BODY_NED, _BODY_OFFSET_NED):
-        vectors = tuple(turned(each, heading_rad) for each in vectors)
+        position, velocity, push = (turned(v, heading_rad) for v in (position, velocity, push))
         yaw_rad += heading_rad
-    return Target(
-        vectors[0] if position else NOTHING,
-        vectors[1] if velocity else NOTHING,
-        vectors[2] if acceleration else NOTHING,
-        yaw_rad,
-        yaw_rate_rad_s,
-        is_global,
-        frame,
-    )
+    return Target(position, velocity, push, yaw_rad, yaw_rate_rad_s, is_global, frame)
 
 
 def read_by_px4(setpoint: Setpoint, heading_rad: float) -> Target | None:
@@ -126,7 +109,7 @@ def read_by_px4(setpoint: Setpoint, heading_rad: float) -> Target | None:
     if setpoint.is_global:
         if mask & IGNORE_POSITION:  # any ignored axis drops the position, whatever the frame
             position = NOTHING
-        elif frame not in (FRAMES_AMSL[1], FRAMES_ABOVE_HOME[1], FRAMES_ABOVE_TERRAIN[1]):
+        elif frame not in _GLOBAL_INT:
             return None
         elif not all(map(math.isfinite, position[:2])):
             position = NOTHING
@@ -154,12 +137,8 @@ def is_flyable(target: Target) -> bool:
 
 def _axes(vector: Vector, ignored: int) -> Vector:
     """NaN for the axes whose bit is set, and for those that are not finite."""
-    x, y, z = vector
-    return (
-        _NAN if ignored & 1 else _finite(x),
-        _NAN if ignored & 2 else _finite(y),
-        _NAN if ignored & 4 else _finite(z),
-    )
+    x, y, z = (_NAN if ignored >> axis & 1 else _finite(v) for axis, v in enumerate(vector))
+    return x, y, z
 
 
 def _finite(value: float) -> float:

@@ -20,42 +20,19 @@ HIGHEST_HOME_M = 1e5
 """Limit of home's altitude, up and down: HOME_POSITION could not encode more."""
 
 
-class Result(enum.IntEnum):
-    """MAV_RESULT."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-    IN_PROGRESS = 5
-    CANCELLED = 6
-    COMMAND_LONG_ONLY = 7
-    COMMAND_INT_ONLY = 8
-    UNSUPPORTED_FRAME = 9
-
-
-class Landed(enum.IntEnum):
-    """MAV_LANDED_STATE."""
-
-    UNDEFINED = 0
-    ON_GROUND = 1
-    IN_AIR = 2
-    TAKEOFF = 3
-    LANDING = 4
-
-
-class State(enum.IntEnum):
-    """MAV_STATE: system_status of the heartbeat."""
-
-    UNINIT = 0
-    BOOT = 1
-    CALIBRATING = 2
-    STANDBY = 3
-    ACTIVE = 4
-    CRITICAL = 5
-    EMERGENCY = 6
-    POWEROFF = 7
+Result = enum.IntEnum(
+    "Result",
+    "ACCEPTED TEMPORARILY_REJECTED DENIED UNSUPPORTED FAILED IN_PROGRESS CANCELLED"
+    " COMMAND_LONG_ONLY COMMAND_INT_ONLY UNSUPPORTED_FRAME",
+    start=0,
+)
+"""MAV_RESULT."""
+Landed = enum.IntEnum("Landed", "UNDEFINED ON_GROUND IN_AIR TAKEOFF LANDING", start=0)
+"""MAV_LANDED_STATE."""
+State = enum.IntEnum(
+    "State", "UNINIT BOOT CALIBRATING STANDBY ACTIVE CRITICAL EMERGENCY POWEROFF", start=0
+)
+"""MAV_STATE: system_status of the heartbeat."""
 
 
 # --- in -------------------------------------------------------------------------------------------
@@ -305,22 +282,19 @@ class Report:
     _status: Status | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        autopilot = self.autopilot
-        self.vehicle, self.estimate = autopilot.vehicle, autopilot.estimate
-        self.profile = autopilot.profile
+        it = self.autopilot
+        self.vehicle, self.estimate, self.profile = it.vehicle, it.estimate, it.profile
 
     def renew(self, time_us: int, unix_us: int) -> None:
         """Advance the time: the status is requested again when needed."""
-        self.time_us, self.unix_us = time_us, unix_us
-        self._status = None
+        self.time_us, self.unix_us, self._status = time_us, unix_us, None
 
     @property
     def status(self) -> Status:
         """Computed when a message first needs it: most, like ATTITUDE, do not."""
-        status = self._status
-        if status is None:
-            status = self._status = self.autopilot.status()
-        return status
+        if self._status is None:
+            self._status = self.autopilot.status()
+        return self._status
 
 
 # --- how it speaks --------------------------------------------------------------------------------

@@ -1,0 +1,170 @@
+"""What a client meets first: defaults, capabilities, unasked rates, who is told texts.
+
+ardupilot.md (head, 1), px4.md (1 to 3, 10).
+"""
+
+from typing import Any
+
+import pytest
+from harness import GCS, KINDS, MISSION, PLACE, Key, Link, flying, heartbeat, ready
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilot.factory import PERSONALITIES
+from vehicle_sim.parameters import Kind
+from vehicle_sim.world import VehicleKind
+
+COMPANION, STATION = 18, 6
+DEFAULTS = {
+    ("ardupilot", "copter"): """ANGLE_MAX 3000 WPNAV_SPEED 1000 WPNAV_ACCEL 250 PSC_JERK_XY 5
+        GUID_TIMEOUT 3 FS_GCS_ENABLE 0 WP_YAW_BEHAVIOR 2 DISARM_DELAY 10 FENCE_ENABLE 0
+        FENCE_TYPE 7 FENCE_ACTION 1 FENCE_RADIUS 150 FENCE_ALT_MAX 100 FENCE_MARGIN 2
+        MAV_SYSID 1 MAV_GCS_SYSID 255 MAV1_POSITION 0 MAV_OPTIONS 0""",
+    ("ardupilot", "plane"): "AIRSPEED_CRUISE 22 WP_LOITER_RAD 80 NAVL1_PERIOD 15",
+    ("px4", "copter"): """COM_OF_LOSS_T 1 COM_OBL_RC_ACT 0 MPC_LAND_SPEED 0.7 SIH_KDV 1
+        COM_OBC_LOSS_T 5 NAV_DLL_ACT 0 COM_RC_IN_MODE 1 COM_LOW_BAT_ACT 3 MIS_TAKEOFF_ALT 2.5
+        COM_DISARM_PRFLT 10 COM_DISARM_LAND 2 MPC_XY_VEL_MAX 12 MPC_Z_VEL_MAX_UP 3
+        MPC_Z_VEL_MAX_DN 1.5 MPC_TILTMAX_AIR 45 MPC_XY_P 0.95 COM_RC_OVERRIDE 1
+        COM_RCL_EXCEPT 0 RTL_RETURN_ALT 30 GF_ACTION 2 SIM_GPS_USED 10""",
+    ("px4", "plane"): "FW_AIRSPD_TRIM 15 NAV_LOITER_RAD 80 NAV_FW_ALT_RAD 10",
+}
+CAPABILITIES = (64495, 62319, 59647, 59647)
+VERSIONS = {"ardupilot": 0x04070000, "px4": 17891392}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_defaults_and_capabilities_are_those_of_the_documents(
+    kind: tuple[str, VehicleKind],
+) -> None:
+    firmware = PERSONALITIES[kind].firmware
+    words = DEFAULTS[kind].split()
+    rows = {row.name: row for row in firmware.table}
+    assert {name: rows[name].default for name in words[::2]} == {
+        name: float(value) for name, value in zip(words[::2], words[1::2], strict=True)
+    }
+    assert all(len(name) <= 16 for name in rows)
+    assert not rows.keys() & {"SYSID_THISMAV", "SYSID_MYGCS", "SR0_POSITION"}
+    assert firmware.profile.capabilities == CAPABILITIES[KINDS.index(kind)]
+    assert firmware.profile.software_version == VERSIONS[kind[0]]
+    if kind[0] == "px4":  # in the order that it numbers them in
+        own = [name for name in rows if not name.startswith("SIM_")]
+        assert own == sorted(own)
+        integers = {name for name, row in rows.items() if row.kind is Kind.INT32}
+        assert integers >= {"COM_OBL_RC_ACT", "GF_ACTION"}
+
+
+@pytest.mark.parametrize(
+    ("firmware", "streamed", "not_streamed", "not_requested"),
+    [
+        (
+            "ardupilot",
+            (33, 32, 30, 245, 85, 87, 162, 193),
+            (230, 331, 64, 111, 330, 231),
+            (230, 300),
+        ),
+        ("px4", (30, 32, 33, 436, 31), (0, 42, 9999, 140), (9999, 193)),
+    ],
+)
+def test_what_can_be_streamed_and_asked_for(
+    firmware: str,
+    streamed: tuple[int, ...],
+    not_streamed: tuple[int, ...],
+    not_requested: tuple[int, ...],
+) -> None:
+    profile = PERSONALITIES[firmware, "copter"].firmware.profile
+    assert profile.streamable >= set(streamed)
+    assert not profile.streamable & set(not_streamed)
+    assert profile.requestable >= {148, 242, 49}
+    assert not profile.requestable & set(not_requested)
+
+
+RATES_HZ = {
+    98.0: "ATTITUDE",
+    49.0: "ATTITUDE_QUATERNION GLOBAL_POSITION_INT",
+    29.5: "LOCAL_POSITION_NED ODOMETRY",
+    9.9: "TIMESYNC ALTITUDE DISTANCE_SENSOR POSITION_TARGET_LOCAL_NED VFR_HUD",
+    8.0: "GPS_RAW_INT",
+    5.0: "EXTENDED_SYS_STATE SYS_STATUS",
+    1.0: "HEARTBEAT MISSION_CURRENT ESTIMATOR_STATUS SYSTEM_TIME",
+    0.5: "BATTERY_STATUS HOME_POSITION CURRENT_MODE",
+}
+"""Messages of an onboard link of PX4 that somebody reads, in Hz of its wall time: 1.5 % slower."""
+
+
+def test_px4_speaks_unasked_at_the_rates_that_were_measured() -> None:
+    vehicle = Link("copter", "px4", PLACE)
+    vehicle.run(10.0)
+    vehicle.heard.clear()
+    vehicle.run(20.0)
+    kinds = [heard.kind for heard in vehicle.heard]
+    rates_hz = {name: hz for hz, names in RATES_HZ.items() for name in names.split()}
+    told_hz = {name: kinds.count(name) / 20.0 * 0.985 for name in rates_hz}
+    assert told_hz == pytest.approx(rates_hz, rel=0.05)
+    assert "GPS_GLOBAL_ORIGIN" not in kinds  # it was told before
+
+
+def texts(vehicle: Link, link: int) -> bool:
+    return bool(vehicle.all("STATUSTEXT", link=link))
+
+
+def test_ardupilot_tells_texts_where_anybody_was_heard() -> None:
+    vehicle = Link("copter", "ardupilot", PLACE, links=2)
+    vehicle.run(44.0)
+    assert not texts(vehicle, 0)
+    assert not texts(vehicle, 1)
+    vehicle.send(heartbeat(), link=1)
+    vehicle.command(176, 1, 4, link=1)
+    vehicle.command(400, 1, link=1)
+    assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)
+
+
+def test_px4_tells_texts_to_ground_stations_only() -> None:
+    vehicle = Link("copter", "px4", PLACE, links=2)
+    vehicle.run(7.0)
+    vehicle.send(heartbeat(COMPANION))
+    vehicle.send(heartbeat(STATION), link=1, source=GCS)
+    assert vehicle.command(400, 1) == 0
+    vehicle.run(1.0)
+    assert (texts(vehicle, 0), texts(vehicle, 1)) == (False, True)
+
+
+def test_px4_tells_its_mode_twice_a_second_and_at_once_when_it_changes() -> None:
+    vehicle = ready("px4", "copter")
+    vehicle.command(511, 436, 50_000)
+    since_s = vehicle.now_s
+    vehicle.run(10.0)
+    assert len(vehicle.all("CURRENT_MODE", since_s=since_s)) == pytest.approx(20, abs=1)
+    vehicle.set_mode(MISSION)
+    assert vehicle.last("CURRENT_MODE").custom_mode == MISSION
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        mavlink.MAVLink_obstacle_distance_message(0, 0, [100] * 72, 5, 20, 3000),
+        mavlink.MAVLink_trajectory_representation_waypoints_message(
+            0, 1, *([[0.0] * 5] * 11), [0] * 5
+        ),
+    ],
+)
+def test_px4_flies_on_and_says_the_same_whatever_obstacles_or_routes_it_is_told(
+    message: Any,
+) -> None:
+    flights = [flying("px4", "copter") for _ in range(2)]
+    flights[1].send(message)
+    for flight in flights:
+        flight.run(2.0)
+    assert len({flight.simulation.vehicle.altitude_amsl_m for flight in flights}) == 1
+    assert len({tuple(heard.kind for heard in flight.heard) for flight in flights}) == 1
+
+
+def test_px4_takes_what_is_signed_and_what_is_not_and_never_signs() -> None:
+    vehicle = ready("px4", "copter")
+    key = Key(secret=bytes([7]) * 32, link=3, timestamp=400_000_000_000)
+    vehicle.send(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, *[0] * 6), key=key)
+    vehicle.run(0.1)
+    assert vehicle.simulation.armed
+    vehicle.send(mavlink.MAVLink_setup_signing_message(1, 1, key.secret, key.timestamp + 1))
+    vehicle.run(0.1)
+    assert vehicle.command(400, 0) == 0
+    assert not vehicle.simulation.armed
+    assert not any(heard.frame[2] & 1 for heard in vehicle.heard)
