@@ -271,7 +271,7 @@ def bow_tie() -> list[Any]:
         (FENCE, [circle(0, x=10**9)], INVALID),
         (FENCE, [circle(0, frame=1)], WRONG_FRAME),
         (FENCE, [item(0, FENCE, 16)], UNSUPPORTED),
-        (FENCE, [circle(k) for k in range(256)], mavlink.MAV_MISSION_NO_SPACE),
+        (FENCE, [circle(k) for k in range(725)], mavlink.MAV_MISSION_NO_SPACE),
         (MISSION, [item(0, MISSION, 82)], UNSUPPORTED),  # a spline
         (MISSION, [item(0, MISSION, 112)], UNSUPPORTED),  # a condition
         (MISSION, [item(0, MISSION, 5004, 3)], UNSUPPORTED),

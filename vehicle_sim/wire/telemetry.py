@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot.values import Landed, Report
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.frames import Prepared, layout_of, make
+from vehicle_sim.wire.frames import Prepared, make
 
 Builder = Callable[[Report], Prepared | None]
 
@@ -149,10 +149,6 @@ def _autopilot_version(now: Report) -> Prepared:
         return make("AUTOPILOT_VERSION", *head, *middle, uid=now.hardware_id)
     uid2 = list(now.hardware_id.to_bytes(18, "little"))
     return make("AUTOPILOT_VERSION", *head, flight_custom_version=custom, uid2=uid2)
-
-
-def _protocol_version(_: Report) -> Prepared:
-    return make("PROTOCOL_VERSION", 200, 100, 200)
 
 
 def _sys_status(now: Report) -> Prepared:
@@ -430,7 +426,8 @@ def _fence_status(now: Report) -> Prepared | None:
 
 
 def _by_number(*builders: Builder) -> dict[int, Builder]:
-    return {layout_of(each.__name__.strip("_").upper()).number: each for each in builders}
+    numbers = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
+    return {numbers[each.__name__.strip("_").upper()]: each for each in builders}
 
 
 _BOTH: Final = _by_number(
@@ -443,7 +440,7 @@ _OF_ARDUPILOT: Final = _by_number(
     *(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
 )
 _OF_PX4: Final = _by_number(
-    *(_current_mode, _protocol_version, _odometry, _altitude, _distance_sensor, _estimator_status),
+    *(_current_mode, _odometry, _altitude, _distance_sensor, _estimator_status),
     _wind_cov,
 )
 MESSAGES: Final[dict[Firmware, dict[int, Builder]]] = {
