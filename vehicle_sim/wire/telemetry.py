@@ -17,18 +17,20 @@ from vehicle_sim.wire.frames import Prepared, make
 
 Builder = Callable[[Report], Prepared | None]
 
-_INT16, _INT32, _UINT16 = 32767, 2_147_483_647, 65535
 _FIXED_WING: Final = 1
 _NAN: Final = math.nan
 _NO_VECTOR: Final = (_NAN, _NAN, _NAN)
-_NO_CELL: Final = 65535
+_HUGE: Final = 1 << 62
+"""More than any field of whole numbers carries: the packer makes the nearest of it."""
+_NO_DILUTION, _NO_CELL, _NO_TEMPERATURE = 65535, 65535, 32767
 _CENTIAMPERES_UNKNOWN: Final = -100
 """As PX4's simulated battery says it."""
 _ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
 """SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well."""
 _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x1000_0000
-_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 _IGNORE_YAW_RATE, _ONLY_POSITION = 0x800, 0xFDF8
+_LOCAL, _GLOBAL, _GLOBAL_INT = 1, 0, 5
+"""MAV_FRAME."""
 _TAKEOFF, _MISSION, _RETURN, _LAND = 0x0204_0000, 0x0404_0000, 0x0504_0000, 0x0604_0000
 _ALTITUDE, _POSITION = 0x0002_0000, 0x0003_0000
 _STANDARD_MODES: Final = {
@@ -45,21 +47,21 @@ _STANDARD_MODES: Final = {
 # --- numbers --------------------------------------------------------------------------------------
 
 
-def bounded(value: float, most: int) -> int:
-    """The nearest whole number within +-most: what an integer field can carry."""
-    if -most <= value <= most:
+def whole(value: float) -> int:
+    """The nearest whole number; 0 for NaN."""
+    if -_HUGE < value < _HUGE:
         return round(value)
-    return (most if value > 0.0 else -most) if math.isfinite(value) else 0
+    return 0 if math.isnan(value) else int(math.copysign(_HUGE, value))
 
 
 def _e7(place: Any) -> tuple[int, int]:
     """Latitude and longitude of anything that has them, in 1e-7 degrees."""
-    return bounded(place.latitude_deg * 1e7, _INT32), bounded(place.longitude_deg * 1e7, _INT32)
+    return whole(place.latitude_deg * 1e7), whole(place.longitude_deg * 1e7)
 
 
 def _e7_mm(place: Any) -> tuple[int, int, int]:
     """Latitude, longitude and height above the sea."""
-    return *_e7(place), bounded(place.altitude_amsl_m * 1e3, _INT32)
+    return *_e7(place), whole(place.altitude_amsl_m * 1e3)
 
 
 def _is_px4(now: Report) -> bool:
@@ -79,19 +81,18 @@ def _heading_cdeg(now: Report) -> int:
     return round(math.degrees(now.vehicle.heading_rad) * 100.0) % 36000
 
 
+def _yaw_rad(now: Report) -> float:
+    """The same, from -pi to pi."""
+    return math.remainder(now.vehicle.heading_rad, math.tau)
+
+
 def _quaternion(now: Report) -> tuple[float, float, float, float]:
-    """Attitude, scalar first."""
-    vehicle = now.vehicle
-    cr, sr = math.cos(vehicle.roll_rad / 2.0), math.sin(vehicle.roll_rad / 2.0)
-    cp, sp = math.cos(vehicle.pitch_rad / 2.0), math.sin(vehicle.pitch_rad / 2.0)
-    yaw_rad = math.remainder(vehicle.heading_rad, math.tau)
-    cy, sy = math.cos(yaw_rad / 2.0), math.sin(yaw_rad / 2.0)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
+    """Attitude, scalar first: as if it yawed, then pitched, then rolled."""
+    roll, pitch, yaw = now.vehicle.roll_rad / 2.0, now.vehicle.pitch_rad / 2.0, _yaw_rad(now) / 2.0
+    turn = complex(math.cos(yaw), math.sin(yaw))
+    level = turn * complex(math.cos(roll) * math.cos(pitch), -math.sin(roll) * math.sin(pitch))
+    bent = turn * complex(math.sin(roll) * math.cos(pitch), math.cos(roll) * math.sin(pitch))
+    return level.real, bent.real, bent.imag, level.imag
 
 
 def _velocity_ned_m_s(now: Report) -> tuple[float, float, float]:
@@ -152,46 +153,40 @@ def _autopilot_version(now: Report) -> Prepared:
 
 
 def _sys_status(now: Report) -> Prepared:
-    prearm = _PREARM_BIT if now.status.prearm_ok else 0
+    prearm, battery = _PREARM_BIT if now.status.prearm_ok else 0, _gauge(now)
     if _is_px4(now):
         there = _PX4_SENSORS | (_GPS_BIT if now.status.fusing else 0)
         well = there | prearm | (_POSITION_BIT if now.estimate.position_ok else 0)
         wanted = there | _POSITION_BIT | _PREARM_BIT
-        volts = bounded(now.battery.voltage_v * 1e3, _UINT16)
-        battery = (volts, _CENTIAMPERES_UNKNOWN, math.ceil(_per_cent_left(now)))
+        battery = (*battery[:2], math.ceil(_per_cent_left(now)))
     else:
         there, lost = now.range_sensors
         there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
         wanted, well = there | _PREARM_BIT, there & ~lost | prearm
-        battery = _gauge(now)
     extended = {"onboard_control_sensors_health_extended": int(_is_px4(now))}
     return make("SYS_STATUS", wanted, wanted, well, 0, *battery, **extended)
 
 
 def _gauge(now: Report) -> tuple[int, int, int]:
-    """ArduPilot's millivolts, centiamperes and per cent."""
-    volts = bounded(now.battery.voltage_v * 1e3, _INT16)
-    amperes = bounded(now.battery.current_a * 100.0, _INT16)
-    return volts, amperes, math.floor(_per_cent_left(now) + 1e-9)
+    """Millivolts, centiamperes and per cent."""
+    battery, left = now.battery, math.floor(_per_cent_left(now) + 1e-9)
+    amperes = _CENTIAMPERES_UNKNOWN if _is_px4(now) else whole(battery.current_a * 100.0)
+    return whole(battery.voltage_v * 1e3), amperes, left
 
 
 def _battery_status(now: Report) -> Prepared:
     volts, amperes, left = _gauge(now)
-    kind, energy = (0, 0, 0), 0
-    if _is_px4(now):
-        volts, amperes = bounded(now.battery.voltage_v * 1e3, _UINT16 - 1), _CENTIAMPERES_UNKNOWN
-        left, kind, energy = math.floor(_per_cent_left(now)), (0, 1, 1), -1
-    cells, consumed = [volts, *[_NO_CELL] * 9], bounded(now.battery.consumed_mah, _INT32)
-    return make("BATTERY_STATUS", *kind, _INT16, cells, amperes, consumed, energy, left, 0, 1)
+    kind, energy = ((0, 1, 1), -1) if _is_px4(now) else ((0, 0, 0), 0)
+    cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.battery.consumed_mah)
+    rest = (_NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1)
+    return make("BATTERY_STATUS", *kind, *rest)
 
 
 # --- where it is ----------------------------------------------------------------------------------
 
 
 def _attitude(now: Report) -> Prepared:
-    vehicle = now.vehicle
-    yaw_rad = math.remainder(vehicle.heading_rad, math.tau)
-    angles_rad = (vehicle.roll_rad, vehicle.pitch_rad, yaw_rad)
+    angles_rad = (now.vehicle.roll_rad, now.vehicle.pitch_rad, _yaw_rad(now))
     return make("ATTITUDE", _boot_ms(now), *angles_rad, *now.autopilot.rates_rad_s)
 
 
@@ -206,35 +201,25 @@ def _local_position_ned(now: Report) -> Prepared | None:
 
 
 def _odometry(now: Report) -> Prepared | None:
-    here_m, frame = now.autopilot.local_ned_m(), mavlink.MAV_FRAME_LOCAL_NED
+    here_m = now.autopilot.local_ned_m()
+    moving = (list(_quaternion(now)), *_velocity_ned_m_s(now), *now.autopilot.rates_rad_s)
     return here_m and make(
         "ODOMETRY",
-        *(now.time_us, frame, frame, *here_m, list(_quaternion(now)), *_velocity_ned_m_s(now)),
-        *(*now.autopilot.rates_rad_s, [_NAN] * 21, [_NAN] * 21),
+        *(now.time_us, _LOCAL, _LOCAL, *here_m, *moving, [_NAN] * 21, [_NAN] * 21),
         estimator_type=mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
     )
 
 
 def _global_position_int(now: Report) -> Prepared | None:
     """Of PX4 once it has an origin."""
-    home, amsl_m = now.autopilot.home, now.estimate.altitude_amsl_m
+    home = now.autopilot.home
     if _is_px4(now) and now.status.origin is None:
         return None
-    above_home_m = 0.0 if home is None else amsl_m - home.altitude_amsl_m
-    latitude, longitude = _e7(now.estimate)
-    north, east, down = _velocity_ned_m_s(now)
-    return make(
-        "GLOBAL_POSITION_INT",
-        _boot_ms(now),
-        latitude,
-        longitude,
-        bounded(_altitude_amsl_m(now) * 1e3, _INT32),
-        bounded(above_home_m * 1e3, _INT32),
-        bounded(north * 100.0, _INT16),
-        bounded(east * 100.0, _INT16),
-        bounded(down * 100.0, _INT16),
-        _heading_cdeg(now),
-    )
+    above_home_m = 0.0 if home is None else now.estimate.altitude_amsl_m - home.altitude_amsl_m
+    mm = whole(_altitude_amsl_m(now) * 1e3), whole(above_home_m * 1e3)
+    cm_s = [whole(each * 100.0) for each in _velocity_ned_m_s(now)]
+    place = (_boot_ms(now), *_e7(now.estimate), *mm)
+    return make("GLOBAL_POSITION_INT", *place, *cm_s, _heading_cdeg(now))
 
 
 def _gps_raw_int(now: Report) -> Prepared | None:
@@ -242,22 +227,16 @@ def _gps_raw_int(now: Report) -> Prepared | None:
     fix = now.fix
     if _is_px4(now) and not fix.time_us:
         return None
-    north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
-    solution = (
-        *(fix.fix_type, *_e7_mm(fix)),
-        min(round(fix.horizontal_dilution * 100.0), _UINT16),
-        min(round(fix.vertical_dilution * 100.0), _UINT16),
-        bounded(math.hypot(north, east) * 100.0, _UINT16 - 1),
-        round(math.degrees(math.atan2(east, north)) * 100.0) % 36000,
-    )
-    all_m = (fix.altitude_amsl_m, fix.horizontal_accuracy_m, fix.vertical_accuracy_m)
-    return make(
-        "GPS_RAW_INT",
-        fix.time_us,
-        *(solution if _is_px4(now) or fix.fix_type else (0, 0, 0, 0, _UINT16, _UINT16, 0, 0)),
-        min(fix.satellites, 255),
-        *(bounded(each * 1e3, _INT32) for each in (*all_m, fix.speed_accuracy_m_s)),
-    )
+    solution: tuple[int, ...] = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
+    if _is_px4(now) or fix.fix_type:
+        north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
+        dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
+        course_cdeg = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
+        hundredths = (whole(each * 100.0) for each in dilutions)
+        solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
+    accuracies = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
+    mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *accuracies))
+    return make("GPS_RAW_INT", fix.time_us, *solution, fix.satellites, *mm)
 
 
 def _vfr_hud(now: Report) -> Prepared:
@@ -303,10 +282,9 @@ def _ekf_status_report(now: Report) -> Prepared:
 
 
 def _estimator_status(now: Report) -> Prepared:
-    estimate, accuracy_m = now.estimate, now.estimate.horizontal_accuracy_m
-    ratios = (estimate.velocity_variance, estimate.horizontal_variance)
-    head = (now.time_us, estimate.flags, *ratios)
-    return make("ESTIMATOR_STATUS", *head, pos_horiz_accuracy=accuracy_m)
+    estimate = now.estimate
+    head = (now.time_us, estimate.flags, estimate.velocity_variance, estimate.horizontal_variance)
+    return make("ESTIMATOR_STATUS", *head, pos_horiz_accuracy=estimate.horizontal_accuracy_m)
 
 
 def _gps_global_origin(now: Report) -> Prepared | None:
@@ -316,7 +294,7 @@ def _gps_global_origin(now: Report) -> Prepared | None:
 
 def _home_position(now: Report) -> Prepared | None:
     """Seen from the origin; ArduPilot knows no attitude of the surface."""
-    home, origin, ned_m, time_us = now.autopilot.home, now.status.origin, _NO_VECTOR, now.time_us
+    home, origin, ned_m = now.autopilot.home, now.status.origin, _NO_VECTOR
     if home is None or (_is_px4(now) and origin is None):
         return None
     if origin is not None:
@@ -326,7 +304,7 @@ def _home_position(now: Report) -> Prepared | None:
         north_m, east_m = (0.0, 0.0) if _is_px4(now) else (north_m, east_m)
         ned_m = (north_m, east_m, origin.altitude_amsl_m - home.altitude_amsl_m)
     q = [1.0, 0.0, 0.0, 0.0] if _is_px4(now) else [_NAN] * 4
-    return make("HOME_POSITION", *_e7_mm(home), *ned_m, q, time_usec=time_us)
+    return make("HOME_POSITION", *_e7_mm(home), *ned_m, q, time_usec=now.time_us)
 
 
 def _simstate(now: Report) -> Prepared:
@@ -354,22 +332,17 @@ def _wind_cov(now: Report) -> Prepared | None:
 
 
 def _position_target_local_ned(now: Report) -> Prepared | None:
-    target, zero = now.autopilot.target_echo(), (0.0, 0.0, 0.0)
+    """Position, velocity and acceleration; the mask says which of them are not given."""
+    target = now.autopilot.target_echo()
     if target is None:
         return None
-    position, velocity, acceleration = target[:3]
-    mask = target.type_mask
-    if mask is None:
-        mask = _IGNORE_YAW_RATE | (0 if position else _IGNORE_POSITION)
-        mask |= (0 if velocity else _IGNORE_VELOCITY) | (
-            0 if acceleration else _IGNORE_ACCELERATION
-        )
-    return make(
-        "POSITION_TARGET_LOCAL_NED",
-        *(_boot_ms(now), mavlink.MAV_FRAME_LOCAL_NED, mask),
-        *(*(position or zero), *(velocity or zero), *(acceleration or zero)),
-        *(target.yaw_rad, target.yaw_rate_rad_s),
-    )
+    mask, vectors = _IGNORE_YAW_RATE, list[float]()
+    for place, vector in enumerate(target[:3]):
+        mask |= 0 if vector else 0b111 << 3 * place
+        vectors += vector or (0.0, 0.0, 0.0)
+    head = (_boot_ms(now), _LOCAL, mask if target.type_mask is None else target.type_mask)
+    yaw = (target.yaw_rad, target.yaw_rate_rad_s)
+    return make("POSITION_TARGET_LOCAL_NED", *head, *vectors, *yaw)
 
 
 def _position_target_global_int(now: Report) -> Prepared | None:
@@ -377,19 +350,16 @@ def _position_target_global_int(now: Report) -> Prepared | None:
     waypoint, target = now.status.waypoint, now.autopilot.target_echo()
     if waypoint is None:
         return None
-    frame, mask, height_m = mavlink.MAV_FRAME_GLOBAL, _ONLY_POSITION, waypoint.place.altitude_amsl_m
-    aim: tuple[float, ...] = ()
+    head, height_m, aim = (_GLOBAL, _ONLY_POSITION), waypoint.place.altitude_amsl_m, list[float]()
     if _is_px4(now):
-        frame, mask = mavlink.MAV_FRAME_GLOBAL_INT, 0
-        lands = now.status.mode == _LAND and not _is_plane(now)
-        height_m = 0.0 if lands else height_m
-        aim = (*_NO_VECTOR, *_NO_VECTOR, _NAN, _NAN)
+        head, aim = (_GLOBAL_INT, 0), [_NAN] * 8
+        height_m = 0.0 if now.status.mode == _LAND and not _is_plane(now) else height_m
         if target is not None:
-            vectors = (target.velocity_ned_m_s, target.acceleration_ned_m_s2)
-            aim = tuple(value for vector in vectors for value in vector or _NO_VECTOR)
-            aim = (*aim, target.yaw_rad, target.yaw_rate_rad_s)
-    place = (*_e7(waypoint.place), height_m)
-    return make("POSITION_TARGET_GLOBAL_INT", _boot_ms(now), frame, mask, *place, *aim)
+            velocity, acceleration = target.velocity_ned_m_s, target.acceleration_ned_m_s2
+            aim[:6] = (*(velocity or _NO_VECTOR), *(acceleration or _NO_VECTOR))
+            aim[6:] = (target.yaw_rad, target.yaw_rate_rad_s)
+    place = (_boot_ms(now), *head, *_e7(waypoint.place), height_m)
+    return make("POSITION_TARGET_GLOBAL_INT", *place, *aim)
 
 
 def _nav_controller_output(now: Report) -> Prepared | None:
@@ -399,11 +369,9 @@ def _nav_controller_output(now: Report) -> Prepared | None:
     if waypoint is None:
         return None if _is_plane(now) else make("NAV_CONTROLLER_OUTPUT", *attitude_deg)
     bearing_deg = round(math.degrees(math.remainder(waypoint.bearing_rad, math.tau)))
-    return make(
-        "NAV_CONTROLLER_OUTPUT",
-        *(*attitude_deg, bearing_deg, bearing_deg, bounded(waypoint.distance_m, _UINT16)),
-        *(waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0, waypoint.cross_track_m),
-    )
+    ways = (bearing_deg, bearing_deg, whole(waypoint.distance_m))
+    errors = (waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0)
+    return make("NAV_CONTROLLER_OUTPUT", *attitude_deg, *ways, *errors, waypoint.cross_track_m)
 
 
 def _mission_current(now: Report) -> Prepared:
@@ -440,8 +408,7 @@ _OF_ARDUPILOT: Final = _by_number(
     *(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
 )
 _OF_PX4: Final = _by_number(
-    *(_current_mode, _odometry, _altitude, _distance_sensor, _estimator_status),
-    _wind_cov,
+    *(_current_mode, _odometry, _altitude, _distance_sensor, _estimator_status, _wind_cov)
 )
 MESSAGES: Final[dict[Firmware, dict[int, Builder]]] = {
     "ardupilot": _BOTH | _OF_ARDUPILOT,
