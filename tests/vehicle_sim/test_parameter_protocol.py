@@ -150,18 +150,6 @@ def test_a_table_takes_only_what_its_types_hold(kind: Kind, value: float) -> Non
             Parameters(table, {"IT": value})
 
 
-@given(name=st.binary(max_size=16), value=st.floats(width=32), kind=st.integers(0, 255))
-@settings(max_examples=20)
-def test_no_name_value_or_type_does_harm(name: bytes, value: float, kind: int) -> None:
-    for firmware in ("ardupilot", "px4"):
-        vehicle = fresh(firmware)  # type: ignore[arg-type]
-        for asked in (name, FLOAT[firmware].encode(), b"SIM_WIND_DIR"):
-            vehicle.send(mavlink.MAVLink_param_set_message(*VEHICLE, asked, value, kind))
-        kept = vehicle.simulation.parameters.values()
-        assert all(math.isfinite(each) for each in kept.values())
-        assert len(values(vehicle, LIST, 0.5)) >= len(kept)
-
-
 class Connection:
     """What mavparm needs of a connection."""
 
