@@ -175,7 +175,7 @@ def test_a_value_that_does_not_fit_is_sent_as_the_nearest_that_does() -> None:
 
 @given(value=st.floats())
 def test_what_goes_into_a_field_of_whole_numbers_is_the_nearest(value: float) -> None:
-    told = decoded(Packer(1, 1).frame(frames.make("SIMSTATE", lat=whole(value)))).lat
+    told = decoded(Packer(1, 1).frame(frames.make("GPS_GLOBAL_ORIGIN", whole(value)))).latitude
     assert told == (0 if math.isnan(value) else round(min(max(value, -(2**31)), 2**31 - 1)))
 
 

@@ -114,10 +114,8 @@ class Layout(NamedTuple):
 
     number_bytes: bytes
     crc_extra: bytes
-    places: dict[str, int]
-    """Of each field among all, in the order in which MAVLink defines them."""
     zeros: list[Any]
-    """What a field is that is not given, in that order."""
+    """What a field is that is not given, in MAVLink's order."""
     on_the_wire: Callable[[Sequence[Any]], Sequence[Any]]
     """The same values in the order of the payload."""
     struct: struct.Struct
@@ -146,28 +144,23 @@ def layout_of(name: str) -> Layout:
         field: b"" if code == "s" else [0] * int(count) if count else 0
         for field, (count, code) in zip(sent, re.findall(r"(\d*)([a-zA-Z])", form), strict=True)
     }
-    places = {field: place for place, field in enumerate(named)}
     return Layout(
         kind.id.to_bytes(3, "little"),
         bytes([kind.crc_extra]),
-        places,
         [zeros[field] for field in named],
-        itemgetter(*(places[field] for field in sent)) if len(sent) > 1 else list,
+        itemgetter(*map(named.index, sent)) if len(sent) > 1 else list,
         struct.Struct(form),
         not any(isinstance(zero, list) for zero in zeros.values()),
     )
 
 
-def make(name: str, *first: Any, **rest: Any) -> Prepared:
-    """A message of this name, to be sent: its first fields in MAVLink's order, others by name.
+def make(name: str, *first: Any) -> Prepared:
+    """A message of this name, to be sent: its first fields in MAVLink's order, the others are zero.
 
-    Texts are bytes, fields of several values are lists.  What is not given is zero.
+    Texts are bytes, fields of several values are lists.
     """
     layout = layout_of(name)
-    fields = [*first, *layout.zeros[len(first) :]]
-    for field, value in rest.items():
-        fields[layout.places[field]] = value
-    values = layout.on_the_wire(fields)
+    values = layout.on_the_wire([*first, *layout.zeros[len(first) :]])
     if not layout.is_plain:
         values = [one for v in values for one in (v if isinstance(v, list) else (v,))]
     try:

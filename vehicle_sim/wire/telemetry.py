@@ -1,7 +1,7 @@
 """An autopilot's report as MAVLink messages: a function each, which has the name of its message.
 
-Fields that somebody reads are filled as in the recorded flights; what a function does not fill is
-zero.  None: there is nothing to say now.
+It returns the fields.  Those that somebody reads are filled as in the recorded flights, the others
+are zero.  None: there is nothing to say now.
 """
 
 import math
@@ -15,6 +15,8 @@ from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import Prepared, make
 
+Fields = tuple[Any, ...]
+"""Of a message in MAVLink's order; those at the end that are left out are zero."""
 Builder = Callable[[Report], Prepared | None]
 
 _FIXED_WING: Final = 1
@@ -29,8 +31,8 @@ _ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
 """SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well."""
 _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x1000_0000
 _IGNORE_YAW_RATE, _ONLY_POSITION = 0x800, 0xFDF8
-_LOCAL, _GLOBAL, _GLOBAL_INT = 1, 0, 5
-"""MAV_FRAME."""
+_LOCAL, _GLOBAL, _GLOBAL_INT, _DOWN = 1, 0, 5, 25
+"""Three of MAV_FRAME, and the orientation of a sensor."""
 _TAKEOFF, _MISSION, _RETURN, _LAND = 0x0204_0000, 0x0404_0000, 0x0504_0000, 0x0604_0000
 _ALTITUDE, _POSITION = 0x0002_0000, 0x0003_0000
 _STANDARD_MODES: Final = {
@@ -115,56 +117,54 @@ def _per_cent_left(now: Report) -> float:
 # --- what and how it is ---------------------------------------------------------------------------
 
 
-def _heartbeat(now: Report) -> Prepared:
+def _heartbeat(now: Report) -> Fields:
     profile, status = now.profile, now.status
     modes = (status.base_mode, status.mode, status.system_status)
-    return make("HEARTBEAT", profile.vehicle_type, profile.autopilot, *modes, 3)
+    return profile.vehicle_type, profile.autopilot, *modes, 3
 
 
-def _current_mode(now: Report) -> Prepared:
+def _current_mode(now: Report) -> Fields:
     status = now.status
     standard = 0 if status.failsafe else _STANDARD_MODES.get(status.mode, 0)
     intended = status.mode if status.intended_mode is None else status.intended_mode
-    return make("CURRENT_MODE", standard, status.mode, intended)
+    return standard, status.mode, intended
 
 
-def _extended_sys_state(now: Report) -> Prepared:
+def _extended_sys_state(now: Report) -> Fields:
     vtol = 0 if _is_px4(now) or _is_plane(now) else mavlink.MAV_VTOL_STATE_MC
-    return make("EXTENDED_SYS_STATE", vtol, now.status.landed_state)
+    return vtol, now.status.landed_state
 
 
-def _system_time(now: Report) -> Prepared:
-    return make("SYSTEM_TIME", now.unix_us, _boot_ms(now))
+def _system_time(now: Report) -> Fields:
+    return now.unix_us, _boot_ms(now)
 
 
-def _timesync(now: Report) -> Prepared:
+def _timesync(now: Report) -> Fields:
     """A question; the last digit tells ArduPilot's from those of others."""
-    return make("TIMESYNC", 0, now.time_us * 1000 + (0 if _is_px4(now) else 1))
+    return 0, now.time_us * 1000 + (0 if _is_px4(now) else 1)
 
 
-def _autopilot_version(now: Report) -> Prepared:
-    profile, custom = now.profile, list(now.profile.custom_version)
-    head = (profile.capabilities, profile.software_version)
+def _autopilot_version(now: Report) -> Fields:
+    version, custom = now.profile.software_version, list(now.profile.custom_version)
+    head = (now.profile.capabilities, version)
     if _is_px4(now):
-        middle = (profile.software_version, 101854463, 1, custom, custom)
-        return make("AUTOPILOT_VERSION", *head, *middle, uid=now.hardware_id)
-    uid2 = list(now.hardware_id.to_bytes(18, "little"))
-    return make("AUTOPILOT_VERSION", *head, flight_custom_version=custom, uid2=uid2)
+        return *head, version, 101854463, 1, custom, custom, [0] * 8, 0, 0, now.hardware_id
+    uid = list(now.hardware_id.to_bytes(18, "little"))
+    return *head, 0, 0, 0, custom, [0] * 8, [0] * 8, 0, 0, 0, uid
 
 
-def _sys_status(now: Report) -> Prepared:
+def _sys_status(now: Report) -> Fields:
     prearm, battery = _PREARM_BIT if now.status.prearm_ok else 0, _gauge(now)
     if _is_px4(now):
         there = _PX4_SENSORS | (_GPS_BIT if now.status.fusing else 0)
         well = there | prearm | (_POSITION_BIT if now.estimate.position_ok else 0)
         wanted = there | _POSITION_BIT | _PREARM_BIT
         battery = (*battery[:2], math.ceil(_per_cent_left(now)))
-    else:
-        there, lost = now.range_sensors
-        there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
-        wanted, well = there | _PREARM_BIT, there & ~lost | prearm
-    extended = {"onboard_control_sensors_health_extended": int(_is_px4(now))}
-    return make("SYS_STATUS", wanted, wanted, well, 0, *battery, **extended)
+        return wanted, wanted, well, 0, *battery, *[0] * 8, 1
+    there, lost = now.range_sensors
+    there |= _ARDUPILOT_SENSORS | (_GPS_BIT if now.fix.fix_type > 0 else 0)
+    wanted, well = there | _PREARM_BIT, there & ~lost | prearm
+    return wanted, wanted, well, 0, *battery
 
 
 def _gauge(now: Report) -> tuple[int, int, int]:
@@ -174,43 +174,38 @@ def _gauge(now: Report) -> tuple[int, int, int]:
     return whole(battery.voltage_v * 1e3), amperes, left
 
 
-def _battery_status(now: Report) -> Prepared:
+def _battery_status(now: Report) -> Fields:
     volts, amperes, left = _gauge(now)
     kind, energy = ((0, 1, 1), -1) if _is_px4(now) else ((0, 0, 0), 0)
     cells, consumed = [volts, *[_NO_CELL] * 9], whole(now.battery.consumed_mah)
-    rest = (_NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1)
-    return make("BATTERY_STATUS", *kind, *rest)
+    return *kind, _NO_TEMPERATURE, cells, amperes, consumed, energy, left, 0, 1
 
 
 # --- where it is ----------------------------------------------------------------------------------
 
 
-def _attitude(now: Report) -> Prepared:
+def _attitude(now: Report) -> Fields:
     angles_rad = (now.vehicle.roll_rad, now.vehicle.pitch_rad, _yaw_rad(now))
-    return make("ATTITUDE", _boot_ms(now), *angles_rad, *now.autopilot.rates_rad_s)
+    return _boot_ms(now), *angles_rad, *now.autopilot.rates_rad_s
 
 
-def _attitude_quaternion(now: Report) -> Prepared:
-    rates_rad_s = now.autopilot.rates_rad_s
-    return make("ATTITUDE_QUATERNION", _boot_ms(now), *_quaternion(now), *rates_rad_s)
+def _attitude_quaternion(now: Report) -> Fields:
+    return _boot_ms(now), *_quaternion(now), *now.autopilot.rates_rad_s
 
 
-def _local_position_ned(now: Report) -> Prepared | None:
-    here_m, velocity = now.autopilot.local_ned_m(), _velocity_ned_m_s(now)
-    return here_m and make("LOCAL_POSITION_NED", _boot_ms(now), *here_m, *velocity)
-
-
-def _odometry(now: Report) -> Prepared | None:
+def _local_position_ned(now: Report) -> Fields | None:
     here_m = now.autopilot.local_ned_m()
+    return here_m and (_boot_ms(now), *here_m, *_velocity_ned_m_s(now))
+
+
+def _odometry(now: Report) -> Fields | None:
+    here_m, frames = now.autopilot.local_ned_m(), (_LOCAL, _LOCAL)
     moving = (list(_quaternion(now)), *_velocity_ned_m_s(now), *now.autopilot.rates_rad_s)
-    return here_m and make(
-        "ODOMETRY",
-        *(now.time_us, _LOCAL, _LOCAL, *here_m, *moving, [_NAN] * 21, [_NAN] * 21),
-        estimator_type=mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
-    )
+    rest = ([_NAN] * 21, [_NAN] * 21, 0, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT)
+    return here_m and (now.time_us, *frames, *here_m, *moving, *rest)
 
 
-def _global_position_int(now: Report) -> Prepared | None:
+def _global_position_int(now: Report) -> Fields | None:
     """Of PX4 once it has an origin."""
     home = now.autopilot.home
     if _is_px4(now) and now.status.origin is None:
@@ -218,16 +213,15 @@ def _global_position_int(now: Report) -> Prepared | None:
     above_home_m = 0.0 if home is None else now.estimate.altitude_amsl_m - home.altitude_amsl_m
     mm = whole(_altitude_amsl_m(now) * 1e3), whole(above_home_m * 1e3)
     cm_s = [whole(each * 100.0) for each in _velocity_ned_m_s(now)]
-    place = (_boot_ms(now), *_e7(now.estimate), *mm)
-    return make("GLOBAL_POSITION_INT", *place, *cm_s, _heading_cdeg(now))
+    return _boot_ms(now), *_e7(now.estimate), *mm, *cm_s, _heading_cdeg(now)
 
 
-def _gps_raw_int(now: Report) -> Prepared | None:
+def _gps_raw_int(now: Report) -> Fields | None:
     """Before the receiver speaks ArduPilot knows nothing, and PX4 says nothing."""
     fix = now.fix
     if _is_px4(now) and not fix.time_us:
         return None
-    solution: tuple[int, ...] = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
+    solution: Fields = (0, 0, 0, 0, _NO_DILUTION, _NO_DILUTION, 0, 0)
     if _is_px4(now) or fix.fix_type:
         north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
         dilutions = (fix.horizontal_dilution, fix.vertical_dilution, math.hypot(north, east))
@@ -236,10 +230,10 @@ def _gps_raw_int(now: Report) -> Prepared | None:
         solution = (fix.fix_type, *_e7_mm(fix), *hundredths, course_cdeg)
     accuracies = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
     mm = (whole(each * 1e3) for each in (fix.altitude_amsl_m, *accuracies))
-    return make("GPS_RAW_INT", fix.time_us, *solution, fix.satellites, *mm)
+    return fix.time_us, *solution, fix.satellites, *mm
 
 
-def _vfr_hud(now: Report) -> Prepared:
+def _vfr_hud(now: Report) -> Fields:
     """A plane says its indicated airspeed, a copter of PX4 none."""
     airspeed_m_s, altitude_m = now.vehicle.airspeed_m_s, now.estimate.altitude_amsl_m
     if _is_px4(now):
@@ -251,48 +245,42 @@ def _vfr_hud(now: Report) -> Prepared:
     north, east, down = _velocity_ned_m_s(now)
     throttle = round(min(max(now.vehicle.throttle, 0.0), 1.0) * 100.0)
     speeds_m_s = (airspeed_m_s, math.hypot(north, east))
-    return make("VFR_HUD", *speeds_m_s, _heading_cdeg(now) // 100, throttle, altitude_m, -down)
+    return *speeds_m_s, _heading_cdeg(now) // 100, throttle, altitude_m, -down
 
 
-def _altitude(now: Report) -> Prepared:
+def _altitude(now: Report) -> Fields:
     """Above the sea, the origin, home and the ground's own height; and above the ground."""
-    status, amsl_m = now.status, now.estimate.altitude_amsl_m
-    origin, home = status.origin, now.autopilot.home
-    above_m = _NAN if status.above_ground_m is None else status.above_ground_m
-    local_m = _NAN if origin is None else amsl_m - origin.altitude_amsl_m
+    amsl_m, origin, home = now.estimate.altitude_amsl_m, now.status.origin, now.autopilot.home
+    above_m = _NAN if now.status.above_ground_m is None else now.status.above_ground_m
+    known_m, local_m = (_NAN, _NAN) if origin is None else (amsl_m, amsl_m - origin.altitude_amsl_m)
     above_home_m = _NAN if home is None else amsl_m - home.altitude_amsl_m
-    truly_m, known_m = now.vehicle.altitude_amsl_m, _NAN if origin is None else amsl_m
-    heights_m = (truly_m, known_m, local_m, above_home_m, local_m - above_m, above_m)
-    return make("ALTITUDE", now.time_us, *heights_m)
+    heights_m = (now.vehicle.altitude_amsl_m, known_m, local_m, above_home_m)
+    return now.time_us, *heights_m, local_m - above_m, above_m
 
 
-def _distance_sensor(now: Report) -> Prepared | None:
+def _distance_sensor(now: Report) -> Fields | None:
     """PX4's; of ArduPilot's proximity.py says more."""
     above_m = now.status.above_ground_m
-    if above_m is None:
-        return None
-    range_cm = min(max(round(above_m * 100.0), 0), 10000)
-    return make("DISTANCE_SENSOR", _boot_ms(now), 0, 10000, range_cm, orientation=25)
+    range_cm = None if above_m is None else min(max(round(above_m * 100.0), 0), 10000)
+    return None if range_cm is None else (_boot_ms(now), 0, 10000, range_cm, 0, 0, _DOWN)
 
 
-def _ekf_status_report(now: Report) -> Prepared:
+def _ekf_status_report(now: Report) -> Fields:
     estimate = now.estimate
-    variances = (estimate.velocity_variance, estimate.horizontal_variance)
-    return make("EKF_STATUS_REPORT", estimate.flags, *variances)
+    return estimate.flags, estimate.velocity_variance, estimate.horizontal_variance
 
 
-def _estimator_status(now: Report) -> Prepared:
-    estimate = now.estimate
-    head = (now.time_us, estimate.flags, estimate.velocity_variance, estimate.horizontal_variance)
-    return make("ESTIMATOR_STATUS", *head, pos_horiz_accuracy=estimate.horizontal_accuracy_m)
+def _estimator_status(now: Report) -> Fields:
+    accuracy_m = now.estimate.horizontal_accuracy_m
+    return now.time_us, *_ekf_status_report(now), *[0.0] * 4, accuracy_m
 
 
-def _gps_global_origin(now: Report) -> Prepared | None:
+def _gps_global_origin(now: Report) -> Fields | None:
     origin = now.status.origin
-    return origin and make("GPS_GLOBAL_ORIGIN", *_e7_mm(origin), now.time_us)
+    return origin and (*_e7_mm(origin), now.time_us)
 
 
-def _home_position(now: Report) -> Prepared | None:
+def _home_position(now: Report) -> Fields | None:
     """Seen from the origin; ArduPilot knows no attitude of the surface."""
     home, origin, ned_m = now.autopilot.home, now.status.origin, _NO_VECTOR
     if home is None or (_is_px4(now) and origin is None):
@@ -304,34 +292,33 @@ def _home_position(now: Report) -> Prepared | None:
         north_m, east_m = (0.0, 0.0) if _is_px4(now) else (north_m, east_m)
         ned_m = (north_m, east_m, origin.altitude_amsl_m - home.altitude_amsl_m)
     q = [1.0, 0.0, 0.0, 0.0] if _is_px4(now) else [_NAN] * 4
-    return make("HOME_POSITION", *_e7_mm(home), *ned_m, q, time_usec=now.time_us)
+    return *_e7_mm(home), *ned_m, q, 0.0, 0.0, 0.0, now.time_us
 
 
-def _simstate(now: Report) -> Prepared:
+def _simstate(now: Report) -> Fields:
     """The truth: SITL says it too."""
-    latitude, longitude = _e7(now.vehicle)
-    return make("SIMSTATE", lat=latitude, lng=longitude)
+    return *[0.0] * 9, *_e7(now.vehicle)
 
 
-def _wind(now: Report) -> Prepared:
+def _wind(now: Report) -> Fields:
     """The air as it is, as a direction that it comes from."""
     north, east = now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s
     direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
-    return make("WIND", direction_deg, math.hypot(north, east))
+    return direction_deg, math.hypot(north, east)
 
 
-def _wind_cov(now: Report) -> Prepared | None:
+def _wind_cov(now: Report) -> Fields | None:
     """Of a plane, once in the air."""
     if not _is_plane(now) or now.status.landed_state == Landed.ON_GROUND:
         return None
     wind = (now.vehicle.wind_north_m_s, now.vehicle.wind_east_m_s)
-    return make("WIND_COV", now.time_us, *wind, wind_alt=now.estimate.altitude_amsl_m)
+    return now.time_us, *wind, 0.0, 0.0, 0.0, now.estimate.altitude_amsl_m
 
 
 # --- where it flies to ----------------------------------------------------------------------------
 
 
-def _position_target_local_ned(now: Report) -> Prepared | None:
+def _position_target_local_ned(now: Report) -> Fields | None:
     """Position, velocity and acceleration; the mask says which of them are not given."""
     target = now.autopilot.target_echo()
     if target is None:
@@ -340,78 +327,85 @@ def _position_target_local_ned(now: Report) -> Prepared | None:
     for place, vector in enumerate(target[:3]):
         mask |= 0 if vector else 0b111 << 3 * place
         vectors += vector or (0.0, 0.0, 0.0)
-    head = (_boot_ms(now), _LOCAL, mask if target.type_mask is None else target.type_mask)
-    yaw = (target.yaw_rad, target.yaw_rate_rad_s)
-    return make("POSITION_TARGET_LOCAL_NED", *head, *vectors, *yaw)
+    mask = mask if target.type_mask is None else target.type_mask
+    return _boot_ms(now), _LOCAL, mask, *vectors, target.yaw_rad, target.yaw_rate_rad_s
 
 
-def _position_target_global_int(now: Report) -> Prepared | None:
+def _position_target_global_int(now: Report) -> Fields | None:
     """The navigator's place; PX4 with the controller's velocity, acceleration, yaw and its rate."""
     waypoint, target = now.status.waypoint, now.autopilot.target_echo()
     if waypoint is None:
         return None
-    head, height_m, aim = (_GLOBAL, _ONLY_POSITION), waypoint.place.altitude_amsl_m, list[float]()
-    if _is_px4(now):
-        head, aim = (_GLOBAL_INT, 0), [_NAN] * 8
-        height_m = 0.0 if now.status.mode == _LAND and not _is_plane(now) else height_m
-        if target is not None:
-            velocity, acceleration = target.velocity_ned_m_s, target.acceleration_ned_m_s2
-            aim[:6] = (*(velocity or _NO_VECTOR), *(acceleration or _NO_VECTOR))
-            aim[6:] = (target.yaw_rad, target.yaw_rate_rad_s)
-    place = (_boot_ms(now), *head, *_e7(waypoint.place), height_m)
-    return make("POSITION_TARGET_GLOBAL_INT", *place, *aim)
+    place, height_m = _e7(waypoint.place), waypoint.place.altitude_amsl_m
+    if not _is_px4(now):
+        return _boot_ms(now), _GLOBAL, _ONLY_POSITION, *place, height_m
+    height_m = 0.0 if now.status.mode == _LAND and not _is_plane(now) else height_m
+    aim: Fields = (_NAN,) * 8
+    if target is not None:
+        velocity, acceleration = target.velocity_ned_m_s, target.acceleration_ned_m_s2
+        yaw = (target.yaw_rad, target.yaw_rate_rad_s)
+        aim = (*(velocity or _NO_VECTOR), *(acceleration or _NO_VECTOR), *yaw)
+    return _boot_ms(now), _GLOBAL_INT, 0, *place, height_m, *aim
 
 
-def _nav_controller_output(now: Report) -> Prepared | None:
+def _nav_controller_output(now: Report) -> Fields | None:
     """A copter has a target everywhere."""
     vehicle, waypoint = now.vehicle, now.status.waypoint
     attitude_deg = (math.degrees(vehicle.roll_rad), math.degrees(vehicle.pitch_rad))
     if waypoint is None:
-        return None if _is_plane(now) else make("NAV_CONTROLLER_OUTPUT", *attitude_deg)
+        return None if _is_plane(now) else attitude_deg
     bearing_deg = round(math.degrees(math.remainder(waypoint.bearing_rad, math.tau)))
     ways = (bearing_deg, bearing_deg, whole(waypoint.distance_m))
     errors = (waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0)
-    return make("NAV_CONTROLLER_OUTPUT", *attitude_deg, *ways, *errors, waypoint.cross_track_m)
+    return *attitude_deg, *ways, *errors, waypoint.cross_track_m
 
 
-def _mission_current(now: Report) -> Prepared:
+def _mission_current(now: Report) -> Fields:
     """Mode of PX4: 1 while the navigator lands, takes off or flies the mission, else 2."""
     status = now.status
     flies = status.waypoint is not None and status.mode in (_LAND, _TAKEOFF, _MISSION)
     mode = (1 if flies else 2) if _is_px4(now) else 0
-    numbers = (status.mission_current, status.mission_total, status.mission_state)
-    return make("MISSION_CURRENT", *numbers, mode)
+    return status.mission_current, status.mission_total, status.mission_state, mode
 
 
-def _fence_status(now: Report) -> Prepared | None:
+def _fence_status(now: Report) -> Fields | None:
     status = now.status
-    numbers = (int(status.fence_breached), status.fence_breaches, status.fence_breach_type)
-    present = status.fence_present
-    return make("FENCE_STATUS", *numbers, status.fence_breach_ms) if present else None
+    breach = (status.fence_breach_type, status.fence_breach_ms)
+    told = (int(status.fence_breached), status.fence_breaches, *breach)
+    return told if status.fence_present else None
 
 
 # --- who says what --------------------------------------------------------------------------------
 
 
-def _by_number(*builders: Builder) -> dict[int, Builder]:
+def _messages(*functions: Callable[[Report], Fields | None]) -> dict[int, Builder]:
+    """By number what makes the messages that these functions are called after."""
     numbers = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
-    return {numbers[each.__name__.strip("_").upper()]: each for each in builders}
+    names = [each.__name__.strip("_").upper() for each in functions]
+    pairs = zip(names, functions, strict=True)
+    return {numbers[name]: _builder(name, fields) for name, fields in pairs}
 
 
-_BOTH: Final = _by_number(
+def _builder(name: str, fields: Callable[[Report], Fields | None]) -> Builder:
+    def build(now: Report) -> Prepared | None:
+        said = fields(now)
+        return None if said is None else make(name, *said)
+
+    return build
+
+
+_BOTH: Final = _messages(
     *(_heartbeat, _extended_sys_state, _system_time, _timesync, _autopilot_version, _sys_status),
     *(_battery_status, _attitude, _attitude_quaternion, _local_position_ned, _global_position_int),
     *(_gps_raw_int, _vfr_hud, _gps_global_origin, _home_position, _position_target_local_ned),
     *(_position_target_global_int, _mission_current),
 )
-_OF_ARDUPILOT: Final = _by_number(
-    *(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
-)
-_OF_PX4: Final = _by_number(
-    *(_current_mode, _odometry, _altitude, _distance_sensor, _estimator_status, _wind_cov)
-)
 MESSAGES: Final[dict[Firmware, dict[int, Builder]]] = {
-    "ardupilot": _BOTH | _OF_ARDUPILOT,
-    "px4": _BOTH | _OF_PX4,
+    "ardupilot": _BOTH
+    | _messages(_ekf_status_report, _simstate, _wind, _nav_controller_output, _fence_status),
+    "px4": _BOTH
+    | _messages(
+        _current_mode, _odometry, _altitude, _distance_sensor, _estimator_status, _wind_cov
+    ),
 }
 """What can be said, by message number."""
