@@ -78,6 +78,7 @@ def test_reading_by_index_and_by_name_and_what_there_is_not(firmware: Firmware) 
     assert by_index.param_value == by_name.param_value == table[name]
     assert by_index.param_index == place
     assert by_name.param_index == (65535 if firmware == "ardupilot" else place)
+    assert len(read(vehicle, index=len(table) - 1)) == 1
     assert read(vehicle, "NO_SUCH_NAME") == read(vehicle, index=len(table)) == []
     assert put(vehicle, "NO_SUCH_NAME", 1.0) == []
 
@@ -131,7 +132,7 @@ def test_px4s_integers_travel_as_their_bits_and_no_other_type_is_taken(value: in
 BITS = {Kind.INT8: 8, Kind.INT16: 16, Kind.INT32: 32}
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 300.0, -1e30, 7.4])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 300.0, -1e30, 7.4, 7.6])
 @pytest.mark.parametrize("kind", Kind)
 def test_a_table_takes_only_what_its_types_hold(kind: Kind, value: float) -> None:
     """From inside, as by faults and tests; what is given at the start is refused instead."""

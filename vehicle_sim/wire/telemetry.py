@@ -30,7 +30,7 @@ _CENTIAMPERES_UNKNOWN: Final = -100
 _ARDUPILOT_SENSORS, _PX4_SENSORS = 0x4241_9C0F, 0x0200_000F
 """SYS_STATUS: gyroscopes, accelerometers, compass, pressure ...: always there and well."""
 _GPS_BIT, _POSITION_BIT, _PREARM_BIT = 0x20, 0x4000, 0x1000_0000
-_IGNORE_YAW_RATE, _ONLY_POSITION = 0x800, 0xFDF8
+_ONLY_POSITION: Final = 0xFDF8
 _LOCAL, _GLOBAL, _GLOBAL_INT, _DOWN = 1, 0, 5, 25
 """Three of MAV_FRAME, and the orientation of a sensor."""
 _TAKEOFF, _MISSION, _RETURN, _LAND = 0x0204_0000, 0x0404_0000, 0x0504_0000, 0x0604_0000
@@ -319,16 +319,12 @@ def _wind_cov(now: Report) -> Fields | None:
 
 
 def _position_target_local_ned(now: Report) -> Fields | None:
-    """Position, velocity and acceleration; the mask says which of them are not given."""
     target = now.autopilot.target_echo()
     if target is None:
         return None
-    mask, vectors = _IGNORE_YAW_RATE, list[float]()
-    for place, vector in enumerate(target[:3]):
-        mask |= 0 if vector else 0b111 << 3 * place
-        vectors += vector or (0.0, 0.0, 0.0)
-    mask = mask if target.type_mask is None else target.type_mask
-    return _boot_ms(now), _LOCAL, mask, *vectors, target.yaw_rad, target.yaw_rate_rad_s
+    vectors = [value for vector in target[:3] for value in vector or (0.0, 0.0, 0.0)]
+    yaw = (target.yaw_rad, target.yaw_rate_rad_s)
+    return _boot_ms(now), _LOCAL, target.type_mask or 0, *vectors, *yaw
 
 
 def _position_target_global_int(now: Report) -> Fields | None:
