@@ -100,7 +100,8 @@ class FlightController:
             if said is None:
                 said = built[number] = self._said(number)
             if number != _CURRENT_MODE or self._is_news(said, link):
-                self._deliver(said, link)
+                for message in said:
+                    self.radio.send(message, link)
         return positioned
 
     def _is_news(self, mode: Any, link: int) -> bool:

@@ -154,13 +154,17 @@ def layout_of(name: str) -> Layout:
     )
 
 
-def make(name: str, *first: Any) -> Prepared:
+def make(name: str, *fields: Any) -> Prepared:
     """A message of this name, to be sent: its first fields in MAVLink's order, the others are zero.
 
     Texts are bytes, fields of several values are lists.
     """
-    layout = layout_of(name)
-    values = layout.on_the_wire([*first, *layout.zeros[len(first) :]])
+    return filled(layout_of(name), fields)
+
+
+def filled(layout: Layout, fields: tuple[Any, ...]) -> Prepared:
+    """The same, by its layout."""
+    values = layout.on_the_wire((*fields, *layout.zeros[len(fields) :]))
     if not layout.is_plain:
         values = [one for v in values for one in (v if isinstance(v, list) else (v,))]
     try:

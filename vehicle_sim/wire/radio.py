@@ -132,20 +132,21 @@ class Radio:
 
     # --- out ----------------------------------------------------------------------------------
 
-    def _frame(self, message: Any, link: int, system: int, component: int) -> tuple[int, bytes]:
-        """The message of somebody on a link as the next frame of theirs there."""
-        key = (link, system, component)
-        packer = self._packers.get(key)
-        if packer is None:
-            signing = self.signing if system == self._ids[0] else None
-            packer = self._packers[key] = Packer(system, component, signing, link)
-        return link, packer.frame(message)
+    def _packer(self, link: int, system: int, component: int) -> Packer:
+        """What numbers the frames of somebody on a link."""
+        signing = self.signing if system == self._ids[0] else None
+        packer = self._packers[link, system, component] = Packer(system, component, signing, link)
+        return packer
+
+    def _frame(self, message: Any, key: tuple[int, int, int]) -> tuple[int, bytes]:
+        """The message as the next frame on a link of a system's component."""
+        return key[0], (self._packers.get(key) or self._packer(*key)).frame(message)
 
     def send(self, message: Any, link: int, component: int | None = None) -> None:
         """Queue a message of one of the vehicle's components; None: of the autopilot."""
         system, autopilot = self._ids
         by = autopilot if component is None else component
-        self._outbox.append(self._frame(message, link, system, by))
+        self._outbox.append(self._frame(message, (link, system, by)))
 
     def broadcast(self, message: Any, component: int | None = None) -> None:
         """The same, on every link."""
@@ -154,7 +155,8 @@ class Radio:
 
     def send_as(self, message: Any, system: int, component: int) -> None:
         """Send a message in somebody else's name, on every link."""
-        self._outbox += [self._frame(message, link, system, component) for link in self.links]
+        keys = [(link, system, component) for link in self.links]
+        self._outbox += [self._frame(message, key) for key in keys]
 
     def send_back(self, received: Received) -> None:
         """Send a client its own frame."""
@@ -162,7 +164,7 @@ class Radio:
 
     def send_last(self, message: Any, link: int) -> None:
         """Queue a question of lockstep: after all else, and past what is wrong with the link."""
-        self._question = self._frame(message, link, *self._ids)
+        self._question = self._frame(message, (link, *self._ids))
         self.send_last_again()
 
     def send_last_again(self) -> None:

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilot.values import Landed, Report
 from vehicle_sim.geodesy import ARDUPILOT_M_PER_DEG, degrees_east
 from vehicle_sim.parameters import Firmware
-from vehicle_sim.wire.frames import Prepared, make
+from vehicle_sim.wire.frames import Prepared, filled, layout_of
 
 Fields = tuple[Any, ...]
 """Of a message in MAVLink's order; those at the end that are left out are zero."""
@@ -383,9 +383,11 @@ def _messages(*functions: Callable[[Report], Fields | None]) -> dict[int, Builde
 
 
 def _builder(name: str, fields: Callable[[Report], Fields | None]) -> Builder:
+    layout = layout_of(name)
+
     def build(now: Report) -> Prepared | None:
         said = fields(now)
-        return None if said is None else make(name, *said)
+        return None if said is None else filled(layout, said)
 
     return build
 
