@@ -1,4 +1,4 @@
-"""Parameters over the wire, with pymavlink's mavparm as one of the clients."""
+"""Parameters over the wire; pymavlink's own client sets some in tests/interop."""
 
 import math
 import re
@@ -10,7 +10,6 @@ import pytest
 from harness import COMPANION, GCS, PLACE, VEHICLE, Link
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilot import arducopter, arduplane, px4copter, px4plane
@@ -149,31 +148,6 @@ def test_a_table_takes_only_what_its_types_hold(kind: Kind, value: float) -> Non
             InputError, match=f"must be a number from .*it has {BITS.get(kind, 32)} bits"
         ):
             Parameters(table, {"IT": value})
-
-
-class Connection:
-    """What mavparm needs of a connection."""
-
-    target_system, target_component = VEHICLE
-
-    def __init__(self, vehicle: Link) -> None:
-        self.vehicle, self.arrived = vehicle, list[Any]()
-
-    def param_set_send(self, name: str, value: float, parm_type: int | None = None) -> None:
-        self.arrived += put(self.vehicle, name, value, REAL if parm_type is None else parm_type)
-
-    def recv_match(self, **_: object) -> Any:
-        return self.arrived.pop(0)
-
-
-@BOTH
-def test_mavparm_sets_on_either_firmware(firmware: Firmware) -> None:
-    vehicle = fresh(firmware)
-    whole, kind = ("DISARM_DELAY", None) if firmware == "ardupilot" else ("COM_OBL_RC_ACT", INT32)
-    known, connection = mavparm.MAVParmDict(), Connection(vehicle)
-    for name, value, type_ in ((whole, 5, kind), (FLOAT[firmware], 0.25, REAL)):
-        assert known.mavset(connection, name, value, parm_type=type_)
-        assert vehicle.simulation.parameters[name] == value
 
 
 # --- what a parameter does ------------------------------------------------------------------------
