@@ -59,19 +59,17 @@ def test_every_message_of_the_dialect_is_read_and_packed_as_pymavlink_does_it() 
             mav.seq = (mav.seq + 1) % 256
 
 
-@pytest.mark.parametrize("name", ["arducopter-gps-loss.tlog", "px4-offboard-short.tlog"])
-def test_a_recorded_flight_is_read_as_pymavlink_reads_it(name: str) -> None:
-    data, at, known = recording(name).read_bytes(), 0, 0
-    parser, reader = StreamParser(datagrams=False), mavlink.MAVLink(None)
+def test_a_recorded_flight_is_read_as_pymavlink_reads_it() -> None:
+    data, at = recording("px4-offboard-short.tlog").read_bytes(), 0
+    parser, reader, known = StreamParser(datagrams=False), mavlink.MAVLink(None), 0
     while at < min(len(data), 400_000):
         size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
         frame, at = data[at + 8 : at + 8 + size], at + 8 + size
         wanted, got = reader.decode(bytearray(frame)), parser.feed(frame)
-        if isinstance(wanted, mavlink.MAVLink_unknown):
-            assert got == []
-            continue
-        assert same(got[0][1], wanted)
-        known += 1
+        is_known = not isinstance(wanted, mavlink.MAVLink_unknown)
+        assert len(got) == is_known
+        assert all(same(message, wanted) for _, message in got)
+        known += is_known
     assert known > 1000
 
 
