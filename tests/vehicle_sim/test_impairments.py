@@ -20,7 +20,7 @@ def frame(number: int) -> bytes:
 
 def link(conditions: LinkConditions, seed: int = 1, **which: int) -> Impairments:
     made = Impairments(np.random.default_rng(seed), **which)  # type: ignore[arg-type]
-    made.conditions = conditions
+    made.impair(conditions)
     return made
 
 
@@ -105,14 +105,14 @@ def test_only_the_links_and_directions_that_are_meant_are_concerned(
     for which, to_vehicle in itertools.product((0, 5), (True, False)):
         made = link(conditions, link=which, to_vehicle=to_vehicle)
         assert bool(carried(made, 1)) != ((which, to_vehicle) in concerned)
-        made.conditions = LinkConditions()
+        made.impair(LinkConditions())
         assert len(carried(made, 3)) == 3
 
 
 def test_what_is_on_its_way_arrives_after_the_link_has_cleared_and_before_what_follows() -> None:
     made = link(LinkConditions(delay_us=S))
     made.push(0, frame(0))
-    made.conditions = LinkConditions()
+    made.impair(LinkConditions())
     made.push(10_000, frame(1))
     assert [made.pop(at) for at in (10_000, S)] == [[], [frame(0), frame(1)]]
 

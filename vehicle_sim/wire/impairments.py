@@ -23,23 +23,18 @@ class Impairments:
 
     def __init__(self, rng: np.random.Generator, *, link: int = 0, to_vehicle: bool = True) -> None:
         self._rng, self._link, self._to_vehicle = rng, link, to_vehicle
-        self._conditions = self._clear = LinkConditions()
+        self._conditions = LinkConditions()
         self._waiting: list[tuple[int, int, bytes]] = []
         """Heap of time, number, frame."""
         self._held: list[bytes] = []
         """Frames that the next one overtakes."""
         self._number = self._last_us = self._held_us = 0
 
-    @property
-    def conditions(self) -> LinkConditions:
+    def impair(self, conditions: LinkConditions) -> None:
         """What is wrong from now on; what is on its way already stays on its way."""
-        return self._conditions
-
-    @conditions.setter
-    def conditions(self, conditions: LinkConditions) -> None:
         way = conditions.to_vehicle if self._to_vehicle else conditions.from_vehicle
-        concerned = way and (not conditions.mask or bool(conditions.mask >> self._link & 1))
-        self._conditions = conditions if concerned else self._clear
+        concerned = way and (not conditions.mask or conditions.mask >> self._link & 1)
+        self._conditions = conditions if concerned else LinkConditions()
 
     def push(self, now_us: int, frame: bytes) -> None:
         """A frame, or a whole datagram, sets out."""

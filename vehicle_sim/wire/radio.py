@@ -92,7 +92,7 @@ class Radio:
         """From now on the links are this bad, in both directions."""
         self.impaired = conditions.any or self.impaired
         for each in (*self._in, *self._out):
-            each.conditions = conditions
+            each.impair(conditions)
 
     # --- in -----------------------------------------------------------------------------------
 
