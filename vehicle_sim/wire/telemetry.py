@@ -35,14 +35,8 @@ _LOCAL, _GLOBAL, _GLOBAL_INT, _DOWN = 1, 0, 5, 25
 """Three of MAV_FRAME, and the orientation of a sensor."""
 _TAKEOFF, _MISSION, _RETURN, _LAND = 0x0204_0000, 0x0404_0000, 0x0504_0000, 0x0604_0000
 _ALTITUDE, _POSITION = 0x0002_0000, 0x0003_0000
-_STANDARD_MODES: Final = {
-    _POSITION: 1,
-    _ALTITUDE: 4,
-    _RETURN: 5,
-    _MISSION: 6,
-    _LAND: 7,
-    _TAKEOFF: 8,
-}
+_MODES: Final = (_POSITION, _ALTITUDE, _RETURN, _MISSION, _LAND, _TAKEOFF)
+_STANDARD_MODES: Final = dict(zip(_MODES, (1, 4, 5, 6, 7, 8), strict=True))
 """MAV_STANDARD_MODE by custom_mode of PX4: 7 and 8 as recorded, the others from the source."""
 
 
